@@ -1,0 +1,45 @@
+# Everything works on a fresh clone with Python 3.11+ and make; the tools land in .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check -q
+
+.PHONY: help fly test lint bench install clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what it leaves
+	@$(BIN)/sim-bridge fly
+
+test: $(VENV)/.test lint  ## lint, types, layers and all tests
+	@$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
+
+lint: $(VENV)/.test
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/basedpyright --warnings
+	@$(BIN)/lint-imports --no-cache
+
+bench: $(VENV)/.test  ## the figures of the README and notes; not a test
+	@$(BIN)/sim-bridge bench
+
+install: $(VENV)/.sim
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "make: $(PYTHON) is $$($(PYTHON) -V 2>&1); Leeway needs 3.11 or later: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "installing leeway[sim] into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e '.[sim]'
+	@touch $@
+
+$(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "installing leeway[sim,test] into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e '.[sim,test]'
+	@touch $@ $(VENV)/.sim
+
+clean:  ## remove the virtual environment and caches
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis
