@@ -1,0 +1,143 @@
+"""The mission half of a flight file (`flight/1`): where to, with what, at which risk.
+
+The file's `[wind]` and `[faults]` tables are the simulator's own. A companion reads the same file
+and carries them as opaque tables, because a vehicle cannot know its wind from a file.
+"""
+
+import math
+from typing import Any, Literal
+
+import msgspec
+
+from companion.core.errors import LeewayError
+
+
+def check_range(key: str, value: float, low: float, high: float) -> None:
+    """Raise LeewayError naming `key` when `value` is not a finite number in [low, high]."""
+    if not (math.isfinite(value) and low <= value <= high):
+        raise LeewayError(f"{key} = {value!r}: expected a number from {low:g} to {high:g}")
+
+
+class Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A point on the ground, geodetic or relative to the depot; one form, never both.
+
+    `alt_amsl_m` and `up_m` are the height of the GROUND there (safety rule 8).
+    """
+
+    name: str = ""
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    alt_amsl_m: float | None = None
+    east_m: float | None = None
+    north_m: float | None = None
+    up_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        geodetic = (self.lat_deg, self.lon_deg, self.alt_amsl_m)
+        relative = (self.east_m, self.north_m)
+        where = self.name or "place"
+        if all(v is not None for v in geodetic) and all(v is None for v in relative):
+            check_range(f"{where}.lat_deg", self.lat_deg or 0.0, -85.0, 85.0)
+            check_range(f"{where}.lon_deg", self.lon_deg or 0.0, -180.0, 180.0)
+            check_range(f"{where}.alt_amsl_m", self.alt_amsl_m or 0.0, -500.0, 9000.0)
+            if self.up_m != 0.0:
+                raise LeewayError(f"{where}.up_m: not allowed beside lat_deg, lon_deg, alt_amsl_m")
+        elif all(v is not None for v in relative) and all(v is None for v in geodetic):
+            for key, value in (("east_m", self.east_m), ("north_m", self.north_m)):
+                check_range(f"{where}.{key}", value or 0.0, -50_000.0, 50_000.0)
+            check_range(f"{where}.up_m", self.up_m, -3000.0, 3000.0)
+        else:
+            raise LeewayError(
+                f"{where}: expected lat_deg, lon_deg and alt_amsl_m, or east_m and north_m"
+                " (and up_m) relative to the depot"
+            )
+
+
+class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Ground height around the depot: a plane by its slopes, or a grid of heights (CSV file).
+
+    The grid's columns are `east_m, north_m, up_m` relative to the depot.
+    """
+
+    kind: Literal["flat", "plane", "grid"] = "flat"
+    slope_east_frac: float = 0.0
+    slope_north_frac: float = 0.0
+    grid: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range("site.terrain.slope_east_frac", self.slope_east_frac, -1.0, 1.0)
+        check_range("site.terrain.slope_north_frac", self.slope_north_frac, -1.0, 1.0)
+        if (self.kind == "grid") != (self.grid is not None):
+            raise LeewayError('site.terrain.grid: a file name, exactly when kind = "grid"')
+
+
+class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Depot, customer, rally points and what stands between them.
+
+    `depot` may be absent: it is then where the vehicle stands (its own home position).
+    `obstacles` names a GeoJSON file of polygons with a `height_m` property (above the depot).
+    """
+
+    customer: Place
+    depot: Place | None = None
+    rally: list[Place] = []
+    obstacles: str | None = None
+    terrain: Terrain = Terrain()
+
+    def __post_init__(self) -> None:
+        if self.depot is not None and self.depot.lat_deg is None:
+            raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
+
+
+class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What flies, and how it starts."""
+
+    airframe: str
+    payload_kg: float = 0.0
+    charge_frac: float = 1.0
+    temperature_c: float = 20.0
+    battery_health_frac: float = 1.0
+    pitot: bool = False
+    autopilot_wind: bool = False
+
+    def __post_init__(self) -> None:
+        check_range("vehicle.payload_kg", self.payload_kg, 0.0, 500.0)
+        check_range("vehicle.charge_frac", self.charge_frac, 0.05, 1.0)
+        check_range("vehicle.temperature_c", self.temperature_c, -30.0, 60.0)
+        check_range("vehicle.battery_health_frac", self.battery_health_frac, 0.3, 1.0)
+
+
+class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the operator asks, and the risk that they accept. Heights are above the depot."""
+
+    max_loss: float = 0.01
+    reserve_frac: float = 0.15
+    cruise_height_m: float = 40.0
+    drop_height_m: float = 6.0
+    leg_length_m: float = 150.0
+    wind_settle_s: float = 10.0
+    time_limit_s: float = 1800.0
+    cruise_airspeed_mps: float | None = None
+
+    def __post_init__(self) -> None:
+        check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
+        check_range("mission.reserve_frac", self.reserve_frac, 0.0, 0.6)
+        check_range("mission.cruise_height_m", self.cruise_height_m, 5.0, 500.0)
+        check_range("mission.drop_height_m", self.drop_height_m, 1.0, 100.0)
+        check_range("mission.leg_length_m", self.leg_length_m, 20.0, 5000.0)
+        check_range("mission.wind_settle_s", self.wind_settle_s, 0.0, 120.0)
+        check_range("mission.time_limit_s", self.time_limit_s, 10.0, 24 * 3600.0)
+        if self.cruise_airspeed_mps is not None:
+            check_range("mission.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
+
+
+class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A `flight/1` file as read. `wind` and `faults` belong to the simulator."""
+
+    format: Literal["flight/1"]
+    site: Site
+    vehicle: Vehicle
+    name: str = "flight"
+    mission: Mission = Mission()
+    wind: dict[str, Any] = {}
+    faults: list[dict[str, Any]] = []
