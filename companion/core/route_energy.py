@@ -1,19 +1,29 @@
 """Safety rules 4 and 6: what the legs that are left cost, to the ground, as the autopilot flies.
 
-A leg is what one mission item makes the autopilot do. Winds are (K, 2) or (K, legs, 2), north and
-east, where the air moves to. Energies in Wh (see energy_ledger).
+A leg is what one mission item makes the autopilot do. In AUTO it flies a GROUND speed until tilt
+saturates: the companion commands for each leg the ground speed that the wind triangle gives for
+the speed to fly, and a leg that nobody commands any more keeps the speed it was told. Winds are
+(K, 2) or (K, legs, 2), north and east, where the air moves to. Energies in Wh (see energy_ledger).
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
-from companion.core.geo import Ned
+from companion.core.geo import Ned, course_rad, horizontal_m, wrap_pi
+from companion.core.power import GRAVITY_MPS2
+from companion.core.speed_to_fly import CruiseTable, SteadyPower
 
 FloatArray = NDArray[np.float64]
+
+LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
+TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
+_WIND_STEP_MPS = 0.25  # for gradients
 
 
 class LegKind(Enum):
@@ -28,9 +38,9 @@ class LegKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One leg. `ground_speed_mps` None: the companion commands the wind triangle's speed for
-    `airspeed_mps` (None: the airframe's speed to fly); a number: that ground speed, no further
-    command arrives.
+    """One leg. `ground_speed_mps` None: the companion commands the wind triangle's speed for the
+    speed to fly, at least `airspeed_mps` (None: the mission's); a number: that ground speed, no
+    further command arrives.
     """
 
     kind: LegKind
@@ -46,12 +56,39 @@ class Leg:
 class LegCosts:
     """Energy (Wh) and time (s) of legs under K winds, each (K, legs); `feasible` likewise.
 
-    An infeasible leg (no way made over the ground) has the cost of `STALL_TIME_S` of flight.
+    A leg on which no way is made over the ground costs what it would at LEAST_GROUND_SPEED_MPS,
+    so that costs stay finite and rise with the wind.
     """
 
     energy_wh: FloatArray
     time_s: FloatArray
     feasible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Legs that are priced alike: indices into the route, and their geometry as arrays."""
+
+    index: NDArray[np.int64]
+    payload_kg: float
+    cruise: bool
+    climbing: bool
+    airspeed_mps: float | None
+    ground_speed_mps: float | None
+    north: FloatArray
+    east: FloatArray
+    length_m: FloatArray
+    climb_m: FloatArray
+    stops: FloatArray
+    duration_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledLegs:
+    """Legs made ready for many winds by `RouteEnergy.compile`."""
+
+    count: int
+    groups: tuple[_Group, ...]
 
 
 class RouteEnergy:
@@ -65,30 +102,181 @@ class RouteEnergy:
         air_density_kgpm3: float = 1.225,
         cruise_airspeed_mps: float | None = None,
     ) -> None:
-        raise NotImplementedError
+        self.airframe = airframe
+        self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
+        self._density = air_density_kgpm3
+        self._power: dict[int, SteadyPower] = {}
+        self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
-    def costs(self, legs: tuple[Leg, ...], wind_to_ne_mps: FloatArray) -> LegCosts:
+    def compile(self, legs: tuple[Leg, ...]) -> CompiledLegs:
+        """Group legs that are priced alike."""
+        members: dict[tuple[object, ...], list[int]] = {}
+        for index, leg in enumerate(legs):
+            cruise = leg.kind is LegKind.CRUISE
+            speeds = (leg.airspeed_mps, leg.ground_speed_mps) if cruise else (None, None)
+            key = (cruise, leg.kind is LegKind.CLIMB, leg.payload_kg, *speeds)
+            members.setdefault(key, []).append(index)
+        stops = _stops(legs)
+        groups = tuple(self._group(legs, stops, indices) for indices in members.values())
+        return CompiledLegs(len(legs), groups)
+
+    def _group(self, legs: tuple[Leg, ...], stops: list[float], indices: list[int]) -> _Group:
+        chosen = [legs[i] for i in indices]
+        first = chosen[0]
+        courses = np.array([course_rad(leg.from_ned_m, leg.to_ned_m) for leg in chosen])
+        cruise = first.kind is LegKind.CRUISE
+        return _Group(
+            index=np.array(indices),
+            payload_kg=first.payload_kg,
+            cruise=cruise,
+            climbing=first.kind is LegKind.CLIMB,
+            airspeed_mps=first.airspeed_mps if cruise else None,
+            ground_speed_mps=first.ground_speed_mps if cruise else None,
+            north=np.cos(courses),
+            east=np.sin(courses),
+            length_m=np.array([horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in chosen]),
+            climb_m=np.array([max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in chosen]),
+            stops=np.array([stops[i] for i in indices]),
+            duration_s=np.array([0.0 if cruise else self._duration_s(leg) for leg in chosen]),
+        )
+
+    def _duration_s(self, leg: Leg) -> float:
+        speeds = self.airframe.speeds
+        height_m = abs(leg.to_ned_m[2] - leg.from_ned_m[2])
+        if leg.kind is LegKind.CLIMB:
+            return height_m / speeds.climb_mps + leg.duration_s
+        if leg.kind is LegKind.DESCEND:
+            return height_m / speeds.descent_mps + leg.duration_s
+        if leg.kind is LegKind.LAND:
+            slow_m = min(height_m, speeds.land_slow_height_m)
+            fast_m = height_m - slow_m
+            return fast_m / speeds.descent_mps + slow_m / speeds.landing_mps + TOUCHDOWN_S
+        return leg.duration_s
+
+    def costs(self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: FloatArray) -> LegCosts:
         """Cost of each leg under each wind."""
-        raise NotImplementedError
+        compiled = legs if isinstance(legs, CompiledLegs) else self.compile(legs)
+        wind = wind_to_ne_mps[:, None, :] if wind_to_ne_mps.ndim == 2 else wind_to_ne_mps
+        shape = (wind.shape[0], compiled.count)
+        energy, time = np.empty(shape), np.empty(shape)
+        feasible = np.ones(shape, np.bool_)
+        for group in compiled.groups:
+            at = group.index
+            local = wind if wind.shape[1] == 1 else wind[:, at, :]
+            price = self._price_cruise if group.cruise else self._price_wait
+            energy[:, at], time[:, at], feasible[:, at] = price(group, local)
+        return LegCosts(energy, time, feasible)
 
-    def gradient_wh_per_mps(self, legs: tuple[Leg, ...], wind_to_ne_mps: FloatArray) -> FloatArray:
-        """dE/dw of each leg, (legs, 2), about one wind (2,)."""
-        raise NotImplementedError
+    def _price_cruise(
+        self, group: _Group, wind: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        ground, draw = self._cruise_table(group).look_up(*_along_across(group, wind))
+        feasible = ground >= LEAST_GROUND_SPEED_MPS
+        np.maximum(ground, LEAST_GROUND_SPEED_MPS, out=ground)
+        time = group.length_m / ground
+        time += ground * (group.stops / self.airframe.speeds.accel_mps2)
+        draw *= time
+        draw += self._climb_j(group)
+        draw /= 3600.0
+        return draw, time, feasible
+
+    def _climb_j(self, group: _Group) -> FloatArray:
+        weight_n = self.airframe.mass_kg(group.payload_kg) * GRAVITY_MPS2
+        return weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
+
+    def _price_wait(
+        self, group: _Group, wind: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        power = self._steady_power(group.payload_kg)
+        speed = np.hypot(wind[..., 0], wind[..., 1])
+        draw = power.climb_w(speed) if group.climbing else power.level_w(speed)
+        time = np.broadcast_to(group.duration_s, (wind.shape[0], group.index.size))
+        holds = np.broadcast_to(speed <= power.max_airspeed_mps, time.shape)
+        return draw * time / 3600.0, time, holds
+
+    def gradient_wh_per_mps(
+        self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: FloatArray
+    ) -> FloatArray:
+        """dE/dw of each leg, (legs, 2), about one wind (2,), by central differences."""
+        steps = _WIND_STEP_MPS * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        energy = self.costs(legs, wind_to_ne_mps[None, :] + steps).energy_wh
+        return (energy[[0, 2]] - energy[[1, 3]]).T / (2.0 * _WIND_STEP_MPS)
 
     def route_std_wh(
-        self, legs: tuple[Leg, ...], wind_to_ne_mps: FloatArray, cov_ne_m2ps2: FloatArray
+        self,
+        legs: tuple[Leg, ...] | CompiledLegs,
+        wind_to_ne_mps: FloatArray,
+        cov_ne_m2ps2: FloatArray,
     ) -> float:
         """`|sum_e dE_e/dw|_Sigma`: one wind error moves every leg, so gradients add."""
-        raise NotImplementedError
+        gradient = self.gradient_wh_per_mps(legs, wind_to_ne_mps).sum(axis=0)
+        return math.sqrt(max(float(gradient @ cov_ne_m2ps2 @ gradient), 0.0))
 
     def ground_speed_mps(self, leg: Leg, wind_to_ne_mps: FloatArray) -> float:
         """What to command on a cruise leg (DO_CHANGE_SPEED): the wind triangle's ground speed."""
-        raise NotImplementedError
+        if leg.ground_speed_mps is not None:
+            return leg.ground_speed_mps
+        group = self.compile((leg,)).groups[0]
+        along, across = _along_across(group, wind_to_ne_mps[None, None, :])
+        ground, _ = self._cruise_table(group).look_up(along, across)
+        return max(float(ground[0, 0]), LEAST_GROUND_SPEED_MPS)
 
     def power_w(self, payload_kg: float, airspeed_mps: float, climb_mps: float = 0.0) -> float:
         """Electrical power in steady flight (the ledger's modelled power)."""
-        raise NotImplementedError
+        power = self._steady_power(payload_kg)
+        speed = np.array([airspeed_mps])
+        level = float(power.level_w(speed)[0])
+        share = min(max(climb_mps / self.airframe.speeds.climb_mps, 0.0), 2.0)
+        return level + share * (float(power.climb_w(speed)[0]) - level)
 
     def hover_power_w(self, payload_kg: float) -> float:
         """Electrical power in still-air hover: tells a drop (safety rule 5)."""
-        raise NotImplementedError
+        return self.power_w(payload_kg, 0.0)
+
+    def _steady_power(self, payload_kg: float) -> SteadyPower:
+        key = round(payload_kg * 1000.0)
+        if key not in self._power:
+            self._power[key] = SteadyPower(self.airframe, key / 1000.0, self._density)
+        return self._power[key]
+
+    def _cruise_table(self, group: _Group) -> CruiseTable:
+        fixed, least = group.ground_speed_mps, group.airspeed_mps or self.cruise_airspeed_mps
+        speed = least if fixed is None else fixed
+        key = (round(group.payload_kg * 1000.0), fixed is None, round(speed, 2))
+        if key not in self._cruise:
+            power = self._steady_power(group.payload_kg)
+            fly = power.fly_least_energy if fixed is None else power.fly_ground_speed
+            self._cruise[key] = CruiseTable(power, partial(fly, key[2]))
+        return self._cruise[key]
+
+
+def _along_across(group: _Group, wind: FloatArray) -> tuple[FloatArray, FloatArray]:
+    wind_n, wind_e = wind[..., 0], wind[..., 1]
+    along = wind_n * group.north + wind_e * group.east
+    return along, wind_e * group.north - wind_n * group.east
+
+
+def _stops(legs: tuple[Leg, ...]) -> list[float]:
+    """For each leg, the seconds lost to speeding up and slowing down, in units of V_G / accel.
+
+    Half for each end at rest, and for a turn between two cruise legs the share of speed lost.
+    """
+    lost = [0.0] * len(legs)
+    for i, leg in enumerate(legs):
+        if leg.kind is not LegKind.CRUISE:
+            continue
+        follows = legs[i + 1] if i + 1 < len(legs) else None
+        joined = follows is not None and follows.from_ned_m == leg.to_ned_m
+        if follows is None or not joined:
+            continue
+        if follows.kind is not LegKind.CRUISE:
+            lost[i] += 0.5
+        else:
+            before = course_rad(leg.from_ned_m, leg.to_ned_m)
+            after = course_rad(follows.from_ned_m, follows.to_ned_m)
+            lost[i] += 0.5 * (1.0 - math.cos(wrap_pi(after - before)))
+    for i, leg in enumerate(legs[1:], start=1):
+        starts = legs[i - 1].kind is not LegKind.CRUISE and leg.kind is LegKind.CRUISE
+        if starts and legs[i - 1].to_ned_m == leg.from_ned_m:
+            lost[i] += 0.5
+    return lost
