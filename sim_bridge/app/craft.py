@@ -1,0 +1,134 @@
+"""One simulated vehicle as flown: physics, autopilot, operator, companion process, record."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.flight import Flight, Place, Terrain
+from companion.core.geo import LocalFrame
+from sim_bridge.app.companion_process import CompanionProcess
+from sim_bridge.app.operator import Operator
+from sim_bridge.app.record import TruthRecord
+from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.truth import terrain as ground
+from sim_bridge.truth.vehicle import Vehicle
+
+COMPANION_LINK = 0
+OPERATOR_LINK = 1
+PHYSICS_STEP_S = 0.01
+RECORD_EVERY_STEPS = 20
+
+
+@dataclass(slots=True)
+class Craft:
+    """A vehicle and everything about it; `t_s` runs from power-up."""
+
+    number: int
+    flavour: str
+    flight: Flight
+    depot: Place
+    vehicle: Vehicle
+    autopilot: Autopilot
+    terrain: ground.Terrain
+    operator: Operator
+    companion: CompanionProcess
+    run_dir: Path
+    record: TruthRecord = field(default_factory=TruthRecord)
+    steps: int = 0
+    link_silent_until_s: float = -1.0
+    readings: object | None = None
+    _actuation: object | None = None
+
+    @property
+    def t_s(self) -> float:
+        """Simulated time since power-up."""
+        return self.steps * PHYSICS_STEP_S
+
+    def advance(self, steps: int) -> None:
+        """Run physics and autopilot for some 100 Hz steps, recording truth at 5 Hz."""
+        vehicle, autopilot = self.vehicle, self.autopilot
+        actuation = self._actuation if self._actuation is not None else autopilot.idle()
+        for _ in range(steps):
+            self.readings = vehicle.step(actuation, PHYSICS_STEP_S)  # type: ignore[arg-type]
+            actuation = autopilot.step(self.readings, PHYSICS_STEP_S)
+            self.steps += 1
+            if self.steps % RECORD_EVERY_STEPS == 0:
+                truth = vehicle.truth
+                north, east, _ = truth.pos_ned_m
+                self.record.add(truth, self.terrain.up_m(north, east))
+        self._actuation = actuation
+        for frame in self.operator.frames(self.t_s):
+            autopilot.receive(OPERATOR_LINK, frame)
+
+    @property
+    def link_up(self) -> bool:
+        """False while the link fault lasts."""
+        return self.t_s >= self.link_silent_until_s
+
+    def take_outbox(self) -> list[bytes]:
+        """Datagrams for the companion; those for the operator are delivered here."""
+        out: list[bytes] = []
+        for link, data in self.autopilot.take_outbox():
+            if link == OPERATOR_LINK:
+                self.operator.receive(self.t_s, data)
+            elif self.link_up:
+                out.append(data)
+        return out
+
+    def receive(self, datagram: bytes) -> None:
+        """A datagram from the companion."""
+        if self.link_up:
+            self.autopilot.receive(COMPANION_LINK, datagram)
+
+    @property
+    def phase(self) -> str:
+        """Where in the mission it truly is: start, climb, outbound, drop, return, down."""
+        record = self.record
+        if record.took_off_s is None:
+            return "start"
+        if record.landed_s is not None:
+            return "down"
+        truth = record.rows[-1]
+        away_m = math.hypot(truth[1], truth[2])
+        customer = place_ne_m(self.flight.site.customer, self.depot)
+        if truth[-1] == 0.0:
+            return "return"
+        if math.dist((truth[1], truth[2]), customer) < 15.0:
+            return "drop"
+        return "outbound" if away_m > 30.0 else "climb"
+
+    @property
+    def finished(self) -> bool:
+        """Down for good: landed and disarmed for a while, crashed, or the companion is done."""
+        if self.record.crashed:
+            return True
+        down = self.record.landed_s is not None and self.t_s - self.record.landed_s > 5.0
+        if down and not self.autopilot.armed:
+            return True
+        never_left = self.record.took_off_s is None
+        return never_left and self.companion.starts > 0 and not self.companion.running
+
+
+def place_ne_m(place: Place, depot: Place) -> tuple[float, float]:
+    """A place's north and east of the depot, in metres."""
+    if place.east_m is not None and place.north_m is not None:
+        return place.north_m, place.east_m
+    north, east, _ = LocalFrame.at(depot).ned_of(place)
+    return north, east
+
+
+def build_terrain(terrain: Terrain, folder: Path) -> ground.Terrain:
+    """The world's ground from the flight file's table."""
+    if terrain.kind == "grid":
+        rows = np.genfromtxt(folder / str(terrain.grid), delimiter=",", names=True)
+        easts, norths = np.unique(rows["east_m"]), np.unique(rows["north_m"])
+        ups = np.full((norths.size, easts.size), np.nan)
+        ups[np.searchsorted(norths, rows["north_m"]), np.searchsorted(easts, rows["east_m"])] = (
+            rows["up_m"]
+        )
+        return ground.GridTerrain(norths.tolist(), easts.tolist(), ups.tolist())
+    if terrain.kind == "plane":
+        return ground.PlaneTerrain(terrain.slope_north_frac, terrain.slope_east_frac)
+    return ground.PlaneTerrain()
