@@ -6,33 +6,18 @@ Vec3 = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """How fast the vehicle may go: over ground, up, down, and how hard it may turn."""
-
-    horizontal_mps: float
-    up_mps: float
-    down_mps: float
-    accel_mps2: float
-    accel_vertical_mps2: float
-    jerk_mps3: float
-    tilt_rad: float
-
-
-@dataclass(frozen=True, slots=True)
 class Idle:
-    """Armed on the ground, propellers turning, no thrust; or disarmed."""
+    """Armed on the ground: the propellers turn and carry nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class FollowLine:
-    """Along a straight line to `end`, passing it at `exit_mps`."""
+    """Along a straight line to `end` at a ground speed, passing it at `exit_mps`."""
 
     start: Vec3
     end: Vec3
     speed_mps: float
-    exit_mps: float
-    up_mps: float
-    down_mps: float
+    exit_mps: float = 0.0
     yaw_rad: float | None = None
 
 
@@ -59,12 +44,11 @@ class Descend:
 
     point: tuple[float, float]
     rate_mps: float
-    yaw_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class FlyLevel:
-    """Attitude by hand, or level where position is unknown; climbs at a rate (down is minus)."""
+    """An attitude, and a climb rate (down is minus): by hand, or level where nobody knows where."""
 
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
@@ -83,3 +67,8 @@ class FlyByHand:
 
 
 Goal = Idle | FollowLine | HoldPoint | FlyVelocity | Descend | FlyLevel | FlyByHand
+
+
+def distance_ne_m(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    """Horizontal distance of two points."""
+    return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5
