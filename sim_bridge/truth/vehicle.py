@@ -189,9 +189,14 @@ class Vehicle:
         borne_n = max(weight_n - carried_n, 0.0)
         drift = math.hypot(body.north_mps, body.east_mps)
         loss = self._params.ground.friction_coeff * borne_n / self.mass_kg * dt_s
-        keep = max(1.0 - loss / drift, 0.0) if drift > 0.0 else 0.0
-        body.north_mps *= keep
-        body.east_mps *= keep
+        if loss < drift:
+            body.north_mps *= 1.0 - loss / drift
+            body.east_mps *= 1.0 - loss / drift
+        else:  # friction holds it: undo the step, or wind would make it creep
+            body.north_m -= body.north_mps * dt_s
+            body.east_m -= body.east_mps * dt_s
+            body.north_mps = body.east_mps = 0.0
+            body.down_m = -self._terrain.up_m(body.north_m, body.east_m)
         if borne_n > _STANDING_SHARE * weight_n and not self._crashed:
             body.stand()
 
