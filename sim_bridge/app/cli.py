@@ -100,6 +100,21 @@ def fly(
         json_out.write_text(json.dumps(result, indent=1) + "\n")
 
 
+@app.command()
+def bench(
+    rounds: Annotated[int, typer.Option(min=1, help="Runs of each benchmark.")] = 3,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every value here as JSON.")
+    ] = None,
+) -> None:
+    """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
+    from sim_bridge.app.bench import bench as bench_now
+
+    result = bench_now(rounds, Console())
+    if json_out is not None:
+        json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     try:

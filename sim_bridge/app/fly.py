@@ -20,6 +20,7 @@ from companion.core.flight import Flight, Place
 from sim_bridge.adapters.endpoint import EndpointSet
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.adapters.realtime import Pacer
+from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.clairvoyant import Foresight, Itinerary, foresee
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.craft import (
@@ -74,6 +75,13 @@ class Progress:
 
     def update(self, crafts: list[Craft], t_s: float) -> None:
         """Nothing, unless a view is attached (see report.py)."""
+
+    def exchanged(self, wall_s: float) -> None:
+        """A step's telemetry went out and every companion's answer came back in `wall_s`."""
+
+    def goes_on(self, t_s: float) -> bool:
+        """False stops the run there (benchmarks do)."""
+        return True
 
 
 def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]:
@@ -255,11 +263,15 @@ def _run(
         outbox = [
             (index, data) for index, craft in enumerate(crafts) for data in craft.take_outbox()
         ]
+        sent_s = wall_s()
         gathered = lockstep.exchange(round(t_s * 1e9), outbox)
+        progress.exchanged(wall_s() - sent_s)
         _deliver(crafts, gathered.received)
         if pacer is not None:
             _deliver(crafts, pacer.wait_until(t_s, endpoints))
         progress.update(crafts, t_s)
+        if not progress.goes_on(t_s):
+            return
 
 
 def _deliver(crafts: list[Craft], received: list[tuple[int, bytes]]) -> None:
