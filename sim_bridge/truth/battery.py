@@ -20,11 +20,18 @@ _LOW_CHARGE_RATE = 24.37
 _SLICES = 48
 
 
-def open_circuit_cell_v(charge_frac: float) -> float:
-    """Resting voltage of a cell (Chen and Rincon-Mora 2006, eq. 2)."""
+_CURVE_FULL_V = 3.685 + 0.2156 - 0.1178 + 0.3201  # Chen and Rincon-Mora's cell at full charge
+
+
+def open_circuit_cell_v(charge_frac: float, full_cell_v: float = _CURVE_FULL_V) -> float:
+    """Resting voltage of a cell (Chen and Rincon-Mora 2006, eq. 2).
+
+    Cells that are charged higher (4.20 V, or 4.35 V for LiHV) rise further over their upper half:
+    the difference is added with the square of charge, which is how their published curves part.
+    """
     s = charge_frac
     curve = 3.685 + s * (0.2156 + s * (-0.1178 + s * 0.3201))
-    return curve - 1.031 * math.exp(-35.0 * s)
+    return curve + (full_cell_v - _CURVE_FULL_V) * s * s - 1.031 * math.exp(-35.0 * s)
 
 
 class Battery:
@@ -34,6 +41,7 @@ class Battery:
         "_capacity_c",
         "_cells",
         "_cutoff_v",
+        "_full_cell_v",
         "_params",
         "_polarisation_ohm",
         "_polarisation_v",
@@ -63,6 +71,7 @@ class Battery:
         worn = 1.0 + params.resistance_growth_per_fade * (1.0 - health_frac)
         self._params = params
         self._cells = params.cells
+        self._full_cell_v = params.full_cell_v
         self._capacity_c = params.capacity_ah * 3600.0 * health_frac
         self._resistance_ohm = params.resistance_ohm * cold * worn
         self._polarisation_ohm = params.polarisation_ohm * cold * worn
@@ -71,7 +80,7 @@ class Battery:
         self._under_voltage_s = 0.0
         self.temperature_c = temperature_c
         self.charge_frac = charge_frac
-        self.voltage_v = params.cells * open_circuit_cell_v(charge_frac)
+        self.voltage_v = params.cells * open_circuit_cell_v(charge_frac, params.full_cell_v)
         self.current_a = 0.0
         self.cut_off = False
         self.delivered_j = 0.0
@@ -98,7 +107,7 @@ class Battery:
         """
         if self.cut_off:
             power_w = 0.0
-        open_v = self._cells * open_circuit_cell_v(self.charge_frac)
+        open_v = self._cells * open_circuit_cell_v(self.charge_frac, self._full_cell_v)
         series_ohm = self._series_ohm(self.charge_frac)
         source_v = open_v - self._polarisation_v
         current_a = _current_a(source_v, series_ohm, power_w)
@@ -130,7 +139,7 @@ class Battery:
 
     def loaded_v(self, charge_frac: float, draw_w: float) -> float:
         """Settled terminal voltage at a charge under a constant draw; 0 when it cannot give it."""
-        open_v = self._cells * open_circuit_cell_v(charge_frac)
+        open_v = self._cells * open_circuit_cell_v(charge_frac, self._full_cell_v)
         ohm = self._series_ohm(charge_frac) + self._polarisation_ohm
         inside = open_v * open_v - 4.0 * ohm * draw_w
         return 0.0 if inside < 0.0 else 0.5 * (open_v + math.sqrt(inside))

@@ -108,6 +108,7 @@ class BatteryParams(_Table, frozen=True):
     """A pack of `cells` in series. Resistances are the whole pack's, at 25 degrees C, new."""
 
     cells: int
+    full_cell_v: float
     capacity_ah: float
     resistance_ohm: float
     polarisation_ohm: float
@@ -121,6 +122,7 @@ class BatteryParams(_Table, frozen=True):
     def __post_init__(self) -> None:
         ranges = {
             "cells": (1, 48),
+            "full_cell_v": (4.0, 4.5),
             "capacity_ah": (0.1, 1000.0),
             "resistance_ohm": (0.0, 2.0),
             "polarisation_ohm": (0.0, 2.0),
