@@ -168,43 +168,47 @@ class Controller:
         brakes to a hover there, else it passes the end at speed and goes on straight ahead.
         """
         self._begin(readings, dt_s)
-        p = self.params
-        line = [b - a for a, b in zip(from_ned, to_ned, strict=True)]
-        length = math.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
+        p, nav = self.params, self._nav
+        line_n, line_e, line_d = (
+            to_ned[0] - from_ned[0],
+            to_ned[1] - from_ned[1],
+            to_ned[2] - from_ned[2],
+        )
+        length = math.sqrt(line_n * line_n + line_e * line_e + line_d * line_d)
         if length < 0.5:
             north, east = self._towards(to_ned[0], to_ned[1], speed_mps)
             down = self._vertical_towards(to_ned[2])
             return self._track((north, east, down), yaw, readings, dt_s)
-        ahead = [component / length for component in line]
-        done = [x - a for x, a in zip(self.pos_ned_m, from_ned, strict=True)]
-        along = done[0] * ahead[0] + done[1] * ahead[1] + done[2] * ahead[2]
-        speed = self._line_speed(speed_mps, ahead)
+        ahead_n, ahead_e, ahead_d = line_n / length, line_e / length, line_d / length
+        done_n = nav.north_m - from_ned[0]
+        done_e = nav.east_m - from_ned[1]
+        done_d = nav.down_m - from_ned[2]
+        along = done_n * ahead_n + done_e * ahead_e + done_d * ahead_d
+        speed = self._line_speed(speed_mps, ahead_d)
         if stop_at_end:
-            brake = 0.6 * self._line_limit(ahead, p.max_accel_mps2, p.max_vertical_accel_mps2)
-            gain = p.position_gain_ps
-            speed = min(speed, approach_speed_mps(length - along, gain, brake))
-        off = [along * unit - gone for unit, gone in zip(ahead, done, strict=True)]
-        north, east = p.position_gain_ps * off[0], p.position_gain_ps * off[1]
+            brake = 0.6 * self._line_accel(ahead_d)
+            speed = min(speed, approach_speed_mps(length - along, p.position_gain_ps, brake))
+        north = p.position_gain_ps * (along * ahead_n - done_n)
+        east = p.position_gain_ps * (along * ahead_e - done_e)
+        down = p.vertical_position_gain_ps * (along * ahead_d - done_d)
         fast = math.hypot(north, east)
         if fast > p.cross_track_mps:
             north, east = north * p.cross_track_mps / fast, east * p.cross_track_mps / fast
-        down = p.vertical_position_gain_ps * off[2]
-        wanted = (speed * ahead[0] + north, speed * ahead[1] + east, speed * ahead[2] + down)
+        wanted = (speed * ahead_n + north, speed * ahead_e + east, speed * ahead_d + down)
         return self._track(wanted, yaw, readings, dt_s)
 
-    def _line_speed(self, speed_mps: float, ahead: list[float]) -> float:
+    def _line_speed(self, speed_mps: float, ahead_down: float) -> float:
         """The speed along a line at which the climb or descent limit is just kept."""
         p = self.params
-        limit = p.max_climb_mps if ahead[2] < 0.0 else p.max_descent_mps
-        steep = abs(ahead[2])
+        limit = p.max_climb_mps if ahead_down < 0.0 else p.max_descent_mps
         speed = min(speed_mps, p.max_speed_mps)
-        return min(speed, limit / steep) if steep > 1e-6 else speed
+        return min(speed, limit / max(abs(ahead_down), 1e-6))
 
-    def _line_limit(self, ahead: list[float], level: float, vertical: float) -> float:
+    def _line_accel(self, ahead_down: float) -> float:
         """The acceleration along a line at which neither of both limits is exceeded."""
-        flat = math.hypot(ahead[0], ahead[1])
-        steep = abs(ahead[2])
-        return min(level / max(flat, 1e-6), vertical / max(steep, 1e-6))
+        p = self.params
+        flat = math.sqrt(max(1.0 - ahead_down * ahead_down, 1e-12))
+        return min(p.max_accel_mps2 / flat, p.max_vertical_accel_mps2 / max(abs(ahead_down), 1e-6))
 
     def _towards(
         self, north_m: float, east_m: float, speed_mps: float | None

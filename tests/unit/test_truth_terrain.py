@@ -1,11 +1,14 @@
 """Ground height: planes, and grids against another library's bilinear interpolation."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.terrain import GridTerrain, PlaneTerrain
+from sim_bridge.truth.terrain_file import load_grid_terrain
 
 
 def test_a_plane_rises_by_its_slopes() -> None:
@@ -43,3 +46,32 @@ def test_outside_a_grid_its_edge_goes_on() -> None:
 def test_a_grid_that_is_none_is_refused(norths, easts, ups) -> None:
     with pytest.raises(TruthError, match="terrain grid"):
         GridTerrain(norths, easts, ups)
+
+
+def test_a_grid_file_may_have_its_rows_in_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "grid.csv"
+    path.write_text("east_m,north_m,up_m\n10,10,4\n0,0,1\n10,0,2\n0,10,3\n")
+    grid = load_grid_terrain(path)
+    assert grid.up_m(0.0, 0.0) == 1.0
+    assert grid.up_m(0.0, 10.0) == 2.0
+    assert grid.up_m(10.0, 0.0) == 3.0
+    assert grid.up_m(5.0, 5.0) == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("north_m,east_m,up_m\n0,0,1\n", "line 1"),
+        ("east_m,north_m,up_m\n0,0,1\n0,0,2\n", "line 3.*same point"),
+        ("east_m,north_m,up_m\n0,0,1\n10,0,nan\n", "line 3.*up_m"),
+        ("east_m,north_m,up_m\n0,0,1\n10,0\n", "line 3.*cells"),
+        ("east_m,north_m,up_m\n0,0,1\n10,0,1\n0,10,1\n", "east_m = 10, north_m = 10"),
+        ("east_m,north_m,up_m\n0,0,1\n", "terrain grid"),
+        ("", "line 1"),
+    ],
+)
+def test_a_bad_grid_file_is_refused_by_place(tmp_path: Path, text: str, where: str) -> None:
+    path = tmp_path / "grid.csv"
+    path.write_text(text)
+    with pytest.raises(TruthError, match=rf"grid\.csv: .*{where}"):
+        load_grid_terrain(path)
