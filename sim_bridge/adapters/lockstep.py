@@ -96,14 +96,21 @@ class Lockstep:
         """The clients that are waited for."""
         return frozenset(self._clients) - self._dead
 
-    def await_clients(self, t_ns: int, limit_s: float) -> Gathered:
+    def lose(self, number: int) -> None:
+        """This client is known to be dead (its process was killed): do not wait to find out."""
+        self._dead.add(number)
+
+    def await_clients(
+        self, t_ns: int, limit_s: float, only: Iterable[int] | None = None
+    ) -> Gathered:
         """Before the first telemetry: ask at `t_ns` until all have answered, or `limit_s` is over.
 
         A client may not be up yet, so it is asked again and again, and may see the same time more
-        than once. Those that did not answer are in `died`.
+        than once. Those that did not answer are in `died`. `only`: wait for these (after a
+        restart), not for all.
         """
         received: list[tuple[int, bytes]] = []
-        missing = set(self._clients)
+        missing = set(self._clients if only is None else only)
         deadline_s = self._clock_s() + limit_s
         while missing and (left_s := deadline_s - self._clock_s()) > 0.0:
             self._ask(missing, t_ns)

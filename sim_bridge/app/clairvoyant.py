@@ -1,20 +1,22 @@
 """What knowing the wind would have allowed: the flight integrated through the true mean wind.
 
-The route is flown at the cruise airspeed through the recording or the ramp as it will be, with the
-truth's own steady power and battery, to the ground: take-off, climb, settling, cruise, descent,
-drop, climb, return, landing. Gusts and the moments of turning are left out.
+The route is flown through the recording or the ramp as it will be, at every moment at the airspeed
+(cruise or faster) that costs least per metre, with the truth's own steady power and battery, to
+the ground: take-off, climb, settling, cruise, descent, drop, climb, return, landing. Gusts and the
+moments of turning are left out.
 """
 
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 STEP_S = 1.0
 SLOWEST_MPS = 0.3  # under this ground speed the vehicle makes no way
+SPEED_STEP_MPS = 0.5
 WindAt = Callable[[float, float], tuple[float, float]]
 Ne = tuple[float, float]
 
@@ -41,6 +43,7 @@ class _Flyer:
     t_s: float
     payload_kg: float
     height_m: float = 0.0
+    _powers: dict[tuple[int, float], float] = field(default_factory=dict)
 
     def spend(self, power_w: float, dt_s: float) -> None:
         self.battery.step(power_w, dt_s)
@@ -60,7 +63,7 @@ class _Flyer:
             self.spend(self._power(wind, climb), dt_s)
             self.height_m += climb * dt_s
 
-    def along(self, start: Ne, end: Ne, airspeed_mps: float, fastest_mps: float) -> bool:
+    def along(self, start: Ne, end: Ne, speeds: list[float], fastest_mps: float) -> bool:
         length = math.dist(start, end)
         if length < 1.0:
             return True
@@ -70,16 +73,36 @@ class _Flyer:
             north, east = self.wind_at(self.t_s, self.height_m)
             tail = north * unit[0] + east * unit[1]
             cross = east * unit[0] - north * unit[1]
-            if abs(cross) >= airspeed_mps:
-                return False
-            ground = min(math.sqrt(airspeed_mps**2 - cross**2) + tail, fastest_mps)
+            ground, power_w = self._cheapest(speeds, tail, cross, fastest_mps)
             if ground < SLOWEST_MPS:
-                self.spend(self._power(airspeed_mps), STEP_S)
+                self.spend(self._level_power(speeds[-1]), STEP_S)
                 continue
             dt_s = min(STEP_S, left_m / ground)
-            self.spend(self._power(math.hypot(ground - tail, cross)), dt_s)
+            self.spend(power_w, dt_s)
             left_m -= ground * dt_s
         return not self.battery.cut_off
+
+    def _cheapest(
+        self, speeds: list[float], tail: float, cross: float, fastest_mps: float
+    ) -> tuple[float, float]:
+        """Ground speed and power of least energy per metre; speed 0 where no way is made."""
+        best = (0.0, 0.0)
+        for airspeed in speeds:
+            if abs(cross) >= airspeed:
+                continue
+            ground = min(math.sqrt(airspeed**2 - cross**2) + tail, fastest_mps)
+            if ground < SLOWEST_MPS:
+                continue
+            power_w = self._level_power(math.hypot(ground - tail, cross))
+            if best[0] == 0.0 or power_w / ground < best[1] / best[0]:
+                best = (ground, power_w)
+        return best
+
+    def _level_power(self, airspeed_mps: float) -> float:
+        key = (round(airspeed_mps * 10.0), self.payload_kg)
+        if key not in self._powers:
+            self._powers[key] = self._power(key[0] / 10.0)
+        return self._powers[key]
 
     def _power(self, airspeed_mps: float, climb_mps: float = 0.0) -> float:
         state = self.flight.state(airspeed_mps, payload_kg=self.payload_kg, climb_mps=climb_mps)
@@ -97,6 +120,7 @@ class Itinerary:
     settle_s: float
     hover_s: float
     airspeed_mps: float
+    max_airspeed_mps: float
     fastest_mps: float
     climb_mps: float
     descent_mps: float

@@ -38,6 +38,8 @@ class Craft:
     record: TruthRecord = field(default_factory=TruthRecord)
     steps: int = 0
     link_silent_until_s: float = -1.0
+    garbage: bytes = b""
+    restarted: bool = False
     readings: object | None = None
     _actuation: object | None = None
 
@@ -75,7 +77,18 @@ class Craft:
                 self.operator.receive(self.t_s, data)
             elif self.link_up:
                 out.append(data)
+        if self.garbage and self.link_up:
+            out.append(self.garbage)
         return out
+
+    def pilot_takes_over(self) -> None:
+        """The pilot takes the sticks: the mode switch goes to position hold."""
+        self.autopilot.pilot_takes_over()
+
+    def ground_takes_over(self) -> None:
+        """Another ground station orders the vehicle home by mode change."""
+        for frame in self.operator.mode_change(self.flavour):
+            self.autopilot.receive(OPERATOR_LINK, frame)
 
     def receive(self, datagram: bytes) -> None:
         """A datagram from the companion."""

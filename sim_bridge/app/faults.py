@@ -40,10 +40,10 @@ class FaultPlan:
                 pending.begun = True
                 pending.ends_s = t_s + pending.fault.duration_s
                 self.log.append((t_s, f"{pending.fault.kind} begins on vehicle {craft.number}"))
-                _begin(pending.fault, craft, t_s)
+                _begin(pending.fault, craft, t_s, lockstep)
             elif pending.begun and pending.ends_s is not None and t_s >= pending.ends_s:
                 pending.ends_s = None
-                _end(pending.fault, craft, t_s, lockstep)
+                _end(pending.fault, craft)
 
     @staticmethod
     def _due(pending: _Pending, craft: Craft, t_s: float) -> bool:
@@ -56,12 +56,13 @@ class FaultPlan:
         return began is not None and t_s >= began + pending.fault.at_s
 
 
-def _begin(fault: Fault, craft: Craft, t_s: float) -> None:
+def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
     match fault.kind:
         case "link_silent":
             craft.link_silent_until_s = t_s + (fault.duration_s or 1e9)
         case "companion_kill":
             craft.companion.kill()
+            lockstep.lose(craft.number - 1)
         case "autopilot_reboot":
             craft.autopilot.reboot()
         case "gnss_lost":
@@ -79,9 +80,9 @@ def _begin(fault: Fault, craft: Craft, t_s: float) -> None:
             craft.garbage = rng.bytes(GARBAGE_BYTES)
 
 
-def _end(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
+def _end(fault: Fault, craft: Craft) -> None:
     if fault.duration_s == 0.0 and fault.kind != "companion_kill":
-        return
+        return  # for good
     match fault.kind:
         case "companion_kill" if fault.restart:
             craft.companion.start()

@@ -260,6 +260,7 @@ def _run(
             if not craft.finished:
                 craft.advance(STEPS)
         faults.apply(crafts, t_s, lockstep)
+        _await_restarted(crafts, lockstep, t_s)
         outbox = [
             (index, data) for index, craft in enumerate(crafts) for data in craft.take_outbox()
         ]
@@ -272,6 +273,16 @@ def _run(
         progress.update(crafts, t_s)
         if not progress.goes_on(t_s):
             return
+
+
+def _await_restarted(crafts: list[Craft], lockstep: Lockstep, t_s: float) -> None:
+    """Time stands still while a restarted companion boots, so that runs repeat."""
+    numbers = [index for index, craft in enumerate(crafts) if craft.restarted]
+    if numbers:
+        gathered = lockstep.await_clients(round(t_s * 1e9), COMPANION_BOOT_LIMIT_S, only=numbers)
+        for number in numbers:
+            crafts[number].restarted = False
+        _deliver(crafts, gathered.received)
 
 
 def _deliver(crafts: list[Craft], received: list[tuple[int, bytes]]) -> None:
@@ -327,6 +338,7 @@ def _foresee(
     out = [tuple(p[:2]) for p in plan.get("outbound_ned_m", [])] or [customer]
     back = [tuple(p[:2]) for p in plan.get("return_ned_m", [])] or [(0.0, 0.0)]
     mission, speeds = flight.mission, airframe.speeds
+    steady = SteadyFlight(truth_airframe)
     field = craft.vehicle.wind_field
     itinerary = Itinerary(
         out_ne_m=[(0.0, 0.0), *out],
@@ -336,6 +348,7 @@ def _foresee(
         settle_s=mission.wind_settle_s,
         hover_s=float(plan.get("drop_s", 5.0)),
         airspeed_mps=mission.cruise_airspeed_mps or speeds.cruise_airspeed_mps,
+        max_airspeed_mps=0.92 * steady.max_level_airspeed_mps(speeds.max_tilt_rad),
         fastest_mps=speeds.max_ground_mps,
         climb_mps=speeds.climb_mps,
         descent_mps=speeds.descent_mps,
@@ -344,7 +357,7 @@ def _foresee(
     start_s = craft.record.took_off_s if craft.record.took_off_s is not None else craft.t_s
     return foresee(
         itinerary,
-        flight=SteadyFlight(truth_airframe),
+        flight=steady,
         battery=Battery(
             truth_airframe.battery,
             charge_frac=vehicle.charge_frac,

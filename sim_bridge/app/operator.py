@@ -8,6 +8,7 @@ from sim_bridge.autopilot.codec import Decoder, Encoder, Message
 GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
 COMPANION_COMPONENT = 191
 MAV_CMD_MISSION_START = 300
+MAV_CMD_DO_SET_MODE = 176
 ASK_AGAIN_S = 2.0
 SEVERITY_NOTICE = 5
 
@@ -48,16 +49,28 @@ class Operator:
             elif name == "COMMAND_ACK" and message.src_component == COMPANION_COMPONENT:
                 self.accepted |= message.command == MAV_CMD_MISSION_START and message.result == 0
 
-    def _command(self, command: int, param1: float = 0.0) -> Message:
+    def mode_change(self, flavour: str) -> list[bytes]:
+        """Order the autopilot to return to launch, behind the companion's back."""
+        mode = (1.0, 6.0, 0.0) if flavour == "ardupilot" else (1.0, 4.0, 5.0)
+        return [self._encoder.encode(self._command(MAV_CMD_DO_SET_MODE, *mode, component=1))]
+
+    def _command(
+        self,
+        command: int,
+        param1: float = 0.0,
+        param2: float = 0.0,
+        param3: float = 0.0,
+        component: int = COMPANION_COMPONENT,
+    ) -> Message:
         return Message(
             "COMMAND_LONG",
             target_system=self.vehicle_system,
-            target_component=COMPANION_COMPONENT,
+            target_component=component,
             command=command,
             confirmation=0,
             param1=param1,
-            param2=0.0,
-            param3=0.0,
+            param2=param2,
+            param3=param3,
             param4=0.0,
             param5=0.0,
             param6=0.0,
