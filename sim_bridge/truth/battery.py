@@ -2,8 +2,8 @@
 
 Thevenin model with one polarisation branch. Voltage and the rise of resistance at low charge
 after Chen and Rincon-Mora, "Accurate electrical battery model capable of predicting runtime and
-I-V performance", IEEE Trans. Energy Conversion 21(2), 2006, eqs. 2 and 3 (a polymer Li-ion cell):
-the mean of the curve, 3.80 V, is what lithium-polymer packs are labelled with.
+I-V performance", IEEE Trans. Energy Conversion 21(2), 2006, eqs. 2 and 3 (a polymer Li-ion cell,
+3.80 V on average), raised towards full charge for cells that are charged higher.
 
 Temperature acts on resistance by an Arrhenius law, age on capacity and resistance. The cells stay
 at the temperature that they started with.
