@@ -1,6 +1,7 @@
 """What the mission can ask for. Adapters turn these into what the flavour understands."""
 
 from dataclasses import dataclass
+from enum import Enum
 
 from companion.core.events import Mode
 from companion.core.mission_items import MissionItem
@@ -28,10 +29,12 @@ class AskTelemetry(Order):
 class AskParameters(Order):
     """Read the autopilot parameters that the promise rests on."""
 
+    names: tuple[str, ...]
+
 
 @dataclass(frozen=True, slots=True)
 class Configure(Order):
-    """Set the parameters that the promise rests on (`--configure`), remembering the old ones."""
+    """Set autopilot parameters and read them back (`--configure`, and the old ones at the end)."""
 
     values: dict[str, float]
 
@@ -130,6 +133,35 @@ class Decision(Action):
     p_home_now: float | None = None
     p_success: float | None = None
     margin_wh: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Assessed(Action):
+    """The gate's answer at one instant, for the record and the picture."""
+
+    t_s: float
+    p_home: float
+    p_home_now: float
+    p_success: float
+    margin_wh: float
+    energy_left_wh: float
+    energy_need_wh: float
+    p_home_unattended: float | None = None
+
+
+class Reply(Enum):
+    """How an operator's order was taken."""
+
+    ACCEPTED = "accepted"
+    LATER = "not now"
+    DENIED = "denied"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer(Action):
+    """The reply to the operator's order that was just heard."""
+
+    reply: Reply
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@
  TAKEOFF over the depot; LOITER_TIME
  SPEED home; JUMP over depot                    <- nobody says go: lands at the depot
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
- DELIVER: WAYPOINT at drop height; RELEASE; DELAY; SPEED home
+ DELIVER: WAYPOINT at drop height; RELEASE; LOITER_TIME; SPEED home
  ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND
  for each rally point:  WAYPOINT over it;  LAND
 ```
@@ -13,7 +13,7 @@ its home at 0). Only a companion that is alive jumps the autopilot onward.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -33,7 +33,6 @@ class ItemKind(Enum):
     SPEED = "speed"
     JUMP = "jump"
     RELEASE = "release"
-    DELAY = "delay"
     OTHER = "other"
 
 
@@ -65,7 +64,7 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One item; `value` is seconds (LOITER_TIME, DELAY), m/s (SPEED) or an index (JUMP)."""
+    """One item; `value` is a hold in s (WAYPOINT, LOITER_TIME), m/s (SPEED), an index (JUMP)."""
 
     kind: ItemKind
     part: Part
@@ -133,6 +132,7 @@ def build_dead_mans_mission(
     entries: Sequence[int],
     rally: Sequence[tuple[Spot, Spot]],
     settle_s: float,
+    hold_s: float,
     delay_s: float,
     home_speed_mps: float,
 ) -> DeadMansMission:
@@ -140,6 +140,7 @@ def build_dead_mans_mission(
 
     `outbound` ends over the customer at cruise height; `returning` starts there (the climb-out)
     and ends over the depot. From `outbound[i]` the way home enters at `returning[entries[i]]`.
+    Over the customer the vehicle holds for `hold_s`, so that leave to descend can be given there.
     `rally` holds (over it, its ground). Raises LeewayError where these do not fit together.
     """
     if not outbound or len(returning) < 2 or len(entries) != len(outbound):
@@ -165,15 +166,16 @@ def build_dead_mans_mission(
     ]
     for number, (spot, entry) in enumerate(zip(outbound, entries, strict=True)):
         home = ret_start + entry
+        wait_s = hold_s if number == len(outbound) - 1 else 0.0
         items += [
-            MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, f"out {number}", spot),
+            MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, f"out {number}", spot, wait_s),
             MissionItem(ItemKind.SPEED, Part.OUTBOUND, "home speed", None, home_speed_mps),
             MissionItem(ItemKind.JUMP, Part.OUTBOUND, "home", None, float(home)),
         ]
     items += [
         MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop),
         MissionItem(ItemKind.RELEASE, Part.RELEASE, "release"),
-        MissionItem(ItemKind.DELAY, Part.RELEASE, "let go", None, delay_s),
+        MissionItem(ItemKind.LOITER_TIME, Part.RELEASE, "let go", drop, delay_s),
         MissionItem(ItemKind.SPEED, Part.RELEASE, "home speed", None, home_speed_mps),
     ]
     items += [
@@ -201,27 +203,6 @@ def build_dead_mans_mission(
         land=land,
         rally=tuple(rally_items),
     )
-
-
-def best_entry(
-    here: Spot,
-    returning: Sequence[Spot],
-    is_clear: Callable[[Spot, Spot], bool],
-    distance_m: Callable[[Spot, Spot], float],
-) -> int | None:
-    """Return which return waypoint to fly to straight from `here` for the shortest way home.
-
-    Among equals the latest. `None` when every straight line crosses an obstacle.
-    """
-    ahead_m = [0.0] * len(returning)
-    for i in range(len(returning) - 2, -1, -1):
-        ahead_m[i] = ahead_m[i + 1] + distance_m(returning[i], returning[i + 1])
-    best, best_m = None, math.inf
-    for i, spot in enumerate(returning):
-        total_m = distance_m(here, spot) + ahead_m[i]
-        if total_m <= best_m + 0.5 and is_clear(here, spot):
-            best, best_m = i, min(best_m, total_m)
-    return best
 
 
 DEGREES_TOLERANCE = 3e-7

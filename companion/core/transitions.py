@@ -40,6 +40,7 @@ class Trigger(Enum):
     PLANNED = "planned"
     UPLOADED = "uploaded"
     READ_BACK_MATCHES = "read back, same"
+    READ_BACK_DIFFERS = "read back, differs"
     AUTHORISED = "authorised"
     ARMED = "armed by us"
     AT_HEIGHT = "at cruise height"
@@ -130,6 +131,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.PLAN, t.PLANNED): p.UPLOAD,
         (p.UPLOAD, t.UPLOADED): p.READ_BACK,
         (p.READ_BACK, t.READ_BACK_MATCHES): p.READY,
+        (p.READ_BACK, t.READ_BACK_DIFFERS): p.UPLOAD,
         (p.READY, t.AUTHORISED): p.ARM,
         (p.ARM, t.ARMED): p.CLIMB,
         (p.CLIMB, t.AT_HEIGHT): p.MEASURE,
