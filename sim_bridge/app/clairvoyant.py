@@ -157,6 +157,7 @@ def foresee(
 
 
 def _fly(flyer: _Flyer, path: list[Ne], plan: Itinerary) -> bool:
-    return all(
-        flyer.along(a, b, plan.airspeed_mps, plan.fastest_mps) for a, b in itertools.pairwise(path)
-    )
+    faster = max(plan.max_airspeed_mps - plan.airspeed_mps, 0.0)
+    count = int(faster / SPEED_STEP_MPS) + 1
+    speeds = [plan.airspeed_mps + k * SPEED_STEP_MPS for k in range(count)]
+    return all(flyer.along(a, b, speeds, plan.fastest_mps) for a, b in itertools.pairwise(path))

@@ -4,21 +4,27 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from companion.core.flight import Flight, Place, Terrain
-from companion.core.geo import LocalFrame
+from companion.core.flight_plan import frame_at
+from companion.core.geo import place_ned
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.record import TruthRecord
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.truth import terrain as ground
+from sim_bridge.truth.terrain_file import load_grid_terrain
 from sim_bridge.truth.vehicle import Vehicle
 
 COMPANION_LINK = 0
 OPERATOR_LINK = 1
 PHYSICS_STEP_S = 0.01
+SETTLED_S = 5.0
 RECORD_EVERY_STEPS = 20
+_CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
+PILOT_CHANNELS = {
+    "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
+    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: COM_RC_OVERRIDE
+}
 
 
 @dataclass(slots=True)
@@ -40,8 +46,6 @@ class Craft:
     link_silent_until_s: float = -1.0
     garbage: bytes = b""
     restarted: bool = False
-    readings: object | None = None
-    _actuation: object | None = None
 
     @property
     def t_s(self) -> float:
@@ -51,16 +55,13 @@ class Craft:
     def advance(self, steps: int) -> None:
         """Run physics and autopilot for some 100 Hz steps, recording truth at 5 Hz."""
         vehicle, autopilot = self.vehicle, self.autopilot
-        actuation = self._actuation if self._actuation is not None else autopilot.idle()
         for _ in range(steps):
-            self.readings = vehicle.step(actuation, PHYSICS_STEP_S)  # type: ignore[arg-type]
-            actuation = autopilot.step(self.readings, PHYSICS_STEP_S)
+            autopilot.step(vehicle.step(autopilot.actuation, PHYSICS_STEP_S), PHYSICS_STEP_S)
             self.steps += 1
             if self.steps % RECORD_EVERY_STEPS == 0:
                 truth = vehicle.truth
                 north, east, _ = truth.pos_ned_m
                 self.record.add(truth, self.terrain.up_m(north, east))
-        self._actuation = actuation
         for frame in self.operator.frames(self.t_s):
             autopilot.receive(OPERATOR_LINK, frame)
 
@@ -83,7 +84,7 @@ class Craft:
 
     def pilot_takes_over(self) -> None:
         """The pilot takes the sticks: the mode switch goes to position hold."""
-        self.autopilot.pilot_takes_over()
+        self.autopilot.set_rc(PILOT_CHANNELS[self.flavour])
 
     def ground_takes_over(self) -> None:
         """Another ground station orders the vehicle home by mode change."""
@@ -117,8 +118,8 @@ class Craft:
         """Down for good: landed and disarmed for a while, crashed, or the companion is done."""
         if self.record.crashed:
             return True
-        down = self.record.landed_s is not None and self.t_s - self.record.landed_s > 5.0
-        if down and not self.autopilot.armed:
+        down = self.record.landed_s is not None and self.t_s - self.record.landed_s > SETTLED_S
+        if down and not self.autopilot.is_armed:
             return True
         never_left = self.record.took_off_s is None
         return never_left and self.companion.starts > 0 and not self.companion.running
@@ -128,20 +129,14 @@ def place_ne_m(place: Place, depot: Place) -> tuple[float, float]:
     """A place's north and east of the depot, in metres."""
     if place.east_m is not None and place.north_m is not None:
         return place.north_m, place.east_m
-    north, east, _ = LocalFrame.at(depot).ned_of(place)
+    north, east, _ = place_ned(frame_at(depot), place)
     return north, east
 
 
 def build_terrain(terrain: Terrain, folder: Path) -> ground.Terrain:
     """The world's ground from the flight file's table."""
     if terrain.kind == "grid":
-        rows = np.genfromtxt(folder / str(terrain.grid), delimiter=",", names=True)
-        easts, norths = np.unique(rows["east_m"]), np.unique(rows["north_m"])
-        ups = np.full((norths.size, easts.size), np.nan)
-        ups[np.searchsorted(norths, rows["north_m"]), np.searchsorted(easts, rows["east_m"])] = (
-            rows["up_m"]
-        )
-        return ground.GridTerrain(norths.tolist(), easts.tolist(), ups.tolist())
+        return load_grid_terrain(folder / str(terrain.grid))
     if terrain.kind == "plane":
         return ground.PlaneTerrain(terrain.slope_north_frac, terrain.slope_east_frac)
     return ground.PlaneTerrain()

@@ -24,6 +24,8 @@ from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.clairvoyant import Foresight, Itinerary, foresee
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.craft import (
+    COMPANION_LINK,
+    OPERATOR_LINK,
     PHYSICS_STEP_S,
     Craft,
     build_terrain,
@@ -36,7 +38,8 @@ from sim_bridge.app.picture import draw_flight
 from sim_bridge.app.scenario import read_faults, read_wind
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.codec import Encoder, Message
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.flavour import Flavour, LinkKind
+from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
@@ -149,7 +152,7 @@ def _build_craft(
     endpoints: EndpointSet,
     run_dir: Path,
 ) -> Craft:
-    gust_seed, sensor_seed, autopilot_seed = seed.spawn(3)
+    gust_seed, sensor_seed = seed.spawn(2)
     flavour = _flavour_of(options, index)
     number = index + 1
     depot = _shifted(flight.site.depot or HOME_DEFAULT, VEHICLE_SPACING_M * index)
@@ -173,11 +176,12 @@ def _build_craft(
     )
     autopilot = Autopilot(
         Flavour(flavour),
-        home=(depot.lat_deg or 0.0, depot.lon_deg or 0.0, depot.alt_amsl_m or 0.0),
-        parameters=_autopilot_parameters(flavour),
+        (depot.lat_deg or 0.0, depot.lon_deg or 0.0, depot.alt_amsl_m or 0.0),
+        read_parameters(params_dir() / "autopilots" / f"{flavour}.toml"),
         system_id=number,
-        rng=np.random.default_rng(autopilot_seed),
     )
+    autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD)
+    autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
     port = endpoints.urls[index].rsplit(":", 1)[1]
     companion = CompanionProcess(
         run_dir=own_dir,
@@ -201,10 +205,6 @@ def _build_craft(
         companion=companion,
         run_dir=own_dir,
     )
-
-
-def _autopilot_parameters(flavour: str) -> dict[str, float]:
-    return tomllib.loads((params_dir() / "autopilots" / f"{flavour}.toml").read_text())
 
 
 def _shifted(depot: Place, north_m: float) -> Place:
@@ -339,7 +339,6 @@ def _foresee(
     back = [tuple(p[:2]) for p in plan.get("return_ned_m", [])] or [(0.0, 0.0)]
     mission, speeds = flight.mission, airframe.speeds
     steady = SteadyFlight(truth_airframe)
-    field = craft.vehicle.wind_field
     itinerary = Itinerary(
         out_ne_m=[(0.0, 0.0), *out],
         back_ne_m=[customer, *back],
@@ -364,7 +363,7 @@ def _foresee(
             temperature_c=vehicle.temperature_c,
             health_frac=vehicle.battery_health_frac,
         ),
-        wind_at=field.mean_to_ne_mps,
+        wind_at=craft.vehicle.wind_field.mean_to_ne_mps,
         start_s=start_s,
         payload_kg=vehicle.payload_kg,
         reserve_wh=reserve_wh,

@@ -51,7 +51,9 @@ def read_wind(
     A recording starts at the table's `start_s`; where that is a range [first, last], or where
     nothing is said, the start is drawn so that the mission's time limit fits into the recording.
     """
-    table = {"kind": "log", "log": str(wind_log.absolute())} if wind_log else dict(flight.wind)
+    table: dict[str, Any] = dict(flight.wind)
+    if wind_log is not None:
+        table = {"kind": "log", "log": str(wind_log.absolute())}
     start = table.get("start_s")
     if isinstance(start, list) and (len(start) != 2 or not start[0] <= start[1]):
         raise LeewayError(f"{where}: wind.start_s = {start}: expected seconds, or [first, last]")

@@ -110,6 +110,11 @@ class Vehicle:
         return self._battery
 
     @property
+    def wind_field(self) -> WindField:
+        """The wind that this vehicle meets, for a clairvoyant."""
+        return self._wind
+
+    @property
     def reference_draw_w(self) -> float:
         """Hover power without parcel in this air: the draw that `Truth.usable_wh` assumes."""
         return self._reference_draw_w
