@@ -11,6 +11,7 @@ from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.record import TruthRecord
 from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.codec import Decoder
 from sim_bridge.truth import terrain as ground
 from sim_bridge.truth.terrain_file import load_grid_terrain
 from sim_bridge.truth.vehicle import Vehicle
@@ -20,6 +21,23 @@ OPERATOR_LINK = 1
 PHYSICS_STEP_S = 0.01
 SETTLED_S = 5.0
 RECORD_EVERY_STEPS = 20
+COMMANDING = {  # what changes the flight; telemetry and questions do not
+    "COMMAND_LONG",
+    "COMMAND_INT",
+    "SET_MODE",
+    "MISSION_COUNT",
+    "MISSION_ITEM_INT",
+    "MISSION_SET_CURRENT",
+    "MISSION_CLEAR_ALL",
+    "MISSION_WRITE_PARTIAL_LIST",
+    "SET_POSITION_TARGET_LOCAL_NED",
+    "SET_POSITION_TARGET_GLOBAL_INT",
+    "SET_ATTITUDE_TARGET",
+    "RC_CHANNELS_OVERRIDE",
+    "MANUAL_CONTROL",
+    "PARAM_SET",
+}
+ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
@@ -45,6 +63,8 @@ class Craft:
     steps: int = 0
     link_silent_until_s: float = -1.0
     garbage: bytes = b""
+    commands: list[tuple[float, str, int]] = field(default_factory=list)
+    _decoder: Decoder = field(default_factory=Decoder)
     restarted: bool = False
 
     @property
@@ -93,8 +113,13 @@ class Craft:
 
     def receive(self, datagram: bytes) -> None:
         """A datagram from the companion."""
-        if self.link_up:
-            self.autopilot.receive(COMPANION_LINK, datagram)
+        if not self.link_up:
+            return
+        for message in self._decoder.feed(datagram):
+            number = message.__dict__.get("command", 0)
+            if message.msg_name in COMMANDING and number not in ASKING:
+                self.commands.append((self.t_s, message.msg_name, number))
+        self.autopilot.receive(COMPANION_LINK, datagram)
 
     @property
     def phase(self) -> str:

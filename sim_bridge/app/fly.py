@@ -41,7 +41,7 @@ from sim_bridge.autopilot.codec import Encoder, Message
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.battery import Battery
-from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.params import AirframeTruth, load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_params import build_wind_field
@@ -82,6 +82,9 @@ class Progress:
     def exchanged(self, wall_s: float) -> None:
         """A step's telemetry went out and every companion's answer came back in `wall_s`."""
 
+    def ended(self, crafts: list[Craft], faults: FaultPlan) -> None:
+        """All are down and judged."""
+
     def goes_on(self, t_s: float) -> bool:
         """False stops the run there (benchmarks do)."""
         return True
@@ -108,11 +111,13 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
             )
             crafts.append(craft)
             stack.callback(craft.companion.end)
+        plan = FaultPlan(faults)
         with _saved_on_interrupt(run_dir):
-            _run(options, crafts, endpoints, FaultPlan(faults), progress)
+            _run(options, crafts, endpoints, plan, progress)
         for craft in crafts:
             craft.companion.end()
-    rows = [_conclude(options, craft, airframe, mean, wind) for craft in crafts]
+    rows = [_conclude(options, craft, airframe) for craft in crafts]
+    progress.ended(crafts, plan)
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
     return result
@@ -290,9 +295,7 @@ def _deliver(crafts: list[Craft], received: list[tuple[int, bytes]]) -> None:
         crafts[number].receive(datagram)
 
 
-def _conclude(
-    options: FlyOptions, craft: Craft, airframe: Airframe, mean: Any, wind: Any
-) -> dict[str, Any]:
+def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str, Any]:
     flight, site = craft.flight, craft.flight.site
     truth_airframe = load_airframe(params_dir() / "truth" / f"{flight.vehicle.airframe}.toml")
     reserve_wh = _reserve_wh(craft, truth_airframe)
@@ -307,13 +310,13 @@ def _conclude(
         reserve_wh=reserve_wh,
         wind_estimates=result.get("wind", []),
     )
-    foresight = _foresee(craft, airframe, truth_airframe, mean, reserve_wh, result)
+    foresight = _foresee(craft, airframe, truth_airframe, reserve_wh, result)
     if options.picture:
         _draw(options, craft, verdict, result, reserve_wh, airframe)
     return _row(craft, verdict, foresight, result)
 
 
-def _reserve_wh(craft: Craft, truth_airframe: Any) -> float:
+def _reserve_wh(craft: Craft, truth_airframe: AirframeTruth) -> float:
     """The reserve by truth: its share of what the full pack gives at hover draw."""
     vehicle = craft.flight.vehicle
     pack = Battery(
@@ -327,8 +330,7 @@ def _reserve_wh(craft: Craft, truth_airframe: Any) -> float:
 def _foresee(
     craft: Craft,
     airframe: Airframe,
-    truth_airframe: Any,
-    mean: Any,
+    truth_airframe: AirframeTruth,
     reserve_wh: float,
     result: dict[str, Any],
 ) -> Foresight:
