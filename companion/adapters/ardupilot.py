@@ -66,6 +66,7 @@ class ArduPilot:
 
     flavour = Flavour.ARDUPILOT
     home_items = 1
+    free_yaw: float = 0.0  # it refuses NaN in TAKEOFF (AP_Mission::sanity_check_params)
     bytewise_parameters = False
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST

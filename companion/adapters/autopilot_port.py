@@ -210,7 +210,12 @@ class AutopilotPort:
                     self._parameters.set(order.values, t_s)
             case UploadMission():
                 self._download = None
-                wire = wire_items(order.items, home_items=words.home_items, home=self._home)
+                wire = wire_items(
+                    order.items,
+                    home_items=words.home_items,
+                    home=self._home,
+                    free_yaw=words.free_yaw,
+                )
                 self._upload = MissionUpload(self._send, system, wire, t_s)
             case ReadMissionBack():
                 self._upload = None

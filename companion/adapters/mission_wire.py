@@ -44,10 +44,13 @@ class WireItem:
     z: float
 
 
-def wire_items(items: Sequence[MissionItem], *, home_items: int, home: Spot) -> list[WireItem]:
+def wire_items(
+    items: Sequence[MissionItem], *, home_items: int, home: Spot, free_yaw: float
+) -> list[WireItem]:
     """Encode a mission; `home_items` (0 or 1) placeholders for the autopilot's home go first.
 
     The home's height is written as it is in `home`; ArduPilot replaces the item anyway.
+    `free_yaw` is how the flavour is told to choose its own heading.
     """
     found = [
         WireItem(
@@ -59,19 +62,19 @@ def wire_items(items: Sequence[MissionItem], *, home_items: int, home: Spot) -> 
             home.height_rel_m,
         )
     ] * home_items
-    return found + [_wire_item(item, home_items) for item in items]
+    return found + [_wire_item(item, home_items, free_yaw) for item in items]
 
 
-def _wire_item(item: MissionItem, shift: int) -> WireItem:
+def _wire_item(item: MissionItem, shift: int, free_yaw: float) -> WireItem:
     match item.kind:
         case ItemKind.TAKEOFF | ItemKind.LAND:
-            params = (0.0, 0.0, 0.0, math.nan)
+            params = (0.0, 0.0, 0.0, free_yaw)
         case ItemKind.WAYPOINT:
             # PX4 calls a waypoint reached at NAV_ACC_RAD (10 m) unless told a radius.
             radius_m = DROP_RADIUS_M if item.part is Part.DELIVER or item.value > 0.0 else 0.0
-            params = (item.value, radius_m, 0.0, math.nan)
+            params = (item.value, radius_m, 0.0, free_yaw)
         case ItemKind.LOITER_TIME:
-            params = (item.value, 0.0, 0.0, math.nan)
+            params = (item.value, 0.0, 0.0, free_yaw)
         case ItemKind.SPEED:
             params = (GROUND_SPEED, item.value, THROTTLE_AS_IS, 0.0)
         case ItemKind.JUMP:

@@ -66,6 +66,7 @@ class Px4:
 
     flavour = Flavour.PX4
     home_items = 0
+    free_yaw: float = math.nan  # 0 would be a heading: north
     bytewise_parameters = True
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST

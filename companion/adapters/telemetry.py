@@ -48,6 +48,7 @@ class FlavourWords(Protocol):
 
     flavour: Flavour
     home_items: int
+    free_yaw: float
     bytewise_parameters: bool
     streams: tuple[tuple[str, int, float, bool], ...]
     unwanted_streams: tuple[int, ...]

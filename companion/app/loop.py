@@ -25,6 +25,7 @@ from companion.core.actions import (
     Publish,
     Reply,
     Say,
+    Severity,
 )
 from companion.core.events import Event, LinkBack, LinkSilent, Tick
 from companion.core.pilot import Pilot
@@ -60,6 +61,7 @@ class Loop:
     _system_known: bool = False
     _ticked_s: float = -1e9
     _synced_s: float = -1e9
+    _synced_ns: int | None = None
     _beat_s: float = -1e9
     _beat_wall_s: float = -1e9
     _heard_wall_s: float = 0.0
@@ -90,7 +92,7 @@ class Loop:
             return made[0].ask(event)
 
         def say(text: str) -> None:
-            made[0].carry_out([Say(4, text)])
+            made[0].carry_out([Say(Severity.WARNING, text)])
 
         loop = cls(
             link=link,
@@ -138,6 +140,9 @@ class Loop:
         if message.get_type() == "TIMESYNC":
             if from_autopilot and message.tc1 == 0:
                 self._timesync(message)
+            elif not known and source[1] == AUTOPILOT and message.tc1 == 0:
+                self.link.answer_to(peer)
+                self._answer_timesync(message.ts1)
             return
         events = self.autopilot.hear(message)
         if not self._system_known and self.autopilot.system_id is not None:
@@ -149,14 +154,19 @@ class Loop:
             self._tick_by_telemetry()
 
     def _timesync(self, message: Any) -> None:
-        """Tick, let everything out, answer last."""
-        events, _ = self.autopilot.stamp(message.ts1 / 1e9)
-        self._give(events)
-        self._synced_s = self.clock.t_s
-        if not self.clock.doubtful:
-            self._tick()
-        answer = mavlink.MAVLink_timesync_message(max(1, round(self.clock.t_s * 1e9)), message.ts1)
-        self.send(answer)
+        """Tick, let everything out, answer last. A repeated request is only answered."""
+        if message.ts1 != self._synced_ns:
+            self._synced_ns = message.ts1
+            events, _ = self.autopilot.stamp(message.ts1 / 1e9)
+            self._give(events)
+            self._synced_s = self.clock.t_s
+            if not self.clock.doubtful:
+                self._tick()
+        self._answer_timesync(message.ts1)
+
+    def _answer_timesync(self, asked_ns: int) -> None:
+        now_ns = max(1, round(self.clock.t_s * 1e9))
+        self.send(mavlink.MAVLink_timesync_message(now_ns, asked_ns))
 
     def _tick_by_telemetry(self) -> None:
         if self.clock.doubtful or not self.clock.known:

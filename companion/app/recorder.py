@@ -86,7 +86,7 @@ class Recorder:
                 self._row("phases", _rounded(asdict(action)))
                 self.note(t_s, f"{action.before} -> {action.now} ({action.why})")
             case Say():
-                row = {"t_s": t_s, "severity": action.severity, "text": action.text}
+                row = {"t_s": t_s, "severity": int(action.severity), "text": action.text}
                 self._decisions.write("said", row)
                 self.note(t_s, f"says: {action.text}")
             case Note():
@@ -159,6 +159,8 @@ def _earlier_rows(run_dir: Path) -> dict[str, list[dict[str, Any]]]:
             for name, own in TOPIC.items():
                 if topic == own:
                     rows[name].append(row)
+            if topic == "decision" and row["kind"] == "finished":  # an earlier flight
+                rows = {name: [] for name in TOPIC}
     return rows
 
 

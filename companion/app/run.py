@@ -14,7 +14,7 @@ from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
-from companion.core.actions import Action, Say
+from companion.core.actions import Action, Say, Severity
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
 from companion.core.kept import Kept
@@ -143,5 +143,5 @@ def _until_the_end(loop: Loop, recorder: Recorder, pilot: Pilot, stopped: list[i
             return NO_LINK
         if stopped:
             recorder.note(loop.clock.t_s, f"signal {stopped[0]}: leaving; the mission stays aboard")
-            loop.carry_out([Say(4, "companion stopped: mission goes home")])
+            loop.carry_out([Say(Severity.WARNING, "companion stopped: mission goes home")])
             return STOPPED

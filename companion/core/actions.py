@@ -1,7 +1,7 @@
 """What the mission can ask for. Adapters turn these into what the flavour understands."""
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 
 from companion.core.events import Mode
 from companion.core.mission_items import MissionItem
@@ -97,14 +97,21 @@ class DropOrders(Action):
 # --- to everybody else ----------------------------------------------------------------------------
 
 
+class Severity(IntEnum):
+    """As MAV_SEVERITY numbers them."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
 @dataclass(frozen=True, slots=True)
 class Say(Action):
-    """One sentence for the operator (STATUSTEXT, at most 50 bytes shown) and the log.
+    """One sentence for the operator (STATUSTEXT, at most 50 bytes shown) and the log."""
 
-    `severity` as in MAV_SEVERITY: 2 critical, 3 error, 4 warning, 5 notice, 6 info.
-    """
-
-    severity: int
+    severity: Severity
     text: str
 
 

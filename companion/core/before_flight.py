@@ -14,6 +14,7 @@ from companion.core.actions import (
     ReadMissionBack,
     Reply,
     SetMode,
+    Severity,
     UploadMission,
 )
 from companion.core.errors import LeewayError
@@ -36,7 +37,6 @@ from companion.core.transitions import GROUND_PHASES, Phase, Trigger
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
-CRITICAL, ERROR, WARNING, NOTICE, INFO = 2, 3, 4, 5, 6
 ASK_AGAIN_S = 20.0
 ATTEMPTS = 3
 ARM_AGAIN_S = 3.0
@@ -63,7 +63,7 @@ def enter(pilot: Pilot, left: Phase) -> None:
             assert pilot.flown is not None
             pilot.do(ReadMissionBack(pilot.flown.mission.items))
         case Phase.READY:
-            pilot.say(NOTICE, "ready: mission aboard and read back")
+            pilot.say(Severity.NOTICE, "ready: mission aboard and read back")
         case Phase.ARM:
             pilot.air.authorised = True
             pilot.save()
@@ -107,7 +107,7 @@ def hear(pilot: Pilot, event: Event) -> None:
                 _parameters_known(pilot)
         case ParametersSet():
             if event.failed:
-                pilot.say(WARNING, f"could not set {', '.join(event.failed)}")
+                pilot.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
             if ground.giving_up:
                 ground.settings_before = {}
                 ground.giving_up_s = -1e9
@@ -137,7 +137,7 @@ def hear(pilot: Pilot, event: Event) -> None:
 def order_refused(pilot: Pilot, event: OrderRefused) -> None:
     """Take a refusal while arming: said once, asked again until the limit."""
     if pilot.phase is Phase.ARM:
-        pilot.say_once(WARNING, f"{event.order} refused: {event.reason}")
+        pilot.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
 
 
 def authorise(pilot: Pilot, by: str) -> Reply:
@@ -153,7 +153,7 @@ def authorise(pilot: Pilot, by: str) -> Reply:
     blocking = [f for f in findings if f.blocks and not f.waits]
     if blocking:
         for finding in blocking:
-            pilot.say(ERROR, f"refused: {finding.words}")
+            pilot.say(Severity.ERROR, f"refused: {finding.words}")
         pilot.decide("refused", "; ".join(f.words for f in blocking))
         return Reply.DENIED
     waiting = [f for f in findings if f.blocks]
@@ -188,7 +188,7 @@ def give_up(pilot: Pilot, reason: str) -> None:
         return
     ground.giving_up = reason
     ground.giving_up_s = pilot.now.t_s
-    pilot.say(ERROR, f"no take-off: {reason}")
+    pilot.say(Severity.ERROR, f"no take-off: {reason}")
     pilot.decide("grounded", reason)
     if ground.settings_before:
         pilot.do(Configure(dict(ground.settings_before)))
@@ -218,7 +218,7 @@ def _wait_telemetry(pilot: Pilot) -> None:
         pilot.fire(Trigger.TELEMETRY_COMES)
     elif now.t_s - ground.asked_s > ASK_AGAIN_S:
         ground.asked_s = now.t_s
-        pilot.say(WARNING, f"does not come: {', '.join(missing)}")
+        pilot.say(Severity.WARNING, f"does not come: {', '.join(missing)}")
         pilot.do(AskTelemetry())
 
 
@@ -229,7 +229,7 @@ def _wait_position(pilot: Pilot) -> None:
         return
     waited_s = pilot.now.t_s - pilot.phase_since_s
     if waited_s > ASK_AGAIN_S:
-        pilot.say_once(WARNING, "; ".join(troubles) or "battery unknown")
+        pilot.say_once(Severity.WARNING, "; ".join(troubles) or "battery unknown")
     if waited_s > WAIT_LIMIT_S and pilot.options.check_only:
         give_up(pilot, "; ".join(troubles) or "battery unknown")
 
@@ -330,7 +330,7 @@ def _say_waiting(pilot: Pilot, waiting: list[Finding]) -> None:
     words = waiting[0].words
     if words != pilot.ground.said:
         pilot.ground.said = words
-        pilot.say(INFO, f"waiting: {words}")
+        pilot.say(Severity.INFO, f"waiting: {words}")
 
 
 def _arm(pilot: Pilot) -> None:

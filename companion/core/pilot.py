@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from companion.core import before_flight, in_flight
+from companion.core import before_flight, in_flight, progress, touchdown, turning_back
 from companion.core.actions import (
     Action,
     Answer,
@@ -30,6 +30,7 @@ from companion.core.actions import (
     SaveCheckpoint,
     Say,
     SetMode,
+    Severity,
     WindReport,
 )
 from companion.core.airframe import Airframe
@@ -88,7 +89,6 @@ LULL_S = 3.0
 REPORT_S = 1.0
 WIND_REPORT_S = 0.5
 CHECKPOINT_S = 2.0
-WARNING, NOTICE, CRITICAL, INFO = 4, 5, 2, 6
 
 Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
 
@@ -209,11 +209,11 @@ class Pilot:
         """Queue actions."""
         self._out.extend(actions)
 
-    def say(self, severity: int, text: str) -> None:
+    def say(self, severity: Severity, text: str) -> None:
         """Tell the operator, and the log."""
         self.do(Say(severity, text))
 
-    def say_once(self, severity: int, text: str) -> None:
+    def say_once(self, severity: Severity, text: str) -> None:
         """Tell it the first time only."""
         if text not in self.air.noted:
             self.air.noted.add(text)
@@ -256,7 +256,7 @@ class Pilot:
             case VehicleState():
                 self._hear_state(event)
             case MissionProgress():
-                in_flight.follow(self, event)
+                progress.follow(self, event)
             case Identified():
                 self._identified(event)
             case OtherComputer():
@@ -280,7 +280,7 @@ class Pilot:
             case OrderRefused():
                 self.do(Note(f"{event.order} refused: {event.reason}"))
                 before_flight.order_refused(self, event)
-                in_flight.order_refused(self, event)
+                progress.jump_refusal(self, event)
             case ReleaseFeedback():
                 if self.air.release is not None:
                     self.air.release.feedback = event.released
@@ -312,11 +312,11 @@ class Pilot:
                 self.authority.forget()
                 self.air.jump = None
                 self.do(DropOrders())
-                self.say(WARNING, f"hands off: {why}")
+                self.say(Severity.WARNING, f"hands off: {why}")
                 self.decide("suspended", why)
             case Phase.PASSIVE:
                 self.do(DropOrders())
-                self.say(WARNING, f"passive: {why}")
+                self.say(Severity.WARNING, f"passive: {why}")
                 self.decide("passive", why)
             case Phase.LINK_LOST:
                 self.do(DropOrders())
@@ -324,7 +324,7 @@ class Pilot:
                 self._start_recognising(why)
             case Phase.DONE | Phase.GROUNDED:
                 self.do(DropOrders())
-                in_flight.conclude(self, why)
+                touchdown.conclude(self, why)
             case _:
                 before_flight.enter(self, left)
                 in_flight.enter(self, left)
@@ -352,7 +352,7 @@ class Pilot:
         if event.active or (event.booting and self.phase is Phase.IDENTIFY):
             self.fire(Trigger.OTHER_COMPUTER, "another onboard computer is on this system")
             if self.phase is not Phase.PASSIVE:
-                self.say_once(WARNING, "another onboard computer on this system")
+                self.say_once(Severity.WARNING, "another onboard computer on this system")
 
     def _operator(self, event: Event) -> None:
         match event:
@@ -362,7 +362,7 @@ class Pilot:
                 if self.phase is not Phase.SUSPENDED:
                     self.do(Answer(Reply.DENIED))
                 elif self.now.armed and self.flown is None:
-                    self.say(WARNING, "cannot take control: no mission of ours aboard")
+                    self.say(Severity.WARNING, "cannot take control: no mission of ours aboard")
                     self.do(Answer(Reply.DENIED))
                 else:
                     self.do(Answer(Reply.ACCEPTED))
@@ -376,7 +376,7 @@ class Pilot:
                 self.do(Answer(Reply.ACCEPTED))
                 self.fire(Trigger.TAKEN_OVER, f"told so by {event.by}")
             case AbortOrdered():
-                accepted = in_flight.abort(self, event.by)
+                accepted = turning_back.abort(self, event.by)
                 self.do(Answer(Reply.ACCEPTED if accepted else Reply.DENIED))
             case _:
                 return
@@ -388,7 +388,7 @@ class Pilot:
             event.reserve_frac if event.reserve_frac is not None else now.reserve_frac,
         )
         limits = self.judge.limits
-        self.say(NOTICE, f"max loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
+        self.say(Severity.NOTICE, f"max loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
         self.decide("limits", f"max_loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
 
     # --- link, clock, restart ------------------------------------------------------------------
@@ -397,12 +397,12 @@ class Pilot:
         if gap_s <= LULL_S:
             self.fire(Trigger.LULL_OVER)
             return
-        self.say(WARNING, f"link back after {gap_s:.0f} s")
+        self.say(Severity.WARNING, f"link back after {gap_s:.0f} s")
         self.decide("link_back", f"nothing heard for {gap_s:.0f} s")
         self.fire(Trigger.LINK_BACK, f"link back after {gap_s:.0f} s")
 
     def _rebooted(self, event: ClockStepped) -> None:
-        self.say(WARNING, f"autopilot clock went back {event.back_s:.0f} s: rebooted?")
+        self.say(Severity.WARNING, f"autopilot clock went back {event.back_s:.0f} s: rebooted?")
         self.decide("reboot", f"the autopilot's clock went back by {event.back_s:.0f} s")
         self.now.forget()
         self.air.jump = None
@@ -452,7 +452,7 @@ class Pilot:
             return
         if not state.armed:
             if self.air.flying:
-                in_flight.watch_landing(self)
+                touchdown.watch_landing(self)
             else:
                 self.fire(Trigger.STILL_ON_GROUND)
             return
@@ -466,7 +466,7 @@ class Pilot:
                 self.fire(Trigger.TAKEN_OVER, why or f"mode stays {state.mode_name}")
             return
         if self.ground.mission_matches:
-            in_flight.place_by_progress(self)
+            progress.place_by_progress(self)
         elif self.now.t_s - self.ground.asked_s > 20.0:
             self.ground.asked_s = self.now.t_s
             self.do(ReadMissionBack(self.flown.mission.items))
