@@ -94,16 +94,40 @@ FENCE_COMMANDS = frozenset(
 class MissionRules(Protocol):
     """How an autopilot takes part in the mission protocol."""
 
-    request_name: str
-    """Name of the message by which an upload asks for the next item."""
-    has_home_item: bool
-    """Whether index 0 of a mission is the home position, whatever was uploaded there."""
-    is_atomic: bool
-    """Whether an upload takes effect as a whole, after its last item."""
-    takes_partial_writes: bool
-    retry_s: float
-    timeout_s: float
-    capacity: int
+    @property
+    def request_name(self) -> str:
+        """Name of the message by which an upload asks for the next item."""
+        ...
+
+    @property
+    def has_home_item(self) -> bool:
+        """Whether index 0 of a mission is the home position, whatever was uploaded there."""
+        ...
+
+    @property
+    def is_atomic(self) -> bool:
+        """Whether an upload takes effect as a whole, after its last item."""
+        ...
+
+    @property
+    def takes_partial_writes(self) -> bool:
+        """Whether MISSION_WRITE_PARTIAL_LIST is answered."""
+        ...
+
+    @property
+    def retry_s(self) -> float:
+        """Seconds after which an item is asked for again."""
+        ...
+
+    @property
+    def timeout_s(self) -> float:
+        """Seconds of silence after which a transfer is given up."""
+        ...
+
+    @property
+    def capacity(self) -> int:
+        """Items that storage holds."""
+        ...
 
     def take(self, item: Item, mission_type: int) -> Item | MissionResult:
         """The item as it is stored, or why it is refused."""
@@ -303,9 +327,7 @@ class Px4MissionRules:
         params = [value if kept >> number & 1 else 0.0 for number, value in enumerate(item.params)]
         if item.command in _ARDUPILOT_YAW_MAY_BE_NAN and math.isfinite(params[3]):
             params[3] %= 360.0
-        return replace(
-            item, param1=params[0], param2=params[1], param3=params[2], param4=params[3]
-        )
+        return replace(item, param1=params[0], param2=params[1], param3=params[2], param4=params[3])
 
     def give(self, item: Item) -> Item:
         """The item as it is read back in a MISSION_ITEM_INT."""

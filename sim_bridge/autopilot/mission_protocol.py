@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sim_bridge.autopilot.codec import Message
-from sim_bridge.autopilot.enums import Cmd, Frame, MissionResult, MissionType, Severity
-from sim_bridge.autopilot.mission import PLACED, Item, MissionRules, MissionStore
+from sim_bridge.autopilot.enums import Frame, MissionResult, MissionType, Severity
+from sim_bridge.autopilot.mission import NO_COORDINATE, PLACED, Item, MissionRules, MissionStore
 
 
 class MissionOwner(Protocol):
@@ -65,6 +65,8 @@ class MissionProtocol:
         self._store = store
         self._upload: _Transfer | None = None
         self._download: _Transfer | None = None
+        self.flagged_current: int | None = None
+        """Number of the item that the last mission upload marked as the current one."""
 
     def reset(self) -> None:
         """Forget transfers under way, as a reboot does."""
@@ -86,10 +88,11 @@ class MissionProtocol:
             self._ack(link_id, message, MissionResult.UNSUPPORTED)
             return
         upload = self._upload
-        if upload is not None and (rules.is_atomic or not _same_partner(upload, message)):
-            if not (_same_partner(upload, message) and upload.next_seq == 0):
-                self._ack(link_id, message, MissionResult.ERROR)
-                return
+        if upload is not None and not (
+            _same_partner(upload, message) and (not rules.is_atomic or upload.next_seq == 0)
+        ):
+            self._ack(link_id, message, MissionResult.ERROR)
+            return
         if message.count > rules.capacity:
             self._ack(link_id, message, MissionResult.NO_SPACE)
             return
@@ -126,10 +129,7 @@ class MissionProtocol:
     def item_float(self, link_id: int, message: Message) -> None:
         """MISSION_ITEM: the same with degrees as floats."""
         scale = 1e7 if message.command in PLACED else 1.0
-        if not (math.isfinite(message.x) and math.isfinite(message.y)):
-            self._ack(link_id, message, MissionResult.INVALID_PARAM5_X)
-            return
-        self._item(link_id, message, round(message.x * scale), round(message.y * scale))
+        self._item(link_id, message, _as_int32(message.x * scale), _as_int32(message.y * scale))
 
     def request_list(self, link_id: int, message: Message) -> None:
         """MISSION_REQUEST_LIST: how many items there are."""
@@ -265,6 +265,8 @@ class MissionProtocol:
 
     def _begin(self, link_id: int, message: Message, kind: int, first: int, last: int) -> None:
         now = self._owner.t_s
+        if kind == MissionType.MISSION:
+            self.flagged_current = None
         self._upload = _Transfer(
             link_id,
             message.src_system,
@@ -318,6 +320,8 @@ class MissionProtocol:
             self._upload = None
             self._ack(link_id, message, taken)
             return
+        if kind == MissionType.MISSION and message.current == 1:
+            self.flagged_current = message.seq
         self._keep(upload, taken)
         upload.next_seq += 1
         if upload.next_seq <= upload.last:
@@ -391,11 +395,8 @@ def _same_partner(transfer: _Transfer, message: Message) -> bool:
     return (transfer.system, transfer.component) == (message.src_system, message.src_component)
 
 
-def is_fence_or_rally(kind: int) -> bool:
-    """Whether a mission type is one that does not steer the vehicle by itself."""
-    return kind in (MissionType.FENCE, MissionType.RALLY)
-
-
-def jump_target(item: Item) -> int | None:
-    """Where a DO_JUMP goes; None for other items."""
-    return int(item.param1) if item.command == Cmd.DO_JUMP else None
+def _as_int32(value: float) -> int:
+    """A float as a MISSION_ITEM_INT would carry it; not a number is no coordinate."""
+    if not math.isfinite(value) or abs(value) >= NO_COORDINATE:
+        return NO_COORDINATE
+    return round(value)

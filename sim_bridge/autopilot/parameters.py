@@ -200,3 +200,7 @@ class ParameterStore:
             else:
                 crc = zlib.crc32(struct.pack("<i", int(parameter.value)), crc)
         return crc
+
+    def digest_as_float(self) -> float:
+        """The checksum's four bytes as a float's, as PX4 sends it."""
+        return struct.unpack("<f", struct.pack("<I", self.digest()))[0]

@@ -42,7 +42,7 @@ def axis_airspeed_mps(accel_mps2: float, bcoef_kgpm2: float, mcoef_hz: float) ->
 
 
 class WindEstimator:
-    """Horizontal wind from drag; `to_ne_mps` is where the air moves to. It settles in about 15 s."""
+    """Horizontal wind from drag: where the air moves to. It settles in about 15 s."""
 
     TIME_CONSTANT_S = 5.0
     ACCEL_FILTER_S = 0.5
