@@ -6,9 +6,9 @@ entered at `Plan.entry`, and a straight line to each rally point in clear sight.
 
 from itertools import pairwise
 
-from companion.core.gate import Ahead, Stage, WayHome
 from companion.core.geo import Ned, horizontal_m
 from companion.core.planner import Plan, unattended
+from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import Leg, LegKind
 
 DEPOT = "depot"
