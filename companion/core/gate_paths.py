@@ -22,22 +22,21 @@ class PathSampler:
     def __init__(self, count: int) -> None:
         points = _evenly(count, _DIMENSIONS)
         self.count = count
-        self._walk = points[:, 1 : 1 + 2 * _COMPONENTS].reshape(count, _COMPONENTS, 2)
-        self._error = points[:, -2:]
+        self._walk = points[:, 1 : 1 + 2 * _COMPONENTS].T.reshape(2, _COMPONENTS, count).copy()
+        self._error = points[:, -2:].T.copy()
         self.model_error: FloatArray = points[:, 0]
 
     def walk(self, forecast: WindForecast) -> FloatArray:
-        """The wind's own path at the forecast's horizons, (count, n, 2)."""
+        """The wind's own path at the forecast's horizons: (2, n, count), north then east."""
         values, vectors = np.linalg.eigh(forecast.walk_cov_m2ps2)
         kept = min(_COMPONENTS, values.size)
         root = vectors[:, ::-1][:, :kept] * np.sqrt(np.maximum(values[::-1][:kept], 0.0))
-        paths = np.tensordot(self._walk[:, :kept], root, axes=(1, 1)).transpose(0, 2, 1)
-        return forecast.mean_to_ne_mps + paths
+        return forecast.mean_to_ne_mps.T[:, :, None] + root @ self._walk[:, :kept]
 
     def error(self, forecast: WindForecast) -> FloatArray:
-        """The estimate's lasting error, (count, 2)."""
+        """The estimate's lasting error, (2, 1, count)."""
         values, vectors = np.linalg.eigh(forecast.error_cov_m2ps2)
-        return self._error @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        return ((vectors * np.sqrt(np.maximum(values, 0.0))) @ self._error)[:, None, :]
 
 
 def _evenly(count: int, dimensions: int) -> FloatArray:

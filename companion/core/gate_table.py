@@ -28,13 +28,13 @@ _POINTS = 6  # decision points that a later gate is followed through
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """Columns of the table that belong to one stage or way home, and its decision point."""
+    """Rows of the table that belong to one stage or way home."""
 
     first: int
     last: int
 
     @property
-    def columns(self) -> slice:
+    def rows(self) -> slice:
         return slice(self.first, self.last)
 
 
@@ -51,12 +51,13 @@ class LegTable:
     ) -> None:
         self._route_energy = route_energy
         self._legs: list[Leg] = []
+        self._before: list[Leg | None] = []
         self._seen_from: list[int] = []  # the decision point at which a leg is predicted
         self._stage: list[_Span] = []
-        self._ways: list[list[_Span]] = []
+        self._ways: list[list[_Span]] = [[]]
         self._unattended: _Span | None = None
         self._lay_out(ahead)
-        self._compiled = route_energy.compile(tuple(self._legs))
+        self._compiled = route_energy.compile(tuple(self._legs), tuple(self._before))
         mean = wind.mean_to_ne_mps
         times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
         middle, arrival = self._schedule(times)
@@ -118,18 +119,27 @@ class LegTable:
 
     def _lay_out(self, ahead: Ahead) -> None:
         ahead = thinned(ahead)
-        self._ways.append([self._add(way.legs, 0) for way in ahead.ways_home_now])
+        moving = ahead.stages[0].legs[0] if ahead.stages and ahead.stages[0].legs else None
+        for way in ahead.ways_home_now:
+            last = None
+            if moving is not None and moving.kind is LegKind.CRUISE and way.legs:
+                last = replace(moving, to_ned_m=way.legs[0].from_ned_m)
+            self._ways[0].append(self._add(way.legs, 0, last))
+        last = None
         for number, stage in enumerate(ahead.stages):
-            self._stage.append(self._add(stage.legs, number))
-            self._ways.append([self._add(way.legs, number) for way in stage.ways_home])
+            self._stage.append(self._add(stage.legs, number, last))
+            last = stage.legs[-1] if stage.legs else last
+            self._ways.append([self._add(way.legs, number, last) for way in stage.ways_home])
         aboard = ahead.stages[0].ways_home[0] if ahead.stages else ahead.ways_home_now[0]
         if aboard.unattended_legs:
-            self._unattended = self._add(aboard.unattended_legs, 0)
+            last = ahead.stages[0].legs[-1] if ahead.stages and ahead.stages[0].legs else None
+            self._unattended = self._add(aboard.unattended_legs, 0, last)
 
-    def _add(self, legs: tuple[Leg, ...], seen_from: int) -> _Span:
+    def _add(self, legs: tuple[Leg, ...], seen_from: int, before: Leg | None) -> _Span:
         merged = merge_straight(legs)
         first = len(self._legs)
         self._legs += merged
+        self._before += [before, *merged[:-1]][: len(merged)]
         self._seen_from += [seen_from] * len(merged)
         return _Span(first, len(self._legs))
 
@@ -141,7 +151,7 @@ class LegTable:
             if point > 0:
                 span = self._stage[point - 1]
                 _fill(middle, times, span, arrival[point - 1])
-                arrival[point] = arrival[point - 1] + times[span.columns].sum()
+                arrival[point] = arrival[point - 1] + times[span.rows].sum()
             for span in self._ways[point]:
                 _fill(middle, times, span, arrival[point])
         if self._unattended is not None:
@@ -156,13 +166,14 @@ class LegTable:
         sampler: PathSampler,
     ) -> None:
         at_leg, at_point = _weights(middle), _weights(arrival)
-        walk, error = sampler.walk(forecast), sampler.error(forecast)
-        leg_walk = _at(at_leg, walk)
-        self._energy = self._route_energy.costs(
-            self._compiled, leg_walk + error[:, None, :]
-        ).energy_wh
+        walk = sampler.walk(forecast)
+        self._energy = self._priced(at_leg @ walk + sampler.error(forecast))
         if self.stages > 1:
-            self._predict(forecast, at_leg, at_point, _at(at_point, walk))
+            self._predict(forecast, at_leg, at_point, at_point @ walk)
+
+    def _priced(self, wind: FloatArray) -> FloatArray:
+        """(legs, K) Wh in winds (2, legs, K)."""
+        return self._route_energy.costs_by_leg(self._compiled, wind[0], wind[1]).energy_wh
 
     def _predict(
         self,
@@ -175,34 +186,31 @@ class LegTable:
 
         Its forecast is the regression of a leg's wind on its wind then: the walk is Gaussian.
         """
-        cov = forecast.walk_cov_m2ps2
+        cov, mean = forecast.walk_cov_m2ps2, forecast.mean_to_ne_mps
         origin = np.array(self._seen_from)
-        leg_point = (at_leg @ cov @ at_point.T)[:, : self.stages]
-        variance = np.einsum("pn,nm,pm->p", at_point, cov, at_point)[: self.stages]
-        share = leg_point / np.maximum(variance, 1e-9)
-        mean_leg, mean_point = (w @ forecast.mean_to_ne_mps for w in (at_leg, at_point))
-        news = point_walk[:, origin] - mean_point[origin]
-        seen = mean_leg + share[np.arange(origin.size), origin][:, None] * news
+        variance = np.maximum(np.einsum("pn,nm,pm->p", at_point, cov, at_point), 1e-9)
+        share = (at_leg @ cov @ at_point.T) / variance
+        news = point_walk - (at_point @ mean).T[:, :, None]
+        own = share[np.arange(origin.size), origin][:, None]
+        seen = (at_leg @ mean).T[:, :, None] + own * news[:, origin]
         # Energy's gradient at the mean wind tells each point's worst direction.
-        here = forecast.mean_to_ne_mps.mean(axis=0)
-        gradient = self._route_energy.gradient_wh_per_mps(self._compiled, here)
-        worst = np.zeros((self.stages, 2))
-        self._wind_std = np.zeros(self.stages)
+        gradient = self._route_energy.gradient_wh_per_mps(self._compiled, mean.mean(axis=0))
         leg_leg = at_leg @ cov @ at_leg.T
+        worst = np.zeros((2, self.stages))
+        self._wind_std = np.zeros(self.stages)
         for point in range(self.stages):
-            columns = [*_columns(self._stage[point]), *_columns(self._ways[point + 1][0])]
-            total = gradient[columns].sum(axis=0)
-            worst[point] = total / max(float(np.linalg.norm(total)), 1e-9)
-            slope = gradient[columns] @ worst[point]
-            known = share[columns, point]
-            left = leg_leg[np.ix_(columns, columns)] - variance[point] * np.outer(known, known)
-            lasting = float(worst[point] @ forecast.error_cov_m2ps2 @ worst[point])
+            legs = [*_rows(self._stage[point]), *_rows(self._ways[point + 1][0])]
+            total = gradient[legs].sum(axis=0)
+            way = total / max(math.hypot(*total), 1e-9)
+            slope = gradient[legs] @ way
+            known = share[legs, point]
+            left = leg_leg[np.ix_(legs, legs)] - variance[point] * np.outer(known, known)
+            lasting = float(way @ forecast.error_cov_m2ps2 @ way)
             weight = slope / max(abs(float(slope.sum())), 0.3 * float(np.abs(slope).sum()), 1e-9)
             self._wind_std[point] = math.sqrt(max(float(weight @ left @ weight), 0.0) + lasting)
-        self._seen = self._route_energy.costs(self._compiled, seen).energy_wh
-        self._seen_worse = self._route_energy.costs(
-            self._compiled, seen + _BEND_MPS * worst[origin]
-        ).energy_wh
+            worst[:, point] = way
+        self._seen = self._priced(seen)
+        self._seen_worse = self._priced(seen + _BEND_MPS * worst[:, origin, None])
 
 
 def thinned(ahead: Ahead) -> Ahead:
@@ -255,16 +263,16 @@ def _goes_straight_on(before: Leg, leg: Leg) -> bool:
 
 
 def _sum(energy: FloatArray, span: _Span) -> FloatArray:
-    return energy[:, span.columns].sum(axis=1)
+    return energy[span.rows].sum(axis=0)
 
 
-def _columns(span: _Span) -> range:
+def _rows(span: _Span) -> range:
     return range(span.first, span.last)
 
 
 def _fill(middle: FloatArray, times: FloatArray, span: _Span, start_s: float) -> None:
-    lasts = times[span.columns]
-    middle[span.columns] = start_s + np.cumsum(lasts) - 0.5 * lasts
+    lasts = times[span.rows]
+    middle[span.rows] = start_s + np.cumsum(lasts) - 0.5 * lasts
 
 
 def _weights(at_s: FloatArray) -> FloatArray:
@@ -275,8 +283,3 @@ def _weights(at_s: FloatArray) -> FloatArray:
     rows[np.arange(at_s.size), index] = 1.0 - share
     rows[np.arange(at_s.size), index + 1] = share
     return rows
-
-
-def _at(weights: FloatArray, paths: FloatArray) -> FloatArray:
-    """Winds (K, len, 2) of paths (K, nodes, 2) at weighted times."""
-    return np.matmul(weights, paths)

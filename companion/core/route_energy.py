@@ -20,6 +20,7 @@ from companion.core.power import GRAVITY_MPS2
 from companion.core.speed_to_fly import CruiseTable, SteadyPower
 
 FloatArray = NDArray[np.float64]
+_Priced = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
 
 LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
@@ -67,7 +68,7 @@ class LegCosts:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Legs that are priced alike: indices into the route, and their geometry as arrays."""
+    """Legs that are priced alike: indices into the route, and their geometry as (legs, 1)."""
 
     index: NDArray[np.int64]
     payload_kg: float
@@ -108,22 +109,30 @@ class RouteEnergy:
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
-    def compile(self, legs: tuple[Leg, ...]) -> CompiledLegs:
-        """Group legs that are priced alike."""
+    def compile(
+        self, legs: tuple[Leg, ...], before: tuple[Leg | None, ...] | None = None
+    ) -> CompiledLegs:
+        """Group legs that are priced alike.
+
+        `before` is the leg flown just before each one, None for none; without it, legs follow one
+        another where they join. It tells the time lost to stopping, starting and turning.
+        """
+        if before is None:
+            before = (None, *legs[:-1])
         members: dict[tuple[object, ...], list[int]] = {}
         for index, leg in enumerate(legs):
             cruise = leg.kind is LegKind.CRUISE
             speeds = (leg.airspeed_mps, leg.ground_speed_mps) if cruise else (None, None)
             key = (cruise, leg.kind is LegKind.CLIMB, leg.payload_kg, *speeds)
             members.setdefault(key, []).append(index)
-        stops = _stops(legs)
+        stops = [_stop(b, leg) for b, leg in zip(before, legs, strict=True)]
         groups = tuple(self._group(legs, stops, indices) for indices in members.values())
         return CompiledLegs(len(legs), groups)
 
     def _group(self, legs: tuple[Leg, ...], stops: list[float], indices: list[int]) -> _Group:
         chosen = [legs[i] for i in indices]
         first = chosen[0]
-        courses = np.array([course_rad(leg.from_ned_m, leg.to_ned_m) for leg in chosen])
+        courses = _column([course_rad(leg.from_ned_m, leg.to_ned_m) for leg in chosen])
         cruise = first.kind is LegKind.CRUISE
         return _Group(
             index=np.array(indices),
@@ -134,13 +143,20 @@ class RouteEnergy:
             ground_speed_mps=first.ground_speed_mps if cruise else None,
             north=np.cos(courses),
             east=np.sin(courses),
-            length_m=np.array([horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in chosen]),
-            climb_m=np.array([max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in chosen]),
-            stops=np.array([stops[i] for i in indices]),
-            duration_s=np.array([0.0 if cruise else self._duration_s(leg) for leg in chosen]),
+            length_m=_column([horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in chosen]),
+            climb_m=_column([max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in chosen]),
+            stops=_column([stops[i] for i in indices]),
+            duration_s=_column(
+                [0.0 if cruise else self._duration_s(legs[i], stops[i]) for i in indices]
+            ),
         )
 
-    def _duration_s(self, leg: Leg) -> float:
+    def _duration_s(self, leg: Leg, stop: float) -> float:
+        speeds = self.airframe.speeds
+        stopping_s = stop * self.cruise_airspeed_mps / speeds.accel_mps2
+        return stopping_s + self._vertical_s(leg)
+
+    def _vertical_s(self, leg: Leg) -> float:
         speeds = self.airframe.speeds
         height_m = abs(leg.to_ned_m[2] - leg.from_ned_m[2])
         if leg.kind is LegKind.CLIMB:
@@ -157,20 +173,25 @@ class RouteEnergy:
         """Cost of each leg under each wind."""
         compiled = legs if isinstance(legs, CompiledLegs) else self.compile(legs)
         wind = wind_to_ne_mps[:, None, :] if wind_to_ne_mps.ndim == 2 else wind_to_ne_mps
-        shape = (wind.shape[0], compiled.count)
-        energy, time = np.empty(shape), np.empty(shape)
-        feasible = np.ones(shape, np.bool_)
+        by_leg = self.costs_by_leg(compiled, wind[..., 0].T, wind[..., 1].T)
+        return LegCosts(by_leg.energy_wh.T, by_leg.time_s.T, by_leg.feasible.T)
+
+    def costs_by_leg(
+        self, compiled: CompiledLegs, wind_n_mps: FloatArray, wind_e_mps: FloatArray
+    ) -> LegCosts:
+        """The same for winds (legs or 1, K), with costs (legs, K): quicker for many winds."""
+        shape = (compiled.count, wind_n_mps.shape[1])
+        energy, time, feasible = np.empty(shape), np.empty(shape), np.empty(shape, np.bool_)
         for group in compiled.groups:
             at = group.index
-            local = wind if wind.shape[1] == 1 else wind[:, at, :]
+            each = wind_n_mps.shape[0] > 1
+            north, east = (w[at] if each else w for w in (wind_n_mps, wind_e_mps))
             price = self._price_cruise if group.cruise else self._price_wait
-            energy[:, at], time[:, at], feasible[:, at] = price(group, local)
+            energy[at], time[at], feasible[at] = price(group, north, east)
         return LegCosts(energy, time, feasible)
 
-    def _price_cruise(
-        self, group: _Group, wind: FloatArray
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        ground, draw = self._cruise_table(group).look_up(*_along_across(group, wind))
+    def _price_cruise(self, group: _Group, north: FloatArray, east: FloatArray) -> _Priced:
+        ground, draw = self._cruise_table(group).look_up(*_along_across(group, north, east))
         feasible = ground >= LEAST_GROUND_SPEED_MPS
         np.maximum(ground, LEAST_GROUND_SPEED_MPS, out=ground)
         time = group.length_m / ground
@@ -184,15 +205,12 @@ class RouteEnergy:
         weight_n = self.airframe.mass_kg(group.payload_kg) * GRAVITY_MPS2
         return weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
 
-    def _price_wait(
-        self, group: _Group, wind: FloatArray
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    def _price_wait(self, group: _Group, north: FloatArray, east: FloatArray) -> _Priced:
         power = self._steady_power(group.payload_kg)
-        speed = np.hypot(wind[..., 0], wind[..., 1])
+        speed = np.hypot(north, east)
         draw = power.climb_w(speed) if group.climbing else power.level_w(speed)
-        time = np.broadcast_to(group.duration_s, (wind.shape[0], group.index.size))
-        holds = np.broadcast_to(speed <= power.max_airspeed_mps, time.shape)
-        return draw * time / 3600.0, time, holds
+        energy = draw * (group.duration_s / 3600.0)
+        return energy, group.duration_s, speed <= power.max_airspeed_mps
 
     def gradient_wh_per_mps(
         self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: FloatArray
@@ -217,7 +235,7 @@ class RouteEnergy:
         if leg.ground_speed_mps is not None:
             return leg.ground_speed_mps
         group = self.compile((leg,)).groups[0]
-        along, across = _along_across(group, wind_to_ne_mps[None, None, :])
+        along, across = _along_across(group, wind_to_ne_mps[:1, None], wind_to_ne_mps[1:, None])
         ground, _ = self._cruise_table(group).look_up(along, across)
         return max(float(ground[0, 0]), LEAST_GROUND_SPEED_MPS)
 
@@ -250,33 +268,27 @@ class RouteEnergy:
         return self._cruise[key]
 
 
-def _along_across(group: _Group, wind: FloatArray) -> tuple[FloatArray, FloatArray]:
-    wind_n, wind_e = wind[..., 0], wind[..., 1]
-    along = wind_n * group.north + wind_e * group.east
-    return along, wind_e * group.north - wind_n * group.east
+def _along_across(
+    group: _Group, north: FloatArray, east: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    along = north * group.north + east * group.east
+    return along, east * group.north - north * group.east
 
 
-def _stops(legs: tuple[Leg, ...]) -> list[float]:
-    """For each leg, the seconds lost to speeding up and slowing down, in units of V_G / accel.
+def _column(values: list[float]) -> FloatArray:
+    return np.array(values)[:, None]
 
-    Half for each end at rest, and for a turn between two cruise legs the share of speed lost.
+
+def _stop(before: Leg | None, leg: Leg) -> float:
+    """Time lost where two legs meet, in units of speed / acceleration.
+
+    Half of one to reach a speed or to lose it, and in a turn the share of speed that turns.
     """
-    lost = [0.0] * len(legs)
-    for i, leg in enumerate(legs):
-        if leg.kind is not LegKind.CRUISE:
-            continue
-        follows = legs[i + 1] if i + 1 < len(legs) else None
-        joined = follows is not None and follows.from_ned_m == leg.to_ned_m
-        if follows is None or not joined:
-            continue
-        if follows.kind is not LegKind.CRUISE:
-            lost[i] += 0.5
-        else:
-            before = course_rad(leg.from_ned_m, leg.to_ned_m)
-            after = course_rad(follows.from_ned_m, follows.to_ned_m)
-            lost[i] += 0.5 * (1.0 - math.cos(wrap_pi(after - before)))
-    for i, leg in enumerate(legs[1:], start=1):
-        starts = legs[i - 1].kind is not LegKind.CRUISE and leg.kind is LegKind.CRUISE
-        if starts and legs[i - 1].to_ned_m == leg.from_ned_m:
-            lost[i] += 0.5
-    return lost
+    if before is None or before.to_ned_m != leg.from_ned_m:
+        return 0.0
+    moving, moves = before.kind is LegKind.CRUISE, leg.kind is LegKind.CRUISE
+    if moving and moves:
+        before_rad = course_rad(before.from_ned_m, before.to_ned_m)
+        turn_rad = wrap_pi(course_rad(leg.from_ned_m, leg.to_ned_m) - before_rad)
+        return 0.5 * (1.0 - math.cos(turn_rad))
+    return 0.5 if moving or moves else 0.0
