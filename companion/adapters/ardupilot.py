@@ -153,6 +153,15 @@ class ArduPilot:
                 lambda v: {"BATT_LOW_VOLT": round(facts.battery_low_v, 2)},
                 True,
             ),
+            Requirement(
+                ("BATT_CAPACITY",),
+                f"the percentage counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
+                lambda v: _known(
+                    v, "BATT_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
+                ),
+                lambda v: {"BATT_CAPACITY": facts.battery_capacity_mah},
+                False,
+            ),
             _rtl_height(facts),
             Requirement(
                 ("FENCE_ENABLE", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX"),

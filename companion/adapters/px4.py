@@ -121,6 +121,16 @@ class Px4:
                 "COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action is set in the autopilot", True
             ),
             Requirement(
+                ("BAT1_CAPACITY",),
+                f"the percentage counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
+                lambda v: _known(
+                    v, "BAT1_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
+                ),
+                lambda v: {"BAT1_CAPACITY": facts.battery_capacity_mah},
+                False,
+            ),
+            _near("BAT1_N_CELLS", float(facts.battery_cells), "knows the pack's cells"),
+            Requirement(
                 ("NAV_RCL_ACT", "COM_RCL_EXCEPT"),
                 "losing the remote control must not stop the mission",
                 lambda v: (

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from companion.core.airframe import Airframe
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
@@ -28,8 +30,13 @@ CLEARANCE_M = 15.0
 CLEARANCE_UP_M = 8.0
 """Above: barometer drift over a flight and the vehicle's own height."""
 
-DROP_S = 8.0
-"""Hover at drop height: release, see the power fall, once more if it does not."""
+WEIGH_S = 5.0
+"""Hover at drop height before the release: what the loaded vehicle draws."""
+
+RELEASE_S = 8.0
+"""Hover after it: see the power fall, ask once more if it does not."""
+
+DROP_S = WEIGH_S + RELEASE_S
 
 CUSTOMER_HOLD_S = 6.0
 """Wait over the customer in which leave to descend is given; without it the way home follows."""
@@ -196,7 +203,8 @@ def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
         ],
         settle_s=math.ceil(flight.mission.wind_settle_s + SETTLE_SLACK_S),
         hold_s=CUSTOMER_HOLD_S,
-        delay_s=DROP_S,
+        weigh_s=WEIGH_S,
+        delay_s=RELEASE_S,
         home_speed_mps=plan.home_ground_speed_mps,
     )
 
@@ -211,6 +219,10 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
     )
     battery = airframe.battery
     cutoff_v = battery.cells * battery.cutoff_cell_v
+    # Label energy over the mean resting voltage is the charge that the pack holds.
+    mean_cell_v = float(
+        np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
+    )
     speeds = airframe.speeds
     return RouteFacts(
         highest_obstacle_m=highest_m,
@@ -224,5 +236,7 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
         landing_mps=speeds.landing_mps,
         battery_cutoff_v=cutoff_v,
         battery_low_v=cutoff_v + 0.05 * battery.cells,
+        battery_cells=battery.cells,
+        battery_capacity_mah=round(1000.0 * battery.nominal_wh / (battery.cells * mean_cell_v)),
         carries_parcel=flight.vehicle.payload_kg > 0.0,
     )

@@ -1,5 +1,6 @@
 """What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
 
+import re
 from dataclasses import dataclass
 
 from companion.core.airframe import Airframe
@@ -73,8 +74,9 @@ class Judgement:
         self._left_out.update(left_out)
         energy = self.energy
         if energy is not None:
-            warnings += [f"battery: {w}" for w in energy.warnings if w not in self._warned]
-            self._warned.update(energy.warnings)
+            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in energy.warnings}
+            warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
+            self._warned.update(kinds)
         return tuple(warnings)
 
     def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:

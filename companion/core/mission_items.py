@@ -4,7 +4,7 @@
  TAKEOFF over the depot; LOITER_TIME
  SPEED home; JUMP over depot                    <- nobody says go: lands at the depot
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
- DELIVER: WAYPOINT at drop height; RELEASE; LOITER_TIME; SPEED home
+ DELIVER: WAYPOINT at drop height, held; RELEASE; LOITER_TIME; SPEED home
  ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND
  for each rally point:  WAYPOINT over it;  LAND
 ```
@@ -133,6 +133,7 @@ def build_dead_mans_mission(
     rally: Sequence[tuple[Spot, Spot]],
     settle_s: float,
     hold_s: float,
+    weigh_s: float,
     delay_s: float,
     home_speed_mps: float,
 ) -> DeadMansMission:
@@ -140,7 +141,8 @@ def build_dead_mans_mission(
 
     `outbound` ends over the customer at cruise height; `returning` starts there (the climb-out)
     and ends over the depot. From `outbound[i]` the way home enters at `returning[entries[i]]`.
-    Over the customer the vehicle holds for `hold_s`, so that leave to descend can be given there.
+    Over the customer the vehicle holds for `hold_s`, so that leave to descend can be given there;
+    at the drop for `weigh_s` before the release and `delay_s` after it (safety rule 5).
     `rally` holds (over it, its ground). Raises LeewayError where these do not fit together.
     """
     if not outbound or len(returning) < 2 or len(entries) != len(outbound):
@@ -173,7 +175,7 @@ def build_dead_mans_mission(
             MissionItem(ItemKind.JUMP, Part.OUTBOUND, "home", None, float(home)),
         ]
     items += [
-        MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop),
+        MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop, weigh_s),
         MissionItem(ItemKind.RELEASE, Part.RELEASE, "release"),
         MissionItem(ItemKind.LOITER_TIME, Part.RELEASE, "let go", drop, delay_s),
         MissionItem(ItemKind.SPEED, Part.RELEASE, "home speed", None, home_speed_mps),

@@ -125,6 +125,7 @@ class FlightState:
     settled_s: float | None = None
     landed_s: float | None = None
     disarm_asked_s: float = -1e9
+    disarms_asked: int = 0
     disarmed_s: float | None = None
     still_s: float | None = None
     noted: set[str] = field(default_factory=set)

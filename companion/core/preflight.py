@@ -24,6 +24,8 @@ class RouteFacts:
     landing_mps: float
     battery_cutoff_v: float
     battery_low_v: float
+    battery_cells: int
+    battery_capacity_mah: float
     carries_parcel: bool
 
     @property

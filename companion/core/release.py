@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import fmean
 
-BEFORE_S = 4.0
+BEFORE_S = 3.0
 SPOOL_S = 0.7
 AFTER_S = 1.8
 LEAST_SAMPLES = 3

@@ -25,6 +25,8 @@ STILL_S = 15.0
 STILL_MPS = 0.4
 STILL_HEIGHT_M = 1.5
 STILL_ARMED_S = 40.0
+DISARM_EVERY_S = 5.0
+DISARMS = 3
 HOME_RADIUS_M = 30.0
 CRASH_HEIGHT_M = 4.0
 RESTORE_LIMIT_S = 4.0
@@ -51,8 +53,9 @@ def watch_landing(pilot: Pilot) -> None:
     waited_s = now.t_s - air.still_s
     if waited_s < (LANDED_AFTER_S if down else STILL_S):
         return
-    if now.t_s - air.disarm_asked_s > 5.0:
+    if now.t_s - air.disarm_asked_s > DISARM_EVERY_S and air.disarms_asked < DISARMS:
         air.disarm_asked_s = now.t_s
+        air.disarms_asked += 1
         pilot.do(Note("on the ground and still armed: plain disarm"), Disarm())
     if waited_s > STILL_ARMED_S:
         pilot.say(Severity.WARNING, "landed, still armed: disarm by hand")
