@@ -101,6 +101,56 @@ def fly(
 
 
 @app.command()
+def series(
+    flight: Annotated[
+        Path | None, typer.Argument(help="FLIGHT.toml; default: params/flights/default.toml")
+    ] = None,
+    seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:20",
+    autopilot: Annotated[
+        list[str] | None, typer.Option(help="px4, ardupilot; once or more. Default: both.")
+    ] = None,
+    gate: Annotated[
+        list[Switch] | None, typer.Option(help="on, off; once or more. Default: both.")
+    ] = None,
+    wind_log: Annotated[
+        Path | None, typer.Option(help="Recording in place of the file's wind.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Flights at once.")] = 2,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every row here as JSON.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
+    picture: Annotated[bool, typer.Option(help="Draw each flight.")] = False,
+) -> None:
+    """Fly the same flight over many seeds and flavours, with and without the gate."""
+    from sim_bridge.app.fly import AUTOPILOTS, FlyOptions
+    from sim_bridge.app.series import report, run_series, write_rows
+
+    first, _, last = seeds.partition(":")
+    if not (first.isdecimal() and (last or first).isdecimal()):
+        raise LeewayError(f"--seeds {seeds}: expected FIRST:LAST, such as 1:20")
+    unknown = set(autopilot or ()) - set(AUTOPILOTS)
+    if unknown:
+        raise LeewayError(f"--autopilot {', '.join(sorted(unknown))}: expected px4 or ardupilot")
+    base = FlyOptions(
+        flight_file=flight or params_dir() / "flights" / "default.toml",
+        wind_log=wind_log,
+        run_root=runs,
+        picture=picture,
+    )
+    rows = run_series(
+        base,
+        seeds=list(range(int(first), int(last or first) + 1)),
+        autopilots=list(autopilot or AUTOPILOTS),
+        gates=[g is Switch.on for g in gate or (Switch.on, Switch.off)],
+        jobs=jobs,
+    )
+    report(Console(), rows)
+    if json_out is not None:
+        write_rows(json_out, rows)
+
+
+@app.command()
 def bench(
     rounds: Annotated[int, typer.Option(min=1, help="Runs of each benchmark.")] = 3,
     json_out: Annotated[

@@ -20,6 +20,8 @@ COMPANION_LINK = 0
 OPERATOR_LINK = 1
 PHYSICS_STEP_S = 0.01
 SETTLED_S = 5.0
+CONCLUDE_WITHIN_S = 30.0  # the companion sees the landing, closes its record and ends
+STUCK_ARMED_S = 60.0  # a landing that the autopilot never notices (measured on ArduCopter)
 RECORD_EVERY_STEPS = 20
 COMMANDING = {  # what changes the flight; telemetry and questions do not
     "COMMAND_LONG",
@@ -140,12 +142,14 @@ class Craft:
 
     @property
     def finished(self) -> bool:
-        """Down for good: landed and disarmed for a while, crashed, or the companion is done."""
+        """Down for good and the companion has ended, crashed, or it never left."""
         if self.record.crashed:
             return True
-        down = self.record.landed_s is not None and self.t_s - self.record.landed_s > SETTLED_S
-        if down and not self.autopilot.is_armed:
-            return True
+        if self.record.landed_s is not None:
+            down_s = self.t_s - self.record.landed_s
+            disarmed = not self.autopilot.is_armed and down_s > SETTLED_S
+            concluded = not self.companion.running or down_s > CONCLUDE_WITHIN_S
+            return (disarmed and concluded) or down_s > STUCK_ARMED_S
         never_left = self.record.took_off_s is None
         return never_left and self.companion.starts > 0 and not self.companion.running
 

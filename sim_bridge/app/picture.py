@@ -44,7 +44,8 @@ def draw_flight(
         axis.spines[["top", "right"]].set_visible(False)
         _mark_events(axis, result, record, start_s)
     figure.suptitle(
-        f"{title}: {verdict.outcome}, {verdict.margin_wh:+.1f} Wh above the reserve at the end",
+        f"{title}: {verdict.outcome} in {verdict.flight_time_s:.0f} s,"
+        f" {verdict.margin_wh:+.1f} Wh above the reserve at the end",
         color=INK,
         fontsize=13,
     )
@@ -89,7 +90,6 @@ def _draw_map(axis, truth, result, places, polygons, start_s) -> None:
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel("east of the depot, m")
     axis.set_ylabel("north, m")
-    axis.set_title(f"flight of {truth['t_s'][-1] - start_s:.0f} s", fontsize=10)
     axis.grid(alpha=0.25)
     axis.legend(loc="best", fontsize=8, frameon=False)
 
@@ -138,7 +138,9 @@ def _draw_wind(axis, truth, result, start_s) -> None:
             axis.fill_between(times, values - spread, values + spread, color=colour, alpha=0.15)
     axis.set_ylabel("wind, m/s")
     axis.set_xlabel("seconds since take-off (thin: truth, 10 s mean; band: one sigma)")
-    axis.set_xlim(left=0.0)
+    flying = np.flatnonzero(truth["airborne"] > 0)
+    end_s = float(truth["t_s"][flying[-1]]) - start_s if flying.size else 1.0
+    axis.set_xlim(0.0, end_s + 10.0)
     axis.legend(fontsize=8, frameon=False)
 
 

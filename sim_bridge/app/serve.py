@@ -152,8 +152,8 @@ class Host:
         finally:
             stop.set()
             thread.join()
-        if failures:
-            raise failures[0]
+            if failures:
+                raise failures[0]
 
     def turn(self) -> None:
         """One round: advance the world, send, and listen until the next round is due."""
