@@ -79,7 +79,7 @@ class ArduPilot:
     refused_interval = Result.DENIED
     refused_request = Result.FAILED
     jump_forever = -1
-    landing_lean_limit_rad: float | None = math.radians(5.5)
+    landing_lean_limit_rad: float | None = math.radians(7.0)
     spool_s = 2.0
     ekf_ready_after_s = 42.0
     gnss_patience_s = 10.0

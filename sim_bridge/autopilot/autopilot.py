@@ -119,6 +119,7 @@ class Autopilot:
         self._boot_t_s = -boot_age_s
         self._resume_at_s: float | None = None
         self._rules_revision = -1
+        self._boot_is_read = False
         self._forget_flight()
 
     def _forget_flight(self) -> None:
@@ -224,6 +225,7 @@ class Autopilot:
         self._boot_t_s = self.t_s
         self.battery.reset()
         self.wind = None
+        self._boot_is_read = False
         self.failsafes = Failsafes()
         self.protocol.reset()
         self.pilot.was_present = False
@@ -329,7 +331,8 @@ class Autopilot:
         self.flight_rules: FlightRules = self.behaviour.flight_rules(self.params)
         self.guidance.set_limits(self.behaviour.limits(self.params))
         self.fence = self.behaviour.read_fence(self)
-        if self.wind is None and self.t_since_boot_s < 5.0:
+        if not self._boot_is_read:  # drag fusion is set up once, at boot
+            self._boot_is_read = True
             drag = self.behaviour.drag_coefficients(self.params)
             self.wind = None if drag is None else WindEstimator(drag)
 

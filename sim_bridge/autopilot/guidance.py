@@ -31,8 +31,8 @@ class Limits:
 
 
 _MIN_LEG_FOR_HEADING_M = 2.0
-_BRAKE_SHARE = 0.6
-"""Of the acceleration limit: what the controller itself brakes with."""
+_BRAKE_SHARE = 0.45
+"""Of the acceleration limit: the rest is what its jerk limit and lag cost."""
 
 
 def corner_speed_mps(a: Vec3, b: Vec3, c: Vec3, accel_mps2: float, radius_m: float) -> float:
