@@ -12,8 +12,12 @@ from companion.core.kept import Kept, kept_from_dict
 NAME = "checkpoint.json"
 
 
-def write_checkpoint(run_dir: Path, content: dict[str, Any]) -> None:
-    """Replace the checkpoint: a torn write leaves the one before."""
+def write_checkpoint(run_dir: Path, content: dict[str, Any], *, settle: bool = True) -> None:
+    """Replace the checkpoint: a torn write leaves the one before.
+
+    `settle` also waits until the folder is on the disk, so that even a power cut right afterwards
+    finds the new one; without it that may find the one before.
+    """
     body = json.dumps(content, allow_nan=False, separators=(",", ":"))
     text = json.dumps({"crc32": zlib.crc32(body.encode()), "content": body})
     fresh = run_dir / f"{NAME}.new"
@@ -22,6 +26,8 @@ def write_checkpoint(run_dir: Path, content: dict[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     fresh.replace(run_dir / NAME)
+    if not settle:
+        return
     folder = os.open(run_dir, os.O_RDONLY)
     try:
         os.fsync(folder)

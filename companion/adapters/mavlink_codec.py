@@ -64,22 +64,18 @@ class MavlinkCodec:
         A datagram holds whole frames, so a torn one never swallows the next datagram.
         """
         messages: list[Any] = []
-        chunk = data
-        for _ in range(1 + len(data) // 8):
-            try:
-                found = self.mav.parse_buffer(chunk)
-            except (mavlink.MAVError, ValueError, IndexError, UnicodeDecodeError):
+        try:
+            found = self.mav.parse_buffer(data) or []
+        except (mavlink.MAVError, ValueError, IndexError, UnicodeDecodeError):
+            self.bad_frames += 1
+            self._forget()
+            return messages
+        for message in found:
+            kind = message.get_type()
+            if kind == "BAD_DATA":
                 self.bad_frames += 1
-                self._forget()
-                break
-            chunk = b""
-            if not found:
-                break
-            for message in found:
-                if message.get_type() == "BAD_DATA":
-                    self.bad_frames += 1
-                elif not message.get_type().startswith("UNKNOWN"):
-                    messages.append(message)
+            elif not kind.startswith("UNKNOWN"):
+                messages.append(message)
         if self._datagrams and self.mav.buf_len() > 0:
             self.bad_frames += 1
             self._forget()

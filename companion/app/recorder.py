@@ -92,7 +92,7 @@ class Recorder:
             case Note():
                 self.note(t_s, action.text)
             case SaveCheckpoint() if self._keep:
-                write_checkpoint(self.run_dir, action.content)
+                write_checkpoint(self.run_dir, action.content, settle=not action.routine)
             case Finished():
                 self._finished = action
             case _:

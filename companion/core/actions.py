@@ -195,9 +195,10 @@ class EnergyReport(Action):
 
 @dataclass(frozen=True, slots=True)
 class SaveCheckpoint(Action):
-    """Put everything that a restart needs on disk."""
+    """Put everything that a restart needs on disk; `routine` ones come every few seconds."""
 
     content: dict[str, object]
+    routine: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ OVER_CUSTOMER_MPS = 1.5
 SPEED_STEP_MPS = 0.5
 SPEED_STEP_FRAC = 0.05
 SPEED_EVERY_S = 5.0
+SPEED_LOOK_S = 1.0
 STRAIGHT_M = 30.0
 
 
@@ -187,6 +188,9 @@ def _command_speed(pilot: Pilot) -> None:
     air, flown, now = pilot.air, pilot.flown, pilot.now
     if pilot.phase not in (Phase.OUTBOUND, Phase.RETURN, Phase.DIVERT) or air.jump is not None:
         return
+    new_leg = air.speed_mps is None or air.speed_index != air.index
+    if not new_leg and now.t_s - air.speed_s < SPEED_EVERY_S:
+        return
     here = here_ned(pilot)
     if flown is None or here is None or air.index is None or now.position_troubles():
         return
@@ -200,9 +204,10 @@ def _command_speed(pilot: Pilot) -> None:
     if wanted is None:
         return
     wanted = min(wanted, pilot.airframe.speeds.max_ground_mps)
-    if air.speed_mps is not None and air.speed_index == air.index:
+    if not new_leg and air.speed_mps is not None:
         step = max(SPEED_STEP_MPS, SPEED_STEP_FRAC * air.speed_mps)
-        if abs(wanted - air.speed_mps) < step or now.t_s - air.speed_s < SPEED_EVERY_S:
+        if abs(wanted - air.speed_mps) < step:
+            air.speed_s = now.t_s - SPEED_EVERY_S + SPEED_LOOK_S
             return
     air.speed_mps, air.speed_s, air.speed_index = wanted, now.t_s, air.index
     pilot.do(SetGroundSpeed(round(wanted, 2)))

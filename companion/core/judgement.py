@@ -21,6 +21,7 @@ from companion.core.situation import (
 from companion.core.wind_estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind_outlook import WindOutlook
 
+BATTERY_EVERY_S = 0.2
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
 
@@ -54,6 +55,7 @@ class Judgement:
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
+        self._battery_s = -1e9
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
 
@@ -65,7 +67,9 @@ class Judgement:
     def observe(self, now: Situation, flavour: Flavour) -> tuple[str, ...]:
         """Take the situation at a tick; returns what is new to warn about, in words."""
         t_s = now.t_s
-        self._observe_battery(now, flavour, t_s)
+        if t_s - self._battery_s >= BATTERY_EVERY_S - 1e-6 or t_s < self._battery_s:
+            self._battery_s = t_s
+            self._observe_battery(now, flavour, t_s)
         left_out = self._observe_wind(now, t_s)
         self.wind = self._estimator.belief(t_s)
         if now.airborne:

@@ -88,7 +88,7 @@ LULL_S = 3.0
 
 REPORT_S = 1.0
 WIND_REPORT_S = 0.5
-CHECKPOINT_S = 2.0
+CHECKPOINT_S = 5.0
 
 Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
 
@@ -516,14 +516,14 @@ class Pilot:
             self.do(Publish(values))
         flying = self.phase in FLIGHT_PHASES or self.phase is Phase.SUSPENDED
         if flying and t_s - self._saved_s >= CHECKPOINT_S - 1e-6:
-            self.save()
+            self.save(routine=True)
 
-    def save(self) -> None:
+    def save(self, *, routine: bool = False) -> None:
         """Ask for a checkpoint of the present state."""
         if self.options.check_only:
             return
         self._saved_s = self.now.t_s
-        self.do(SaveCheckpoint(kept_to_dict(self.kept())))
+        self.do(SaveCheckpoint(kept_to_dict(self.kept()), routine))
 
     def kept(self) -> Kept:
         """What a restart needs."""
