@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.gate_paths import PathSampler
-from companion.core.gate_table import LegTable
+from companion.core.gate_table import POLICY, LegTable
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
@@ -109,7 +109,8 @@ class Gate:
         self, ahead: Ahead, wind: WindBelief, outlook: WindOutlook, energy: EnergyBelief
     ) -> Assessment:
         """Judge the remaining mission under wind, its change, and the models' own errors."""
-        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler)
+        quantile = float(ndtri(1.0 - self.params.max_loss))
+        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler, quantile)
         budget = _Budget(
             energy.mean_wh - self.params.reserve_wh,
             energy.std_wh,
@@ -147,9 +148,11 @@ class Gate:
         p_unattended: float | None,
     ) -> Assessment:
         stage_wh = table.stage_wh(1)
-        onward_way, p_turn_next = self._best_way(table, budget, 1, stage_wh)
-        p_policy, p_success = self._fly_policy(table, budget)
-        p_on = max(p_turn_next, p_policy)
+        onward_way, p_on = self._best_way(table, budget, 1, stage_wh)
+        p_policy, p_success = p_on, p_on
+        if table.stages > 1:
+            p_policy, p_success = self._fly_policy(table, budget)
+            p_on = max(p_on, self._best_further(table, budget))
         promise = 1.0 - self.params.max_loss
         reason = "flying on keeps the promise"
         turn_back = False
@@ -183,9 +186,16 @@ class Gate:
             float(budget.p_enough(before_wh + table.way_wh(point, way)).mean())
             for way in range(table.ways(point))
         ]
-        top = max(chances)
-        best = next(i for i, p in enumerate(chances) if p >= top - _TIE)
+        best = _first_best(chances)
         return best, chances[best]
+
+    def _best_further(self, table: LegTable, budget: _Budget) -> float:
+        """P(home) by flying on to the best of the points after the next: a landing site ahead."""
+        flown, best = table.stage_wh(1), 0.0
+        for point in range(2, table.stages + 1):
+            flown = flown + table.stage_wh(point)
+            best = max(best, self._best_way(table, budget, point, flown)[1])
+        return best
 
     def _fly_policy(self, table: LegTable, budget: _Budget) -> tuple[float, float]:
         """(P(home), P(home and delivered)) when every later gate decides as this one does.
@@ -195,12 +205,12 @@ class Gate:
         with its own quantiles.
         """
         z = float(ndtri(1.0 - self.params.max_loss))
-        drawn = budget.model_std_frac * self._sampler.model_error
-        used = table.stage_wh(1)
+        drawn = budget.model_std_frac * self._sampler.model_error[POLICY]
+        used = table.stage_wh(1)[POLICY]
         flying = np.ones(used.size, np.bool_)
         total = np.zeros(used.size)
         for point in range(1, table.stages):
-            need, need_high, way = table.predicted(point, z)
+            need, need_high, way = table.predicted(point)
             spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
             left = budget.left_wh - used * (1.0 + drawn)
             goes_on = left >= need + np.hypot(need_high - need, spread)
@@ -208,9 +218,16 @@ class Gate:
             if turning.any():
                 total[turning] = (used + table.chosen_way_wh(point, way))[turning]
             flying &= goes_on
-            used = used + table.stage_wh(point + 1)
-        best, _ = self._best_way(table, budget, table.stages, used)
-        total[flying] = (used + table.way_wh(table.stages, best))[flying]
+            used = used + table.stage_wh(point + 1)[POLICY]
+        ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]
+        chances = [float(budget.p_enough(used + way).mean()) for way in ways]
+        total[flying] = (used + ways[_first_best(chances)])[flying]
         spent = total * (1.0 + drawn)
         p_home = ndtr((budget.left_wh - spent) / max(budget.battery_std_wh, 1e-6))
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
+
+
+def _first_best(chances: list[float]) -> int:
+    """The first of the chances that are as good as the best."""
+    top = max(chances)
+    return next(i for i, p in enumerate(chances) if p >= top - _TIE)

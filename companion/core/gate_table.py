@@ -22,7 +22,8 @@ FloatArray = NDArray[np.float64]
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
 _MERGE_M = 450.0  # straight cruise legs are priced together up to this length
 _MERGE_TURN_RAD = math.radians(3.0)
-_BEND_MPS = 0.5
+# Every other sample follows the later gates: that is the most work, and needs no tail of its own.
+POLICY = slice(None, None, 2)
 _POINTS = 6  # decision points that a later gate is followed through
 
 
@@ -48,7 +49,9 @@ class LegTable:
         wind: WindBelief,
         outlook: WindOutlook,
         sampler: PathSampler,
+        quantile: float,
     ) -> None:
+        """`quantile`: of the standard normal, at which a later gate asks for its promise."""
         self._route_energy = route_energy
         self._legs: list[Leg] = []
         self._before: list[Leg | None] = []
@@ -61,6 +64,7 @@ class LegTable:
         mean = wind.mean_to_ne_mps
         times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
         middle, arrival = self._schedule(times)
+        self._quantile = quantile
         self._price(outlook.forecast(wind, _NODES_S), middle, arrival, sampler)
 
     @property
@@ -81,8 +85,8 @@ class LegTable:
         return _sum(self._energy, self._ways[point][way])
 
     def chosen_way_wh(self, point: int, way: NDArray[np.int64]) -> FloatArray:
-        """The same with each sample's own choice of way."""
-        energies = np.stack([self.way_wh(point, i) for i in range(self.ways(point))])
+        """The same with each POLICY sample's own choice of way."""
+        energies = np.stack([self.way_wh(point, i)[POLICY] for i in range(self.ways(point))])
         return energies[way, np.arange(way.size)]
 
     def whole_wh(self) -> FloatArray:
@@ -100,20 +104,19 @@ class LegTable:
             return None
         return _sum(self._energy, self._unattended) + (self.stage_wh(1) if self._stage else 0.0)
 
-    def predicted(self, point: int, z: float) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    def predicted(self, point: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """What the gate at a later point will think that flying on and then home needs.
 
-        (mean, mean in a wind `z` standard deviations worse, way home from the point itself) for
-        every sample, known to it only its own wind until then.
+        (in the wind it expects, in the wind at its quantile, way home from the point itself) for
+        every POLICY sample; that gate knows only its own wind until then.
         """
         stage, after, here = self._stage[point], self._ways[point + 1], self._ways[point]
-        calm, worse = (
+        expected, at_quantile = (
             _sum(seen, stage) + np.min([_sum(seen, way) for way in after], axis=0)
             for seen in (self._seen, self._seen_worse)
         )
-        bend = self._wind_std[point] / _BEND_MPS * np.maximum(worse - calm, 0.0)
         way = np.argmin([_sum(self._seen, span) for span in here], axis=0)
-        return calm, calm + z * bend, way
+        return expected, np.maximum(at_quantile, expected), way
 
     # -- laying out and pricing ----------------------------------------------------------------
 
@@ -169,7 +172,7 @@ class LegTable:
         walk = sampler.walk(forecast)
         self._energy = self._priced(at_leg @ walk + sampler.error(forecast))
         if self.stages > 1:
-            self._predict(forecast, at_leg, at_point, at_point @ walk)
+            self._predict(forecast, at_leg, at_point, at_point @ walk[:, :, POLICY])
 
     def _priced(self, wind: FloatArray) -> FloatArray:
         """(legs, K) Wh in winds (2, legs, K)."""
@@ -197,7 +200,6 @@ class LegTable:
         gradient = self._route_energy.gradient_wh_per_mps(self._compiled, mean.mean(axis=0))
         leg_leg = at_leg @ cov @ at_leg.T
         worst = np.zeros((2, self.stages))
-        self._wind_std = np.zeros(self.stages)
         for point in range(self.stages):
             legs = [*_rows(self._stage[point]), *_rows(self._ways[point + 1][0])]
             total = gradient[legs].sum(axis=0)
@@ -207,10 +209,10 @@ class LegTable:
             left = leg_leg[np.ix_(legs, legs)] - variance[point] * np.outer(known, known)
             lasting = float(way @ forecast.error_cov_m2ps2 @ way)
             weight = slope / max(abs(float(slope.sum())), 0.3 * float(np.abs(slope).sum()), 1e-9)
-            self._wind_std[point] = math.sqrt(max(float(weight @ left @ weight), 0.0) + lasting)
-            worst[:, point] = way
+            std = math.sqrt(max(float(weight @ left @ weight), 0.0) + lasting)
+            worst[:, point] = self._quantile * std * way
         self._seen = self._priced(seen)
-        self._seen_worse = self._priced(seen + _BEND_MPS * worst[:, origin, None])
+        self._seen_worse = self._priced(seen + worst[:, origin, None])
 
 
 def thinned(ahead: Ahead) -> Ahead:
