@@ -492,19 +492,19 @@ class Autopilot:
         self.setpoint = None
         self.behaviour.disarmed(self)
 
+    def stopping_point(self) -> Vec3:
+        """Where the vehicle comes to rest if it brakes now."""
+        north, east, down = self.pos_ned_m
+        vn, ve, vd = self.vel_ned_mps
+        speed = math.hypot(vn, ve)
+        brake = 0.6 * self.guidance.controller.params.max_accel_mps2
+        ahead_s = speed / (2.0 * brake) + 0.5 if speed > 0.1 else 0.0
+        return north + vn * ahead_s, east + ve * ahead_s, down + vd * min(ahead_s, 0.8)
+
     def hold_here(self) -> Vec3:
-        """The point that a holding mode keeps: where it would come to rest when it was entered."""
+        """The point that a holding mode keeps: where it came to rest when it was entered."""
         if self.hold_point is None:
-            north, east, down = self.pos_ned_m
-            vn, ve, vd = self.vel_ned_mps
-            speed = math.hypot(vn, ve)
-            brake = 0.6 * self.guidance.controller.params.max_accel_mps2
-            ahead_s = speed / (2.0 * brake) + 0.5 if speed > 0.1 else 0.0
-            self.hold_point = (
-                north + vn * ahead_s,
-                east + ve * ahead_s,
-                down + vd * min(ahead_s, 0.8),
-            )
+            self.hold_point = self.stopping_point()
         return self.hold_point
 
     # --- messages out -------------------------------------------------------------------------

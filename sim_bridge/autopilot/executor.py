@@ -58,6 +58,10 @@ class MissionVehicle(Protocol):
         """Ground speed to fly legs at, now."""
         ...
 
+    def stopping_point(self) -> Vec3:
+        """Where the vehicle comes to rest if it brakes now."""
+        ...
+
     def may_take_off(self) -> bool:
         """Whether a mission may leave the ground now."""
         ...
@@ -265,7 +269,7 @@ class MissionExecutor:
 
     def _hold_point(self) -> Vec3:
         if self._hold is None:
-            self._hold = self._vehicle.pos_ned_m
+            self._hold = self._vehicle.stopping_point()
         return self._hold
 
     def _rest(self) -> Goal:
@@ -344,7 +348,7 @@ class MissionExecutor:
 
     def _stop_point(self) -> Vec3:
         """Where to wait: at the last leg's end if it was reached, else here."""
-        return self._line_start or self._vehicle.pos_ned_m
+        return self._line_start or self._vehicle.stopping_point()
 
     def _climb(self, item: Item, here: Vec3) -> Leg:
         """Straight up; PX4 then goes on to the item's place."""

@@ -467,8 +467,8 @@ class Px4:
         return not ap.executor.plan.is_empty and self._mission_problem is None
 
     def mission_written(self, ap: "Autopilot", *, whole: bool) -> None:
-        """Taken over as a whole; in flight after a while."""
-        if ap.is_armed and ap.store.mission:
+        """Taken over as a whole; while a mission is flown, after a while."""
+        if ap.is_armed and ap.mode is Mode.AUTO and ap.store.mission:
             ap.switch_mission_in(_NEW_MISSION_AFTER_S)
         else:
             self.switch_mission(ap)

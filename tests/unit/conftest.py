@@ -1,6 +1,7 @@
 """A simulated autopilot on a simulated vehicle, driven frame by frame without sockets."""
 
 import copy
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,12 @@ COMPANION = (1, 191)
 M100 = load_airframe(PARAMS / "truth" / "m100.toml")
 
 
+def steady_wind(to_north_mps: float, to_east_mps: float) -> SteadyWind:
+    """Wind by where it blows to; the world's own class takes where it comes from."""
+    from_deg = math.degrees(math.atan2(-to_east_mps, -to_north_mps)) % 360.0
+    return SteadyWind(math.hypot(to_north_mps, to_east_mps), from_deg)
+
+
 class Rig:
     """One vehicle with its autopilot and a client on link 0."""
 
@@ -43,7 +50,7 @@ class Rig:
     ) -> None:
         self.vehicle = Vehicle(
             M100,
-            WindField(SteadyWind(*wind_to_ne_mps)),
+            WindField(steady_wind(*wind_to_ne_mps)),
             np.random.default_rng(1),
             depot_alt_amsl_m=HOME[2],
             payload_kg=payload_kg,
