@@ -36,10 +36,10 @@ METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: Flavour) -> Served:
+def on_the_ground(flavour: Flavour, home: Home = HOME) -> Served:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
-    return stand_up(flavour, airframe, parameters, home=HOME)
+    return stand_up(flavour, airframe, parameters, home=home)
 
 
 def free_udp_port() -> int:
@@ -186,11 +186,11 @@ async def see_it_fly(system: System, served: Served) -> None:
     assert not served.truth.airborne
     assert not served.truth.crashed
     north, east, _ = served.truth.pos_ned_m
-    assert math.hypot(north - LEG_M, east - LEG_M) < ABOUT_M
+    off_m = math.hypot(north - LEG_M, east - LEG_M)
+    assert off_m < ABOUT_M, f"it landed {off_m:.1f} m off"
 
 
-def test_mavsdk_flies_a_mission_on_px4_over_udp() -> None:
-    served = on_the_ground(Flavour.PX4)
+def fly_on_px4(served: Served) -> None:
     port = free_udp_port()
 
     async def body() -> None:
@@ -209,6 +209,16 @@ def test_mavsdk_flies_a_mission_on_px4_over_udp() -> None:
         host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
         with host.running():
             asyncio.run(body())
+
+
+def test_mavsdk_flies_a_mission_on_px4_over_udp() -> None:
+    fly_on_px4(on_the_ground(Flavour.PX4))
+
+
+def test_the_check_fails_in_a_world_that_lies_30_m_off_the_map() -> None:
+    off = Home(HOME.lat_deg + 30.0 / METRES_PER_DEG, HOME.lon_deg, HOME.alt_amsl_m)
+    with pytest.raises(AssertionError, match="it landed"):
+        fly_on_px4(on_the_ground(Flavour.PX4, off))
 
 
 def test_mavsdk_flies_a_mission_on_ardupilot_over_tcp() -> None:
