@@ -152,10 +152,6 @@ class AutopilotPort:
         stamp_s = boot_s(message)
         if stamp_s is None:
             return [], self._clock.t_s
-        return self.stamp(stamp_s)
-
-    def stamp(self, stamp_s: float) -> tuple[list[Event], float | None]:
-        """Move the clock to a time since boot; events where it stepped."""
         reading = self._clock.stamp(stamp_s)
         events: list[Event] = []
         if reading.back_s > 0.0:

@@ -63,13 +63,10 @@ class ParameterDesk:
         self.tick(t_s)
 
     def set(self, wanted: dict[str, float], t_s: float) -> None:
-        """Set parameters that were read before; `failed` names those that do not read back."""
+        """Set parameters and read them back; `failed` names those that do not come out so."""
         self.failed.clear()
         for name, value in wanted.items():
-            if name in self._kinds:
-                self._setting[name] = (value, 0, t_s)
-            else:
-                self.failed.append(name)
+            self._setting[name] = (value, 0, t_s)
         self.tick(t_s)
 
     def clear(self) -> None:
@@ -91,10 +88,13 @@ class ParameterDesk:
             value = decode_bytewise(value, kind)
         if not math.isfinite(value):
             return
+        learnt = name not in self._kinds
         self._kinds[name] = kind
         self.values[name] = value
         self._reading.pop(name, None)
         wish = self._setting.get(name)
+        if wish is not None and learnt:
+            self._setting[name] = (wish[0], 0, 0.0)  # its type is known now: set it at once
         if wish is not None and abs(wish[0] - value) <= 1e-4 * max(1.0, abs(wish[0])):
             del self._setting[name]
 
@@ -109,11 +109,7 @@ class ParameterDesk:
                 self.values.setdefault(name, None)
                 continue
             self._reading[name] = (tries + 1, t_s + RETRY_S)
-            self._send(
-                mavlink.MAVLink_param_request_read_message(
-                    self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
-                )
-            )
+            self._request(name)
         for name in list(self._setting)[:AT_ONCE]:
             value, tries, due_s = self._setting[name]
             if t_s < due_s:
@@ -122,11 +118,22 @@ class ParameterDesk:
                 del self._setting[name]
                 self.failed.append(name)
                 continue
+            kind = self._kinds.get(name)
+            if kind is None:  # its type comes with its value: read it first
+                self._setting[name] = (value, tries + 1, t_s + RETRY_S)
+                self._request(name)
+                continue
             self._setting[name] = (value, tries + 1, t_s + RETRY_S)
-            kind = self._kinds[name]
             wire = encode_bytewise(value, kind) if self._bytewise else value
             self._send(
                 mavlink.MAVLink_param_set_message(
                     self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), wire, kind
                 )
             )
+
+    def _request(self, name: str) -> None:
+        self._send(
+            mavlink.MAVLink_param_request_read_message(
+                self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
+            )
+        )

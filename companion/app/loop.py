@@ -157,8 +157,7 @@ class Loop:
         """Tick, let everything out, answer last. A repeated request is only answered."""
         if message.ts1 != self._synced_ns:
             self._synced_ns = message.ts1
-            events, _ = self.autopilot.stamp(message.ts1 / 1e9)
-            self._give(events)
+            self.clock.synchronise(message.ts1 / 1e9)
             self._synced_s = self.clock.t_s
             if not self.clock.doubtful:
                 self._tick()

@@ -105,6 +105,9 @@ def hear(pilot: Pilot, event: Event) -> None:
             ground.values.update(event.values)
             if pilot.phase is Phase.PLAN and pilot.flown is not None:
                 _parameters_known(pilot)
+            elif not ground.findings_known and ground.requirements:
+                ground.findings = judge(ground.requirements, ground.values)
+                ground.findings_known = True
         case ParametersSet():
             if event.failed:
                 pilot.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
@@ -263,16 +266,22 @@ def _plan(pilot: Pilot) -> None:
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
-        assert pilot.flavour is not None
-        facts = route_facts(pilot.flight, pilot.airframe, flown)
-        ground.requirements = pilot.requirements(pilot.flavour, facts)
         ground.asked_s = now.t_s
-        pilot.do(AskParameters(names_read(ground.requirements)))
+        ask_parameters(pilot)
     elif now.t_s - ground.asked_s > ASK_AGAIN_S:
         ground.asked_s = now.t_s
-        pilot.do(AskParameters(names_read(ground.requirements)))
+        ask_parameters(pilot)
     elif pilot.options.check_only and ground.findings_known:
         _check_ends(pilot)
+
+
+def ask_parameters(pilot: Pilot) -> None:
+    """Ask for the settings that the promise rests on."""
+    if pilot.flown is None or pilot.flavour is None:
+        return
+    facts = route_facts(pilot.flight, pilot.airframe, pilot.flown)
+    pilot.ground.requirements = pilot.requirements(pilot.flavour, facts)
+    pilot.do(AskParameters(names_read(pilot.ground.requirements)))
 
 
 def _parameters_known(pilot: Pilot) -> None:

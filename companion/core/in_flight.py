@@ -8,14 +8,16 @@ from companion.core.actions import (
     SetGroundSpeed,
     Severity,
 )
+from companion.core.ahead import ahead_outbound
 from companion.core.drop import observe_release, release, release_ends, watch_release
+from companion.core.flight_plan import DROP_S
 from companion.core.foresight import assess, ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
 from companion.core.obedience import Purpose
-from companion.core.progress import jump, last_resort, mind_the_jump
+from companion.core.progress import jump, last_resort, mind_foreign_moves, mind_the_jump
 from companion.core.touchdown import watch_landing
 from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
-from companion.core.turning_back import divert, gate, may_go_on, rally_instead
+from companion.core.turning_back import closed_beside_energy, divert, gate, may_go_on, rally_instead
 
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
@@ -30,6 +32,7 @@ SPEED_STEP_MPS = 0.5
 SPEED_STEP_FRAC = 0.05
 SPEED_EVERY_S = 5.0
 SPEED_LOOK_S = 1.0
+TURNS_AGAIN = 3
 STRAIGHT_M = 30.0
 
 
@@ -57,6 +60,9 @@ def tick(pilot: Pilot) -> None:
         assess(pilot, ASSESS_S)
         watch_landing(pilot)
         return
+    if pilot.phase not in FLIGHT_PHASES:
+        return
+    mind_foreign_moves(pilot)
     if pilot.phase not in FLIGHT_PHASES:
         return
     observe_release(pilot)
@@ -164,10 +170,48 @@ def _homeward(pilot: Pilot) -> None:
             pilot.decide("way_home_refused", "it flies away from the way home")
             pilot.fire(Trigger.WAY_HOME_REFUSED, "it flies away from the way home")
             return
+    if pilot.phase is Phase.RETURN and _turn_again(pilot, here):
+        return
     if pilot.phase is Phase.RETURN and pilot.options.gate_on:
         rally = rally_instead(pilot, here)
         if rally is not None and not pilot.now.troubles():
             divert(pilot, rally, "the depot is out of the promise")
+
+
+def _turn_again(pilot: Pilot, here: Ned) -> bool:
+    """Go on with a delivery that nobody decided against: leave was only missing at the time.
+
+    After a restart, a silence or a GNSS outage the mission aboard has turned home by itself; while
+    the gate is open for going on from here, it may turn again, a few times.
+    """
+    air, flown, now = pilot.air, pilot.flown, pilot.now
+    undecided = not air.delivered and not air.gate_closed and air.release is None
+    if not undecided or flown is None or air.turned_again >= TURNS_AGAIN or may_go_on(pilot):
+        return False
+    outbound = flown.plan.outbound_ned_m
+    ahead = (min(air.leg + 1, len(outbound) - 1), air.leg)
+    leg = next((k for k in ahead if flown.is_clear(here, outbound[k])), None)
+    if leg is None or now.t_s - air.looked_again_s < ASSESS_S:
+        return False
+    air.looked_again_s = now.t_s
+    going = ahead_outbound(
+        flown.plan,
+        here,
+        leg,
+        pilot.judge.payload_kg,
+        pilot.flight.mission.drop_height_m,
+        DROP_S,
+    )
+    seen = pilot.judge.assess(going)
+    if seen is None or (seen.turn_back and pilot.options.gate_on) or closed_beside_energy(pilot):
+        return False
+    air.turned_again += 1
+    pilot.assessment = seen
+    pilot.decide("onward_again", f"the gate is open: {seen.reason}")
+    pilot.say(Severity.NOTICE, "gate open: going on")
+    air.leg = leg
+    jump(pilot, flown.mission.outbound[leg], Purpose.ONWARD)
+    return True
 
 
 def _disobeys(pilot: Pilot, here: Ned, target: Ned) -> bool:

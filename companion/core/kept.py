@@ -26,6 +26,7 @@ class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     finished: bool
     delivered: bool
     gate_closed: str
+    leg: int
     took_off_s: float | None
     plan: Plan | None
     frame: LocalFrame | None

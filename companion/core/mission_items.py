@@ -4,10 +4,12 @@
  TAKEOFF over the depot; LOITER_TIME
  SPEED home; JUMP over depot                    <- nobody says go: lands at the depot
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
+ for each rally point:  WAYPOINT over it;  LAND;  JUMP to that LAND
  DELIVER: WAYPOINT at drop height, held; RELEASE; LOITER_TIME; SPEED home
- ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND
- for each rally point:  WAYPOINT over it;  LAND
+ ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND at the depot
 ```
+The depot's LAND is the last item, and a rally point's LAND leads to itself: PX4 goes on to the item
+after a LAND that it has completed, and would take off again for it.
 Items are flavour-free and numbered from 0; a flavour shifts and encodes them (ArduPilot keeps
 its home at 0). Only a companion that is alive jumps the autopilot onward.
 """
@@ -19,8 +21,10 @@ from enum import Enum
 
 from companion.core.errors import LeewayError
 
-JUMP_REPEATS = 100
-"""Times that a JUMP is taken. Not -1: PX4 keeps the count unsigned (mission_item_s, uint16)."""
+JUMP_REPEATS = 30_000
+"""Times that a JUMP is taken. Not -1: PX4 keeps the count unsigned (mission_item_s, uint16);
+ArduPilot keeps it in 16 bits with sign.
+"""
 
 
 class ItemKind(Enum):
@@ -155,8 +159,8 @@ def build_dead_mans_mission(
 
     over_depot = returning[-1]
     out_start = 4
-    deliver = out_start + 3 * len(outbound)
-    release, delay = deliver + 1, deliver + 2
+    rally_start = out_start + 3 * len(outbound)
+    deliver = rally_start + 3 * len(rally)
     ret_start = deliver + 4
     land = ret_start + len(returning)
 
@@ -167,12 +171,20 @@ def build_dead_mans_mission(
         MissionItem(ItemKind.JUMP, Part.SETTLE, "no go", None, float(land - 1)),
     ]
     for number, (spot, entry) in enumerate(zip(outbound, entries, strict=True)):
-        home = ret_start + entry
         wait_s = hold_s if number == len(outbound) - 1 else 0.0
         items += [
             MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, f"out {number}", spot, wait_s),
             MissionItem(ItemKind.SPEED, Part.OUTBOUND, "home speed", None, home_speed_mps),
-            MissionItem(ItemKind.JUMP, Part.OUTBOUND, "home", None, float(home)),
+            MissionItem(ItemKind.JUMP, Part.OUTBOUND, "home", None, float(ret_start + entry)),
+        ]
+    rally_items: list[tuple[int, int]] = []
+    for number, (over, ground) in enumerate(rally):
+        down = len(items) + 1
+        rally_items.append((down - 1, down))
+        items += [
+            MissionItem(ItemKind.WAYPOINT, Part.RALLY, f"rally {number}", over),
+            MissionItem(ItemKind.LAND, Part.RALLY_LAND, f"rally {number} landing", ground),
+            MissionItem(ItemKind.JUMP, Part.RALLY_LAND, "stay", None, float(down)),
         ]
     items += [
         MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop, weigh_s),
@@ -185,13 +197,6 @@ def build_dead_mans_mission(
         for number, spot in enumerate(returning)
     ]
     items.append(MissionItem(ItemKind.LAND, Part.LAND, "land", depot))
-    rally_items: list[tuple[int, int]] = []
-    for number, (over, ground) in enumerate(rally):
-        rally_items.append((len(items), len(items) + 1))
-        items += [
-            MissionItem(ItemKind.WAYPOINT, Part.RALLY, f"rally {number}", over),
-            MissionItem(ItemKind.LAND, Part.RALLY_LAND, f"rally {number} landing", ground),
-        ]
     return DeadMansMission(
         items=tuple(items),
         takeoff=0,
@@ -199,8 +204,8 @@ def build_dead_mans_mission(
         outbound=tuple(out_start + 3 * i for i in range(len(outbound))),
         entry_of_outbound=tuple(ret_start + entry for entry in entries),
         deliver=deliver,
-        release=release,
-        delay=delay,
+        release=deliver + 1,
+        delay=deliver + 2,
         returning=tuple(range(ret_start, land)),
         land=land,
         rally=tuple(rally_items),

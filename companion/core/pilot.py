@@ -86,6 +86,9 @@ from companion.core.transitions import (
 LULL_S = 3.0
 """A gap of the autopilot's time up to this is a lull; a longer one means reading all again."""
 
+SAME_MISSION_S = 30.0
+"""After a gap up to this the mission aboard need not be read item by item again."""
+
 REPORT_S = 1.0
 WIND_REPORT_S = 0.5
 CHECKPOINT_S = 5.0
@@ -115,10 +118,13 @@ class FlightState:
     leg: int = 0
     index: int | None = None
     rally: str | None = None
+    moved_to: int | None = None
     jump: JumpWatch | None = None
     course: CourseWatch | None = None
     release: ReleaseWatch | None = None
     release_asked_again: bool = False
+    turned_again: int = 0
+    looked_again_s: float = -1e9
     speed_mps: float | None = None
     speed_s: float = -1e9
     speed_index: int | None = None
@@ -401,6 +407,8 @@ class Pilot:
         self.say(Severity.WARNING, f"link back after {gap_s:.0f} s")
         self.decide("link_back", f"nothing heard for {gap_s:.0f} s")
         self.fire(Trigger.LINK_BACK, f"link back after {gap_s:.0f} s")
+        if self.phase is Phase.RECOGNISE and gap_s <= SAME_MISSION_S:
+            self.ground.mission_matches = True  # its number of items is compared all the same
 
     def _rebooted(self, event: ClockStepped) -> None:
         self.say(Severity.WARNING, f"autopilot clock went back {event.back_s:.0f} s: rebooted?")
@@ -419,6 +427,7 @@ class Pilot:
         air = self.air
         air.authorised, air.delivered = kept.authorised, kept.delivered
         air.gate_closed, air.took_off_s, air.rally = kept.gate_closed, kept.took_off_s, kept.rally
+        air.leg = kept.leg
         self.ground.settings_before = dict(kept.settings_before)
         if kept.flying and kept.plan is not None and kept.frame is not None:
             site = site_map(self.flight, kept.frame, self.obstacles)
@@ -443,8 +452,10 @@ class Pilot:
             return
         self.decide("recognise", why or "reading the mission aboard again")
         self.do(AskTelemetry(), ReadMissionBack(self.flown.mission.items))
+        before_flight.ask_parameters(self)
         self.ground.asked_s = self.now.t_s
         self.air.index = None
+        self.air.moved_to = None
 
     def _recognise(self) -> None:
         """On the ground there is nothing to recognise; in the air the read-back decides."""
@@ -474,6 +485,8 @@ class Pilot:
 
     def _read_back(self, event: MissionReadBack) -> None:
         if self.phase is not Phase.RECOGNISE:
+            if event.differences and self.phase in FLIGHT_PHASES:
+                self.fire(Trigger.TAKEN_OVER, "the mission aboard is not ours")
             before_flight.hear(self, event)
             return
         if not event.differences:
@@ -540,6 +553,7 @@ class Pilot:
             finished=self.phase in END_PHASES,
             delivered=air.delivered,
             gate_closed=air.gate_closed,
+            leg=air.leg,
             took_off_s=air.took_off_s,
             plan=flown.plan if flown is not None else None,
             frame=flown.site.frame if flown is not None else None,

@@ -37,9 +37,16 @@ def follow(pilot: Pilot, event: MissionProgress) -> None:
     if event.index == air.index or pilot.phase is Phase.LAND:
         return
     if air.index is not None and not mission.follows(air.index, event.index):
-        pilot.fire(Trigger.TAKEN_OVER, f"somebody moved the mission to item {event.index}")
+        air.moved_to = event.index  # judged at the tick: after a silence it moved on by itself
         return
     at_item(pilot, event.index)
+
+
+def mind_foreign_moves(pilot: Pilot) -> None:
+    """An item that neither we nor the mission itself went to: another hand moved it."""
+    moved_to, pilot.air.moved_to = pilot.air.moved_to, None
+    if moved_to is not None:
+        pilot.fire(Trigger.TAKEN_OVER, f"somebody moved the mission to item {moved_to}")
 
 
 def at_item(pilot: Pilot, index: int) -> None:
@@ -75,7 +82,6 @@ def on_the_way_home(pilot: Pilot) -> None:
         why = pilot.air.gate_closed or "no leave to go on was given in time"
         pilot.decide("turn_back", f"the mission aboard went home by itself: {why}")
         pilot.say(Severity.WARNING, "going home by the mission aboard")
-        pilot.air.gate_closed = why
         pilot.fire(Trigger.HOMEWARD, why)
 
 
@@ -90,6 +96,10 @@ def place_by_progress(pilot: Pilot) -> None:
     mission, air = pilot.flown.mission, pilot.air
     index = progress.index
     air.index, air.jump, air.speed_mps = index, None, None
+    air.moved_to = None
+    if progress.total is not None and progress.total != len(mission.items):
+        pilot.fire(Trigger.MISSION_UNKNOWN, f"another mission aboard ({progress.total} items)")
+        return
     part = mission.part_at(index)
     words = f"at item {index} ({mission.items[index].label})" if part is not None else ""
     if part is None:
@@ -110,7 +120,6 @@ def place_by_progress(pilot: Pilot) -> None:
         case Part.RELEASE:
             pilot.fire(Trigger.DROP_REACHED, words)
         case Part.RETURN:
-            air.gate_closed = air.gate_closed or "homeward when recognised"
             pilot.fire(Trigger.HOMEWARD, words)
         case Part.RALLY:
             air.rally = rally_of_item(pilot, index)

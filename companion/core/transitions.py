@@ -146,6 +146,8 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         **{(phase, t.HOMEWARD): p.RETURN for phase in OUTWARD_PHASES},
         **{(phase, t.RALLY_BOUND): p.DIVERT for phase in (*OUTWARD_PHASES, p.RETURN)},
         (p.DIVERT, t.HOMEWARD): p.RETURN,
+        (p.RETURN, t.GO): p.OUTBOUND,
+        (p.RETURN, t.CUSTOMER_REACHED): p.DELIVER,
         **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT)},
         **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},

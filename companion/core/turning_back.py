@@ -27,7 +27,7 @@ DIVERT_GAIN = 0.02
 
 def closed_by(pilot: Pilot) -> str:
     """Say what closes the gate, `""` while it is open. What is closed stays closed."""
-    air, now = pilot.air, pilot.now
+    air = pilot.air
     if air.gate_closed:
         return air.gate_closed
     seen = fresh_assessment(pilot)
@@ -35,6 +35,12 @@ def closed_by(pilot: Pilot) -> str:
         if pilot.options.gate_on:
             return seen.reason
         pilot.say_once(Severity.NOTICE, "gate off: would turn back now")
+    return closed_beside_energy(pilot)
+
+
+def closed_beside_energy(pilot: Pilot) -> str:
+    """Say what closes the gate besides its own budget: the clock, or a battery gone silent."""
+    air, now = pilot.air, pilot.now
     if air.took_off_s is not None:
         limit_s = pilot.flight.mission.time_limit_s
         if now.t_s - air.took_off_s > limit_s:
