@@ -26,7 +26,7 @@ _LINK_ACTIONS = {
     6: Mode.RTL,
     7: Mode.HOLD,
 }
-"""FS_GCS_ENABLE; FS_THR_ENABLE differs in 3, which lands. SmartRTL is not simulated: RTL or LAND."""
+"""FS_GCS_ENABLE; FS_THR_ENABLE differs in 3, which lands. SmartRTL is not simulated: RTL."""
 _FENCE_ACTIONS = {1: Mode.RTL, 2: Mode.LAND, 3: Mode.RTL, 4: Mode.HOLD, 5: Mode.LAND}
 _RC_CONTINUE_AUTO, _GCS_CONTINUE_AUTO, _RC_CONTINUE_GUIDED = 1, 2, 4
 _CONTINUE_LANDING, _GCS_CONTINUE_PILOTED = 8, 16

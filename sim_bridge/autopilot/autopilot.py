@@ -403,7 +403,7 @@ class Autopilot:
         """Whether there is a horizontal position to fly by."""
         return (
             self.readings is not None
-            and self.t_since_boot_s >= (2.0 if self.has_flown else self.behaviour.ekf_ready_after_s)
+            and self.t_since_boot_s >= (0.5 if self.has_flown else self.behaviour.ekf_ready_after_s)
             and self.gnss_lost_s < self.behaviour.gnss_patience_s
         )
 

@@ -450,13 +450,22 @@ class MissionExecutor:
             if distance_ne_m(here, target) <= rules.land_above_m:
                 leg.phase = Phase.DESCEND
                 return self._fly_descend(leg)
-        elif (near and level) or (leg.exit_mps > 0.0 and _is_past(leg, here, radius)):
+        elif (near and level) or self._is_passed(leg, here, radius):
             if leg.stay_s <= 0.0:
                 return None
             leg.phase = Phase.STAY
             leg.since_s = vehicle.t_s
             return HoldPoint(target, leg.yaw_rad)
         return FollowLine(leg.start, target, vehicle.cruise_mps(), leg.exit_mps, leg.yaw_rad)
+
+    def _is_passed(self, leg: Leg, here: Vec3, radius_m: float) -> bool:
+        """Whether a leg flown through is done; passed too far beside, it is gone back to."""
+        if leg.exit_mps <= 0.0 or not _is_past_end(leg, here):
+            return False
+        if math.dist(here, leg.target) <= 4.0 * radius_m:
+            return True
+        leg.exit_mps = 0.0
+        return False
 
     def _fly_stay(self, leg: Leg) -> Goal | None:
         if self._vehicle.t_s - leg.since_s >= leg.stay_s - 1e-6:
@@ -473,9 +482,8 @@ class MissionExecutor:
         return Descend((leg.target[0], leg.target[1]), vehicle.sink_mps(height))
 
 
-def _is_past(leg: Leg, here: Vec3, radius_m: float) -> bool:
-    """Whether the vehicle has crossed the plane at a leg's end, not far beside it."""
+def _is_past_end(leg: Leg, here: Vec3) -> bool:
+    """Whether the vehicle has crossed the plane at a leg's end."""
     line = [b - a for a, b in zip(leg.start, leg.target, strict=True)]
     beyond = [x - b for x, b in zip(here, leg.target, strict=True)]
-    along = sum(a * b for a, b in zip(line, beyond, strict=True))
-    return along >= 0.0 and math.dist(here, leg.target) <= 4.0 * radius_m
+    return sum(a * b for a, b in zip(line, beyond, strict=True)) >= 0.0

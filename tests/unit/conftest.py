@@ -279,6 +279,12 @@ def make_rig() -> type[Rig]:
     return Rig
 
 
+@pytest.fixture(scope="module")
+def make_rig_class() -> type[Rig]:
+    """The same for property tests, which want a fixture that outlives an example."""
+    return Rig
+
+
 _AIRBORNE: dict[tuple[Flavour, float], Rig] = {}
 
 
