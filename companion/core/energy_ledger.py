@@ -23,7 +23,9 @@ _JUDGE_COUNTERS_WH = 2.0  # modelled consumption from which counters are judged
 _DISAGREE_FRAC = 0.10  # of the usable energy, between sources, for a warning
 _LOADED_CELL_STD_V = 0.035  # of a resting voltage reckoned from a loaded one (sag, diffusion)
 _LOADED_SMOOTHING_S = 30.0
+_FLICKER_FRAC = 0.03
 _CEILING_SIGMAS = 2.5
+_CEILING_SAG_FRAC = 1.75  # sag that is granted, of what the resistance says: cold, age, diffusion
 _PLAUSIBLE_CELL_V = (2.6, 4.6)
 _UNKNOWN_CHARGE_FRAC, _UNKNOWN_CHARGE_STD_FRAC = 0.8, 0.15
 
@@ -89,6 +91,7 @@ class _Counts:
     last_consumed_wh: float | None = None
     last_consumed_mah: float | None = None
     remaining_frac: float | None = None
+    lowest_remaining_frac: float | None = None
     left_wh: float | None = None
     left_std_wh: float = 0.0
     source: str = ""
@@ -161,6 +164,9 @@ class EnergyLedger:
             counts = msgspec.convert(values, _Counts)
         except msgspec.ValidationError as error:
             raise LeewayError(f"checkpoint: {error}") from error
+        for key, value in values.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise LeewayError(f"checkpoint: {key} = {value!r}, expected a finite number")
         before = self._counts.left_wh
         self._counts = counts
         after = self._counts.left_wh
@@ -241,8 +247,22 @@ class EnergyLedger:
                 counts.charge_wh = (counts.charge_wh or 0.0) + step * voltage_v / 1000.0
             counts.last_consumed_mah = seen.consumed_mah
         if seen.remaining_frac is not None and not seen.remaining_is_timer:
-            before = counts.remaining_frac
-            counts.remaining_frac = min(seen.remaining_frac, 1.0 if before is None else before)
+            self._count_percentage(seen.remaining_frac)
+
+    def _count_percentage(self, now_frac: float) -> None:
+        """A percentage that jumps up has been reset: from then on only its falling counts.
+
+        Small rises are flicker: one message's percentage differs from another's by 1.
+        """
+        counts = self._counts
+        lowest = counts.lowest_remaining_frac
+        if counts.remaining_frac is None or lowest is None:
+            counts.remaining_frac = counts.lowest_remaining_frac = now_frac
+        elif now_frac > lowest + _FLICKER_FRAC:
+            counts.lowest_remaining_frac = now_frac
+        elif now_frac < lowest:
+            counts.remaining_frac = max(counts.remaining_frac - (lowest - now_frac), 0.0)
+            counts.lowest_remaining_frac = now_frac
 
     def _integrate(self, seen: BatteryObservation, dt_s: float) -> None:
         counts = self._counts
@@ -268,12 +288,11 @@ class EnergyLedger:
             self._smooth_loaded(seen, dt_s)
 
     def _smooth_loaded(self, seen: BatteryObservation, dt_s: float) -> None:
-        """Resting cell voltage reckoned from the loaded one, smoothed."""
-        if seen.voltage_v is None or seen.current_a is None or seen.current_a < 0.0:
+        """The most that a cell may rest at, reckoned from its loaded voltage, smoothed."""
+        if seen.voltage_v is None or seen.current_a is None:
             return
-        cell_v = (seen.voltage_v + seen.current_a * self._battery.resistance_ohm) / (
-            self._battery.cells
-        )
+        sag_v = _CEILING_SAG_FRAC * seen.current_a * self._battery.resistance_ohm
+        cell_v = (seen.voltage_v + sag_v) / self._battery.cells
         before = self._counts.loaded_cell_v
         share = 1.0 - math.exp(-dt_s / _LOADED_SMOOTHING_S)
         self._counts.loaded_cell_v = (
