@@ -41,6 +41,8 @@ MEANING = {
 NUMBER = {mode: number for number, mode in MEANING.items()}
 
 STREAMS = (
+    # A pilot's take-over shows in the heartbeat: once a second is late.
+    ("HEARTBEAT", mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4.0, False),
     ("ATTITUDE", mavlink.MAVLINK_MSG_ID_ATTITUDE, 10.0, True),
     ("GLOBAL_POSITION_INT", mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0, True),
     ("SYS_STATUS", mavlink.MAVLINK_MSG_ID_SYS_STATUS, 2.0, True),

@@ -48,7 +48,12 @@ from companion.core.events import (
 from companion.core.mission_items import MissionItem, Spot, differences
 
 HEARTBEATS_TO_TRUST = 3
-"""One heartbeat may be anybody's; three are a vehicle. It is also how long we listen first."""
+"""One heartbeat may be anybody's; three are a vehicle."""
+
+LISTEN_S = 2.0
+"""How long we listen for another onboard computer before we speak (its heartbeat comes at 1 Hz);
+three heartbeats at their usual rate are as long.
+"""
 
 STREAM = "stream "
 
@@ -74,6 +79,7 @@ class AutopilotPort:
         self._clock = clock
         self._wanted_system = system_id
         self._heartbeats: dict[tuple[int, int], int] = {}
+        self._stamps: dict[int, tuple[float, float]] = {}
         self.words: FlavourWords | None = None
         self.system_id: int | None = None
         self._desk = CommandDesk(send)
@@ -94,6 +100,7 @@ class AutopilotPort:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
         if self.words is None:
+            self._note_stamp(message, system, component)
             return self._look_at(message, system, component) if kind == "HEARTBEAT" else []
         if system != self.system_id:
             return []
@@ -118,6 +125,13 @@ class AutopilotPort:
             found += self._desk.hear_current(message.seq, t_s)
         return events + found
 
+    def _note_stamp(self, message: Any, system: int, component: int) -> None:
+        """Remember over how long a system has been heard, where its messages tell."""
+        stamp_s = boot_s(message)
+        if stamp_s is not None and component == AUTOPILOT:
+            first_s, _ = self._stamps.get(system, (stamp_s, stamp_s))
+            self._stamps[system] = (min(first_s, stamp_s), stamp_s)
+
     def _look_at(self, message: Any, system: int, component: int) -> list[Event]:
         """Count heartbeats until one system is trusted to be our vehicle."""
         if component == COMPONENT and self._wanted_system in (None, system):
@@ -130,6 +144,9 @@ class AutopilotPort:
         key = (system, message.autopilot)
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
         if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
+            return []
+        first_s, last_s = self._stamps.get(system, (0.0, LISTEN_S))
+        if last_s - first_s < LISTEN_S:
             return []
         flavour: FlavourWords = words()
         self.words = flavour

@@ -37,6 +37,8 @@ AUTO_NUMBER = {mode: number for number, mode in AUTO_MEANING.items()}
 OFFBOARD = 6
 
 STREAMS = (
+    # A pilot's take-over shows in the heartbeat: once a second is late.
+    ("HEARTBEAT", mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4.0, False),
     ("ATTITUDE", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20.0, True),
     ("GLOBAL_POSITION_INT", mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0, True),
     ("SYS_STATUS", mavlink.MAVLINK_MSG_ID_SYS_STATUS, 2.0, True),

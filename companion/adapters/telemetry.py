@@ -210,4 +210,6 @@ def _progress(message: Any, words: FlavourWords, t_s: float) -> Event:
     index = message.seq - words.home_items
     # `total` is a MAVLink 2 extension: 0 from those that do not send it, 65535 for no mission.
     total = message.total if 0 < message.total < UNKNOWN_U16 else None
-    return MissionProgress(t_s, index if index >= 0 else None, total)
+    # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.
+    in_mission = {1: True, 2: False}.get(message.mission_mode)
+    return MissionProgress(t_s, index if index >= 0 else None, total, in_mission)

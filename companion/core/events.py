@@ -155,10 +155,14 @@ class AutopilotWind(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress(Event):
-    """The item that the autopilot flies (`None`: none of ours) and how many items it holds."""
+    """The item that the autopilot flies (`None`: none of ours) and how many items it holds.
+
+    `in_mission`: whether it flies the mission at all, where it tells.
+    """
 
     index: int | None
     total: int | None = None
+    in_mission: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

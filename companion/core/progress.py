@@ -26,6 +26,15 @@ def follow(pilot: Pilot, event: MissionProgress) -> None:
     if pilot.phase not in FLIGHT_PHASES or pilot.flown is None or event.index is None:
         return
     mission = pilot.flown.mission
+    state = pilot.now.state
+    if (
+        event.in_mission is False
+        and pilot.phase not in (Phase.LAND, Phase.LAST_RESORT)
+        and state is not None
+        and state.armed
+    ):
+        pilot.fire(Trigger.TAKEN_OVER, "the autopilot left the mission")
+        return
     if event.total is not None and event.total != len(mission.items):
         pilot.fire(Trigger.TAKEN_OVER, f"another mission aboard ({event.total} items)")
         return
