@@ -62,13 +62,15 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """Drag force along body forward and right: `linear * v + quadratic * |v| v`, in newton.
 
     The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
-    flow). `gain_std_frac` is how wrong both may be together, relative.
+    flow). `parcel_quadratic_n_per_mps2` is added to both axes while a parcel hangs below.
+    `gain_std_frac` is how wrong both may be together, relative.
     """
 
     linear_forward_n_per_mps: float
     linear_right_n_per_mps: float
     quadratic_forward_n_per_mps2: float
     quadratic_right_n_per_mps2: float
+    parcel_quadratic_n_per_mps2: float
     gain_std_frac: float
 
     def __post_init__(self) -> None:
@@ -76,6 +78,7 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             check_range(f"drag.{key}", getattr(self, key), 0.0, 100.0)
         for key in ("quadratic_forward_n_per_mps2", "quadratic_right_n_per_mps2"):
             check_range(f"drag.{key}", getattr(self, key), 0.0, 50.0)
+        check_range("drag.parcel_quadratic_n_per_mps2", self.parcel_quadratic_n_per_mps2, 0.0, 50.0)
         check_range("drag.gain_std_frac", self.gain_std_frac, 0.01, 1.0)
         if self.linear_forward_n_per_mps + self.quadratic_forward_n_per_mps2 <= 0.0:
             raise LeewayError("drag.linear_forward_n_per_mps: some drag expected, all are 0")
@@ -211,6 +214,14 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             self.drag.linear_forward_n_per_mps * scale,
             self.drag.linear_right_n_per_mps * scale,
         )
+
+    def drag_quadratic_n_per_mps2(self, mass_kg: float) -> tuple[float, float]:
+        """Quadratic drag along body forward and right; a mass above empty means a parcel."""
+        parcel = (
+            self.drag.parcel_quadratic_n_per_mps2 if mass_kg > 1.001 * self.mass.empty_kg else 0.0
+        )
+        drag = self.drag
+        return drag.quadratic_forward_n_per_mps2 + parcel, drag.quadratic_right_n_per_mps2 + parcel
 
 
 def airframe_from_dict(table: dict[str, object], where: str = "airframe") -> Airframe:

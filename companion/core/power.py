@@ -31,7 +31,8 @@ def drag_n(airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike) -> Float
     """Drag nose into the relative wind, N."""
     speed = np.asarray(airspeed_mps, float)
     linear, _ = airframe.drag_linear_n_per_mps(mass_kg)
-    return linear * speed + airframe.drag.quadratic_forward_n_per_mps2 * speed**2
+    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    return linear * speed + quadratic * speed**2
 
 
 def max_airspeed_mps(airframe: Airframe, mass_kg: float) -> float:
@@ -41,7 +42,7 @@ def max_airspeed_mps(airframe: Airframe, mass_kg: float) -> float:
     """
     force = mass_kg * GRAVITY_MPS2 * math.tan(airframe.speeds.max_tilt_rad)
     linear, _ = airframe.drag_linear_n_per_mps(mass_kg)
-    quadratic = airframe.drag.quadratic_forward_n_per_mps2
+    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg)
     if quadratic == 0.0:
         return force / linear
     return (math.sqrt(linear**2 + 4.0 * quadratic * force) - linear) / (2.0 * quadratic)

@@ -1,7 +1,7 @@
 """Row 5: a Kalman filter for the horizontal wind where the vehicle is.
 
-State, 5: wind to north and east (m/s), tilt trim along body forward and right (rad), logarithm of
-the drag gain.
+State, 6: wind to north and east (m/s), tilt trim along body forward and right (rad), logarithm of
+the drag gain, error of the heading (rad).
 
 - The tilt and the acceleration tell the drag: in steady air `m (a_h - thrust_h) = -s D(v - w)`,
   with the thrust along the body's axis and its size from the vertical balance. No accelerometer,
@@ -12,6 +12,9 @@ the drag gain.
 - The drag gain s (about 1, never negative) is what the airframe file gets wrong of the drag as a
   whole. Its prior is tight (`gain_std_frac`): with a loose one such a filter diverges
   (shared/data/README.md).
+- The heading error turns the air that the vehicle flies through: 3 degrees at 14 m/s are 0.7 m/s
+  of wind across, which the way back on the other heading gives away.
+- A parcel that goes changes the drag by more than its mass tells, so the gain is opened again.
 - A plain numpy filter: filterpy is the oracle in the tests only, as it would put matplotlib on
   the vehicle's disk.
 
@@ -32,7 +35,9 @@ from companion.core.power import GRAVITY_MPS2
 
 FloatArray = NDArray[np.float64]
 
-SNAPSHOT_FORMAT = "wind-estimator/1"
+SNAPSHOT_FORMAT = "wind-estimator/2"
+_STATES = 6
+_DIAGONAL = (tuple(range(_STATES)), tuple(range(_STATES)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +84,15 @@ class WindEstimatorParams:
     3 s, which is the root of gust memory over walk; turbulence grows with the wind, so both do.
     """
 
-    prior_wind_std_mps: float = 6.0
+    prior_wind_std_mps: float = 8.0
     prior_trim_std_rad: float = math.radians(1.0)  # a levelled autopilot; 2 deg were seen
     trim_walk_rad2ps: float = math.radians(0.1) ** 2 / 60.0
     gain_walk_per_s: float = 0.02**2 / 600.0
+    gain_parcel_std_frac: float = 0.06  # [est] a box below the frame, of 5 to 20 % of its drag
+    prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
+    heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
     wind_walk_m2ps3: float = 0.12  # [coast]
-    gust_memory_m2ps: float = 1.1  # [coast] gust variance times twice its memory
+    gust_memory_m2ps: float = 0.8  # [coast] gust variance times twice its memory, at the vehicle
     reference_wind_mps: float = 8.6  # [coast]
     least_scale: float = 0.35
     smoothing_s: float = 0.3
@@ -98,7 +106,7 @@ class WindEstimatorParams:
     gate_sigmas: float = 4.0
     stuck_after_s: float = 5.0
     doubt_after_s: float = 4.0
-    floor_std_mps: float = 0.3
+    floor_std_mps: float = 0.2
     settle_s: float = 5.0
     stale_after_s: float = 15.0
 
@@ -110,13 +118,14 @@ class WindEstimator:
         self._airframe = airframe
         self._params = params or WindEstimatorParams()
         p = self._params
-        self._x = np.zeros(5)
+        self._x = np.zeros(_STATES)
         variances = (
             p.prior_wind_std_mps**2,
             p.prior_wind_std_mps**2,
             p.prior_trim_std_rad**2,
             p.prior_trim_std_rad**2,
             airframe.drag.gain_std_frac**2,
+            p.prior_heading_std_rad**2,
         )
         self._cov = np.diag(variances)
         self._t_s: float | None = None
@@ -125,6 +134,7 @@ class WindEstimator:
         self._smooth: _Smoothed | None = None
         self._pitot = _PitotWatch()
         self._rejected_since_s: float | None = None
+        self._mass_kg: float | None = None
 
     @property
     def trim_rad(self) -> tuple[float, float]:
@@ -152,11 +162,12 @@ class WindEstimator:
             return ()
         dt_s = 0.0 if before_s is None else observation.t_s - before_s
         self._t_s = observation.t_s
-        self._cov[(0, 1, 2, 3, 4), (0, 1, 2, 3, 4)] += self._growth(dt_s)
+        self._cov[_DIAGONAL] += self._growth(dt_s)
+        self._notice_mass(observation.mass_kg)
         left_out: list[str] = []
         if observation.airborne:
             left_out += self._take_tilt(observation, dt_s)
-            left_out += self._take_pitot(observation, dt_s)
+            left_out += self._take_pitot(observation)
         else:
             self._smooth = None
         left_out += self._take_autopilot(observation)
@@ -192,10 +203,19 @@ class WindEstimator:
             cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
         except (KeyError, ValueError, msgspec.ValidationError) as error:
             raise LeewayError(f"checkpoint: {error}") from error
-        usable = x.shape == (5,) and cov.shape == (5, 5) and np.isfinite([*x, *cov.ravel()]).all()
+        usable = (
+            x.shape == (_STATES,)
+            and cov.shape == (_STATES, _STATES)
+            and np.isfinite([*x, *cov.ravel()]).all()
+        )
         if not usable or float(np.linalg.eigvalsh(cov)[0]) < 0.0:
-            raise LeewayError("checkpoint: expected 5 finite states and their covariance")
+            raise LeewayError("checkpoint: expected 6 finite states and their covariance")
         self._t_s, self._x, self._cov = t_s, x, 0.5 * (cov + cov.T)
+
+    @property
+    def heading_error_rad(self) -> float:
+        """True heading less the heading reported, as believed."""
+        return float(self._x[5])
 
     # -- the filter ----------------------------------------------------------------------------
 
@@ -204,11 +224,18 @@ class WindEstimator:
         p = self._params
         return max(math.hypot(self._x[0], self._x[1]) / p.reference_wind_mps, p.least_scale) ** 2
 
-    def _growth(self, dt_s: float) -> tuple[float, float, float, float, float]:
+    def _notice_mass(self, mass_kg: float) -> None:
+        """The parcel went: what was learned of the drag with it holds less without it."""
+        if self._mass_kg is not None and abs(mass_kg - self._mass_kg) > 0.01 * self._mass_kg:
+            self._cov[4, 4] += self._params.gain_parcel_std_frac**2
+        self._mass_kg = mass_kg
+
+    def _growth(self, dt_s: float) -> tuple[float, ...]:
         p = self._params
         wind = p.wind_walk_m2ps3 * self._scale() * dt_s
         trim = p.trim_walk_rad2ps * dt_s
-        return wind, wind, trim, trim, p.gain_walk_per_s * dt_s
+        heading = p.heading_walk_rad2ps * dt_s
+        return wind, wind, trim, trim, p.gain_walk_per_s * dt_s, heading
 
     def _take_tilt(self, seen: WindObservation, dt_s: float) -> list[str]:
         if seen.vel_ned_mps is None or seen.roll_rad is None or seen.pitch_rad is None:
@@ -220,22 +247,21 @@ class WindEstimator:
         self._smooth = smooth
         if smooth.age_s < 3.0 * self._params.smoothing_s:
             return []
-        measured = smooth.drag_forward_right(seen.yaw_rad)
         prior, prior_cov = self._x.copy(), self._cov
         innovation, noise, rows = [0.0, 0.0], [0.0, 0.0], (prior, prior)
         for _ in range(self._linearisations()):
             drag = _drag_model(self._airframe, seen.mass_kg, self._x, smooth, seen.yaw_rad)
             rows = drag.jacobian
             ahead = [float(row @ (prior - self._x)) for row in rows]
-            innovation = [measured[i] - drag.expected[i] - ahead[i] for i in (0, 1)]
+            innovation = [drag.measured[i] - drag.expected[i] - ahead[i] for i in (0, 1)]
             noise = [self._tilt_noise(row, smooth, dt_s) for row in rows]
-            if self._is_outlier(prior_cov, rows, innovation, noise):
-                self._x = prior
-                return self._doubt_tilt(seen.t_s)
             self._x, self._cov = prior.copy(), prior_cov.copy()
             for i in (0, 1):
                 moved = float(rows[i] @ (self._x - prior))
                 self._correct(rows[i], innovation[i] - moved, noise[i])
+        if self._is_outlier(prior_cov, rows, innovation, noise):
+            self._x, self._cov = prior, prior_cov
+            return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None
         self._entered_s["tilt"] = seen.t_s
         self._tilt_s += dt_s
@@ -267,17 +293,20 @@ class WindEstimator:
             return ["tilt disagrees with the wind estimate for long: estimate reopened"]
         return ["tilt disagrees with the wind estimate: left out"]
 
-    def _take_pitot(self, seen: WindObservation, dt_s: float) -> list[str]:
+    def _take_pitot(self, seen: WindObservation) -> list[str]:
         if seen.airspeed_mps is None or seen.vel_ned_mps is None or seen.yaw_rad is None:
             return []
         if self._linearisations() > 1:  # a scalar cannot start a vector
             return []
         p = self._params
-        if self._pitot.is_stuck(seen.t_s, seen.airspeed_mps, p.stuck_after_s):
+        fresh_s, stuck = self._pitot.look(seen.t_s, seen.airspeed_mps, p.stuck_after_s)
+        if stuck:
             return ["pitot reads the same for long: left out"]
+        if fresh_s is None:
+            return []
         air_n = seen.vel_ned_mps[0] - self._x[0]
         air_e = seen.vel_ned_mps[1] - self._x[1]
-        row = np.zeros(5)
+        row = np.zeros(_STATES)
         if seen.airspeed_is_magnitude:
             expected = max(math.hypot(air_n, air_e), 1e-6)
             row[0], row[1] = -air_n / expected, -air_e / expected
@@ -290,7 +319,7 @@ class WindEstimator:
             return []
         gust = p.gust_memory_m2ps * self._scale()
         # Its own error is as slow as a gust: a scale or a mounting that is off does not average.
-        r = (p.pitot_std_mps**2 + gust) / max(dt_s, 0.02)
+        r = (p.pitot_std_mps**2 + gust) / min(max(fresh_s, 0.02), 1.0)
         if self._is_outlier(self._cov, (row,), [seen.airspeed_mps - expected], [r]):
             return [f"pitot reads {seen.airspeed_mps:.1f} m/s, {expected:.1f} expected: left out"]
         self._correct(row, seen.airspeed_mps - expected, r)
@@ -304,7 +333,7 @@ class WindEstimator:
             return []
         # It is filtered over seconds and drinks from the same tilt: heavy, and only now and then.
         r = p.autopilot_std_mps**2 * (10.0 / p.autopilot_every_s)
-        rows = (np.array([1.0, 0, 0, 0, 0]), np.array([0, 1.0, 0, 0, 0]))
+        rows = (np.eye(_STATES)[0], np.eye(_STATES)[1])
         innovations = [wind[0] - float(self._x[0]), wind[1] - float(self._x[1])]
         if self._is_outlier(self._cov, rows, innovations, [r, r]):
             return ["the autopilot's wind disagrees with the wind estimate: left out"]
@@ -350,12 +379,6 @@ class _Smoothed:
     accel_d: float
     transient_mps2: float  # thrust now less thrust smoothed
 
-    def drag_forward_right(self, yaw_rad: float) -> tuple[float, float]:
-        """Acceleration by drag along the heading and to its right, m/s^2."""
-        north, east = self.accel_n - self.thrust_n, self.accel_e - self.thrust_e
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        return cos * north + sin * east, -sin * north + cos * east
-
 
 def _smoothed(
     before: _Smoothed | None, seen: WindObservation, dt_s: float, memory_s: float
@@ -395,8 +418,9 @@ def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class _DragModel:
-    """Expected drag acceleration along heading and right, and its rows d/dx."""
+    """Drag acceleration along heading and right: measured, expected, and rows d(difference)/dx."""
 
+    measured: tuple[float, float]
     expected: tuple[float, float]
     jacobian: tuple[FloatArray, FloatArray]
 
@@ -404,15 +428,15 @@ class _DragModel:
 def _drag_model(
     airframe: Airframe, mass_kg: float, x: FloatArray, smooth: _Smoothed, yaw_rad: float
 ) -> _DragModel:
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    wind_n, wind_e, trim_f, trim_r, log_gain = x.tolist()
+    wind_n, wind_e, trim_f, trim_r, log_gain, heading_error = x.tolist()
+    heading = yaw_rad + heading_error
+    cos, sin = math.cos(heading), math.sin(heading)
     gain = math.exp(min(max(log_gain, -3.0), 3.0))
     air_n, air_e = smooth.velocity_n - wind_n, smooth.velocity_e - wind_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
     speed = max(math.hypot(forward, right), 1e-3)
     k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
-    q_f = airframe.drag.quadratic_forward_n_per_mps2
-    q_r = airframe.drag.quadratic_right_n_per_mps2
+    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
     drag_f = (k_f + q_f * speed) * forward / mass_kg
     drag_r = (k_r + q_r * speed) * right / mass_kg
     # d drag / d (forward, right); the wind enters with the opposite sign.
@@ -420,26 +444,37 @@ def _drag_model(
     fr = q_f * forward * right / speed / mass_kg * gain
     rr = (k_r + q_r * (speed + right * right / speed)) / mass_kg * gain
     rf = q_r * forward * right / speed / mass_kg * gain
-    row_f = np.array([ff * cos - fr * sin, ff * sin + fr * cos, GRAVITY_MPS2, 0.0, -gain * drag_f])
-    row_r = np.array([rf * cos - rr * sin, rf * sin + rr * cos, 0.0, GRAVITY_MPS2, -gain * drag_r])
-    expected = (
-        -gain * drag_f + GRAVITY_MPS2 * trim_f,
-        -gain * drag_r + GRAVITY_MPS2 * trim_r,
+    # The acceleration is the ground track's, the thrust the body's: only the first turns.
+    accel_f = cos * smooth.accel_n + sin * smooth.accel_e
+    accel_r = cos * smooth.accel_e - sin * smooth.accel_n
+    yaw_cos, yaw_sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    thrust_f = yaw_cos * smooth.thrust_n + yaw_sin * smooth.thrust_e
+    thrust_r = yaw_cos * smooth.thrust_e - yaw_sin * smooth.thrust_n
+    turn_f = fr * forward - ff * right - accel_r
+    turn_r = rr * forward - rf * right + accel_f
+    row_f = [ff * cos - fr * sin, ff * sin + fr * cos, GRAVITY_MPS2, 0.0, -gain * drag_f, turn_f]
+    row_r = [rf * cos - rr * sin, rf * sin + rr * cos, 0.0, GRAVITY_MPS2, -gain * drag_r, turn_r]
+    return _DragModel(
+        measured=(accel_f - thrust_f, accel_r - thrust_r),
+        expected=(-gain * drag_f + GRAVITY_MPS2 * trim_f, -gain * drag_r + GRAVITY_MPS2 * trim_r),
+        jacobian=(np.array(row_f), np.array(row_r)),
     )
-    return _DragModel(expected, (row_f, row_r))
 
 
 class _PitotWatch:
-    """Notices a pitot that repeats itself: a live one never does for seconds."""
+    """Tells a new reading from an old one, and a pitot that repeats itself: no live one does."""
 
     def __init__(self) -> None:
         self._value_mps: float | None = None
         self._since_s = 0.0
 
-    def is_stuck(self, t_s: float, value_mps: float, after_s: float) -> bool:
-        if self._value_mps is None or abs(value_mps - self._value_mps) > 1e-3:
-            self._value_mps, self._since_s = value_mps, t_s
-        return t_s - self._since_s > after_s
+    def look(self, t_s: float, value_mps: float, stuck_after_s: float) -> tuple[float | None, bool]:
+        """(seconds since the reading before, None for that very reading; whether it is stuck)."""
+        if self._value_mps is not None and value_mps == self._value_mps:
+            return None, t_s - self._since_s > stuck_after_s
+        fresh_s = t_s - self._since_s if self._value_mps is not None else 0.1
+        self._value_mps, self._since_s = value_mps, t_s
+        return fresh_s, False
 
 
 def _refuse_nan(seen: WindObservation) -> None:
