@@ -1,0 +1,105 @@
+"""Row 5 in any flight: a covariance that is one, and never surer for waiting."""
+
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.core.airframe import airframe_from_dict
+from companion.core.wind_estimator import WindEstimator, WindObservation
+
+ROOT = Path(__file__).parents[2]
+M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+
+angle = st.floats(-0.8, 0.8)
+speed = st.floats(-20.0, 20.0)
+observation = st.builds(
+    WindObservation,
+    t_s=st.sampled_from([0.0, 0.05, 0.1, 0.1, 0.1, 0.4, 3.0, 60.0]),
+    airborne=st.sampled_from([True, True, True, False]),
+    mass_kg=st.floats(2.0, 6.0),
+    vel_ned_mps=st.one_of(st.none(), st.tuples(speed, speed, st.floats(-3.0, 3.0))),
+    roll_rad=st.one_of(st.none(), angle),
+    pitch_rad=st.one_of(st.none(), angle),
+    yaw_rad=st.one_of(st.none(), st.floats(-math.pi, math.pi)),
+    airspeed_mps=st.one_of(st.none(), st.floats(-5.0, 40.0)),
+    airspeed_is_magnitude=st.booleans(),
+    autopilot_wind_to_ne_mps=st.one_of(st.none(), st.tuples(speed, speed)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seen=st.lists(observation, min_size=1, max_size=40), wait_s=st.floats(0.0, 600.0))
+def test_waiting_never_makes_us_more_certain_and_the_covariance_is_one(
+    seen: list[WindObservation], wait_s: float
+) -> None:
+    estimator, t_s = WindEstimator(M100), 0.0
+    for one in seen:
+        t_s += one.t_s
+        estimator.update(replace(one, t_s=t_s))
+        now, later = estimator.belief(t_s), estimator.belief(t_s + wait_s)
+        assert np.isfinite(now.mean_to_ne_mps).all()
+        np.testing.assert_array_equal(now.cov_ne_m2ps2, now.cov_ne_m2ps2.T)
+        assert np.linalg.eigvalsh(now.cov_ne_m2ps2)[0] > 0.0
+        grown = later.cov_ne_m2ps2 - now.cov_ne_m2ps2
+        assert np.linalg.eigvalsh(grown)[0] >= -1e-9
+        np.testing.assert_array_equal(later.mean_to_ne_mps, now.mean_to_ne_mps)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    course=st.floats(-math.pi, math.pi),
+    trim=st.floats(-0.02, 0.02),
+)
+def test_on_one_heading_for_ever_it_does_not_diverge(seed: int, course: float, trim: float) -> None:
+    rng = np.random.default_rng(seed)
+    estimator = WindEstimator(M100)
+    wind = rng.normal(0.0, 4.0, 2)
+    vel = 8.0 * np.array([math.cos(course), math.sin(course)])
+    linear, _ = M100.drag_linear_n_per_mps(M100.mass.empty_kg)
+    quadratic = M100.drag.quadratic_forward_n_per_mps2
+    for k in range(1500):
+        air = vel - wind - 0.5 * rng.standard_normal(2)
+        drag = (linear + quadratic * float(np.linalg.norm(air))) * air / M100.mass.empty_kg
+        cos, sin = math.cos(course), math.sin(course)
+        estimator.update(
+            WindObservation(
+                t_s=0.4 * k,
+                airborne=True,
+                mass_kg=M100.mass.empty_kg,
+                vel_ned_mps=(float(vel[0]), float(vel[1]), 0.0),
+                roll_rad=math.atan((-sin * drag[0] + cos * drag[1]) / 9.80665),
+                pitch_rad=-math.atan((cos * drag[0] + sin * drag[1]) / 9.80665) + trim,
+                yaw_rad=course,
+            )
+        )
+    belief = estimator.belief(600.0)
+    error = belief.mean_to_ne_mps - wind
+    # A trim that no turn reveals is an error of up to 1.6 m/s here, and the covariance knows.
+    assert float(np.linalg.norm(error)) < 2.5
+    assert float(error @ np.linalg.solve(belief.cov_ne_m2ps2, error)) < 16.0
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"t_s": math.nan},
+        {"mass_kg": math.nan},
+        {"mass_kg": 0.0},
+        {"roll_rad": math.nan},
+        {"airspeed_mps": math.inf},
+        {"vel_ned_mps": (0.0, math.nan, 0.0)},
+        {"autopilot_wind_to_ne_mps": (math.nan, 0.0)},
+    ],
+)
+def test_nan_is_refused(broken: dict) -> None:
+    estimator = WindEstimator(M100)
+    clean = WindObservation(1.0, True, 2.5, (1.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="wind observation"):
+        estimator.update(replace(clean, **broken))
