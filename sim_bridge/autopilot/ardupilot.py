@@ -12,6 +12,8 @@ from sim_bridge.autopilot.ardupilot_commands import (
     request_mode,
 )
 from sim_bridge.autopilot.ardupilot_failsafe import watch
+from sim_bridge.autopilot.ardupilot_modes import ArduPilotModes
+from sim_bridge.autopilot.ardupilot_rules import ArduPilotRules
 from sim_bridge.autopilot.codec import Message
 from sim_bridge.autopilot.enums import (
     AMSL_FRAMES,
@@ -21,26 +23,21 @@ from sim_bridge.autopilot.enums import (
     Result,
     Severity,
 )
-from sim_bridge.autopilot.executor import FlightRules, Phase
+from sim_bridge.autopilot.executor import Phase
 from sim_bridge.autopilot.failsafe import Failsafes
-from sim_bridge.autopilot.fence import Fence, read_areas
 from sim_bridge.autopilot.flavour import LinkKind
-from sim_bridge.autopilot.goals import Descend, FlyVelocity, FollowLine, Goal, HoldPoint, Idle, Vec3
-from sim_bridge.autopilot.guidance import Limits, heading_along
+from sim_bridge.autopilot.goals import Descend, Idle, Vec3
+from sim_bridge.autopilot.guidance import Limits
 from sim_bridge.autopilot.mission import ArduPilotMissionRules, Item
 from sim_bridge.autopilot.modes import (
     ARDUPILOT_NAMES,
     ARDUPILOT_NUMBERS,
-    PILOTED,
     Mode,
     ardupilot_base_mode,
     ardupilot_custom_mode,
 )
 from sim_bridge.autopilot.parameters import ParameterStore
-from sim_bridge.autopilot.piloted import level_descent, piloted_goal
-from sim_bridge.autopilot.returning import ReturnPhase, ReturnPlan
 from sim_bridge.autopilot.setpoints import Setpoint
-from sim_bridge.autopilot.wind import DragCoefficients
 
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
@@ -80,20 +77,19 @@ class ArduPilot:
     refused_request = Result.FAILED
     jump_forever = -1
     landing_lean_limit_rad: float | None = math.radians(7.0)
-    spool_s = 2.0
     ekf_ready_after_s = 42.0
     gnss_patience_s = 10.0
 
     def __init__(self) -> None:
         self.mission_rules = ArduPilotMissionRules()
-        self.default_speed_mps = 10.0
+        self.rules = ArduPilotRules()
+        self.modes = ArduPilotModes()
         self._auto_armed = False
         self._switch: int | None = None
         self._switch_candidate: int | None = None
         self._grip_told_s: float | None = None
         self._grip_text = ""
         self._prearm_told_s = 0.0
-        self._leg_start: Vec3 | None = None
 
     # --- what it says -------------------------------------------------------------------------
 
@@ -119,7 +115,7 @@ class ArduPilot:
 
     def status_text(self, ap: "Autopilot", text: str) -> tuple[str, list[int]]:
         """STATUSTEXT goes to every link."""
-        return text, list(ap.links)
+        return text, list(ap.radio.links)
 
     def hud_airspeed_mps(self, ap: "Autopilot") -> float:
         """VFR_HUD.airspeed."""
@@ -177,63 +173,10 @@ class ArduPilot:
         """Any type is cast; what is not a number is ignored; unknown names get no answer."""
         name = message.param_id
         if name in ap.params and ap.params.accept(name, message.param_value, message.param_type):
-            for link in ap.links:
-                ap.send_parameter(link, name, 65535)
+            for link in ap.radio.links:
+                ap.radio.send_parameter(link, name, 65535)
 
-    def flight_rules(self, params: ParameterStore) -> FlightRules:
-        """WPNAV_* as the executor needs it."""
-        self.default_speed_mps = max(params.metres("WPNAV_SPEED"), 0.1)
-        radius = max(params.metres("WPNAV_RADIUS"), 0.3)
-        return FlightRules(
-            accept_radius_m=radius,
-            accept_height_m=radius,
-            takeoff_speed_mps=max(params.metres("WPNAV_SPEED_UP"), 0.1),
-            takeoff_min_height_m=0.0,
-            corner_accel_mps2=2.0 * max(params.metres("WPNAV_ACCEL"), 0.1),
-            land_above_m=radius,
-        )
-
-    def limits(self, params: ParameterStore) -> Limits:
-        """WPNAV_* and ANGLE_MAX for the controller."""
-        return Limits(
-            horizontal_mps=max(40.0, self.default_speed_mps),
-            up_mps=max(params.metres("WPNAV_SPEED_UP"), 0.1),
-            down_mps=max(params.metres("WPNAV_SPEED_DN"), 0.1),
-            accel_mps2=max(params.metres("WPNAV_ACCEL"), 0.5),
-            jerk_mps3=5.0,  # PSC_JERK_XY
-            tilt_rad=math.radians(min(max(params.metres("ANGLE_MAX"), 10.0), 60.0)),
-        )
-
-    def drag_coefficients(self, params: ParameterStore) -> DragCoefficients | None:
-        """EK3_DRAG_*, read at boot."""
-        drag = DragCoefficients(
-            params["EK3_DRAG_BCOEF_X"], params["EK3_DRAG_BCOEF_Y"], params["EK3_DRAG_MCOEF"]
-        )
-        return drag if drag.are_usable else None
-
-    def sink_mps(self, params: ParameterStore, height_m: float) -> float:
-        """LAND_SPEED below LAND_ALT_LOW, above it LAND_SPEED_HIGH or WPNAV_SPEED_DN."""
-        if height_m <= params.metres("LAND_ALT_LOW"):
-            return max(params.metres("LAND_SPEED"), 0.1)
-        return params.metres("LAND_SPEED_HIGH") or params.metres("WPNAV_SPEED_DN")
-
-    def faces_legs(self, params: ParameterStore) -> bool:
-        """WP_YAW_BEHAVIOR: 1 and 2 face the next waypoint."""
-        return params["WP_YAW_BEHAVIOR"] in (1.0, 2.0, 3.0)
-
-    def read_fence(self, ap: "Autopilot") -> Fence:
-        """FENCE_*: nothing unless enabled."""
-        params = ap.params
-        if params["FENCE_ENABLE"] == 0.0:
-            return Fence()
-        kinds = int(params["FENCE_TYPE"])
-        return Fence(
-            areas=read_areas(ap.store.fence, ap.frame) if kinds & 4 else (),
-            radius_m=params["FENCE_RADIUS"] if kinds & 2 else None,
-            height_m=params["FENCE_ALT_MAX"] if kinds & 1 else None,
-        )
-
-    # --- modes --------------------------------------------------------------------------------
+    # --- modes and arming ---------------------------------------------------------------------
 
     def initial_mode(self, params: ParameterStore) -> Mode:
         """INITIAL_MODE: STABILIZE."""
@@ -242,150 +185,10 @@ class ArduPilot:
     def enter(self, ap: "Autopilot", mode: Mode) -> None:
         """What entering a mode starts."""
         ap.enter(mode)
-        ap.setpoint = None
-        self._leg_start = None
         if mode in (Mode.AUTO, Mode.GUIDED, Mode.RTL):
             ap.speed_override_mps = None
-            ap.guidance.set_limits(self.limits(ap.params))
-        if not ap.is_armed:
-            return
-        if mode is Mode.AUTO:
-            ap.executor.start()
-        elif mode is Mode.RTL:
-            ap.returning = ap.plan_return()
-
-    def goal(self, ap: "Autopilot") -> Goal:
-        """What the mode wants now (only asked while armed)."""
-        mode = ap.mode
-        if mode is Mode.AUTO:
-            return self._auto(ap)
-        if mode is Mode.GUIDED:
-            return self._guided(ap)
-        if mode is Mode.RTL:
-            return self._rtl(ap)
-        if mode is Mode.LAND:
-            return self._land(ap)
-        if mode in PILOTED:
-            speed = ap.params.metres("LOIT_SPEED")
-            return piloted_goal(ap, speed, ap.params.metres("PILOT_SPEED_UP"))
-        return Idle() if ap.is_landed else HoldPoint(ap.hold_here())
-
-    def _auto(self, ap: "Autopilot") -> Goal:
-        leg = ap.executor.leg
-        if ap.is_landed and leg is not None and ap.executor.state == MissionState.ACTIVE:
-            landing = leg.phase is Phase.DESCEND
-            if leg.returning is not None and leg.returning.phase is ReturnPhase.LAND:
-                landing = True
-            if landing:  # it stays at this item and disarms; disarming resets the mission
-                ap.disarm()
-                return Idle()
-        return ap.executor.step()
-
-    def _rtl(self, ap: "Autopilot") -> Goal:
-        if ap.returning is None:
-            ap.returning = ap.plan_return()
-        goal = ap.returning.step(ap)
-        if goal is None:
-            ap.disarm()
-            return Idle()
-        return goal
-
-    def _land(self, ap: "Autopilot") -> Goal:
-        if ap.is_landed:
-            ap.disarm()
-            return Idle()
-        rate = self.sink_mps(ap.params, ap.height_above_home_m())
-        if not ap.has_position:
-            return level_descent(rate)
-        north, east, _ = ap.hold_here()
-        return Descend((north, east), rate)
-
-    def _guided(self, ap: "Autopilot") -> Goal:
-        if ap.takeoff_down_m is not None:
-            return self._guided_takeoff(ap)
-        if ap.is_landed:
-            return Idle()
-        setpoint = ap.setpoint
-        if setpoint is None:
-            return HoldPoint(ap.hold_here())
-        if setpoint.vel_ned_mps is not None and setpoint.pos_ned_m is None:
-            if ap.t_s - setpoint.t_s > max(ap.params["GUID_TIMEOUT"], 0.1):
-                ap.setpoint = None  # halts, and stays in GUIDED
-                return HoldPoint(ap.hold_here())
-            return FlyVelocity(setpoint.vel_ned_mps, setpoint.yaw_rad, setpoint.yaw_rate_rps)
-        assert setpoint.pos_ned_m is not None
-        start = self._leg_start or ap.pos_ned_m
-        yaw = setpoint.yaw_rad
-        if yaw is None and self.faces_legs(ap.params):
-            yaw = heading_along(start, setpoint.pos_ned_m)
-        return FollowLine(start, setpoint.pos_ned_m, ap.cruise_mps(), 0.0, yaw)
-
-    def _guided_takeoff(self, ap: "Autopilot") -> Goal:
-        assert ap.takeoff_down_m is not None
-        if ap.hold_point is None or (ap.is_landed and not ap.is_spooled):
-            ap.hold_point = ap.pos_ned_m
-        north, east, start_down = ap.hold_point
-        if ap.is_landed and not ap.is_spooled:
-            return Idle()
-        top = (north, east, ap.takeoff_down_m)
-        if abs(ap.pos_ned_m[2] - ap.takeoff_down_m) < 0.5:
-            ap.takeoff_down_m = None
-            ap.hold_point = top
-            return HoldPoint(top)
-        return FollowLine((north, east, start_down), top, ap.flight_rules.takeoff_speed_mps)
-
-    def take_setpoint(self, ap: "Autopilot", setpoint: Setpoint) -> None:
-        """Only in GUIDED, and not before the take-off is done."""
-        if ap.mode is not Mode.GUIDED or ap.takeoff_down_m is not None:
-            return
-        ap.setpoint = setpoint
-        ap.hold_point = None
-        self._leg_start = ap.pos_ned_m
-
-    def return_plan(self, ap: "Autopilot") -> ReturnPlan:
-        """RTL_*: up to RTL_ALT within a cone about home, home or a nearer rally point."""
-        params, here = ap.params, ap.pos_ned_m
-        destination, ground, least_m = self._return_point(ap)
-        distance = math.dist(here[:2], destination)
-        height = ground - here[2]
-        wanted = max(height, params.metres("RTL_ALT"), least_m)
-        wanted = max(wanted, height + params.metres("RTL_CLIMB_MIN"))
-        slope = params["RTL_CONE_SLOPE"]
-        if slope > 0.0:
-            wanted = max(min(wanted, max(distance * slope, 2.0)), height)
-        final = params.metres("RTL_ALT_FINAL")
-        return ReturnPlan(
-            destination_ne_m=destination,
-            cruise_down_m=ground - wanted,
-            wait_down_m=ground - wanted,
-            wait_s=math.inf if final > 0.0 else params["RTL_LOIT_TIME"] / 1000.0,
-            speed_mps=params.metres("RTL_SPEED") or self.default_speed_mps,
-            climb_mps=max(params.metres("WPNAV_SPEED_UP"), 0.1),
-            descend_mps=max(params.metres("WPNAV_SPEED_DN"), 0.1),
-            accept_m=max(params.metres("WPNAV_RADIUS"), 0.3),
-            faces_home=params["WP_YAW_BEHAVIOR"] == 1.0,
-        )
-
-    def _return_point(self, ap: "Autopilot") -> tuple[tuple[float, float], float, float]:
-        """Home, or the nearest rally point within RALLY_LIMIT_KM if it is nearer."""
-        home = ap.home_ned_m
-        best = (home[0], home[1])
-        least_m = 0.0
-        here = ap.pos_ned_m[:2]
-        nearest = math.dist(here, best)
-        if ap.params["RALLY_INCL_HOME"] == 0.0:
-            nearest = math.inf
-        limit = ap.params["RALLY_LIMIT_KM"] * 1000.0 or math.inf
-        for item in ap.store.rally:
-            point = ap.frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
-            distance = math.dist(here, point)
-            if distance < nearest and distance <= limit:
-                nearest, best = distance, point
-                up = ap.frame.alt_amsl_m - item.z if item.frame in AMSL_FRAMES else None
-                least_m = item.z if up is None else home[2] - up
-        return best, home[2], least_m
-
-    # --- arming -------------------------------------------------------------------------------
+            ap.guidance.set_limits(self.rules.limits(ap.params))
+        self.modes.entered(ap, mode)
 
     def armed(self, ap: "Autopilot") -> None:
         """In AUTO, arming starts the mission."""
@@ -443,12 +246,12 @@ class ArduPilot:
         """MISSION_SET_CURRENT: works; the answer repeats the number that was asked."""
         if ap.executor.set_current(seq):
             fields: dict[str, Any] = self.streams["MISSION_CURRENT"](ap) or {}
-            ap.send(link_id, "MISSION_CURRENT", **{**fields, "seq": seq})
+            ap.radio.send(link_id, "MISSION_CURRENT", **{**fields, "seq": seq})
 
     def announce_current(self, ap: "Autopilot") -> None:
         """The new current item, to everybody."""
         fields: dict[str, Any] = self.streams["MISSION_CURRENT"](ap) or {}
-        ap.send_all("MISSION_CURRENT", **fields)
+        ap.radio.send_all("MISSION_CURRENT", **fields)
 
     def mission_left(self, ap: "Autopilot") -> None:
         """Nothing is sent when AUTO ends."""
@@ -460,7 +263,7 @@ class ArduPilot:
 
     def item_reached(self, ap: "Autopilot", seq: int) -> None:
         """MISSION_ITEM_REACHED to every link."""
-        ap.send_all("MISSION_ITEM_REACHED", seq=seq)
+        ap.radio.send_all("MISSION_ITEM_REACHED", seq=seq)
         if seq < len(ap.executor.plan) and ap.executor.plan.items[seq].command == Cmd.NAV_WAYPOINT:
             ap.say(Severity.INFO, f"Reached command #{seq}")
 
@@ -509,7 +312,7 @@ class ArduPilot:
         if kind in (0, 1):
             ap.speed_override_mps = max(speed_mps, 0.2)
             return
-        limits = self.limits(ap.params)
+        limits = self.rules.limits(ap.params)
         up = speed_mps if kind == 2 else limits.up_mps
         down = speed_mps if kind == 3 else limits.down_mps
         ap.guidance.set_limits(
@@ -561,14 +364,14 @@ class ArduPilot:
                 )
                 if isinstance(taken, Item):
                     place = self.place_of(ap, taken)
-                    self.take_setpoint(ap, Setpoint(ap.t_s, place, None, None, 0.0))
+                    self.modes.take_setpoint(ap, Setpoint(ap.t_s, place, None, None, 0.0))
                     self._answer_guided(ap, link_id, message, 0)
                     return True
         self._answer_guided(ap, link_id, message, 1)
         return True
 
     def _answer_guided(self, ap: "Autopilot", link_id: int, message: Message, result: int) -> None:
-        ap.send(
+        ap.radio.send(
             link_id,
             "MISSION_ACK",
             target_system=message.src_system,
@@ -584,7 +387,7 @@ class ArduPilot:
         result = Result.DENIED
         if message.base_mode & 1:
             result = request_mode(ap, message.custom_mode)
-        ap.send(
+        ap.radio.send(
             link_id,
             "COMMAND_ACK",
             command=11,
@@ -632,7 +435,7 @@ class ArduPilot:
         for name in ("HOME_POSITION", "GPS_GLOBAL_ORIGIN"):
             fields = self.streams[name](ap)
             if fields is not None:
-                ap.send_all(name, **fields)
+                ap.radio.send_all(name, **fields)
 
     def slow_step(self, ap: "Autopilot") -> None:
         """Idle disarming, the gripper's word, and the pre-arm complaint every half minute."""

@@ -204,7 +204,7 @@ def _reposition(ap: "Autopilot", command: Command) -> Result:
             return Result.FAILED
         ap.set_mode(Mode.GUIDED)
     yaw = math.radians(command.param4) if math.isfinite(command.param4) else None
-    ap.behaviour.take_setpoint(ap, Setpoint(ap.t_s, place, None, yaw, 0.0))
+    ap.behaviour.modes.take_setpoint(ap, Setpoint(ap.t_s, place, None, yaw, 0.0))
     return Result.ACCEPTED
 
 
@@ -245,7 +245,7 @@ def _mission_start(ap: "Autopilot", command: Command) -> Result:
 def _reboot(ap: "Autopilot", command: Command) -> Result:
     if command.param1 != 1.0 or (ap.is_armed and command.param6 != 20190226.0):
         return Result.FAILED
-    ap.acknowledge(command, Result.ACCEPTED)
+    ap.radio.acknowledge(command, Result.ACCEPTED)
     ap.reboot()
     return Result.ACCEPTED
 

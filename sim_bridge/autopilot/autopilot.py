@@ -12,15 +12,14 @@ It sees readings, never the truth. What ArduCopter and PX4 do differently is in 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from sim_bridge.autopilot.ardupilot import ArduPilot
 from sim_bridge.autopilot.battery import BatteryMonitor
-from sim_bridge.autopilot.codec import Decoder, Encoder, Message, Signer
-from sim_bridge.autopilot.commands import Command
+from sim_bridge.autopilot.codec import Signer
 from sim_bridge.autopilot.control import Actuation, Controller, ControlParams
-from sim_bridge.autopilot.enums import MissionType, Result, Severity, VehicleType
+from sim_bridge.autopilot.enums import MissionType, Severity, VehicleType
 from sim_bridge.autopilot.executor import FlightRules, MissionExecutor
 from sim_bridge.autopilot.failsafe import Failsafes
 from sim_bridge.autopilot.fence import Fence
@@ -30,7 +29,6 @@ from sim_bridge.autopilot.goals import FollowLine, Goal, HoldPoint, Idle, Vec3
 from sim_bridge.autopilot.guidance import Guidance, heading_along
 from sim_bridge.autopilot.inbox import handle
 from sim_bridge.autopilot.landing import LandingDetector
-from sim_bridge.autopilot.links import Link
 from sim_bridge.autopilot.mission import Item, MissionStore
 from sim_bridge.autopilot.mission_protocol import MissionProtocol
 from sim_bridge.autopilot.modes import Mode
@@ -38,6 +36,7 @@ from sim_bridge.autopilot.parameters import Parameter, ParameterStore
 from sim_bridge.autopilot.pilot import PilotInput
 from sim_bridge.autopilot.plan import Plan
 from sim_bridge.autopilot.px4 import Px4
+from sim_bridge.autopilot.radio import Radio
 from sim_bridge.autopilot.readings import Readings
 from sim_bridge.autopilot.returning import Returning
 from sim_bridge.autopilot.router import ArduPilotRouter, Px4Router
@@ -45,18 +44,6 @@ from sim_bridge.autopilot.setpoints import Here, Setpoint
 from sim_bridge.autopilot.wind import WindEstimator
 
 _SLOW_PERIOD_S = 0.1
-_TEXT_SIZE = 50
-_PARAMETERS_PER_STEP = 4
-
-
-@dataclass(slots=True)
-class _OwnCommand:
-    """A command that the autopilot itself sent to whoever is there, and may send again."""
-
-    number: int
-    params: tuple[float, ...]
-    tries: int
-    next_s: float
 
 
 class Autopilot:
@@ -91,12 +78,11 @@ class Autopilot:
         self.params = ParameterStore(flavour, parameters)
         self.frame = LocalFrame(*home)
         self.store = MissionStore()
-        self.links: dict[int, Link] = {}
         self.timesync_echoes: dict[tuple[int, int, int], int] = {}
-        self._outbox: list[tuple[int, bytes]] = []
         is_px4 = flavour is Flavour.PX4
         self.behaviour: ArduPilot | Px4 = Px4() if is_px4 else ArduPilot()
-        self.router = Px4Router(system_id, 1) if is_px4 else ArduPilotRouter(system_id, 1)
+        router = Px4Router(system_id, 1) if is_px4 else ArduPilotRouter(system_id, 1)
+        self.radio = Radio(self, router)
         self.protocol = MissionProtocol(self, self.behaviour.mission_rules, self.store)
         self.executor = MissionExecutor(
             self,
@@ -111,6 +97,7 @@ class Autopilot:
         self.landing = LandingDetector(self.behaviour.landing_lean_limit_rad)
         self.wind: WindEstimator | None = None
         self.fence = Fence()
+        self.flight_rules: FlightRules = self.behaviour.rules.flight_rules(self.params)
         self.readings: Readings | None = None
         self.actuation = Actuation()
         self.t_s = 0.0
@@ -141,9 +128,7 @@ class Autopilot:
         self.takeoff_down_m: float | None = None
         self.setpoint: Setpoint | None = None
         self.returning: Returning | None = None
-        self._own_commands: list[_OwnCommand] = []
         self._next_slow_s = self.t_s
-        self._text_id = 0
         self._mission_due_s: float | None = None
 
     # --- the outside --------------------------------------------------------------------------
@@ -157,44 +142,25 @@ class Autopilot:
         signing: Signer | None = None,
     ) -> None:
         """Bring a link up; telemetry flows from now on. `stream` for byte streams such as TCP."""
-        link = Link(
-            link_id,
-            kind,
-            Encoder(self.system_id, 1, signing=signing),
-            Decoder(stream=stream, keep_unknown=True, signing=signing),
-        )
-        self.links[link_id] = link
-        self.router.add_link(link_id)
-        self._start_streams(link)
+        self.radio.add_link(link_id, kind, stream=stream, signing=signing)
 
     def drop_link(self, link_id: int) -> None:
         """Take a link down."""
-        self.links.pop(link_id, None)
-        self.router.drop_link(link_id)
+        self.radio.drop_link(link_id)
 
     def receive(self, link_id: int, datagram: bytes) -> None:
         """Take bytes that arrived on a link; an unknown link comes up as an onboard one."""
-        if link_id not in self.links:
+        if link_id not in self.radio.links:
             self.add_link(link_id)
-        link = self.links[link_id]
-        messages = link.decoder.feed(datagram)
+        messages = self.radio.take_in(link_id, datagram)
         if self._resume_at_s is not None:
             return
         for message in messages:
-            if (message.src_system, message.src_component) == (self.system_id, 1):
-                continue
-            routing = self.router.route(link_id, message)
-            for other in routing.forward_to:
-                if isinstance(other, int) and other in self.links:
-                    self._outbox.append((other, message.wire_bytes))
-            link.peers.add((message.src_system, message.src_component))
-            if routing.deliver and message.msg_name != "UNKNOWN":
-                handle(self, link_id, message)
+            handle(self, link_id, message)
 
     def take_outbox(self) -> list[tuple[int, bytes]]:
         """Frames to send, in order, each with its link; the outbox is then empty."""
-        outbox, self._outbox = self._outbox, []
-        return outbox
+        return self.radio.take_outbox()
 
     def set_rc(self, channels: Sequence[int] | None) -> None:
         """What the pilot's receiver puts out from now on, in microseconds; None is no signal."""
@@ -207,8 +173,7 @@ class Autopilot:
         are not simulated: with them a companion would tick at times that the bridge did not set.
         """
         ts1 = self.time_boot_ns
-        for link_id in self.links:
-            self.send(link_id, "TIMESYNC", tc1=0, ts1=ts1)
+        self.radio.send_all("TIMESYNC", tc1=0, ts1=ts1)
         return ts1
 
     def reboot(self) -> None:
@@ -229,11 +194,7 @@ class Autopilot:
         self.failsafes = Failsafes()
         self.protocol.reset()
         self.pilot.was_present = False
-        for link in self.links.values():
-            link.has_gcs = False
-            link.peers.clear()
-            link.parameters = None
-            self._start_streams(link)
+        self.radio.reboot()
         self.params.revision += 1
         if flying:
             self.home_ned_m, self.ekf_origin_ned_m, self.home_is_set, self.release = kept
@@ -292,7 +253,7 @@ class Autopilot:
             self._next_slow_s = self.t_s + _SLOW_PERIOD_S - 1e-6
             self._slow_step(readings)
         self._fly(readings, dt_s)
-        self._talk()
+        self.radio.talk()
         return self.actuation
 
     def _slow_step(self, readings: Readings) -> None:
@@ -324,16 +285,17 @@ class Autopilot:
         self.behaviour.heed_pilot(self)
         self.failsafes.step(self)
         self.behaviour.slow_step(self)
-        self._repeat_own_commands()
+        self.radio.repeat_own_commands()
 
     def _read_rules(self) -> None:
         """What parameters say, in a form for every step."""
-        self.flight_rules: FlightRules = self.behaviour.flight_rules(self.params)
-        self.guidance.set_limits(self.behaviour.limits(self.params))
-        self.fence = self.behaviour.read_fence(self)
+        rules = self.behaviour.rules
+        self.flight_rules = rules.flight_rules(self.params)
+        self.guidance.set_limits(rules.limits(self.params))
+        self.fence = rules.fence(self)
         if not self._boot_is_read:  # drag fusion is set up once, at boot
             self._boot_is_read = True
-            drag = self.behaviour.drag_coefficients(self.params)
+            drag = rules.drag_coefficients(self.params)
             self.wind = None if drag is None else WindEstimator(drag)
 
     battery_remaining_frac: float | None = None
@@ -349,7 +311,7 @@ class Autopilot:
             actuation = self.guidance.disarmed(readings, dt_s)
             self.goal = Idle()
         else:
-            self.goal = self.behaviour.goal(self)
+            self.goal = self.behaviour.modes.goal(self)
             actuation = self.guidance.fly(self.goal, readings, dt_s)
         if actuation.release is not self.release:
             actuation = replace(actuation, release=self.release)
@@ -386,7 +348,7 @@ class Autopilot:
     @property
     def is_spooled(self) -> bool:
         """Whether the motors have been armed for long enough to take off."""
-        return self.is_armed and self.t_s - self.armed_since_s >= self.behaviour.spool_s
+        return self.is_armed and self.t_s - self.armed_since_s >= self.flight_rules.spool_s
 
     @property
     def gnss_ok(self) -> bool:
@@ -507,130 +469,15 @@ class Autopilot:
             self.hold_point = self.stopping_point()
         return self.hold_point
 
-    # --- messages out -------------------------------------------------------------------------
+    # --- for the executor, the protocol and the returning -------------------------------------
 
     def send(self, link_id: int, name: str, **fields: Any) -> None:
         """Queue one message on one link."""
-        link = self.links.get(link_id)
-        if link is not None:
-            self._outbox.append((link_id, link.encoder.encode(Message(name, **fields))))
-
-    def send_all(self, name: str, **fields: Any) -> None:
-        """Queue one message on every link."""
-        for link_id in self.links:
-            self.send(link_id, name, **fields)
+        self.radio.send(link_id, name, **fields)
 
     def say(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT where the flavour sends them, in chunks of 50 bytes."""
-        text, link_ids = self.behaviour.status_text(self, text)
-        chunks = [text[at : at + _TEXT_SIZE] for at in range(0, len(text), _TEXT_SIZE)]
-        text_id = 0
-        if len(chunks) > 1:
-            self._text_id = text_id = self._text_id % 65535 + 1
-        for link_id in link_ids:
-            for number, chunk in enumerate(chunks):
-                self.send(
-                    link_id,
-                    "STATUSTEXT",
-                    severity=int(severity),
-                    text=chunk,
-                    id=text_id,
-                    chunk_seq=number,
-                )
-
-    def acknowledge(self, command: Command, result: Result, progress: int = 0) -> None:
-        """Queue a COMMAND_ACK to the sender of a command."""
-        self.send(
-            command.link_id,
-            "COMMAND_ACK",
-            command=command.number,
-            result=int(result),
-            progress=progress,
-            target_system=command.system,
-            target_component=command.component,
-        )
-
-    def send_parameter(self, link_id: int, name: str, index: int | None = None) -> None:
-        """Queue a PARAM_VALUE."""
-        if name == "_HASH_CHECK":
-            value, kind, index = self.behaviour.hash_check(self.params), 5, 65535
-        else:
-            value, kind = self.params.wire(name)
-            if index is None:
-                index = self.params.index_of(name)
-        self.send(
-            link_id,
-            "PARAM_VALUE",
-            param_id=name,
-            param_value=value,
-            param_type=kind,
-            param_count=len(self.params),
-            param_index=index,
-        )
-
-    def start_parameter_list(self, link_id: int) -> None:
-        """Begin to send all parameters on a link, as fast as a link may bear."""
-        self.links[link_id].parameters = iter(self.behaviour.parameter_names(self.params))
-
-    def ask_companions(self, number: int, *params: float) -> None:
-        """Send a command of our own to whoever is on the links; repeated until answered."""
-        padded = (*params, *(0.0,) * (7 - len(params)))
-        self.forget_own_command(number)
-        self._own_commands.append(_OwnCommand(number, padded, 3, self.t_s))
-
-    def forget_own_command(self, number: int) -> None:
-        """Somebody answered, whatever they said."""
-        self._own_commands = [c for c in self._own_commands if c.number != number]
-
-    def _repeat_own_commands(self) -> None:
-        for command in [c for c in self._own_commands if c.next_s <= self.t_s]:
-            for link in self.links.values():
-                if not any(system == self.system_id for system, _ in link.peers):
-                    continue
-                fields = {f"param{i + 1}": value for i, value in enumerate(command.params)}
-                self.send(
-                    link.id,
-                    "COMMAND_LONG",
-                    target_system=self.system_id,
-                    target_component=0,
-                    command=command.number,
-                    confirmation=3 - command.tries,
-                    **fields,
-                )
-            command.tries -= 1
-            command.next_s = self.t_s + 0.2
-        self._own_commands = [c for c in self._own_commands if c.tries > 0]
-
-    def _start_streams(self, link: Link) -> None:
-        link.streams = []
-        link.next_due_s = self.t_s
-        for name, interval_s in self.behaviour.default_streams(link.kind).items():
-            link.set_interval(name, interval_s, self.t_s)
-
-    def _talk(self) -> None:
-        """Send what is due."""
-        built: dict[str, Message | None] = {}
-        for link in self.links.values():
-            for name in link.due(self.t_s + 1e-6):
-                if name not in built:
-                    fields = self.behaviour.streams[name](self)
-                    built[name] = None if fields is None else Message(name, **fields)
-                message = built[name]
-                if message is not None:
-                    self._outbox.append((link.id, link.encoder.encode(message)))
-            if link.parameters is not None:
-                self._send_parameters(link)
-
-    def _send_parameters(self, link: Link) -> None:
-        assert link.parameters is not None
-        for _ in range(_PARAMETERS_PER_STEP):
-            name = next(link.parameters, None)
-            if name is None:
-                link.parameters = None
-                return
-            self.send_parameter(link.id, name)
-
-    # --- for the executor, the protocol and the returning -------------------------------------
+        """Queue a STATUSTEXT."""
+        self.radio.say(severity, text)
 
     def gcs_heard(self, system: int) -> None:
         """A ground station's HEARTBEAT has arrived."""
@@ -639,7 +486,7 @@ class Autopilot:
     def cruise_mps(self) -> float:
         """Ground speed to fly legs at, now."""
         speed = self.guidance.controller.params.max_speed_mps
-        return min(self.speed_override_mps or self.behaviour.default_speed_mps, speed)
+        return min(self.speed_override_mps or self.flight_rules.default_speed_mps, speed)
 
     def may_take_off(self) -> bool:
         """Whether a mission may leave the ground now."""
@@ -651,7 +498,7 @@ class Autopilot:
 
     def sink_mps(self, height_m: float) -> float:
         """Descent speed of a landing at a height above home."""
-        return self.behaviour.sink_mps(self.params, height_m)
+        return self.behaviour.rules.sink_mps(self.params, height_m)
 
     def run_item(self, item: Item, seq: int) -> float:
         """Do what a non-navigating item says."""
@@ -659,11 +506,11 @@ class Autopilot:
 
     def leg_yaw_rad(self, start: Vec3, end: Vec3, item: Item) -> float | None:
         """Heading to fly a leg with."""
-        return heading_along(start, end) if self.behaviour.faces_legs(self.params) else None
+        return heading_along(start, end) if self.behaviour.rules.faces_legs(self.params) else None
 
     def plan_return(self) -> Returning:
         """A return to launch from here."""
-        return Returning(self.behaviour.return_plan(self), self.pos_ned_m)
+        return Returning(self.behaviour.modes.return_plan(self), self.pos_ned_m)
 
     def item_started(self, item: Item, seq: int) -> None:
         """An item has become the current one."""

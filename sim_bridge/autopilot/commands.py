@@ -92,7 +92,7 @@ def as_int(value: float, otherwise: int = -1) -> int:
 def set_message_interval(ap: "Autopilot", command: Command) -> Result:
     """SET_MESSAGE_INTERVAL: what an autopilot does not stream it refuses, each in its own word."""
     spec = SPECS_BY_ID.get(as_int(command.param1))
-    link = ap.links.get(command.link_id)
+    link = ap.radio.links.get(command.link_id)
     if spec is None or link is None or spec.name not in ap.behaviour.streams:
         return ap.behaviour.refused_interval
     if not math.isfinite(command.param2):
@@ -110,12 +110,12 @@ def set_message_interval(ap: "Autopilot", command: Command) -> Result:
 def get_message_interval(ap: "Autopilot", command: Command) -> Result:
     """GET_MESSAGE_INTERVAL: answered by a MESSAGE_INTERVAL."""
     spec = SPECS_BY_ID.get(as_int(command.param1))
-    link = ap.links.get(command.link_id)
+    link = ap.radio.links.get(command.link_id)
     if link is None:
         return Result.FAILED
     known = spec is not None and spec.name in ap.behaviour.streams
     interval = link.interval_of(spec.name) if known and spec is not None else None
-    ap.send(
+    ap.radio.send(
         command.link_id,
         "MESSAGE_INTERVAL",
         message_id=max(as_int(command.param1), 0) & 0xFFFF,
@@ -139,14 +139,14 @@ def request_message(ap: "Autopilot", command: Command) -> Result:
     fields = builder(ap)
     if fields is None:
         return ap.behaviour.refused_request
-    ap.send(command.link_id, spec.name, **fields)
+    ap.radio.send(command.link_id, spec.name, **fields)
     return Result.ACCEPTED
 
 
 def autopilot_version(ap: "Autopilot", command: Command) -> Result:
     """AUTOPILOT_VERSION: what it can do, and which firmware it is."""
     behaviour = ap.behaviour
-    ap.send(
+    ap.radio.send(
         command.link_id,
         "AUTOPILOT_VERSION",
         capabilities=behaviour.capabilities,
@@ -167,7 +167,7 @@ def autopilot_version(ap: "Autopilot", command: Command) -> Result:
 
 def protocol_version(ap: "Autopilot", command: Command) -> Result:
     """PROTOCOL_VERSION: MAVLink 2."""
-    ap.send(
+    ap.radio.send(
         command.link_id,
         "PROTOCOL_VERSION",
         version=200,
@@ -184,7 +184,7 @@ def get_home_position(ap: "Autopilot", command: Command) -> Result:
     fields = ap.behaviour.streams["HOME_POSITION"](ap)
     if fields is None:
         return Result.FAILED
-    ap.send(command.link_id, "HOME_POSITION", **fields)
+    ap.radio.send(command.link_id, "HOME_POSITION", **fields)
     return Result.ACCEPTED
 
 

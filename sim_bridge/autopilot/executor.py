@@ -31,6 +31,9 @@ from sim_bridge.autopilot.returning import Returning
 class FlightRules:
     """What an autopilot's parameters and habits make of mission items."""
 
+    default_speed_mps: float
+    spool_s: float
+    """From arming to the first thrust."""
     accept_radius_m: float
     accept_height_m: float
     takeoff_speed_mps: float

@@ -22,7 +22,7 @@ def _is_for_us(ap: "Autopilot", message: Message) -> bool:
 
 def heartbeat(ap: "Autopilot", link_id: int, message: Message) -> None:
     """HEARTBEAT: who is there; a ground station's keeps the data link alive."""
-    link = ap.links[link_id]
+    link = ap.radio.links[link_id]
     if message.type == VehicleType.GCS:
         link.has_gcs = True
         ap.gcs_heard(message.src_system)
@@ -31,7 +31,7 @@ def heartbeat(ap: "Autopilot", link_id: int, message: Message) -> None:
 def timesync(ap: "Autopilot", link_id: int, message: Message) -> None:
     """TIMESYNC: answer a request; note an answer to ours."""
     if message.tc1 == 0:
-        ap.send(link_id, "TIMESYNC", tc1=ap.time_boot_ns, ts1=message.ts1)
+        ap.radio.send(link_id, "TIMESYNC", tc1=ap.time_boot_ns, ts1=message.ts1)
     else:
         ap.timesync_echoes[link_id, message.src_system, message.src_component] = message.ts1
 
@@ -39,7 +39,7 @@ def timesync(ap: "Autopilot", link_id: int, message: Message) -> None:
 def ping(ap: "Autopilot", link_id: int, message: Message) -> None:
     """PING request: sent back to its sender."""
     if message.target_system == 0 and message.target_component == 0:
-        ap.send(
+        ap.radio.send(
             link_id,
             "PING",
             time_usec=message.time_usec,
@@ -63,12 +63,12 @@ def _command(ap: "Autopilot", command: Command) -> None:
     handler = ap.behaviour.commands.get(command.number)
     result = Result.UNSUPPORTED if handler is None else handler(ap, command)
     if result is not None:
-        ap.acknowledge(command, result)
+        ap.radio.acknowledge(command, result)
 
 
 def command_ack(ap: "Autopilot", link_id: int, message: Message) -> None:
     """COMMAND_ACK: somebody answered a command of ours."""
-    ap.forget_own_command(message.command)
+    ap.radio.forget_own_command(message.command)
 
 
 def param_request_read(ap: "Autopilot", link_id: int, message: Message) -> None:
@@ -76,14 +76,14 @@ def param_request_read(ap: "Autopilot", link_id: int, message: Message) -> None:
     if message.param_index >= 0:
         name = ap.params.name_at(message.param_index)
         if name is not None:
-            ap.send_parameter(link_id, name)
+            ap.radio.send_parameter(link_id, name)
     elif message.param_id in ap.params or message.param_id == "_HASH_CHECK":
-        ap.send_parameter(link_id, message.param_id)
+        ap.radio.send_parameter(link_id, message.param_id)
 
 
 def param_request_list(ap: "Autopilot", link_id: int, message: Message) -> None:
     """PARAM_REQUEST_LIST: all of them, a few at each step."""
-    ap.start_parameter_list(link_id)
+    ap.radio.start_parameter_list(link_id)
 
 
 def param_set(ap: "Autopilot", link_id: int, message: Message) -> None:
@@ -124,14 +124,14 @@ def position_target_local(ap: "Autopilot", link_id: int, message: Message) -> No
     """SET_POSITION_TARGET_LOCAL_NED."""
     setpoint = local_setpoint(message, ap.here())
     if setpoint is not None:
-        ap.behaviour.take_setpoint(ap, setpoint)
+        ap.behaviour.modes.take_setpoint(ap, setpoint)
 
 
 def position_target_global(ap: "Autopilot", link_id: int, message: Message) -> None:
     """SET_POSITION_TARGET_GLOBAL_INT."""
     setpoint = global_setpoint(message, ap.here())
     if setpoint is not None:
-        ap.behaviour.take_setpoint(ap, setpoint)
+        ap.behaviour.modes.take_setpoint(ap, setpoint)
 
 
 def rc_channels_override(ap: "Autopilot", link_id: int, message: Message) -> None:
@@ -157,7 +157,7 @@ def manual_control(ap: "Autopilot", link_id: int, message: Message) -> None:
 def request_data_stream(ap: "Autopilot", link_id: int, message: Message) -> None:
     """REQUEST_DATA_STREAM: ArduPilot's groups; PX4 has none."""
     names = ap.behaviour.data_stream(message.req_stream_id)
-    link = ap.links[link_id]
+    link = ap.radio.links[link_id]
     rate_hz = message.req_message_rate
     interval = None
     if message.start_stop and rate_hz > 0:
@@ -174,7 +174,7 @@ def file_transfer(ap: "Autopilot", link_id: int, message: Message) -> None:
     if opcode >= 128:
         return
     nak = (seq + 1 & 0xFFFF).to_bytes(2, "little") + bytes([session, 129, 1, opcode, 0, 0])
-    ap.send(
+    ap.radio.send(
         link_id,
         "FILE_TRANSFER_PROTOCOL",
         target_network=0,

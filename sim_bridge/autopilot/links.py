@@ -1,19 +1,11 @@
 """The autopilot's MAVLink links: who was heard on each, what is streamed on each."""
 
+import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from sim_bridge.autopilot.codec import Decoder, Encoder
 from sim_bridge.autopilot.flavour import LinkKind
-
-
-@dataclass(slots=True)
-class Stream:
-    """One message type sent at an interval."""
-
-    name: str
-    interval_s: float
-    due_s: float
 
 
 @dataclass(slots=True)
@@ -24,38 +16,38 @@ class Link:
     kind: LinkKind
     encoder: Encoder
     decoder: Decoder
-    streams: list[Stream] = field(default_factory=list)
-    next_due_s: float = 0.0
     has_gcs: bool = False
     peers: set[tuple[int, int]] = field(default_factory=set)
     parameters: Iterator[str] | None = None
+    _intervals_s: dict[str, float] = field(default_factory=dict)
+    _due: list[tuple[float, str]] = field(default_factory=list)
+
+    def clear_streams(self) -> None:
+        """Stream nothing any more."""
+        self._intervals_s.clear()
+        self._due.clear()
 
     def set_interval(self, name: str, interval_s: float | None, now_s: float) -> None:
         """Stream a message every `interval_s`; None ends it."""
-        self.streams = [stream for stream in self.streams if stream.name != name]
+        self._intervals_s.pop(name, None)
+        self._due = [entry for entry in self._due if entry[1] != name]
         if interval_s is not None:
-            self.streams.append(Stream(name, interval_s, now_s))
-            self.next_due_s = min(self.next_due_s, now_s)
+            self._intervals_s[name] = interval_s
+            self._due.append((now_s, name))
+        heapq.heapify(self._due)
 
     def interval_of(self, name: str) -> float | None:
         """Seconds between two of a message; None when it is not streamed."""
-        for stream in self.streams:
-            if stream.name == name:
-                return stream.interval_s
-        return None
+        return self._intervals_s.get(name)
 
     def due(self, now_s: float) -> list[str]:
-        """Names of the messages to send now."""
-        if now_s < self.next_due_s:
-            return []
-        names = []
-        soonest = now_s + 3600.0
-        for stream in self.streams:
-            if stream.due_s <= now_s:
-                names.append(stream.name)
-                stream.due_s += stream.interval_s
-                if stream.due_s <= now_s:  # it fell behind: do not send a burst
-                    stream.due_s = now_s + stream.interval_s
-            soonest = min(soonest, stream.due_s)
-        self.next_due_s = soonest
+        """Names of the messages to send now, the most overdue first."""
+        queue, names = self._due, []
+        while queue and queue[0][0] <= now_s:
+            due_s, name = queue[0]
+            names.append(name)
+            following = due_s + self._intervals_s[name]
+            if following <= now_s:  # it fell behind: do not send a burst
+                following = now_s + self._intervals_s[name]
+            heapq.heapreplace(queue, (following, name))
         return names

@@ -15,21 +15,14 @@ from sim_bridge.autopilot.enums import (
     Result,
     Severity,
 )
-from sim_bridge.autopilot.executor import FlightRules, Phase
+from sim_bridge.autopilot.executor import Phase
 from sim_bridge.autopilot.failsafe import Failsafes
-from sim_bridge.autopilot.fence import Fence, read_areas
 from sim_bridge.autopilot.flavour import BatterySensing, LinkKind
 from sim_bridge.autopilot.goals import (
     Descend,
-    FlyVelocity,
-    FollowLine,
-    Goal,
-    HoldPoint,
     Idle,
     Vec3,
-    distance_ne_m,
 )
-from sim_bridge.autopilot.guidance import Limits, heading_along
 from sim_bridge.autopilot.mission import (
     NO_COORDINATE,
     PLACED,
@@ -47,13 +40,11 @@ from sim_bridge.autopilot.modes import (
     px4_mode_of,
 )
 from sim_bridge.autopilot.parameters import ParameterStore
-from sim_bridge.autopilot.piloted import level_descent, piloted_goal
 from sim_bridge.autopilot.px4_commands import COMMANDS, can_run, request_mode
 from sim_bridge.autopilot.px4_failsafe import watch
 from sim_bridge.autopilot.px4_mission import mission_problem
-from sim_bridge.autopilot.returning import ReturnPlan
-from sim_bridge.autopilot.setpoints import Setpoint
-from sim_bridge.autopilot.wind import DragCoefficients
+from sim_bridge.autopilot.px4_modes import Px4Modes
+from sim_bridge.autopilot.px4_rules import Px4Rules
 
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
@@ -93,12 +84,10 @@ class Px4:
 
     def __init__(self) -> None:
         self.mission_rules = Px4MissionRules()
-        self.default_speed_mps = 5.0
-        self.spool_s = 1.0
+        self.rules = Px4Rules()
+        self.modes = Px4Modes()
         self._mission_problem: str | None = None
         self._pending_speed_mps: float | None = None
-        self._leg_start: Vec3 | None = None
-        self._hold_yaw: float | None = None
         self._switch: int | None = None
         self._throttle_at_entry: float | None = None
         self._acts_at_s = math.inf
@@ -137,7 +126,7 @@ class Px4:
 
     def status_text(self, ap: "Autopilot", text: str) -> tuple[str, list[int]]:
         """Only where a ground station's HEARTBEAT was heard; texts end with a tab."""
-        return text + "\t", [link.id for link in ap.links.values() if link.has_gcs]
+        return text + "\t", [link.id for link in ap.radio.links.values() if link.has_gcs]
 
     def hud_airspeed_mps(self, ap: "Autopilot") -> float:
         """VFR_HUD.airspeed: NaN on a multirotor without a sensor."""
@@ -208,61 +197,9 @@ class Px4:
             return
         if not ap.params.accept(name, message.param_value, message.param_type):
             ap.say(Severity.ERROR, f"[pm] param types mismatch param: {name}")
-        ap.send_parameter(link_id, name)
+        ap.radio.send_parameter(link_id, name)
 
-    def flight_rules(self, params: ParameterStore) -> FlightRules:
-        """NAV_*, MIS_* and MPC_* as the executor needs them."""
-        self.default_speed_mps = max(params["MPC_XY_CRUISE"], 0.1)
-        self.spool_s = max(params["COM_SPOOLUP_TIME"], 0.0)
-        radius = max(params["NAV_ACC_RAD"], 0.05)
-        return FlightRules(
-            accept_radius_m=radius,
-            accept_height_m=max(params["NAV_MC_ALT_RAD"], 0.05),
-            takeoff_speed_mps=max(params["MPC_TKO_SPEED"], 0.1),
-            takeoff_min_height_m=max(params["MIS_TAKEOFF_ALT"], 0.0),
-            corner_accel_mps2=max(params["MPC_ACC_HOR"], 0.1),
-            land_above_m=2.0,
-        )
-
-    def limits(self, params: ParameterStore) -> Limits:
-        """MPC_* for the controller."""
-        return Limits(
-            horizontal_mps=max(params["MPC_XY_VEL_MAX"], 0.1),
-            up_mps=max(params["MPC_Z_V_AUTO_UP"], 0.1),
-            down_mps=max(params["MPC_Z_V_AUTO_DN"], 0.1),
-            accel_mps2=max(params["MPC_ACC_HOR"], 0.5),
-            jerk_mps3=max(params["MPC_JERK_AUTO"], 1.0),
-            tilt_rad=math.radians(min(max(params["MPC_TILTMAX_AIR"], 10.0), 60.0)),
-        )
-
-    def drag_coefficients(self, params: ParameterStore) -> DragCoefficients | None:
-        """EKF2_DRAG_CTRL and its coefficients."""
-        drag = DragCoefficients(
-            params["EKF2_BCOEF_X"], params["EKF2_BCOEF_Y"], params["EKF2_MCOEF"]
-        )
-        return drag if params["EKF2_DRAG_CTRL"] == 1.0 and drag.are_usable else None
-
-    def sink_mps(self, params: ParameterStore, height_m: float) -> float:
-        """MPC_LAND_SPEED below MPC_LAND_ALT2, growing to MPC_Z_V_AUTO_DN at MPC_LAND_ALT1."""
-        slow, fast = params["MPC_LAND_SPEED"], params["MPC_Z_V_AUTO_DN"]
-        low, high = params["MPC_LAND_ALT2"], params["MPC_LAND_ALT1"]
-        share = (height_m - low) / max(high - low, 0.1)
-        return max(slow + min(max(share, 0.0), 1.0) * (fast - slow), 0.1)
-
-    def faces_legs(self, params: ParameterStore) -> bool:
-        """MPC_YAW_MODE 0: towards the waypoint."""
-        return params["MPC_YAW_MODE"] == 0.0
-
-    def read_fence(self, ap: "Autopilot") -> Fence:
-        """GF_* and the uploaded areas."""
-        radius, height = ap.params["GF_MAX_HOR_DIST"], ap.params["GF_MAX_VER_DIST"]
-        return Fence(
-            areas=read_areas(ap.store.fence, ap.frame),
-            radius_m=radius if radius > 0.0 else None,
-            height_m=height if height > 0.0 else None,
-        )
-
-    # --- modes --------------------------------------------------------------------------------
+    # --- modes and arming ---------------------------------------------------------------------
 
     def initial_mode(self, params: ParameterStore) -> Mode:
         """Without radio control it comes up in HOLD."""
@@ -271,170 +208,11 @@ class Px4:
     def enter(self, ap: "Autopilot", mode: Mode) -> None:
         """What entering a mode starts."""
         ap.enter(mode)
-        self._leg_start = None
-        self._hold_yaw = None
+        self.modes.entered(ap, mode)
         sticks = ap.pilot.sticks()
         self._throttle_at_entry = None if sticks is None else sticks.throttle
-        if mode is Mode.TAKEOFF:
-            self.take_off_to(ap, math.nan)
         if mode is Mode.AUTO and ap.is_armed:
             self._start_mission(ap)
-        elif mode is Mode.RTL and ap.is_armed:
-            ap.speed_override_mps = None
-            ap.returning = ap.plan_return()
-
-    def goal(self, ap: "Autopilot") -> Goal:
-        """What the mode wants now (only asked while armed)."""
-        match ap.mode:
-            case Mode.AUTO:
-                return ap.executor.step()
-            case Mode.TAKEOFF:
-                return self._takeoff(ap)
-            case Mode.GUIDED:
-                return self._offboard(ap)
-            case Mode.RTL:
-                return self._rtl(ap)
-            case Mode.LAND:
-                return self._land(ap)
-            case Mode.DESCEND:
-                return Idle() if ap.is_landed else level_descent(ap.params["MPC_LAND_SPEED"])
-            case Mode.HOLD:
-                return self._hold(ap)
-            case _:
-                params = ap.params
-                return piloted_goal(ap, params["MPC_VEL_MANUAL"], params["MPC_Z_VEL_MAX_UP"])
-
-    def _hold(self, ap: "Autopilot") -> Goal:
-        if ap.is_landed:
-            return Idle()
-        point = ap.hold_here()
-        start = self._leg_start
-        if start is None:
-            return HoldPoint(point, self._hold_yaw)
-        if distance_ne_m(ap.pos_ned_m, point) < 1.0 and abs(ap.pos_ned_m[2] - point[2]) < 0.5:
-            self._leg_start = None
-        return FollowLine(start, point, ap.cruise_mps(), 0.0, self._hold_yaw)
-
-    def go_to(self, ap: "Autopilot", place: Vec3, yaw_rad: float | None) -> None:
-        """DO_REPOSITION, in HOLD."""
-        ap.hold_point = place
-        self._leg_start = ap.pos_ned_m
-        self._hold_yaw = yaw_rad if yaw_rad is not None else heading_along(ap.pos_ned_m, place)
-
-    def take_off_to(self, ap: "Autopilot", alt_amsl_m: float) -> None:
-        """The altitude to take off to; at least MIS_TAKEOFF_ALT above home."""
-        least = ap.home_ned_m[2] - ap.params["MIS_TAKEOFF_ALT"]
-        down = least
-        if math.isfinite(alt_amsl_m):
-            down = min(ap.frame.alt_amsl_m - alt_amsl_m, least)
-        ap.takeoff_down_m = down
-
-    def _takeoff(self, ap: "Autopilot") -> Goal:
-        if ap.takeoff_down_m is None:
-            self.take_off_to(ap, math.nan)
-        down = ap.takeoff_down_m
-        assert down is not None
-        if ap.hold_point is None or (ap.is_landed and not ap.is_spooled):
-            ap.hold_point = ap.pos_ned_m
-        if ap.is_landed and not ap.is_spooled:
-            return Idle()
-        north, east, start_down = ap.hold_point
-        top = (north, east, min(down, start_down))
-        if ap.pos_ned_m[2] - top[2] > 0.5:
-            return FollowLine((north, east, start_down), top, ap.flight_rules.takeoff_speed_mps)
-        ap.set_mode(Mode.HOLD)
-        ap.hold_point = top
-        return HoldPoint(top)
-
-    def _offboard(self, ap: "Autopilot") -> Goal:
-        setpoint = ap.setpoint
-        if setpoint is None or not self.has_setpoints(ap):
-            if ap.is_landed:
-                return Idle()
-            self._offboard_lost(ap)
-            return HoldPoint(ap.pos_ned_m)
-        pos, vel = setpoint.pos_ned_m, setpoint.vel_ned_mps
-        wants_up = (pos is not None and pos[2] < ap.pos_ned_m[2] - 0.3) or (
-            vel is not None and vel[2] < -0.1
-        )
-        if ap.is_landed and not (wants_up and ap.is_spooled):
-            return Idle()
-        if pos is None:
-            assert vel is not None
-            return FlyVelocity(vel, setpoint.yaw_rad, setpoint.yaw_rate_rps)
-        return HoldPoint(pos, setpoint.yaw_rad)
-
-    def _offboard_lost(self, ap: "Autopilot") -> None:
-        """COM_OBL_RC_ACT with a pilot; without one, or where it cannot be, RTL."""
-        ap.failsafe_reason = "offboard"
-        ap.say(Severity.CRITICAL, "Failsafe activated: Offboard control lost")
-        wanted = {
-            0: Mode.LOITER,
-            1: Mode.ALT_HOLD,
-            2: Mode.STABILIZE,
-            3: Mode.RTL,
-            4: Mode.LAND,
-            5: Mode.HOLD,
-        }.get(int(ap.params["COM_OBL_RC_ACT"]), Mode.RTL)
-        ap.set_mode(wanted if can_run(ap, wanted) else Mode.RTL)
-
-    def _rtl(self, ap: "Autopilot") -> Goal:
-        if ap.is_landed:
-            return Idle()
-        if ap.returning is None:
-            ap.returning = ap.plan_return()
-        return ap.returning.step(ap) or Idle()
-
-    def _land(self, ap: "Autopilot") -> Goal:
-        if ap.is_landed:
-            return Idle()
-        north, east, _ = ap.hold_here()
-        return Descend((north, east), self.sink_mps(ap.params, ap.height_above_home_m()))
-
-    def has_setpoints(self, ap: "Autopilot") -> bool:
-        """Whether a set-point has come within COM_OF_LOSS_T."""
-        age = math.inf if ap.setpoint is None else ap.t_s - ap.setpoint.t_s
-        return age <= max(ap.params["COM_OF_LOSS_T"], 0.1)
-
-    def take_setpoint(self, ap: "Autopilot", setpoint: Setpoint) -> None:
-        """Heard in any mode: a stream has to be there before OFFBOARD."""
-        ap.setpoint = setpoint
-
-    def return_plan(self, ap: "Autopilot") -> ReturnPlan:
-        """RTL_*: a cone about the destination, home or the nearest safe point."""
-        params, here, home = ap.params, ap.pos_ned_m, ap.home_ned_m
-        destination = (home[0], home[1])
-        nearest = math.dist(here[:2], destination)
-        for item in ap.store.rally:
-            point = ap.frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
-            if math.dist(here[:2], point) < nearest:
-                nearest, destination = math.dist(here[:2], point), point
-        height = home[2] - here[2]
-        return_alt, descend_alt = params["RTL_RETURN_ALT"], params["RTL_DESCEND_ALT"]
-        angle = math.radians(min(max(params["RTL_CONE_ANG"], 0.0), 90.0))
-        if params["RTL_CONE_ANG"] > 0.0:
-            if nearest <= params["RTL_MIN_DIST"]:
-                wanted = descend_alt
-            else:
-                inside = nearest / math.tan(angle) if angle < 1.57 else 0.0
-                wanted = max(min(inside, return_alt), descend_alt)
-        else:
-            wanted = return_alt
-        wanted = max(wanted, height)
-        delay = params["RTL_LAND_DELAY"]
-        return ReturnPlan(
-            destination_ne_m=destination,
-            cruise_down_m=home[2] - wanted,
-            wait_down_m=home[2] - min(descend_alt, wanted),
-            wait_s=math.inf if delay < 0.0 else delay,
-            speed_mps=self.default_speed_mps,
-            climb_mps=max(params["MPC_Z_V_AUTO_UP"], 0.1),
-            descend_mps=max(params["MPC_Z_V_AUTO_DN"], 0.1),
-            accept_m=min(params["NAV_ACC_RAD"], 3.0),
-            faces_home=True,
-        )
-
-    # --- arming -------------------------------------------------------------------------------
 
     def armed(self, ap: "Autopilot") -> None:
         """Arming starts what the mode is for."""
@@ -522,14 +300,16 @@ class Px4:
 
     def _tell_current(self, ap: "Autopilot") -> None:
         fields = self.streams["MISSION_CURRENT"](ap) or {}
-        ap.send_all("MISSION_CURRENT", **fields)
+        ap.radio.send_all("MISSION_CURRENT", **fields)
 
     def mission_left(self, ap: "Autopilot") -> None:
         """It tells cameras and gimbals to rest; a companion hears it too."""
-        ap.ask_companions(Cmd.DO_TRIGGER_CONTROL, 0.0, 1.0, -1.0)
+        ap.radio.ask_companions(Cmd.DO_TRIGGER_CONTROL, 0.0, 1.0, -1.0)
         if not ap.is_landed:
-            ap.ask_companions(Cmd.DO_GIMBAL_MANAGER_CONFIGURE, -3.0, -3.0, -1.0, -1.0)
-            ap.ask_companions(Cmd.DO_GIMBAL_MANAGER_PITCHYAW, math.nan, 0.0, math.nan, math.nan)
+            ap.radio.ask_companions(Cmd.DO_GIMBAL_MANAGER_CONFIGURE, -3.0, -3.0, -1.0, -1.0)
+            ap.radio.ask_companions(
+                Cmd.DO_GIMBAL_MANAGER_PITCHYAW, math.nan, 0.0, math.nan, math.nan
+            )
 
     def item_started(self, ap: "Autopilot", item: Item, seq: int) -> None:
         """MISSION_CURRENT at each change."""
@@ -540,7 +320,7 @@ class Px4:
 
     def item_reached(self, ap: "Autopilot", seq: int) -> None:
         """MISSION_ITEM_REACHED, and another ten times at 1 Hz."""
-        ap.send_all("MISSION_ITEM_REACHED", seq=seq)
+        ap.radio.send_all("MISSION_ITEM_REACHED", seq=seq)
         self._reached_seq, self._reached_left = seq, _REACHED_AGAIN
         self._reached_next_s = ap.t_s + 1.0
 
@@ -611,7 +391,7 @@ class Px4:
         result = Result.DENIED
         if message.base_mode & 1:
             result = request_mode(ap, px4_mode_of(message.custom_mode))
-        ap.send(
+        ap.radio.send(
             link_id,
             "COMMAND_ACK",
             command=int(Cmd.DO_SET_MODE),
@@ -691,9 +471,9 @@ class Px4:
         fields = self.streams["HOME_POSITION"](ap)
         if fields is None:
             return
-        for link in ap.links.values():
+        for link in ap.radio.links.values():
             if link.interval_of("HOME_POSITION") is not None:
-                ap.send(link.id, "HOME_POSITION", **fields)
+                ap.radio.send(link.id, "HOME_POSITION", **fields)
 
     def slow_step(self, ap: "Autopilot") -> None:
         """Automatic disarming, delayed actions, repeated messages."""
@@ -708,11 +488,11 @@ class Px4:
                 ap.set_mode(mode)
         for later in [entry for entry in self._later if entry.due_s <= ap.t_s]:
             self._later.remove(later)
-            ap.acknowledge(later.command, Result.ACCEPTED)
+            ap.radio.acknowledge(later.command, Result.ACCEPTED)
         if self._reached_left > 0 and ap.t_s >= self._reached_next_s:
             self._reached_left -= 1
             self._reached_next_s = ap.t_s + 1.0
-            ap.send_all("MISSION_ITEM_REACHED", seq=self._reached_seq)
+            ap.radio.send_all("MISSION_ITEM_REACHED", seq=self._reached_seq)
 
     def _disarm_on_ground(self, ap: "Autopilot") -> None:
         if ap.has_flown:

@@ -33,7 +33,7 @@ def can_run(ap: "Autopilot", mode: Mode) -> bool:
     if mode is Mode.AUTO:
         return ap.px4.mission_is_valid(ap)
     if mode is Mode.GUIDED:
-        return ap.px4.has_setpoints(ap)
+        return ap.px4.modes.has_setpoints(ap)
     if mode in (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER):
         return ap.pilot.sticks() is not None
     return True
@@ -108,7 +108,7 @@ def _takeoff(ap: "Autopilot", command: Command) -> Result:
     """Altitude AMSL, whatever the frame; disarmed it is accepted too, and arming starts it."""
     result = request_mode(ap, Mode.TAKEOFF)
     if result is Result.ACCEPTED:
-        ap.px4.take_off_to(ap, command.param7)
+        ap.px4.modes.take_off_to(ap, command.param7)
     return result
 
 
@@ -132,7 +132,7 @@ def _reposition(ap: "Autopilot", command: Command) -> Result:
     if math.isfinite(command.param1) and command.param1 > 0.0:
         ap.speed_override_mps = command.param1
     yaw = math.radians(command.param4) if math.isfinite(command.param4) else None
-    ap.px4.go_to(ap, (north, east, down), yaw)
+    ap.px4.modes.go_to(ap, (north, east, down), yaw)
     return Result.ACCEPTED
 
 
@@ -155,7 +155,7 @@ def _reboot(ap: "Autopilot", command: Command) -> Result:
         return Result.DENIED if command.param1 != 0.0 else Result.ACCEPTED
     if ap.is_armed:
         return Result.TEMPORARILY_REJECTED
-    ap.acknowledge(command, Result.ACCEPTED)
+    ap.radio.acknowledge(command, Result.ACCEPTED)
     ap.reboot()
     return Result.ACCEPTED
 

@@ -18,7 +18,8 @@ _LINK_ACTIONS = {1: Mode.HOLD, 2: Mode.RTL, 3: Mode.LAND}
 """NAV_RCL_ACT and NAV_DLL_ACT; 5 and 6 (terminate, lockdown) disarm."""
 _TERMINATE = (5, 6)
 _FENCE_ACTIONS = {2: Mode.HOLD, 3: Mode.RTL, 5: Mode.LAND}
-_RCL_EXCEPT = {Mode.AUTO: 1, Mode.HOLD: 2, Mode.GUIDED: 4}
+_LINK_EXCEPT = {Mode.AUTO: 1, Mode.HOLD: 2, Mode.GUIDED: 4}
+"""Bits of COM_RCL_EXCEPT and COM_DLL_EXCEPT."""
 _HOME_OR_DOWN = frozenset({Mode.RTL, Mode.LAND, Mode.DESCEND})
 
 
@@ -54,7 +55,7 @@ def _radio(ap: "Autopilot", failsafes: Failsafes) -> None:
     lost = ap.pilot.lost_for_s(ap.t_s) > 0.0 and action > 0
     if not failsafes.rc.update(lost, ap.t_s, ap.params["COM_RC_LOSS_T"]):
         return
-    if int(ap.params["COM_RCL_EXCEPT"]) & _RCL_EXCEPT.get(ap.mode, 0):
+    if int(ap.params["COM_RCL_EXCEPT"]) & _LINK_EXCEPT.get(ap.mode, 0):
         return
     _link_lost(ap, action, "Manual control lost")
 
@@ -62,8 +63,11 @@ def _radio(ap: "Autopilot", failsafes: Failsafes) -> None:
 def _ground_station(ap: "Autopilot", failsafes: Failsafes) -> None:
     action = int(ap.params["NAV_DLL_ACT"])
     silent = failsafes.gcs_silent_s(ap.t_s) > ap.params["COM_DL_LOSS_T"] and action > 0
-    if failsafes.gcs.update(silent, ap.t_s, 0.0):
-        _link_lost(ap, action, "GCS connection lost")
+    if not failsafes.gcs.update(silent, ap.t_s, 0.0):
+        return
+    if int(ap.params["COM_DLL_EXCEPT"]) & _LINK_EXCEPT.get(ap.mode, 0):
+        return
+    _link_lost(ap, action, "GCS connection lost")
 
 
 def _link_lost(ap: "Autopilot", action: int, text: str) -> None:
