@@ -90,11 +90,15 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What flies, and how it starts."""
+    """What flies, and how it starts.
+
+    `charge_frac` is a number, or [lowest, highest]: a pack as it comes from the shelf. The simulator
+    draws from the range by its seed; the companion then has to find the charge out by itself.
+    """
 
     airframe: str
     payload_kg: float = 0.0
-    charge_frac: float = 1.0
+    charge_frac: float | list[float] = 1.0
     temperature_c: float = 20.0
     battery_health_frac: float = 1.0
     pitot: bool = False
@@ -102,9 +106,18 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     def __post_init__(self) -> None:
         check_range("vehicle.payload_kg", self.payload_kg, 0.0, 500.0)
-        check_range("vehicle.charge_frac", self.charge_frac, 0.05, 1.0)
+        span = self.charge_frac if isinstance(self.charge_frac, list) else [self.charge_frac] * 2
+        if len(span) != 2 or span[0] > span[1]:
+            raise LeewayError("vehicle.charge_frac: expected a number, or [lowest, highest]")
+        for value in span:
+            check_range("vehicle.charge_frac", value, 0.05, 1.0)
         check_range("vehicle.temperature_c", self.temperature_c, -30.0, 60.0)
         check_range("vehicle.battery_health_frac", self.battery_health_frac, 0.3, 1.0)
+
+    @property
+    def charge_frac_stated(self) -> float | None:
+        """The charge at the start, where the file states it."""
+        return None if isinstance(self.charge_frac, list) else self.charge_frac
 
 
 class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -19,6 +19,7 @@ from scipy.special import ndtr, ndtri
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.gate_paths import PathSampler
 from companion.core.gate_table import POLICY, LegTable
+from companion.core.power_scale import ModelError
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
@@ -75,14 +76,18 @@ class _Budget:
     left_wh: float
     battery_std_wh: float
     model_std_frac: float
+    scale: float = 1.0
+    """Needs are the model's; what they really take is `scale` times as much."""
 
     def p_enough(self, need_wh: FloatArray) -> FloatArray:
         """Probability that each need is met, model and battery errors integrated."""
+        need_wh = self.scale * need_wh
         spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
         return ndtr((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
 
     def margin_wh(self, need_wh: FloatArray, p: float) -> float:
         """What is left above the energy at which the mean of `p_enough` would be just `p`."""
+        need_wh = self.scale * need_wh
         spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
         low = float(need_wh.min()) - 9.0 * float(spread.max())
         high = float((need_wh + 9.0 * spread).max())
@@ -106,15 +111,23 @@ class Gate:
         self._sampler = PathSampler(params.samples)
 
     def assess(
-        self, ahead: Ahead, wind: WindBelief, outlook: WindOutlook, energy: EnergyBelief
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None = None,
     ) -> Assessment:
-        """Judge the remaining mission under wind, its change, and the models' own errors."""
+        """Judge the remaining mission under wind, its change, and the models' own errors.
+
+        `model`: what was learned of the energy model in flight; without it, the airframe file's.
+        """
+        if model is None:
+            model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
         quantile = float(ndtri(1.0 - self.params.max_loss))
         table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler, quantile)
         budget = _Budget(
-            energy.mean_wh - self.params.reserve_wh,
-            energy.std_wh,
-            self._route_energy.airframe.power_rotor.model_std_frac,
+            energy.mean_wh - self.params.reserve_wh, energy.std_wh, model.std_frac, model.scale
         )
         best, p_now = self._best_way(table, budget, 0, np.zeros(self.params.samples))
         unattended = table.unattended_wh()
@@ -132,7 +145,7 @@ class Gate:
                 best_landing=landing,
                 p_home_unattended=p_unattended,
                 energy_left_wh=energy.mean_wh,
-                energy_need_wh=float(need.mean()),
+                energy_need_wh=budget.scale * float(need.mean()),
                 reason="on the way home",
             )
         return self._outbound(ahead, table, budget, wind.t_s, landing, p_now, p_unattended)
@@ -174,7 +187,7 @@ class Gate:
             best_landing=landing,
             p_home_unattended=p_unattended,
             energy_left_wh=budget.left_wh + self.params.reserve_wh,
-            energy_need_wh=float(table.whole_wh().mean()),
+            energy_need_wh=budget.scale * float(table.whole_wh().mean()),
             reason=reason,
         )
 
@@ -205,14 +218,15 @@ class Gate:
         with its own quantiles.
         """
         z = float(ndtri(1.0 - self.params.max_loss))
-        drawn = budget.model_std_frac * self._sampler.model_error[POLICY]
+        drawn = budget.scale * (1.0 + budget.model_std_frac * self._sampler.model_error[POLICY])
         used = table.stage_wh(1)[POLICY]
         flying = np.ones(used.size, np.bool_)
         total = np.zeros(used.size)
         for point in range(1, table.stages):
             need, need_high, way = table.predicted(point)
+            need, need_high = budget.scale * need, budget.scale * need_high
             spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
-            left = budget.left_wh - used * (1.0 + drawn)
+            left = budget.left_wh - used * drawn
             goes_on = left >= need + np.hypot(need_high - need, spread)
             turning = flying & ~goes_on
             if turning.any():
@@ -222,7 +236,7 @@ class Gate:
         ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]
         chances = [float(budget.p_enough(used + way).mean()) for way in ways]
         total[flying] = (used + ways[_first_best(chances)])[flying]
-        spent = total * (1.0 + drawn)
+        spent = total * drawn
         p_home = ndtr((budget.left_wh - spent) / max(budget.battery_std_wh, 1e-6))
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
 

@@ -9,6 +9,7 @@ from companion.core.events import Flavour
 from companion.core.flight import Flight
 from companion.core.gate import Ahead, Assessment, Gate, GateParams
 from companion.core.geo import Ned
+from companion.core.power_scale import PowerScale
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.situation import (
     AIRSPEED_MAX_AGE_S,
@@ -22,6 +23,9 @@ from companion.core.wind_estimator import WindBelief, WindEstimator, WindObserva
 from companion.core.wind_outlook import WindOutlook
 
 BATTERY_EVERY_S = 0.2
+STEADY_HEIGHT_M = 10.0
+"""Above, measured power is held against the model's."""
+
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
 
@@ -50,8 +54,9 @@ class Judgement:
             expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
             health_frac=flight.vehicle.battery_health_frac,
             temperature_c=flight.vehicle.temperature_c,
-            charge_frac_stated=flight.vehicle.charge_frac,
+            charge_frac_stated=flight.vehicle.charge_frac_stated,
         )
+        self._scale = PowerScale(airframe.power_rotor.model_std_frac)
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
@@ -86,6 +91,9 @@ class Judgement:
     def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
         current_a = battery.current_a if battery else None
+        modelled_w = self._modelled_power_w(now)
+        if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
+            self._scale.observe(BATTERY_EVERY_S, battery.voltage_v * current_a, modelled_w)
         self._ledger.observe(
             BatteryObservation(
                 t_s=t_s,
@@ -106,9 +114,15 @@ class Judgement:
                 # PX4's SIH counts a percentage down by time and knows no current.
                 remaining_is_timer=flavour is Flavour.PX4 and current_a is None,
                 temperature_c=battery.temperature_c if battery else None,
-                modelled_power_w=self._modelled_power_w(now),
+                modelled_power_w=modelled_w,
             )
         )
+
+    def _is_steady(self, now: Situation) -> bool:
+        """In the air, above the ground's turbulence, with a wind to reckon the airspeed from."""
+        position = now.position
+        high = position is not None and position.height_rel_m > STEADY_HEIGHT_M
+        return now.airborne and high and self.wind is not None and self.wind.valid
 
     def _modelled_power_w(self, now: Situation) -> float | None:
         if not now.armed:
@@ -156,7 +170,9 @@ class Judgement:
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        return self._gate_for(energy).assess(ahead, self.wind, self._outlook, energy)
+        return self._gate_for(energy).assess(
+            ahead, self.wind, self._outlook, energy, self._scale.error()
+        )
 
     def _gate_for(self, energy: EnergyBelief) -> Gate:
         reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
@@ -183,6 +199,8 @@ class Judgement:
         return {
             "ledger": self._ledger.snapshot(),
             "outlook": self._outlook.snapshot(),
+            "scale": self._scale.snapshot(),
+            "wind": self._estimator.snapshot(),
             "payload_kg": self.payload_kg,
             "max_loss": self.limits.max_loss,
             "reserve_frac": self.limits.reserve_frac,
@@ -192,6 +210,8 @@ class Judgement:
         """Go on from a checkpoint: energy never rises."""
         self._ledger.restore(kept.ledger)
         self._outlook.restore(kept.outlook)
+        self._scale.restore(kept.scale)
+        self._estimator.restore(kept.wind)
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
 
@@ -202,6 +222,8 @@ class JudgementKept:
 
     ledger: dict[str, object]
     outlook: dict[str, object]
+    scale: dict[str, object]
+    wind: dict[str, object]
     payload_kg: float
     max_loss: float
     reserve_frac: float

@@ -346,6 +346,9 @@ class Pilot:
     def _identified(self, event: Identified) -> None:
         self.flavour = event.flavour
         self.do(Note(f"{event.flavour.value} autopilot, system {event.system_id}"))
+        state = self.now.state
+        if state is not None and state.ready_state:
+            self.authority.ground_mode = state.mode_name
         if not self.now.armed:
             self.fire(Trigger.IDENTIFIED)
         elif self._kept is not None and self._kept.flying and self.flown is not None:
