@@ -58,7 +58,7 @@ class DecisionLog:
     """One MCAP file; a run that goes on in the same folder gets a file of its own."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("wb", buffering=0)
+        self._file = path.open("wb")
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE, use_statistics=True
         )
@@ -88,6 +88,7 @@ class DecisionLog:
             publish_time=stamp_ns,
             sequence=self._sequence,
         )
+        self._file.flush()
 
     def close(self) -> None:
         """Write the index and end the file."""

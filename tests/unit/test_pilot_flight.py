@@ -8,7 +8,6 @@ import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -756,7 +755,7 @@ def test_a_short_gnss_outage_only_delays_and_the_delivery_goes_on():
 
 def test_what_was_decided_against_is_not_taken_up_again():
     w = world()
-    w.judge.turn_back = lambda judge: 100.0 < w.north
+    w.judge.turn_back = lambda judge: w.north > 100.0
     w.run(lambda w: w.pilot.phase is Phase.RETURN)
     w.judge.turn_back = lambda judge: False
     w.to_the_end()
