@@ -99,7 +99,7 @@ class _Budget:
                 high = middle
             if high - low < 0.01:
                 break
-        return self.left_wh - high
+        return float(self.left_wh - high)
 
 
 class Gate:
@@ -162,10 +162,13 @@ class Gate:
     ) -> Assessment:
         stage_wh = table.stage_wh(1)
         onward_way, p_on = self._best_way(table, budget, 1, stage_wh)
+        need = stage_wh + table.way_wh(1, onward_way)
         p_policy, p_success = p_on, p_on
         if table.stages > 1:
             p_policy, p_success = self._fly_policy(table, budget)
-            p_on = max(p_on, self._best_further(table, budget))
+            p_further, further = self._best_further(table, budget)
+            if p_further > p_on:
+                p_on, need = p_further, further
         promise = 1.0 - self.params.max_loss
         reason = "flying on keeps the promise"
         turn_back = False
@@ -182,7 +185,7 @@ class Gate:
             p_home=p_now if turn_back else p_policy,
             p_home_now=p_now,
             p_success=0.0 if turn_back else p_success,
-            margin_wh=budget.margin_wh(stage_wh + table.way_wh(1, onward_way), promise),
+            margin_wh=budget.margin_wh(need, promise),
             turn_back=turn_back,
             best_landing=landing,
             p_home_unattended=p_unattended,
@@ -202,13 +205,19 @@ class Gate:
         best = _first_best(chances)
         return best, chances[best]
 
-    def _best_further(self, table: LegTable, budget: _Budget) -> float:
-        """P(home) by flying on to the best of the points after the next: a landing site ahead."""
-        flown, best = table.stage_wh(1), 0.0
+    def _best_further(self, table: LegTable, budget: _Budget) -> tuple[float, FloatArray]:
+        """(P(home), need) by flying on to the best of the points after the next.
+
+        A landing site may lie ahead; or the parcel, once delivered, no longer be carried home.
+        """
+        flown = table.stage_wh(1)
+        best, need = 0.0, flown
         for point in range(2, table.stages + 1):
             flown = flown + table.stage_wh(point)
-            best = max(best, self._best_way(table, budget, point, flown)[1])
-        return best
+            way, chance = self._best_way(table, budget, point, flown)
+            if chance > best:
+                best, need = chance, flown + table.way_wh(point, way)
+        return best, need
 
     def _fly_policy(self, table: LegTable, budget: _Budget) -> tuple[float, float]:
         """(P(home), P(home and delivered)) when every later gate decides as this one does.
@@ -223,14 +232,16 @@ class Gate:
         flying = np.ones(used.size, np.bool_)
         total = np.zeros(used.size)
         for point in range(1, table.stages):
-            need, need_high, way = table.predicted(point)
-            need, need_high = budget.scale * need, budget.scale * need_high
-            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
-            left = budget.left_wh - used * drawn
-            goes_on = left >= need + np.hypot(need_high - need, spread)
+            then = table.predicted(point)
+            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * then.on_wh)
+            left = budget.left_wh - used * (1.0 + drawn)
+            promised = then.on_wh + np.hypot(then.on_at_quantile_wh - then.on_wh, spread)
+            # Short of the promise it turns, unless turning (loaded, perhaps) is the dearer way.
+            goes_on = (left >= promised) | (then.turning_wh > then.on_wh)
             turning = flying & ~goes_on
             if turning.any():
-                total[turning] = (used + table.chosen_way_wh(point, way))[turning]
+                home = table.chosen_way_wh(point, then.turning_way)
+                total[turning] = (used + home)[turning]
             flying &= goes_on
             used = used + table.stage_wh(point + 1)[POLICY]
         ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]

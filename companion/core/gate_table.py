@@ -39,6 +39,18 @@ class _Span:
         return slice(self.first, self.last)
 
 
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """Needs as a later gate will see them, (K,) Wh: flying on and then home, in the wind that it
+    expects and at its quantile; turning there, and by which way home.
+    """
+
+    on_wh: FloatArray
+    on_at_quantile_wh: FloatArray
+    turning_wh: FloatArray
+    turning_way: NDArray[np.int64]
+
+
 class LegTable:
     """Energy of stages and ways home, (K,) Wh each, for one `Ahead`."""
 
@@ -104,19 +116,23 @@ class LegTable:
             return None
         return _sum(self._energy, self._unattended) + (self.stage_wh(1) if self._stage else 0.0)
 
-    def predicted(self, point: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-        """What the gate at a later point will think that flying on and then home needs.
+    def predicted(self, point: int) -> Foreseen:
+        """What the gate at a later point will think that flying on, or turning there, needs.
 
-        (in the wind it expects, in the wind at its quantile, way home from the point itself) for
-        every POLICY sample; that gate knows only its own wind until then.
+        For every POLICY sample; that gate knows only its own wind until then.
         """
         stage, after, here = self._stage[point], self._ways[point + 1], self._ways[point]
         expected, at_quantile = (
             _sum(seen, stage) + np.min([_sum(seen, way) for way in after], axis=0)
             for seen in (self._seen, self._seen_worse)
         )
-        way = np.argmin([_sum(self._seen, span) for span in here], axis=0)
-        return expected, np.maximum(at_quantile, expected), way
+        turning = np.array([_sum(self._seen, span) for span in here])
+        return Foreseen(
+            on_wh=expected,
+            on_at_quantile_wh=np.maximum(at_quantile, expected),
+            turning_wh=turning.min(axis=0),
+            turning_way=turning.argmin(axis=0),
+        )
 
     # -- laying out and pricing ----------------------------------------------------------------
 
