@@ -250,7 +250,7 @@ def _plan(pilot: Pilot) -> None:
                 pilot.flight,
                 site,
                 pilot.planner,
-                pilot.judge.energy,
+                pilot.judge.energy if pilot.options.gate_on else None,
                 pilot.judge.limits.reserve_frac,
             )
         except LeewayError as error:

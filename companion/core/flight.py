@@ -92,8 +92,8 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What flies, and how it starts.
 
-    `charge_frac` is a number, or [lowest, highest]: a pack as it comes from the shelf. The simulator
-    draws from the range by its seed; the companion then has to find the charge out by itself.
+    `charge_frac` is a number, or [lowest, highest]: a pack as it comes from the shelf. The
+    simulator draws from the range by its seed; the companion has to find the charge out by itself.
     """
 
     airframe: str

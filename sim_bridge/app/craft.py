@@ -54,6 +54,7 @@ class Craft:
     number: int
     flavour: str
     flight: Flight
+    charge_frac: float
     depot: Place
     vehicle: Vehicle
     autopilot: Autopilot

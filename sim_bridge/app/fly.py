@@ -157,7 +157,8 @@ def _build_craft(
     endpoints: EndpointSet,
     run_dir: Path,
 ) -> Craft:
-    gust_seed, sensor_seed = seed.spawn(2)
+    gust_seed, sensor_seed, charge_seed = seed.spawn(3)
+    charge_frac = _drawn_charge(flight, np.random.default_rng(charge_seed))
     flavour = _flavour_of(options, index)
     number = index + 1
     depot = _shifted(flight.site.depot or HOME_DEFAULT, VEHICLE_SPACING_M * index)
@@ -173,7 +174,7 @@ def _build_craft(
         np.random.default_rng(sensor_seed),
         terrain=terrain,
         payload_kg=flight.vehicle.payload_kg,
-        charge_frac=flight.vehicle.charge_frac,
+        charge_frac=charge_frac,
         temperature_c=flight.vehicle.temperature_c,
         battery_health_frac=flight.vehicle.battery_health_frac,
         depot_alt_amsl_m=depot.alt_amsl_m or 0.0,
@@ -202,6 +203,7 @@ def _build_craft(
         number=number,
         flavour=flavour,
         flight=flight,
+        charge_frac=charge_frac,
         depot=depot,
         vehicle=vehicle,
         autopilot=autopilot,
@@ -210,6 +212,11 @@ def _build_craft(
         companion=companion,
         run_dir=own_dir,
     )
+
+
+def _drawn_charge(flight: Flight, rng: np.random.Generator) -> float:
+    charge = flight.vehicle.charge_frac
+    return float(rng.uniform(charge[0], charge[1])) if isinstance(charge, list) else charge
 
 
 def _shifted(depot: Place, north_m: float) -> Place:
@@ -361,7 +368,7 @@ def _foresee(
         flight=steady,
         battery=Battery(
             truth_airframe.battery,
-            charge_frac=vehicle.charge_frac,
+            charge_frac=craft.charge_frac,
             temperature_c=vehicle.temperature_c,
             health_frac=vehicle.battery_health_frac,
         ),
@@ -381,6 +388,7 @@ def _row(
     return {
         "vehicle": f"{craft.flight.vehicle.airframe}-{craft.number}",
         "autopilot": craft.flavour,
+        "charge_frac": round(craft.charge_frac, 3),
         "outcome": verdict.outcome,
         "delivered": verdict.delivered,
         "home": verdict.home,
