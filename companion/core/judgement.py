@@ -216,11 +216,6 @@ class Judgement:
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
 
 
-def _stated_charge(charge_frac: float | list[float]) -> float | None:
-    """A charge that the flight file states; a range states none."""
-    return None if isinstance(charge_frac, list) else charge_frac
-
-
 @dataclass(frozen=True, slots=True)
 class JudgementKept:
     """`Judgement.snapshot` as read from a checkpoint."""
