@@ -25,6 +25,7 @@ _Priced = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
 LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
 _WIND_STEP_MPS = 0.25  # for gradients
+_TABLES = 64  # cruise tables kept, of 0.1 MB each; the oldest goes
 
 
 class LegKind(Enum):
@@ -260,8 +261,10 @@ class RouteEnergy:
     def _cruise_table(self, group: _Group) -> CruiseTable:
         fixed, least = group.ground_speed_mps, group.airspeed_mps or self.cruise_airspeed_mps
         speed = least if fixed is None else fixed
-        key = (round(group.payload_kg * 1000.0), fixed is None, round(speed, 2))
+        key = (round(group.payload_kg * 1000.0), fixed is None, round(speed, 1))
         if key not in self._cruise:
+            if len(self._cruise) >= _TABLES:
+                self._cruise.pop(next(iter(self._cruise)))
             power = self._steady_power(group.payload_kg)
             fly = power.fly_least_energy if fixed is None else power.fly_ground_speed
             self._cruise[key] = CruiseTable(power, partial(fly, key[2]))

@@ -49,8 +49,9 @@ def test_the_papers_thrust_is_never_negative() -> None:
 def test_the_papers_level_power_hardly_feels_payload_and_the_multirotors_does() -> None:
     paper = [float(paper_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
     rotor = [float(multirotor_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
-    assert paper[1] / paper[0] < 1.15
-    assert rotor[1] / rotor[0] > 1.5
+    # The paper's feels no more than the parcel's own drag.
+    assert paper[1] / paper[0] < 1.25
+    assert rotor[1] / rotor[0] > 1.6
 
 
 def test_induced_velocity_in_hover_is_the_momentum_theorys() -> None:
