@@ -1,0 +1,139 @@
+"""A flight's bytes, heard a second time, give the same decisions and the same bytes."""
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.adapters.files import digest_of, params_dir, read_airframe, read_flight
+from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
+from companion.adapters.mavlink_link import Incoming
+from companion.app.loop import Loop
+from companion.app.recorder import Recorder
+from companion.app.run import requirements
+from companion.core.actions import Action, Decision
+from companion.core.pilot import Pilot, PilotOptions
+from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.vehicle import Vehicle
+from sim_bridge.truth.wind_field import SteadyWind, WindField
+
+FLIGHT_TOML = """
+format = "flight/1"
+[site]
+depot = { lat_deg = 55.47, lon_deg = 8.45, alt_amsl_m = 12.0 }
+customer = { name = "customer", north_m = 250.0, east_m = 0.0 }
+[vehicle]
+airframe = "m100"
+payload_kg = 0.6
+[mission]
+cruise_height_m = 20.0
+leg_length_m = 100.0
+wind_settle_s = 4.0
+"""
+
+
+class Tape:
+    """A link that plays what was put on it."""
+
+    datagrams = True
+
+    def __init__(self) -> None:
+        self.incoming: deque[bytes] = deque()
+        self.sent: list[bytes] = []
+
+    def receive(self, timeout_s: float) -> Incoming | None:
+        return Incoming(self.incoming.popleft()) if self.incoming else None
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def answer_to(self, peer: Any) -> None:
+        return
+
+    def close(self) -> None:
+        return
+
+
+class Ears:
+    """A companion on a tape: what it decides and says."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "flight.toml"
+        folder.mkdir()
+        path.write_text(FLIGHT_TOML)
+        flight, airframe = read_flight(path), read_airframe("m100")
+        self.tape, self.decisions, self.said = Tape(), [], []
+        self.pilot = Pilot(
+            flight, airframe, obstacles=None, requirements=requirements,
+            digest=digest_of(path, airframe),
+            options=PilotOptions(configure=True, authorise=True),
+        )  # fmt: skip
+        self.recorder = Recorder(folder)
+        self.loop = Loop.wire(
+            self.tape, MavlinkCodec(datagrams=True), self.recorder, self.pilot,
+            system_id=None, silence_limit_s=1e9,
+        )  # fmt: skip
+        self.loop.on_action = self.note
+
+    def note(self, action: Action) -> None:
+        if isinstance(action, Decision):
+            self.decisions.append(action)
+
+    def hear(self, datagrams: list[bytes]) -> list[bytes]:
+        self.tape.incoming += datagrams
+        while self.tape.incoming and self.loop.finished is None:
+            self.loop.step()
+        sent, self.tape.sent[:] = list(self.tape.sent), []
+        self.said += sent
+        return sent
+
+    def payloads(self) -> list[dict[str, Any]]:
+        """What it said, but for heartbeats, which until it knows the vehicle follow the wall."""
+        ear = mavlink.MAVLink(None)
+        heard = [m for data in self.said for m in ear.parse_buffer(data) or []]
+        return [m.to_dict() for m in heard if m.get_type() != "HEARTBEAT"]
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(flavour, tmp_path):
+    vehicle = Vehicle(
+        load_airframe(params_dir() / "truth" / "m100.toml"),
+        WindField(SteadyWind(4.0, 200.0)),
+        np.random.default_rng(2),
+        payload_kg=0.6,
+        depot_alt_amsl_m=12.0,
+    )
+    parameters = read_parameters(params_dir() / "autopilots" / f"{flavour.value}.toml")
+    autopilot = Autopilot(flavour, (55.47, 8.45, 12.0), parameters)
+    autopilot.add_link(0)
+    ears = Ears(tmp_path / "live")
+    tape: list[list[bytes]] = []
+    actuation = autopilot.actuation
+    for step in range(1, 1200):
+        for _ in range(5):
+            actuation = autopilot.step(vehicle.step(actuation, 0.02), 0.02)
+        sync = mavlink.MAVLink_timesync_message(0, round(step * 1e8))
+        frames = [data for _, data in autopilot.take_outbox()]
+        frames.append(bytes(sync.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))))
+        tape.append(frames)
+        for data in ears.hear(frames):
+            autopilot.receive(0, data)
+        if "onward" in {d.kind for d in ears.decisions}:
+            break
+    kinds = [d.kind for d in ears.decisions]
+    assert kinds[:5] == ["planned", "read_back", "authorised", "take_off", "go"]
+    assert math.hypot(*vehicle.truth.pos_ned_m[:2]) > 10.0
+
+    again = Ears(tmp_path / "again")
+    for frames in tape:
+        again.hear(frames)
+    assert again.decisions == ears.decisions
+    assert again.payloads() == ears.payloads()
+    for made in (ears, again):
+        made.recorder.close()
