@@ -90,6 +90,11 @@ class Judgement:
 
     def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
+        heard = battery is not None and (
+            battery.voltage_v is not None or battery.remaining_frac is not None
+        )
+        if not heard and self._ledger.belief() is None:
+            return  # the ledger only falls: its first look must be at a battery
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
