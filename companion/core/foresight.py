@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from companion.core.ahead import ahead_delivering, ahead_outbound, ahead_returning
@@ -19,6 +20,15 @@ if TYPE_CHECKING:
 
 ASSESSMENT_MAX_AGE_S = 2.5
 MARGIN_MOVED_FRAC = 0.10
+WIND_MOVED_MPS = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """Margin and wind at the last decision that was recorded."""
+
+    margin_wh: float
+    wind_ne_mps: tuple[float, float]
 
 
 def here_ned(pilot: Pilot) -> Ned | None:
@@ -80,13 +90,23 @@ def assess(pilot: Pilot, every_s: float) -> Assessment | None:
 
 
 def _note_move(pilot: Pilot, fresh: Assessment) -> None:
-    """Record a re-decision when the margin has moved by a tenth of the energy left."""
-    noted = pilot.margin_noted_wh
-    step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
-    if noted is None or abs(fresh.margin_wh - noted) > step_wh:
-        pilot.margin_noted_wh = fresh.margin_wh
-        if noted is not None and pilot.phase in FLIGHT_PHASES:
-            pilot.decide("looked_again", fresh.reason)
+    """Record a re-decision when margin or wind have moved since the last one recorded."""
+    noted, wind = pilot.noted, pilot.judge.wind
+    if wind is None:
+        return
+    wind_ne = (float(wind.mean_to_ne_mps[0]), float(wind.mean_to_ne_mps[1]))
+    if noted is not None:
+        margin_step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
+        wind_moved_mps = math.dist(noted.wind_ne_mps, wind_ne)
+        if abs(fresh.margin_wh - noted.margin_wh) <= margin_step_wh:
+            if wind_moved_mps <= WIND_MOVED_MPS:
+                return
+            moved = f"wind moved by {wind_moved_mps:.1f} m/s"
+        else:
+            moved = f"margin moved by {fresh.margin_wh - noted.margin_wh:+.1f} Wh"
+        if pilot.phase in FLIGHT_PHASES:
+            pilot.decide("looked_again", f"{moved}: {fresh.reason}")
+    pilot.noted = Noted(fresh.margin_wh, wind_ne)
 
 
 def fresh_assessment(pilot: Pilot) -> Assessment | None:

@@ -11,7 +11,14 @@ from typing import Any
 
 import msgspec
 
-from companion.core import before_flight, in_flight, progress, touchdown, turning_back
+from companion.core import (
+    before_flight,
+    foresight,
+    in_flight,
+    progress,
+    touchdown,
+    turning_back,
+)
 from companion.core.actions import (
     Action,
     Answer,
@@ -196,7 +203,7 @@ class Pilot:
         self._reported_s = -1e9
         self._wind_reported_s = -1e9
         self._saved_s = -1e9
-        self.margin_noted_wh: float | None = None
+        self.noted: foresight.Noted | None = None
         self._silent_since_s: float | None = None
         self._restore()
 

@@ -1,5 +1,7 @@
 """The transition table is whole: every phase has an answer to what may happen in any phase."""
 
+from pathlib import Path
+
 import pytest
 
 from companion.core.transitions import (
@@ -94,3 +96,9 @@ def test_the_drawn_tables_name_every_phase_and_every_changing_row():
     assert all(phase.value in table for phase in Phase)
     assert diagram.startswith("stateDiagram-v2")
     assert "READY --> ARM: authorised" in diagram
+
+
+def test_the_page_in_the_docs_is_drawn_from_the_table():
+    page = (Path(__file__).parents[2] / "docs" / "mission.md").read_text()
+    assert as_mermaid() in page
+    assert as_markdown() in page
