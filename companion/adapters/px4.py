@@ -187,10 +187,10 @@ class Px4:
                 True,
             ),
             Requirement(
-                ("PD_GRIPPER_EN",),
+                ("PD_GRIPPER_EN", "PD_GRIPPER_TYPE"),
                 "a gripper that lets the parcel go",
-                lambda v: not facts.carries_parcel or _known(v, "PD_GRIPPER_EN", lambda x: x > 0.0),
-                lambda v: {"PD_GRIPPER_EN": 1.0},
+                lambda v: not facts.carries_parcel or _has_gripper(v),
+                _switch_gripper_on,
                 True,
             ),
             _at_least(
@@ -241,3 +241,17 @@ def _inside_fence(values: Values, facts: RouteFacts) -> bool | None:
     if radius_m and radius_m < facts.farthest_m + 20.0:
         return False
     return not (top_m and top_m < facts.cruise_height_m + 10.0)
+
+
+def _has_gripper(values: Values) -> bool | None:
+    """PX4 up to 1.15 switches it on by PD_GRIPPER_EN; 1.18 has only the type (-1: none; flown)."""
+    enabled = values.get("PD_GRIPPER_EN")
+    if enabled is not None:
+        return enabled > 0.0
+    return _known(values, "PD_GRIPPER_TYPE", lambda x: x >= 0.0)
+
+
+def _switch_gripper_on(values: Values) -> dict[str, float]:
+    if values.get("PD_GRIPPER_EN") is not None:
+        return {"PD_GRIPPER_EN": 1.0}
+    return {"PD_GRIPPER_TYPE": 0.0}

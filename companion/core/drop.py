@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from companion.core.actions import (
@@ -22,7 +23,9 @@ from companion.core.transitions import Phase, Trigger
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
-RELEASE_AGAIN_S = 3.0
+RELEASE_AGAIN_S = 3.6
+HOVER_SPEED_MPS = 1.5
+HOVER_CLIMB_MPS = 0.6
 
 
 def watch_release(pilot: Pilot) -> ReleaseWatch:
@@ -42,10 +45,20 @@ def observe_release(pilot: Pilot) -> None:
     now = pilot.now
     battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
     watch = watch_release(pilot)
+    if not _hovers(pilot):
+        return  # climbing, sinking and moving on change the power too
     if battery is not None and battery.voltage_v is not None and battery.current_a is not None:
         watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
     if now.throttle is not None and now.is_fresh(now.throttle, THROTTLE_MAX_AGE_S):
         watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)
+
+
+def _hovers(pilot: Pilot) -> bool:
+    position = pilot.now.position
+    if position is None or not pilot.now.is_fresh(position, 1.0):
+        return False
+    speed = math.hypot(position.vel_n_mps, position.vel_e_mps)
+    return speed < HOVER_SPEED_MPS and abs(position.vel_d_mps) < HOVER_CLIMB_MPS
 
 
 def release(pilot: Pilot) -> None:

@@ -4,12 +4,14 @@
  TAKEOFF over the depot; LOITER_TIME
  SPEED home; JUMP over depot                    <- nobody says go: lands at the depot
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
- for each rally point:  WAYPOINT over it;  LAND;  JUMP to that LAND
+ for each rally point:  WAYPOINT over it;  LAND;  JUMP to the end
  DELIVER: WAYPOINT at drop height, held; RELEASE; LOITER_TIME; SPEED home
  ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND at the depot
+ SPEED: the end, which goes nowhere
 ```
-The depot's LAND is the last item, and a rally point's LAND leads to itself: PX4 goes on to the item
-after a LAND that it has completed, and would take off again for it.
+Every LAND leads to the end: PX4 (1.18, flown) goes on to the item after a LAND that it has
+completed and takes off again for it, and does not disarm while a mission is in progress; led to
+a last item without a place it finishes, landed, and disarms. ArduCopter disarms at any LAND.
 Items are flavour-free and numbered from 0; a flavour shifts and encodes them (ArduPilot keeps
 its home at 0). Only a companion that is alive jumps the autopilot onward.
 """
@@ -55,6 +57,7 @@ class Part(Enum):
     LAND = "land"
     RALLY = "rally"
     RALLY_LAND = "rally landing"
+    END = "end"
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +187,7 @@ def build_dead_mans_mission(
         items += [
             MissionItem(ItemKind.WAYPOINT, Part.RALLY, f"rally {number}", over),
             MissionItem(ItemKind.LAND, Part.RALLY_LAND, f"rally {number} landing", ground),
-            MissionItem(ItemKind.JUMP, Part.RALLY_LAND, "stay", None, float(down)),
+            MissionItem(ItemKind.JUMP, Part.RALLY_LAND, "end", None, float(land + 1)),
         ]
     items += [
         MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop, weigh_s),
@@ -197,6 +200,7 @@ def build_dead_mans_mission(
         for number, spot in enumerate(returning)
     ]
     items.append(MissionItem(ItemKind.LAND, Part.LAND, "land", depot))
+    items.append(MissionItem(ItemKind.SPEED, Part.END, "end", None, home_speed_mps))
     return DeadMansMission(
         items=tuple(items),
         takeoff=0,

@@ -42,6 +42,7 @@ from companion.core.actions import (
 )
 from companion.core.airframe import Airframe
 from companion.core.authority import Authority
+from companion.core.energy_ledger import EnergyBelief
 from companion.core.events import (
     AbortOrdered,
     Authorised,
@@ -137,6 +138,7 @@ class FlightState:
     speed_index: int | None = None
     settled_s: float | None = None
     landed_s: float | None = None
+    energy_landed: EnergyBelief | None = None
     disarm_asked_s: float = -1e9
     disarms_asked: int = 0
     disarmed_s: float | None = None

@@ -75,7 +75,7 @@ def at_item(pilot: Pilot, index: int) -> None:
             pilot.fire(Trigger.DROP_REACHED)
         case Part.RETURN:
             on_the_way_home(pilot)
-        case Part.LAND | Part.RALLY_LAND:
+        case Part.LAND | Part.RALLY_LAND | Part.END:
             if pilot.outward:
                 on_the_way_home(pilot)
             pilot.fire(Trigger.LANDING)
@@ -133,7 +133,7 @@ def place_by_progress(pilot: Pilot) -> None:
         case Part.RALLY:
             air.rally = rally_of_item(pilot, index)
             pilot.fire(Trigger.RALLY_BOUND, words)
-        case Part.LAND | Part.RALLY_LAND:
+        case Part.LAND | Part.RALLY_LAND | Part.END:
             air.rally = rally_of_item(pilot, index)
             pilot.fire(Trigger.LANDING, words)
 

@@ -11,10 +11,10 @@ from statistics import fmean
 
 BEFORE_S = 3.0
 SPOOL_S = 0.7
-AFTER_S = 1.8
+AFTER_S = 2.4
 LEAST_SAMPLES = 3
-SHARE = 0.5
-"""A drop of at least this share of the expected one counts."""
+SHARE, SECOND_SHARE = 0.65, 0.35
+"""The first measure has to fall by this share of what is expected; the second must not deny it."""
 
 
 @dataclass(slots=True)
@@ -66,6 +66,7 @@ class ReleaseWatch:
         start_s = max(self.begun_s + SPOOL_S, t_s - AFTER_S)
         if t_s < self.begun_s + SPOOL_S + AFTER_S - 0.05:
             return None
+        found = ""
         for window, expected, words in (
             (self._power, self.power_frac, "hover power"),
             (self._thrust, self.thrust_frac, "hover thrust"),
@@ -75,7 +76,7 @@ class ReleaseWatch:
             if before is None or after is None or before <= 0.0 or expected <= 0.0:
                 continue
             drop = 1.0 - after / before
-            if drop >= SHARE * expected:
-                return f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
-            return None  # a quantity that is measured and did not fall decides
-        return None
+            if drop < (SECOND_SHARE if found else SHARE) * expected:
+                return None
+            found = found or f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+        return found or None

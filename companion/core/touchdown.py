@@ -85,6 +85,7 @@ def _landed(pilot: Pilot) -> None:
     air, ground, now = pilot.air, pilot.ground, pilot.now
     if air.landed_s is None:
         air.landed_s = now.t_s
+        air.energy_landed = pilot.judge.energy  # before our own settings move the percentage
         pilot.decide("landed", "on the ground")
         ours = pilot.phase in FLIGHT_PHASES
         if ours and ground.settings_before and now.state is not None and not now.state.armed:
@@ -112,7 +113,7 @@ def conclude(pilot: Pilot, why: str) -> None:
         high_m = place[2] - here[2]
         home = away_m <= HOME_RADIUS_M and high_m < CRASH_HEIGHT_M
         where = f"{away_m:.0f} m from {name}"
-    energy = pilot.judge.energy
+    energy = air.energy_landed or pilot.judge.energy
     if energy is not None:
         margin_wh = energy.mean_wh - pilot.judge.limits.reserve_frac * energy.usable_full_wh
         where += f", {margin_wh:.1f} Wh above the reserve"

@@ -1,5 +1,6 @@
 """Faults put into a flight: each once, when its vehicle reaches the named phase and time."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ from sim_bridge.app.craft import Craft
 from sim_bridge.app.scenario import Fault
 
 GARBAGE_BYTES = 400
+ATTITUDE_WRONG_RAD = math.radians(6.0)
 
 
 @dataclass(slots=True)
@@ -69,6 +71,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.vehicle.sensors.gnss_outage = True
         case "pitot_stuck":
             craft.vehicle.sensors.pitot_stuck = True
+        case "attitude_wrong":
+            craft.vehicle.sensors.knock(ATTITUDE_WRONG_RAD)
         case "release_fails":
             craft.vehicle.release_fails = True
         case "pilot_takes_over":

@@ -22,6 +22,7 @@ FaultKind = Literal[
     "ground_takes_over",
     "release_fails",
     "pitot_stuck",
+    "attitude_wrong",
     "garbage",
 ]
 Phase = Literal["start", "climb", "outbound", "drop", "return"]

@@ -74,6 +74,11 @@ class SensorSuite:
         self.voltage_failed = False
         self.current_failed = False
 
+    def knock(self, tilt_rad: float) -> None:
+        """A fault: the attitude is off by this much in pitch and roll from now on (it decays)."""
+        self._roll_bias.value += tilt_rad
+        self._pitch_bias.value += tilt_rad
+
     @property
     def roll_bias_rad(self) -> float:
         return self._roll_bias.value

@@ -119,7 +119,7 @@ class ScriptedJudge:
         return 10.0 + self.wind_ne[0]
 
     def snapshot(self) -> dict[str, object]:
-        return {"ledger": {}, "outlook": {}, "payload_kg": self.payload_kg,
+        return {"ledger": {}, "outlook": {}, "scale": {}, "wind": {}, "payload_kg": self.payload_kg,
                 "max_loss": 0.01, "reserve_frac": 0.15}  # fmt: skip
 
     def restore(self, kept: Any) -> None:
