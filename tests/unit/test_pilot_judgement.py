@@ -95,7 +95,7 @@ def hover(
 @pytest.mark.parametrize(
     ("after_w", "delivered"), [(340.0, True), (370.0, True), (450.0, False), (470.0, False)]
 )
-def test_safety_rule_5_two_thirds_of_the_expected_fall_of_hover_power_tells_a_release(after_w, delivered):
+def test_safety_rule_5_two_thirds_of_the_expected_fall_tells_a_release(after_w, delivered):
     # 470 W loaded and 340 W empty are 28 % apart: 65 % of that is 385 W.
     watch = ReleaseWatch(power_frac=1.0 - 340.0 / 470.0, thrust_frac=0.2)
     hover(watch, 0.0, 10.0, 470.0, 20.0)
