@@ -18,6 +18,9 @@ from sim_bridge.autopilot.setpoints import Setpoint
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
 
+_SPOOL_DOWN_S = 0.4
+"""From landed to ground idle, and so to disarming (flown; MOT_SPOOL_TIM_DN)."""
+
 
 class ArduPilotModes:
     """The modes' goals, and what they keep from step to step."""
@@ -59,23 +62,24 @@ class ArduPilotModes:
             if leg.returning is not None and leg.returning.phase is ReturnPhase.LAND:
                 landing = True
             if landing:  # it stays at this item and disarms; disarming resets the mission
-                ap.disarm()
-                return Idle()
+                return self._touched_down(ap)
         return ap.executor.step()
 
     def _rtl(self, ap: "Autopilot") -> Goal:
         if ap.returning is None:
             ap.returning = ap.plan_return()
         goal = ap.returning.step(ap)
-        if goal is None:
+        return self._touched_down(ap) if goal is None else goal
+
+    def _touched_down(self, ap: "Autopilot") -> Goal:
+        """Disarm when the motors have spooled down, whatever the mission would go on with."""
+        if ap.t_s - ap.landed_since_s >= _SPOOL_DOWN_S:
             ap.disarm()
-            return Idle()
-        return goal
+        return Idle()
 
     def _land(self, ap: "Autopilot") -> Goal:
         if ap.is_landed:
-            ap.disarm()
-            return Idle()
+            return self._touched_down(ap)
         rate = ap.sink_mps(ap.height_above_home_m())
         if not ap.has_position:
             return level_descent(rate)

@@ -41,6 +41,10 @@ class FlightRules:
     corner_accel_mps2: float
     land_above_m: float
     """Farther than this from a LAND item's place it is flown to first."""
+    ramp_s: float = 0.0
+    """From spooled up, on the ground, to thrust enough to lift (PX4)."""
+    item_period_s: float = 0.0
+    """Items follow each other no faster than this, when they take no time (PX4's navigator)."""
 
 
 class MissionVehicle(Protocol):
@@ -152,6 +156,7 @@ class MissionExecutor:
         self._do_until_s = 0.0
         self._line_start: Vec3 | None = None
         self._hold: Vec3 | None = None
+        self._next_item_s = 0.0
 
     # --- control ------------------------------------------------------------------------------
 
@@ -251,6 +256,9 @@ class MissionExecutor:
         goal = self._fly(leg)
         if goal is not None:
             return goal
+        if vehicle.t_s < self._next_item_s - 1e-6:
+            return self._rest()
+        self._next_item_s = vehicle.t_s + vehicle.flight_rules.item_period_s
         vehicle.item_reached(self.index)
         if self._sequential and not leg.item.autocontinue:
             return self._rest()
@@ -361,7 +369,7 @@ class MissionExecutor:
         if self._sequential and vehicle.is_landed:
             least = vehicle.home_ned_m[2] - vehicle.flight_rules.takeoff_min_height_m
             down = min(down, least)
-        return Leg(item, Phase.CLIMB, here, (here[0], here[1], down))
+        return Leg(item, Phase.CLIMB, here, (here[0], here[1], down), since_s=vehicle.t_s)
 
     def _move(self, item: Item, start: Vec3) -> Leg:
         vehicle = self._vehicle
@@ -419,12 +427,16 @@ class MissionExecutor:
 
     def _fly_climb(self, leg: Leg) -> Goal | None:
         vehicle = self._vehicle
-        if vehicle.is_landed and not (vehicle.is_spooled and vehicle.may_take_off()):
-            here = vehicle.pos_ned_m
-            leg.start = here
-            leg.target = (here[0], here[1], leg.target[2])
-            return Idle()
         rules = vehicle.flight_rules
+        if vehicle.is_landed:
+            is_ready = vehicle.is_spooled and vehicle.may_take_off()
+            if not is_ready:
+                leg.since_s = vehicle.t_s
+            if not is_ready or vehicle.t_s - leg.since_s < rules.ramp_s:
+                here = vehicle.pos_ned_m
+                leg.start = here
+                leg.target = (here[0], here[1], leg.target[2])
+                return Idle()
         if vehicle.pos_ned_m[2] - leg.target[2] > min(rules.accept_height_m, 0.5):
             return FollowLine(leg.start, leg.target, rules.takeoff_speed_mps)
         if not self._sequential:

@@ -97,6 +97,7 @@ class Px4:
         self._reached_seq = -1
         self._reached_left = 0
         self._reached_next_s = 0.0
+        self._idle_since_s: float | None = None
 
     # --- what it says -------------------------------------------------------------------------
 
@@ -480,8 +481,7 @@ class Px4:
         if not ap.is_landed:
             ap.has_flown = True
             ap.landed_since_s = ap.t_s
-        if ap.is_armed and ap.is_landed:
-            self._disarm_on_ground(ap)
+        self._disarm_on_ground(ap)
         if self._acts_with is not None and ap.t_s >= self._acts_at_s:
             mode, self._acts_with = self._acts_with, None
             if ap.mode is Mode.HOLD and mode is not Mode.HOLD:
@@ -495,11 +495,26 @@ class Px4:
             ap.radio.send_all("MISSION_ITEM_REACHED", seq=self._reached_seq)
 
     def _disarm_on_ground(self, ap: "Autopilot") -> None:
+        """Disarm after a while on the ground, but never while a mission is in progress.
+
+        As Commander.cpp (handleAutoDisarm) has it, the clock stands still meanwhile: it keeps what
+        it showed before the take-off, so the end of a mission that was flown from arming to
+        landing disarms at once (0.02 to 0.04 s after landed, measured), not after COM_DISARM_LAND.
+        """
+        if not ap.is_armed:
+            self._idle_since_s = None
+            return
         if ap.has_flown:
-            delay = ap.params["COM_DISARM_LAND"]
-            since = ap.t_s - ap.landed_since_s
+            if ap.mode is Mode.AUTO and ap.executor.state != MissionState.COMPLETE:
+                return
+            delay, idle = ap.params["COM_DISARM_LAND"], ap.is_landed
         else:
-            delay = ap.params["COM_DISARM_PRFLT"]
-            since = ap.t_s - ap.armed_since_s
-        if delay > 0.0 and since >= delay and isinstance(ap.goal, Idle):
+            delay, idle = ap.params["COM_DISARM_PRFLT"], True
+            if delay > 0.0:
+                delay += max(ap.params["COM_SPOOLUP_TIME"], 0.0)
+        if not idle:
+            self._idle_since_s = None
+        elif self._idle_since_s is None:
+            self._idle_since_s = ap.t_s
+        elif 0.0 < delay <= ap.t_s - self._idle_since_s and isinstance(ap.goal, Idle):
             ap.disarm()

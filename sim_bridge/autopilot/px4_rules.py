@@ -12,6 +12,12 @@ from sim_bridge.autopilot.wind import DragCoefficients
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
 
+_LIFT_RAMP_S = 0.6
+"""Thrust ramps up (MPC_TKO_RAMP_T): it lifts 0.9 s after that began (measured), of which our
+vehicle takes 0.3 s."""
+_NAVIGATOR_PERIOD_S = 0.05
+"""navigator_main.cpp: the position is polled at 20 Hz."""
+
 
 class Px4Rules:
     """Pure functions of the parameters."""
@@ -28,6 +34,8 @@ class Px4Rules:
             takeoff_min_height_m=max(params["MIS_TAKEOFF_ALT"], 0.0),
             corner_accel_mps2=max(params["MPC_ACC_HOR"], 0.1),
             land_above_m=2.0,
+            ramp_s=_LIFT_RAMP_S,
+            item_period_s=_NAVIGATOR_PERIOD_S,
         )
 
     def limits(self, params: ParameterStore) -> Limits:

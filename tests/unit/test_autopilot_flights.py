@@ -79,17 +79,15 @@ class DeadMan:
     Two outbound waypoints at 60 and 120 m east, the customer at 180 m, back by a lane 40 m north.
     """
 
-    def __init__(self, rig, flavour, autocontinue=1):
+    def __init__(self, rig, flavour, *, goes_on=False):
         shift = 1.0 if flavour is AP else 0.0
         home = {"command": SPEED, "frame": 2, "param1": 1.0, "param2": 6.0}
 
         def jump(to):
             return {"command": JUMP, "frame": 2, "param1": to + shift, "param2": 100.0}
 
-        def land(n, e):
-            return rig.place(LAND, n, e, 0, autocontinue=autocontinue)
-
         ret = 15
+        # a LAND that another item with a place could follow is led to the end, an item without
         self.items = [
             rig.place(TAKEOFF, 0, 0, 15),  # 0
             rig.place(LOITER_TIME, 0, 0, 15, param1=3.0),  # 1
@@ -110,9 +108,11 @@ class DeadMan:
             rig.place(WAYPOINT, 40, 120, 15),  # 16: ret 1
             rig.place(WAYPOINT, 40, 60, 15),  # 17: ret 2
             rig.place(WAYPOINT, 0, 0, 15),  # 18: over the depot
-            land(0, 0),  # 19
-            rig.place(WAYPOINT, 40, 120, 15),  # 20: rally
-            land(40, 120),  # 21
+            rig.place(LAND, 0, 0, 0),  # 19
+            home if goes_on else jump(23),  # 20
+            rig.place(WAYPOINT, 40, 120, 15),  # 21: rally
+            rig.place(LAND, 40, 120, 0),  # 22
+            home,  # 23: the end
         ]
         self.first = int(shift)
 
@@ -140,7 +140,7 @@ def farthest(rig):
 @BOTH
 def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, flavour):
     rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour, autocontinue=0)
+    mission = DeadMan(rig, flavour)
     begin(rig, mission.items)
     seen, watch = farthest(rig)
     fly_on(rig, 200.0, watch)
@@ -152,7 +152,7 @@ def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, fl
 @BOTH
 def test_a_dead_mans_mission_turns_home_after_the_last_waypoint_that_was_allowed(make_rig, flavour):
     rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour, autocontinue=0)
+    mission = DeadMan(rig, flavour)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 4)
@@ -166,7 +166,7 @@ def test_a_dead_mans_mission_turns_home_after_the_last_waypoint_that_was_allowed
 @BOTH
 def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_rig, flavour):
     rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour, autocontinue=0)
+    mission = DeadMan(rig, flavour)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 4)
@@ -189,7 +189,7 @@ def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_
 @BOTH
 def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, flavour):
     rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour, autocontinue=0)
+    mission = DeadMan(rig, flavour)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 7)
@@ -201,20 +201,87 @@ def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, flavour):
     assert math.hypot(*rig.ne_m) < 3.0
 
 
+def watched(rig, step_s=0.1, limit_s=120.0):
+    """Fly on; times of landed, of the next lift-off or of disarming, whichever is first."""
+    assert rig.until(lambda: not rig.ap.is_landed, limit_s)
+    while not rig.ap.is_landed:
+        rig.step(step_s)
+    landed_s = rig.ap.t_s
+    while rig.ap.is_armed and rig.ap.is_landed and rig.ap.t_s - landed_s < 20.0:
+        rig.step(step_s)
+    return landed_s, rig.ap.t_s
+
+
 def test_px4_takes_off_again_after_a_landing_that_the_mission_goes_on_from(make_rig):
-    # mission_base.cpp, on_active: LAND done and autocontinue set, the next item is begun
+    # flown on PX4 1.18 SIH: no disarming, off the ground again 0.9 s after it has landed
     rig = make_rig(PX4, SETTINGS[PX4], payload_kg=0.5)
-    mission = DeadMan(rig, PX4, autocontinue=1)
+    mission = DeadMan(rig, PX4, goes_on=True)
     begin(rig, mission.items)
-    assert rig.until(lambda: mission.at(rig) == 20, 120.0)
+    landed_s, off_s = watched(rig, 0.02)
+    assert mission.at(rig) == 21
+    assert rig.ap.is_armed
+    assert off_s - landed_s == pytest.approx(0.9, abs=0.25)
     rig.step(4.0)
     assert rig.height_m > 2.0
+
+
+@BOTH
+def test_the_last_landing_disarms_at_once(make_rig, flavour):
+    # flown: ArduCopter 0.4 s after landed; PX4 0.1 s, and 0.02 to 0.04 s in its own log
+    rig = make_rig(flavour, SETTINGS[flavour])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(LAND, 0, 0, 0)])
+    landed_s, disarmed_s = watched(rig, 0.02)
+    assert not rig.ap.is_armed
+    assert disarmed_s - landed_s == pytest.approx(0.1 if flavour is PX4 else 0.4, abs=0.11)
+
+
+def test_px4_goes_round_a_landing_that_jumps_back_to_itself_and_stays_armed(make_rig):
+    # flown on PX4 1.18 SIH: about 20 jumps a second until the repeats are used up, then on
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(
+        rig,
+        [
+            rig.place(TAKEOFF, 0, 0, 5),
+            rig.place(LAND, 0, 0, 0),
+            {"command": JUMP, "frame": 2, "param1": 1.0, "param2": 100.0},
+            rig.place(WAYPOINT, 0, 0, 6),
+        ],
+    )
+    rig.DT_S = 0.01
+    landed_s, off_s = watched(rig, 0.01)
+    assert rig.ap.executor.plan.jumps_done[2] == 100
+    assert off_s - landed_s == pytest.approx(100 / 20.0 + 0.9, abs=0.4)
+    assert rig.ap.is_armed
+    assert rig.until(lambda: rig.height_m > 5.0, 30.0)
+
+
+def test_px4_never_disarms_at_a_landing_that_it_may_not_go_on_from(make_rig):
+    # mission_base.cpp, on_active: without autocontinue the mission is never finished
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(LAND, 0, 0, 0, autocontinue=0)])
+    landed_s, later_s = watched(rig)
+    assert later_s - landed_s == pytest.approx(20.0, abs=0.2)
+    assert rig.ap.is_armed
+    assert rig.ap.is_landed
+
+
+def test_px4_that_was_in_another_mode_waits_its_two_seconds_before_it_disarms(make_rig):
+    # Commander.cpp, handleAutoDisarm: COM_DISARM_LAND, its clock started anew in that mode's flight
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 8), rig.place(LAND, 0, 0, 0)])
+    assert rig.until(lambda: rig.height_m > 4.0, 30.0)
+    rig.set_mode(Mode.HOLD)
+    rig.step(1.0)
+    rig.set_mode(Mode.AUTO)
+    landed_s, disarmed_s = watched(rig)
+    assert not rig.ap.is_armed
+    assert disarmed_s - landed_s == pytest.approx(2.0, abs=0.3)
 
 
 def test_ardupilot_stays_down_after_landing_whatever_follows(make_rig):
     # mode_auto.cpp, verify_land: landing disarms, disarming resets the mission
     rig = make_rig(AP, SETTINGS[AP], payload_kg=0.5)
-    mission = DeadMan(rig, AP, autocontinue=1)
+    mission = DeadMan(rig, AP, goes_on=True)
     begin(rig, mission.items)
     fly_on(rig, 200.0)
     rig.step(5.0)
