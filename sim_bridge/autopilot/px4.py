@@ -40,7 +40,7 @@ from sim_bridge.autopilot.modes import (
     px4_mode_of,
 )
 from sim_bridge.autopilot.parameters import ParameterStore
-from sim_bridge.autopilot.px4_commands import COMMANDS, can_run, request_mode
+from sim_bridge.autopilot.px4_commands import COMMANDS, can_run, has_gripper, request_mode
 from sim_bridge.autopilot.px4_failsafe import watch
 from sim_bridge.autopilot.px4_mission import mission_problem
 from sim_bridge.autopilot.px4_modes import Px4Modes
@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 _SWITCH_EDGES_US = (1160, 1320, 1480, 1640, 1800)
 _NEW_MISSION_AFTER_S = 1.5
 """A mission uploaded in flight takes over after 1 to 2 s (measured)."""
-_GRIPPER_GIVEN_UP_S = 5.0
-"""MIS_PD_TO: how long a mission waits for a gripper that does not answer."""
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2
 _REACHED_AGAIN = 10
 
@@ -344,16 +342,16 @@ class Px4:
         return north, east, down
 
     def run_item(self, ap: "Autopilot", item: Item) -> float:
-        """Items without a place; a gripper is waited for."""
+        """Items without a place; a gripper is given MIS_COMMAND_TOUT, whatever it does."""
         match item.command:
             case Cmd.DO_CHANGE_SPEED:
                 kind = int(item.param1) if math.isfinite(item.param1) else -1
                 self.change_speed(ap, kind, item.param2)
             case Cmd.DO_GRIPPER:
-                if ap.params["PD_GRIPPER_EN"] == 0.0:
-                    return _GRIPPER_GIVEN_UP_S
-                self.grip(ap, int(item.param2) if math.isfinite(item.param2) else 0)
-                return ap.params["PD_GRIPPER_TO"]
+                action = item.param2
+                if has_gripper(ap) and action in (0.0, 1.0):
+                    self.grip(ap, int(action))
+                return max(ap.params["MIS_COMMAND_TOUT"], 0.0)
             case Cmd.DO_SET_ACTUATOR:
                 if math.isfinite(item.param1):
                     ap.release = item.param1 > 0.0
@@ -380,6 +378,10 @@ class Px4:
     def finish_later(self, ap: "Autopilot", command: Command, wait_s: float) -> None:
         """Acknowledge a command as done after a while."""
         self._later.append(_Later(command, ap.t_s + wait_s))
+
+    def is_busy_with(self, number: int) -> bool:
+        """Whether such a command is not yet done."""
+        return any(later.command.number == number for later in self._later)
 
     def guided_item(self, ap: "Autopilot", link_id: int, message: Message) -> bool:
         """current = 2 means nothing here."""

@@ -160,13 +160,25 @@ def _reboot(ap: "Autopilot", command: Command) -> Result:
     return Result.ACCEPTED
 
 
-def _gripper(ap: "Autopilot", command: Command) -> Result | None:
-    """IN_PROGRESS at once, ACCEPTED when its time is over; without a gripper nobody answers."""
+def has_gripper(ap: "Autopilot") -> bool:
+    """PD_GRIPPER_TYPE: -1 none, 0 servo (the default); there is no PD_GRIPPER_EN any more."""
+    return ap.params["PD_GRIPPER_TYPE"] >= 0.0
+
+
+def _gripper(ap: "Autopilot", command: Command) -> Result:
+    """Source: PX4 1.18, src/modules/payload_deliverer/payload_deliverer.cpp.
+
+    ACCEPTED if it is so already, else IN_PROGRESS and ACCEPTED when PD_GRIPPER_TO is over; in
+    the meantime the same again is rejected for now.
+    """
+    if not has_gripper(ap):
+        return Result.FAILED
     action = as_int(command.param2)
-    if ap.params["PD_GRIPPER_EN"] == 0.0:
-        return None
     if action not in (0, 1):
-        return Result.UNSUPPORTED
+        return Result.DENIED
+    if ap.release is (action == 0):
+        busy = ap.px4.is_busy_with(Cmd.DO_GRIPPER)
+        return Result.TEMPORARILY_REJECTED if busy else Result.ACCEPTED
     ap.px4.grip(ap, action)
     ap.px4.finish_later(ap, command, ap.params["PD_GRIPPER_TO"])
     return Result.IN_PROGRESS

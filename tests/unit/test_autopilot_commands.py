@@ -434,17 +434,23 @@ def test_commands_known_and_unknown(make_rig, flavour, number, result):
     assert rig.command(number) == result
 
 
-def test_px4_without_a_gripper_does_not_even_answer(make_rig):
-    rig = started(make_rig(PX4))
-    assert rig.command(211, 1, 0) == -1
+def test_px4_without_a_gripper_fails_to_grip(airborne):
+    # payload_deliverer.cpp, handle_vehicle_command: not valid, FAILED; no such action, DENIED
+    rig = airborne(PX4, {"PD_GRIPPER_TYPE": -1})
+    assert rig.command(211, 1, 0) == FAILED
+    assert rig.vehicle.truth.parcel_aboard
+    rig.ap.params.set("PD_GRIPPER_TYPE", 0)
+    assert rig.command(211, 1, 2) == DENIED
 
 
 def test_px4s_gripper_is_in_progress_before_it_is_done(airborne):
-    rig = airborne(PX4, {"PD_GRIPPER_EN": 1, "PD_GRIPPER_TO": 1.0})
+    rig = airborne(PX4, {"PD_GRIPPER_TO": 1.0})
     assert rig.command(211, 1, 0) == 5
+    assert rig.command(211, 1, 0) == REJECTED
     rig.step(1.3)
     assert rig.last("COMMAND_ACK").result == ACCEPTED
     assert not rig.vehicle.truth.parcel_aboard
+    assert rig.command(211, 1, 0) == ACCEPTED  # released already
 
 
 def test_ardupilots_gripper_believes_itself_even_when_it_is_stuck(airborne):

@@ -11,7 +11,7 @@ AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 SETTINGS = {
     AP: {"AUTO_OPTIONS": 3, "GRIP_ENABLE": 1},
-    PX4: {"PD_GRIPPER_EN": 1},
+    PX4: {},
 }
 TAKEOFF, WAYPOINT, LOITER_TIME, LAND, JUMP, SPEED, DELAY, GRIPPER = (
     22,
