@@ -14,6 +14,7 @@ from typing import Protocol
 from sim_bridge.autopilot.enums import Cmd, MissionState
 from sim_bridge.autopilot.goals import (
     Descend,
+    FlyVelocity,
     FollowLine,
     Goal,
     HoldPoint,
@@ -43,6 +44,8 @@ class FlightRules:
     """Farther than this from a LAND item's place it is flown to first."""
     ramp_s: float = 0.0
     """From spooled up, on the ground, to thrust enough to lift (PX4)."""
+    brakes_when_sent_elsewhere: bool = False
+    """Whether a waypoint that is left unreached costs the speed (ArduCopter)."""
     item_period_s: float = 0.0
     """Items follow each other no faster than this, when they take no time (PX4's navigator)."""
 
@@ -56,6 +59,8 @@ class MissionVehicle(Protocol):
 
     @property
     def pos_ned_m(self) -> Vec3: ...
+    @property
+    def vel_ned_mps(self) -> Vec3: ...
     @property
     def is_landed(self) -> bool: ...
     @property
@@ -129,8 +134,16 @@ class Leg:
     exit_mps: float = 0.0
     yaw_rad: float | None = None
     returning: Returning | None = None
+    brake_to_mps: float | None = None
+    """Ground speed to come down to before the leg is flown."""
 
 
+_SPEED_KEPT = 0.29
+"""Of the ground speed, where the next leg begins before the last is done, by ArduCopter: 9.5 to
+2.9, 10.9 to 3.1, 11.3 to 3.3 m/s (measured)."""
+_BRAKES_ON_BY_MPS = 0.9
+"""What it still loses while the acceleration turns round."""
+_BRAKING_LIMIT_S = 8.0
 _HOLDING = {Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME}
 _PLACED_LEGS = {
     Cmd.NAV_WAYPOINT,
@@ -209,8 +222,7 @@ class MissionExecutor:
             return True
         if self.index >= len(self.plan):
             return False
-        self._line_start = None
-        self._go_to(self.index, consume=False)
+        self._go_elsewhere(self.index, consume=False)
         return True
 
     @property
@@ -235,9 +247,25 @@ class MissionExecutor:
             self.index = seq if landing is None else landing
             return True
         self.state = MissionState.ACTIVE
-        self._line_start = None
-        self._go_to(seq, consume=not self._sequential)
+        self._go_elsewhere(seq, consume=not self._sequential)
         return True
+
+    def _go_elsewhere(self, index: int, *, consume: bool) -> None:
+        """Make an item the current one before the last is done.
+
+        ArduCopter then plans its way anew from a stopping point, at rest (AC_WPNav.cpp,
+        set_wp_destination_NEU_cm: the previous destination was interrupted).
+        """
+        is_unreached = self.leg is not None and self.leg.phase is Phase.MOVE
+        self._line_start = None
+        self._go_to(index, consume=consume)
+        leg, vehicle = self.leg, self._vehicle
+        if leg is None or leg.phase is not Phase.MOVE or not is_unreached:
+            return
+        if vehicle.flight_rules.brakes_when_sent_elsewhere:
+            north, east, _ = vehicle.vel_ned_mps
+            leg.brake_to_mps = _SPEED_KEPT * math.hypot(north, east) + _BRAKES_ON_BY_MPS
+            leg.since_s = vehicle.t_s
 
     # --- flying -------------------------------------------------------------------------------
 
@@ -452,9 +480,26 @@ class MissionExecutor:
             self.leg = self._move(leg.item, vehicle.pos_ned_m)
         return self._fly(self.leg)
 
+    def _brake(self, leg: Leg, brake_to_mps: float) -> Goal | None:
+        """Slow down before a leg; None when that is done."""
+        vehicle = self._vehicle
+        north, east, _ = vehicle.vel_ned_mps
+        is_slow = math.hypot(north, east) <= brake_to_mps
+        if not is_slow and vehicle.t_s - leg.since_s < _BRAKING_LIMIT_S:
+            return FlyVelocity((0.0, 0.0, 0.0), leg.yaw_rad)
+        leg.brake_to_mps = None
+        leg.start = vehicle.pos_ned_m
+        if leg.item.command == Cmd.NAV_LAND:
+            leg.start = (leg.start[0], leg.start[1], leg.target[2])
+        return None
+
     def _fly_move(self, leg: Leg) -> Goal | None:
         vehicle = self._vehicle
         rules = vehicle.flight_rules
+        if leg.brake_to_mps is not None:
+            braking = self._brake(leg, leg.brake_to_mps)
+            if braking is not None:
+                return braking
         here, target = vehicle.pos_ned_m, leg.target
         radius = rules.accept_radius_m
         if self._sequential and leg.item.command == Cmd.NAV_WAYPOINT and leg.item.param2 > 0.0:

@@ -175,10 +175,11 @@ def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_
         assert rig.until(lambda e=onward_m: rig.ne_m[1] > e, 60.0)
         assert mission.at(rig) == at
         mission.go(rig, to)
-        for _ in range(15):
+        for _ in range(40):
             rig.step(0.1)
             slowest.append(rig.speed_mps)
-    assert min(slowest) > 3.5  # straight ahead: no stop
+    # straight ahead: PX4 flies on at 5 m/s, ArduCopter brakes to 0.29 of its 10 m/s, or of less
+    assert min(slowest) > (4.5 if flavour is PX4 else 1.5)
     assert rig.until(lambda: rig.ne_m[1] > 172.0, 60.0)
     mission.go(rig, 13)
     fly_on(rig, 300.0)
