@@ -509,6 +509,8 @@ class MissionExecutor:
         if leg.item.command == Cmd.NAV_LAND:
             if distance_ne_m(here, target) <= rules.land_above_m:
                 leg.phase = Phase.DESCEND
+                if self._sequential:  # the way there is an item of its own, with this number
+                    vehicle.item_reached(self.index)
                 return self._fly_descend(leg)
         elif (near and level) or self._is_passed(leg, here, radius):
             if leg.stay_s <= 0.0:

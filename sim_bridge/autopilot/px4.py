@@ -96,6 +96,8 @@ class Px4:
         self._reached_left = 0
         self._reached_next_s = 0.0
         self._idle_since_s: float | None = None
+        self._known_seq = -1
+        self._changed: list[str] = []
 
     # --- what it says -------------------------------------------------------------------------
 
@@ -189,14 +191,21 @@ class Px4:
         return params.digest_as_float()
 
     def set_parameter(self, ap: "Autopilot", link_id: int, message: Message) -> None:
-        """The type has to be right; the stored value is sent back in any case."""
+        """The type has to be right; the stored value is sent back in any case.
+
+        A value that has changed is sent again, on every link, before it is saved
+        (mavlink_parameters.cpp, send_untransmitted).
+        """
         name = message.param_id
         if name not in ap.params:
             ap.say(Severity.INFO, f"[pm] unknown param: {name}")
             return
+        before = ap.params[name]
         if not ap.params.accept(name, message.param_value, message.param_type):
             ap.say(Severity.ERROR, f"[pm] param types mismatch param: {name}")
         ap.radio.send_parameter(link_id, name)
+        if ap.params[name] != before and name not in self._changed:
+            self._changed.append(name)
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -253,6 +262,7 @@ class Px4:
     def switch_mission(self, ap: "Autopilot") -> None:
         """Fly the stored mission from now on: at the same index, or at the item marked current."""
         executor = ap.executor
+        self._forget_reached()
         executor.load(ap.store.mission)
         marked = ap.protocol.flagged_current
         if marked is not None and marked < len(executor.plan):
@@ -272,6 +282,7 @@ class Px4:
         executor = ap.executor
         if executor.state == MissionState.COMPLETE and ap.is_landed:
             executor.restart()
+            self._forget_reached()
         self._mission_problem = mission_problem(ap)
         if not self.mission_is_valid(ap):
             ap.say(Severity.CRITICAL, "No valid mission available, refusing takeoff")
@@ -287,10 +298,14 @@ class Px4:
         return True
 
     def mission_set_current(self, ap: "Autopilot", link_id: int, seq: int) -> None:
-        """MISSION_SET_CURRENT: the way to jump; MISSION_CURRENT follows."""
-        if ap.executor.set_current(seq):
-            self._tell_current(ap)
-        else:
+        """MISSION_SET_CURRENT: the way to jump; only the MISSION_CURRENT of each second tells.
+
+        mavlink_mission.cpp, send: the new number is known there already, so it is no change.
+        """
+        known, self._known_seq = self._known_seq, seq
+        self._forget_reached()
+        if not ap.executor.set_current(seq):
+            self._known_seq = known
             ap.say(Severity.CRITICAL, "WPM: WP CURR CMD: Not in list")
 
     def announce_current(self, ap: "Autopilot") -> None:
@@ -311,20 +326,28 @@ class Px4:
             )
 
     def item_started(self, ap: "Autopilot", item: Item, seq: int) -> None:
-        """MISSION_CURRENT at each change."""
+        """MISSION_CURRENT at each change that is news."""
         if self._pending_speed_mps is not None:
             ap.speed_override_mps = self._pending_speed_mps
             self._pending_speed_mps = None
-        self._tell_current(ap)
+        if seq != self._known_seq:
+            self._known_seq = seq
+            self._tell_current(ap)
+
+    def _forget_reached(self) -> None:
+        self._reached_seq, self._reached_left = -1, 0
 
     def item_reached(self, ap: "Autopilot", seq: int) -> None:
-        """MISSION_ITEM_REACHED, and another ten times at 1 Hz."""
+        """MISSION_ITEM_REACHED, and another ten times at 1 Hz; the same again is no news."""
+        if seq == self._reached_seq:
+            return
         ap.radio.send_all("MISSION_ITEM_REACHED", seq=seq)
         self._reached_seq, self._reached_left = seq, _REACHED_AGAIN
         self._reached_next_s = ap.t_s + 1.0
 
     def mission_ended(self, ap: "Autopilot") -> None:
         """It stays in MISSION, on the ground or loitering."""
+        self._tell_current(ap)
         where = "landed" if ap.is_landed else "loitering"
         ap.say(Severity.INFO, f"Mission finished, {where}")
 
@@ -491,6 +514,10 @@ class Px4:
         for later in [entry for entry in self._later if entry.due_s <= ap.t_s]:
             self._later.remove(later)
             ap.radio.acknowledge(later.command, Result.ACCEPTED)
+        for name in self._changed:
+            for link_id in ap.radio.links:
+                ap.radio.send_parameter(link_id, name)
+        self._changed.clear()
         if self._reached_left > 0 and ap.t_s >= self._reached_next_s:
             self._reached_left -= 1
             self._reached_next_s = ap.t_s + 1.0

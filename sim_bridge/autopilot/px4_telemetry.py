@@ -109,8 +109,8 @@ STREAMS: dict[str, status.Builder] = {
 }
 del STREAMS["NAV_CONTROLLER_OUTPUT"]
 
-NOT_ON_REQUEST = frozenset({"MISSION_CURRENT"})
-"""Sent, but by the mission manager: no interval can be set for it."""
+NOT_ON_REQUEST = frozenset({"MISSION_CURRENT", "HEARTBEAT"})
+"""Sent, but at a rate of its own: no interval can be set for it (flown on PX4 1.18)."""
 
 DEFAULT_RATES_HZ = {
     LinkKind.ONBOARD: {

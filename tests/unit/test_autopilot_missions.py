@@ -284,7 +284,10 @@ def test_px4_jumps_by_message_only(airborne):
     assert rig.command(224, 3) == UNSUPPORTED
     rig.forget()
     rig.send("MISSION_SET_CURRENT", seq=3)
-    assert rig.last("MISSION_CURRENT").seq == 3
+    assert rig.ap.executor.index == 3
+    assert not rig.all("MISSION_CURRENT")  # flown: only that of the second confirms it
+    assert rig.until(lambda: bool(rig.all("MISSION_CURRENT")), 1.1)
+    assert [m.seq for m in rig.all("MISSION_CURRENT")] == [3]
     rig.send("MISSION_SET_CURRENT", seq=30)
     assert "Not in list" in rig.texts()[-1]
 
@@ -410,6 +413,42 @@ def test_reached_items_are_announced_in_order(airborne, flavour):
     first = 1 if flavour is AP else 0
     seqs = list(dict.fromkeys(m.seq for m in rig.all("MISSION_ITEM_REACHED")))
     assert seqs == [first, first + 1]
+
+
+def test_px4_says_a_landing_is_reached_while_it_still_flies(airborne):
+    # flown on PX4 1.18 SIH: when it is over the place, then at 1 Hz, and no more when it has landed
+    rig = airborne(PX4)
+    rig.upload([rig.place(LAND, 30, 0, 0)])
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: bool(rig.all("MISSION_ITEM_REACHED")), 40.0)
+    assert rig.height_m > 15.0
+    rig.step(5.6)
+    assert rig.height_m > 5.0
+    assert len(rig.all("MISSION_ITEM_REACHED")) == 6
+    assert rig.until(lambda: not rig.ap.is_armed, 60.0)
+    assert len(rig.all("MISSION_ITEM_REACHED")) == 11
+
+
+def test_ardupilot_is_back_at_its_first_item_before_its_heartbeat_says_disarmed(airborne):
+    # flown on ArduCopter 4.7 SITL: up to 0.8 s before
+    rig = airborne(AP)
+    rig.upload([rig.place(WAYPOINT, 5, 0, 10), rig.place(LAND, 5, 0, 0)])
+    rig.command(511, 42, 100_000)
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ap.executor.index == 2, 40.0)
+    rig.forget()
+    current_s = disarmed_s = None
+    for _ in range(1000):
+        rig.step(0.1)
+        heard = {message.msg_name: message for message in rig.hear()}
+        if current_s is None and "MISSION_CURRENT" in heard and heard["MISSION_CURRENT"].seq == 1:
+            current_s = rig.ap.t_s
+        if "HEARTBEAT" in heard and not heard["HEARTBEAT"].base_mode & 128:
+            disarmed_s = rig.ap.t_s
+            break
+    assert current_s is not None
+    assert disarmed_s is not None
+    assert 0.0 <= disarmed_s - current_s <= 1.0
 
 
 def test_px4_repeats_mission_item_reached_ten_times(airborne):

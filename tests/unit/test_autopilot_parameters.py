@@ -119,6 +119,18 @@ def test_px4_puts_an_integers_bytes_into_the_float(make_rig):
     assert struct.unpack("<i", struct.pack("<f", message.param_value))[0] == 2
 
 
+def test_px4_sends_a_changed_value_twice_and_an_unchanged_one_once(make_rig):
+    # flown on PX4 1.18: one or two PARAM_VALUEs; mavlink_parameters.cpp: twice while it is unsaved
+    rig = make_rig(PX4)
+    rig.step(0.2)
+    for value, answers in ((7.5, 2), (7.5, 1), (6.0, 2)):
+        rig.forget()
+        rig.send("PARAM_SET", param_id="MPC_XY_CRUISE", param_value=value, param_type=REAL32)
+        rig.step(1.0)
+        heard = [m.param_value for m in rig.all("PARAM_VALUE")]
+        assert heard == [value] * answers
+
+
 @given(st.integers(-(2**31), 2**31 - 1))
 def test_any_px4_integer_survives_the_trip(value):
     # NaN payloads included, but for signalling NaNs, which a float register quietens

@@ -72,6 +72,7 @@ def test_px4_sends_less_on_a_ground_station_link(make_rig):
         (PX4, "WIND", FAILED),
         (PX4, "AIRSPEED", FAILED),
         (PX4, "MISSION_CURRENT", FAILED),
+        (PX4, "HEARTBEAT", FAILED),
         (PX4, "WIND_COV", ACCEPTED),
     ],
 )
