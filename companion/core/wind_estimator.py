@@ -85,10 +85,10 @@ class WindEstimatorParams:
     """
 
     prior_wind_std_mps: float = 8.0
-    prior_trim_std_rad: float = math.radians(2.0)  # 2 to 2.7 deg were seen, on real vehicles and PX4
-    trim_walk_rad2ps: float = math.radians(0.3) ** 2 / 60.0
+    prior_trim_std_rad: float = math.radians(1.0)  # a levelled autopilot; 2 deg were seen
+    trim_walk_rad2ps: float = math.radians(0.1) ** 2 / 60.0
     gain_walk_per_s: float = 0.02**2 / 600.0
-    gain_parcel_std_frac: float = 0.06  # [est] a box below the frame, of 5 to 20 % of its drag
+    gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
     wind_walk_m2ps3: float = 0.12  # [coast]
