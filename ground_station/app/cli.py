@@ -1,0 +1,164 @@
+"""`ground-station`: the dispatcher's commands. So far: what a flight would cost, and promise."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from companion.core.ahead import ahead_outbound
+from companion.core.airframe import Airframe, airframe_from_dict
+from companion.core.energy_ledger import EnergyBelief
+from companion.core.errors import LeewayError
+from companion.core.flight import Flight, Place
+from companion.core.flight_plan import DROP_S, SETTLE_SLACK_S, FlightPlan, frame_at, make_plan
+from companion.core.flight_plan import site_map as site_map_of
+from companion.core.gate import Assessment, Gate, GateParams
+from companion.core.planner import BerPlanner, NoRoute
+from companion.core.route_energy import RouteEnergy
+from companion.core.wind_estimator import WindBelief
+from companion.core.wind_outlook import WindOutlook
+from ground_station.adapters.files import params_dir, read_json, read_toml
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="The dispatcher's desk, with the very energy model that the vehicles fly with.",
+)
+
+
+@app.callback()
+def _desk() -> None:
+    """Keep `estimate` a subcommand."""
+
+
+@app.command()
+def estimate(
+    flight: Annotated[Path, typer.Argument(help="A flight/1 TOML file.")],
+    wind_speed: Annotated[
+        float, typer.Option(min=0.0, max=40.0, help="Wind at cruise height, m/s.")
+    ] = 0.0,
+    wind_from: Annotated[
+        float, typer.Option(help="Where it blows from, degrees clockwise from north.")
+    ] = 0.0,
+    wind_std: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="How wrong that may be, m/s (one sigma).")
+    ] = 1.5,
+    charge: Annotated[
+        float | None, typer.Option(min=0.05, max=1.0, help="Charge at the start; default: full.")
+    ] = None,
+) -> None:
+    """Energy and promise of one delivery before anything flies; exit code 3: the gate says stay."""
+    loaded = _read_flight(flight)
+    airframe = _read_airframe(loaded.vehicle.airframe)
+    route_energy = RouteEnergy(airframe, cruise_airspeed_mps=loaded.mission.cruise_airspeed_mps)
+    energy = _energy(loaded, airframe, route_energy, charge)
+    depot = loaded.site.depot
+    if depot is None:
+        raise LeewayError(f"{flight}: site.depot: needed for an estimate (lat_deg, lon_deg, ...)")
+    planned = _plan(loaded, flight, depot, route_energy, energy)
+    angle = math.radians(wind_from)
+    to_ne = np.array([-wind_speed * math.cos(angle), -wind_speed * math.sin(angle)])
+    belief = WindBelief(0.0, to_ne, wind_std**2 * np.eye(2), ("forecast",), True)
+    outlook = WindOutlook()
+    outlook.observe(belief)
+    reserve_wh = loaded.mission.reserve_frac * energy.usable_full_wh
+    gate = Gate(route_energy, GateParams(max_loss=loaded.mission.max_loss, reserve_wh=reserve_wh))
+    ahead = ahead_outbound(
+        planned.plan,
+        planned.plan.depot_ned_m,
+        0,
+        loaded.vehicle.payload_kg,
+        loaded.mission.drop_height_m,
+        DROP_S,
+        loaded.mission.wind_settle_s + SETTLE_SLACK_S,
+    )
+    seen = gate.assess(ahead, belief, outlook, energy)
+    _print(Console(), loaded, planned, energy, reserve_wh, seen)
+    raise typer.Exit(3 if seen.turn_back else 0)
+
+
+def _read_flight(path: Path) -> Flight:
+    try:
+        return msgspec.convert(read_toml(path), Flight)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{path}: {error}") from error
+
+
+def _read_airframe(name: str) -> Airframe:
+    path = params_dir() / "airframes" / f"{name}.toml"
+    return airframe_from_dict(read_toml(path), str(path))
+
+
+def _energy(
+    flight: Flight, airframe: Airframe, route_energy: RouteEnergy, charge: float | None
+) -> EnergyBelief:
+    """A pack of the stated charge, as the ledger would see it after a rest."""
+    vehicle, battery = flight.vehicle, airframe.battery
+    draw_w = route_energy.hover_power_w(vehicle.payload_kg)
+    full_wh = battery.usable_wh(draw_w, vehicle.temperature_c, vehicle.battery_health_frac)
+    share = charge if charge is not None else vehicle.charge_frac_stated
+    left_wh = full_wh * (share if share is not None else 1.0)
+    return EnergyBelief(
+        0.0, left_wh, battery.usable_std_frac * left_wh, full_wh, "charge as stated"
+    )
+
+
+def _plan(
+    flight: Flight, path: Path, depot: Place, route_energy: RouteEnergy, energy: EnergyBelief
+) -> FlightPlan:
+    document: dict[str, Any] | None = None
+    if flight.site.obstacles is not None:
+        document = read_json(path.parent / flight.site.obstacles)
+    site = site_map_of(flight, frame_at(depot), document)
+    planned = make_plan(flight, site, BerPlanner(route_energy), energy, flight.mission.reserve_frac)
+    if isinstance(planned, NoRoute):
+        raise LeewayError(f"{path}: no route: {planned.reason}")
+    return planned
+
+
+def _print(
+    console: Console,
+    flight: Flight,
+    planned: FlightPlan,
+    energy: EnergyBelief,
+    reserve_wh: float,
+    seen: Assessment,
+) -> None:
+    table = Table(
+        title=f"{flight.name}: {flight.vehicle.airframe}, {flight.vehicle.payload_kg:g} kg"
+    )
+    table.add_column("what")
+    table.add_column("figure", justify="right")
+    plan = planned.plan
+    for what, figure in (
+        ("waypoints out / back", f"{len(plan.outbound_ned_m)} / {len(plan.return_ned_m)}"),
+        ("usable energy / reserve", f"{energy.mean_wh:.0f} / {reserve_wh:.0f} Wh"),
+        ("mean need, to the ground", f"{seen.energy_need_wh:.0f} Wh"),
+        ("P(home) under the gate", f"{seen.p_home:.4f}"),
+        ("P(home and delivered)", f"{seen.p_success:.3f}"),
+        ("loss accepted", f"{flight.mission.max_loss:g}"),
+        ("the gate says", "stay" if seen.turn_back else "go"),
+    ):
+        table.add_row(what, figure)
+    console.print(table)
+    console.print(seen.reason, highlight=False)
+
+
+def main() -> None:
+    """Entry point: a mistake in the input is one line on stderr and exit code 2."""
+    try:
+        app()
+    except LeewayError as error:
+        print(f"ground-station: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
