@@ -36,7 +36,8 @@ _TIE = 0.002  # of probability: landing sites closer than this are ranked by the
 class GateParams:
     """The operator's risk and ours. `reserve_wh` must still be there after landing.
 
-    `min_success`: flying on for less than this chance of a delivery is not worth its risk.
+    `min_success`: with less than this chance that the energy does for the whole trip, whatever
+    the gate would say on the way, flying on is not worth its energy.
     """
 
     max_loss: float
@@ -177,9 +178,9 @@ class Gate:
             reason = f"P(home) from the next point {p_on:.3f} is under {promise:.3f}"
         elif p_on < promise:
             reason = f"P(home) {p_on:.3f} is under {promise:.3f}, but turning here is no better"
-        elif p_success < self.params.min_success:
+        elif (p_whole := float(budget.p_enough(table.whole_wh()).mean())) < self.params.min_success:
             turn_back = True
-            reason = f"P(success) {p_success:.3f} is not worth the flight"
+            reason = f"P(energy for the whole trip) {p_whole:.3f} is not worth the flight"
         return Assessment(
             t_s=t_s,
             p_home=p_now if turn_back else p_policy,

@@ -38,11 +38,19 @@ class Switch(StrEnum):
     off = "off"
 
 
+def _default_flight(wind_log: Path | None) -> Path:
+    name = "default.toml" if wind_log is None else "recorded.toml"
+    return params_dir() / "flights" / name
+
+
 @app.command()
 def fly(
     flight: Annotated[
         Path | None,
-        typer.Argument(help="FLIGHT.toml (flight/1); default: params/flights/default.toml"),
+        typer.Argument(
+            help="FLIGHT.toml (flight/1); default: params/flights/default.toml, or recorded.toml"
+            " with --wind-log"
+        ),
     ] = None,
     autopilot: Annotated[
         AutopilotChoice, typer.Option(help="Flavour of the vehicles; mixed takes turns.")
@@ -81,7 +89,7 @@ def fly(
 
     console = Console()
     options = FlyOptions(
-        flight_file=flight or params_dir() / "flights" / "default.toml",
+        flight_file=flight or _default_flight(wind_log),
         autopilot=autopilot.value,
         seed=seed,
         wind_log=wind_log,
@@ -102,9 +110,7 @@ def fly(
 
 @app.command()
 def series(
-    flight: Annotated[
-        Path | None, typer.Argument(help="FLIGHT.toml; default: params/flights/default.toml")
-    ] = None,
+    flight: Annotated[Path | None, typer.Argument(help="FLIGHT.toml; default: as for fly")] = None,
     seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:20",
     autopilot: Annotated[
         list[str] | None, typer.Option(help="px4, ardupilot; once or more. Default: both.")
@@ -133,7 +139,7 @@ def series(
     if unknown:
         raise LeewayError(f"--autopilot {', '.join(sorted(unknown))}: expected px4 or ardupilot")
     base = FlyOptions(
-        flight_file=flight or params_dir() / "flights" / "default.toml",
+        flight_file=flight or _default_flight(wind_log),
         wind_log=wind_log,
         run_root=runs,
         picture=picture,
