@@ -27,10 +27,10 @@ def need_wh(text: str) -> float:
 
 
 def test_a_headwind_home_costs_more_and_a_gale_is_refused_by_the_gate():
-    calm_code, calm, _ = ask(str(FLIGHT), "--charge", "0.9")
-    gale_code, gale, _ = ask(
-        str(FLIGHT), "--charge", "0.9", "--wind-speed", "14", "--wind-from", "80"
-    )
+    charge = ("--charge", "0.6")
+    gale_wind = ("--wind-speed", "16", "--wind-from", "80", "--wind-std", "0.5")
+    calm_code, calm, _ = ask(str(FLIGHT), *charge)
+    gale_code, gale, _ = ask(str(FLIGHT), *charge, *gale_wind)
     assert (calm_code, gale_code) == (0, 3)
     assert need_wh(gale) > 1.3 * need_wh(calm)
 
