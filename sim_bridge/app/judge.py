@@ -48,10 +48,11 @@ def judge(
     """Judge a finished (or stopped) flight by truth; home means landed there with the reserve."""
     truth = record.arrays()
     margin_wh = float(truth["usable_wh"][-1]) - reserve_wh
-    on_ground = record.landed_s is not None or record.took_off_s is None
+    on_ground = record.landed_s is not None
     here = (float(truth["north_m"][-1]), float(truth["east_m"][-1]))
     at_home = any(math.dist(here, home) <= HOME_RADIUS_M for home in homes_ne_m)
-    home = on_ground and at_home and not record.crashed and margin_wh >= 0.0
+    never_left = record.took_off_s is None
+    home = never_left or (on_ground and at_home and not record.crashed and margin_wh >= 0.0)
     delivered = (
         record.released_ned_m is not None
         and record.release_height_m is not None

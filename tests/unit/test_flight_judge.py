@@ -77,6 +77,7 @@ def test_a_vehicle_that_never_left_is_home_and_aborted():
     for t in range(3):
         record.add(Sample(float(t), (0.0, 0.0, 0.0), False, True, 100.0), 0.0)
     assert verdict_of(record).outcome == "ABRT"
+    assert verdict_of(record, reserve_wh=150.0).outcome == "ABRT"  # however empty its pack is
     assert verdict_of(record).flight_time_s == 0.0
 
 
