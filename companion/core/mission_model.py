@@ -18,6 +18,8 @@ from companion.core.wind_chain import Sight, WindChain, class_centre
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+JUMPS_AT_ONCE = 4
+
 
 class Outcome(IntEnum):
     """How a mission ended (`evaluation.md`, 1)."""
@@ -74,55 +76,47 @@ class ChainWinds:
         self._duration_s = graph.duration_s(chain.states_en_mps)
         self._jump_share = _cumulative_jumps(chain.rate_per_s)
         start = np.searchsorted(np.cumsum(chain.initial)[:-1], random.random(count), side="right")
-        self._state = [start.astype(np.int64)]
-        self._until_s = [self._stay_s(start)]
-        self._column = np.zeros(count, dtype=np.int64)
+        self._state = start.astype(np.int64)[None, :]  # (jumps so far + 1, n)
+        self._until_s = self._stay_s(self._state)
+        self._jump = np.zeros(count, dtype=np.int64)
 
     @property
     def count(self) -> int:
-        return len(self._state[0])
+        return self._state.shape[1]
 
     def restart(self) -> None:
         """Let the next planner meet the same winds."""
-        self._column[:] = 0
+        self._jump[:] = 0
 
     def state_at(self, mission: Ints, time_s: Floats) -> Ints:
         """The chain's state at `time_s` after departure."""
-        column = self._column[mission]
-        state = np.empty(len(mission), dtype=np.int64)
-        waiting = np.arange(len(mission))
-        while len(waiting):
-            for j in np.unique(column[waiting]):
-                while j >= len(self._state):
-                    self._draw_jump()
-                rows = waiting[column[waiting] == j]
-                ended = self._until_s[j][mission[rows]] <= time_s[rows]
-                state[rows[~ended]] = self._state[j][mission[rows[~ended]]]
-                column[rows[ended]] += 1
-            waiting = waiting[time_s[waiting] >= self._ends(mission[waiting], column[waiting])]
-        self._column[mission] = column
-        return state
+        jump = self._jump[mission]
+        late = np.arange(len(mission))
+        while True:
+            late = late[self._until_s[jump[late], mission[late]] <= time_s[late]]
+            if not len(late):
+                break
+            jump[late] += 1
+            if jump[late].max() == len(self._state):
+                self._draw_jumps()
+        self._jump[mission] = jump
+        return self._state[jump, mission]
 
-    def _ends(self, mission: Ints, column: Ints) -> Floats:
-        while column.max(initial=0) >= len(self._state):
-            self._draw_jump()
-        ends = np.empty(len(mission))
-        for j in np.unique(column):
-            rows = column == j
-            ends[rows] = self._until_s[j][mission[rows]]
-        return ends
-
-    def _draw_jump(self) -> None:
-        """The next state of all missions and how long it holds; drawn for all, whoever asks."""
-        uniform = self._random.random(self.count)
-        before = self._state[-1]
-        state = (self._jump_share[before] <= uniform[:, None]).sum(axis=1)
-        self._state.append(state)
-        self._until_s.append(self._until_s[-1] + self._stay_s(state))
+    def _draw_jumps(self) -> None:
+        """The next states of all missions and how long they hold; for all, whoever asks."""
+        states, until = [self._state], [self._until_s]
+        for _ in range(JUMPS_AT_ONCE):
+            uniform = self._random.random(self.count)
+            before = states[-1][-1]
+            after = (self._jump_share[before] <= uniform[:, None]).sum(axis=1)[None, :]
+            states.append(after)
+            until.append(until[-1][-1:] + self._stay_s(after))
+        self._state = np.concatenate(states)
+        self._until_s = np.concatenate(until)
 
     def _stay_s(self, state: Ints) -> Floats:
         rate = -self._chain.rate_per_s[state, state]
-        draw = self._random.exponential(size=len(state))
+        draw = self._random.exponential(size=state.shape)
         return np.where(rate > 0.0, draw / np.where(rate > 0.0, rate, 1.0), np.inf)
 
     def look(self, mission: Ints, time_s: Floats) -> tuple[Ints, Floats]:

@@ -1,9 +1,10 @@
 """One edge flown in one wind state, on a grid of energy: what the value tables are made of."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from companion.core.energy_graph import EnergyGraph
 from companion.core.wind_chain import WindChain
@@ -12,64 +13,93 @@ Floats = NDArray[np.float64]
 NEVER = np.int32(2**30)  # levels that an infeasible edge costs: more than any budget has
 LEVEL_SLACK = 1e-9  # levels; keeps a whole number of levels whole when it is divided back
 
-TABLE_BYTES_IN_DOUBLE = 64e6  # value tables up to this size are kept in float64
+
+class Rounding(Enum):
+    """How an edge's energy meets the grid.
+
+    UP: a whole number of levels, never too few. What the table says is a lower bound, for sure.
+    LINEAR: between the two whole numbers in proportion. Unbiased, so that 500 levels serve as
+    well as thousands; what it promises is checked by flying it (`companion.core.tuning`).
+    """
+
+    UP = "up"
+    LINEAR = "linear"
 
 
 @dataclass(frozen=True)
 class StepModel:
-    """Edges by wind states on `levels` steps of `step_wh`: cost rounded up, next wind state.
+    """Edges by wind states on `levels` steps of energy: what each costs, what wind comes next.
 
-    Rounding up is what makes the tables safe: energy that the table says is left, is left.
-    Shapes: cost_levels (2, E, S) loaded and empty; energy_wh (2, E, S); next_state (E, S, S).
+    Shapes: energy_wh (2, E, S) loaded and empty, infinite where infeasible; cost_levels (2, E, S)
+    whole levels, rounded up; upper_share (2, E, S) weight of that number against one fewer;
+    next_state (E, S, S).
     """
 
     graph: EnergyGraph
     chain: WindChain
     budget_wh: float
     levels: int
+    rounding: Rounding
     energy_wh: Floats
     cost_levels: NDArray[np.int32]
+    upper_share: NDArray[np.float32]
     next_state: NDArray
 
     @property
     def step_wh(self) -> float:
         return self.budget_wh / self.levels
 
-    def level(self, energy_wh: Floats) -> NDArray[np.int64]:
+    def level(self, energy_wh: ArrayLike) -> NDArray[np.int64]:
         """The table's row for an energy left: rounded down, clipped to the grid."""
         if self.step_wh == 0.0:
             return np.zeros(np.shape(energy_wh), dtype=np.int64)
         raw = np.floor(np.asarray(energy_wh) / self.step_wh + LEVEL_SLACK)
         return np.clip(raw, 0, self.levels).astype(np.int64)
 
+    def on_grid(self, levels: int) -> "StepModel":
+        """The same model on another grid."""
+        cost, share = _on_grid(self.energy_wh, self.budget_wh, levels, self.rounding)
+        return replace(self, levels=levels, cost_levels=cost, upper_share=share)
+
 
 def build_step_model(
-    graph: EnergyGraph, chain: WindChain, budget_wh: float, levels: int, dtype: type | None = None
+    graph: EnergyGraph,
+    chain: WindChain,
+    budget_wh: float,
+    levels: int,
+    rounding: Rounding = Rounding.LINEAR,
+    dtype: type = np.float32,
 ) -> StepModel:
-    """The model on a grid of `levels`; `dtype` of the tables, by their size when None."""
-    if dtype is None:
-        bytes_in_double = 8.0 * (levels + 1) * graph.vertex_count * chain.state_count
-        dtype = np.float64 if bytes_in_double <= TABLE_BYTES_IN_DOUBLE else np.float32
+    """The model on a grid of `levels`; tables are kept in `dtype`."""
     duration = graph.duration_s(chain.states_en_mps)
     energy = np.stack([graph.energy_wh(chain.states_en_mps, load) for load in (False, True)])
+    cost, share = _on_grid(energy, budget_wh, levels, rounding)
     return StepModel(
         graph=graph,
         chain=chain,
         budget_wh=budget_wh,
         levels=levels,
+        rounding=rounding,
         energy_wh=energy,
-        cost_levels=_rounded_up(energy, budget_wh, levels),
+        cost_levels=cost,
+        upper_share=share,
         next_state=_next_state(chain, duration, dtype),
     )
 
 
-def _rounded_up(energy_wh: Floats, budget_wh: float, levels: int) -> NDArray[np.int32]:
-    """Whole levels, at least one, so that every edge goes down the grid."""
+def _on_grid(
+    energy_wh: Floats, budget_wh: float, levels: int, rounding: Rounding
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Whole levels, at least one so that every edge goes down the grid, and the upper's share."""
+    share = np.ones(energy_wh.shape, dtype=np.float32)
     if budget_wh == 0.0:
-        return np.full(energy_wh.shape, NEVER)
-    usable = energy_wh <= budget_wh * (1.0 + 1e-12)
-    raw = np.ceil(np.where(usable, energy_wh, 0.0) * (levels / budget_wh) - LEVEL_SLACK)
-    return np.where(usable, np.maximum(raw, 1.0), NEVER).astype(np.int32)
+        return np.full(energy_wh.shape, NEVER), share
+    usable = energy_wh <= budget_wh
+    exact = np.where(usable, energy_wh, 0.0) * (levels / budget_wh)
+    cost = np.maximum(np.ceil(exact - LEVEL_SLACK), 1.0)
+    if rounding is Rounding.LINEAR:
+        share = np.where(cost > 1.0, np.clip(exact - (cost - 1.0), 0.0, 1.0), 1.0)
+    return np.where(usable, cost, NEVER).astype(np.int32), share.astype(np.float32)
 
 
 def _next_state(chain: WindChain, duration_s: Floats, dtype: type) -> NDArray:

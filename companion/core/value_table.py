@@ -23,6 +23,7 @@ STOP = 65534  # a choice: stay at the depot
 # What the whole budget is worth, at most: breaks ties between equally promising edges towards the
 # cheaper one. Smaller than any loss that is asked for, larger than float32 can blur.
 THRIFT = 2e-5
+THRIFT_PER_SUCCESS = 0.002  # and no more than this share of what success counts over stopping
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,30 @@ class DeliveryTable:
 def solve_home(model: StepModel, keep_candidates: bool = False) -> HomeTable:
     """The table of the way home, flown empty."""
     worth = np.ones((model.levels + 1, model.chain.state_count), dtype=model.next_state.dtype)
-    swept = _sweep(model, True, model.graph.depot, worth, None, keep_candidates)
+    sweep = _Sweep(model, True, model.graph.depot, worth, None)
+    swept = sweep.run(choices=True, candidates=keep_candidates)
     return HomeTable(
         p_home=swept.value[..., 0],
         choice=swept.choice[..., 0],
         candidate=None if swept.candidate is None else swept.candidate[..., 0],
     )
+
+
+def home_worth(model: StepModel) -> NDArray:
+    """P(home) at the target alone, (K + 1, S): all that the way out needs; cheaper."""
+    worth = np.ones((model.levels + 1, model.chain.state_count), dtype=model.next_state.dtype)
+    sweep = _Sweep(model, True, model.graph.depot, worth, None)
+    return sweep.run(choices=False, watch=model.graph.target).value[..., 0]
+
+
+def delivery_worths(
+    model: StepModel, worth_at_target: NDArray, stop_worths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What the mission is worth from the depot for each worth of stopping; shape (weights,)."""
+    goal = model.graph.target
+    sweep = _Sweep(model, False, goal, worth_at_target, stop_worths)
+    value = sweep.run(choices=False, watch=model.graph.depot).value
+    return model.chain.initial @ value[-1].astype(np.float64)
 
 
 def solve_delivery(
@@ -74,8 +93,9 @@ def solve_delivery(
     keep_candidates: bool = False,
 ) -> list[DeliveryTable]:
     """The tables of the way out for each worth of stopping (0 to 1), in one sweep."""
-    worth = home.p_home[:, model.graph.target, :]
-    swept = _sweep(model, False, model.graph.target, worth, stop_worths, keep_candidates)
+    goal = model.graph.target
+    sweep = _Sweep(model, False, goal, home.p_home[:, goal], stop_worths)
+    swept = sweep.run(choices=True, candidates=keep_candidates)
     count = len(stop_worths)
     return [
         DeliveryTable(
@@ -91,102 +111,151 @@ def solve_delivery(
 
 @dataclass(frozen=True)
 class _Swept:
-    value: NDArray  # (K + 1, V, S, weights, and as many again for P(ABRT))
+    value: NDArray  # (K + 1, V, S, weights and as many again for P(ABRT)), or without V: watched
     choice: NDArray[np.uint16]
     candidate: NDArray | None
 
 
 class _DelayLines:
-    """For each usable (edge, state) the worths of the last `cost` levels, in one flat array."""
+    """For each usable (edge, state) its worths until they are due, in one flat array.
 
-    def __init__(self, cost: NDArray[np.int32], width: int, dtype: np.dtype) -> None:
+    A cost between two whole numbers of levels draws on the worths of two neighbouring levels.
+    """
+
+    def __init__(
+        self, cost: NDArray[np.int32], upper_share: NDArray, width: int, dtype: np.dtype
+    ) -> None:
         self.row = np.flatnonzero(cost.ravel() < NEVER)
-        self._cost = cost.ravel()[self.row].astype(np.int64)
-        self._begin = np.concatenate([[0], np.cumsum(self._cost)])
-        self._slot = self._begin[:-1].copy()
-        self._end = self._begin[1:]
-        self._memory = np.zeros((int(self._begin[-1]), width), dtype=dtype)
+        self._all = len(self.row) == cost.size
+        whole = cost.ravel()[self.row].astype(np.int64)
+        share = upper_share.ravel()[self.row].astype(dtype)
+        self._mixes = bool((share < 1.0).any())
+        # Mixed with the level above, the worth of the level before is due one level sooner.
+        delay = np.where(whole > 1, whole - 1, 1) if self._mixes else whole
+        self._before = np.where(whole > 1, share, 0.0).astype(dtype)[:, None]
+        self._now = (1.0 - self._before).astype(dtype)
+        ends = np.cumsum(delay)
+        self._begin, self._end = ends - delay, ends
+        self._slot = self._begin.copy()
+        self._memory = np.zeros((int(delay.sum()), width), dtype=dtype)
+        self._last = np.zeros((len(self.row), width), dtype=dtype)
 
     def read(self, into: NDArray) -> None:
-        """Write what each row was worth `cost` levels below into `into` (rows, width)."""
-        into[self.row] = self._memory[self._slot]
+        """Write what each row is worth now into `into` (rows, width)."""
+        if self._all:
+            np.take(self._memory, self._slot, axis=0, out=into)
+        else:
+            into[self.row] = self._memory[self._slot]
 
     def write(self, worth: NDArray) -> None:
         """Store this level's worth (rows, width) and step to the next level."""
-        self._memory[self._slot] = worth[self.row] if len(self.row) < len(worth) else worth
+        usable = worth if self._all else worth[self.row]
+        due = usable
+        if self._mixes:
+            due = self._last
+            due *= self._before
+            due += self._now * usable
+        self._memory[self._slot] = due
+        self._last = usable
         self._slot += 1
-        np.copyto(self._slot, self._begin[:-1], where=self._slot == self._end)
+        np.copyto(self._slot, self._begin, where=self._slot == self._end)
 
 
-def _sweep(
-    model: StepModel,
-    empty: bool,
-    goal: int,
-    goal_worth: NDArray,
-    stop_worths: NDArray[np.float64] | None,
-    keep_candidates: bool,
-) -> _Swept:
-    graph, dtype = model.graph, model.next_state.dtype
-    cost = model.cost_levels[int(empty)]
-    edges, states = cost.shape
-    levels, vertices = model.levels, graph.vertex_count
-    worths = np.ones(1) if stop_worths is None else np.asarray(stop_worths, dtype=float)
-    weights = len(worths)
-    width = weights if stop_worths is None else 2 * weights
-    thrift = _thrift(model, cost, stop_worths).astype(dtype)
+class _Sweep:
+    """One phase of the mission, level by level."""
 
-    value = np.zeros((levels + 1, vertices, states, width), dtype=dtype)
-    choice = np.full((levels + 1, vertices, states, weights), LOSS_NOTHING_HELPS, dtype=np.uint16)
-    kept = np.zeros((levels + 1, edges, states, weights), dtype=dtype) if keep_candidates else None
-    lines = _DelayLines(cost, width, dtype)
-    candidate = np.zeros((edges * states, width), dtype=dtype)
-    by_edge = candidate.reshape(edges, states, width)
-    flown = np.flatnonzero(np.diff(graph.out_start) > 0)
-    first = graph.out_start[flown]
-    degree = np.diff(graph.out_start)[flown]
-    group = np.repeat(np.arange(len(flown)), degree)
-    place = (np.arange(edges) - first[group]).astype(np.uint16)[:, None, None]
+    def __init__(
+        self,
+        model: StepModel,
+        empty: bool,
+        goal: int,
+        goal_worth: NDArray,
+        stop_worths: NDArray[np.float64] | None,
+    ) -> None:
+        graph = model.graph
+        self._model, self._goal, self._goal_worth = model, goal, goal_worth
+        self._cost = model.cost_levels[int(empty)]
+        self._share = model.upper_share[int(empty)]
+        self._dtype = model.next_state.dtype
+        self._stops = stop_worths is not None
+        self._worths = np.ones(1) if stop_worths is None else np.asarray(stop_worths, dtype=float)
+        self._thrift = self._thrift_of(model.energy_wh[int(empty)])
+        degree = np.diff(graph.out_start)
+        self._flown = np.flatnonzero(degree > 0)
+        self._first = graph.out_start[self._flown]
+        self._group = np.repeat(np.arange(len(self._flown)), degree[self._flown])
+        place = np.arange(graph.edge_count) - self._first[self._group]
+        self._place = place.astype(np.uint16)[:, None, None]
 
-    for k in range(levels + 1):
-        lines.read(candidate)
-        if len(flown):
-            worth = by_edge[..., :weights] - thrift
-            best = np.maximum.reduceat(worth, first, axis=0)
-            chosen = np.where(worth == best[group], place, np.uint16(LOSS_NOTHING_HELPS))
-            chosen = np.minimum.reduceat(chosen, first, axis=0)
-            hopeless = best <= 0.0
-            chosen[hopeless] = LOSS_NOTHING_HELPS
-            best[hopeless] = 0.0
-            value[k, flown, :, :weights] = best
-            choice[k, flown] = chosen
-            if width > weights:
-                edge = first[:, None, None] + np.where(hopeless, 0, chosen)
-                aborts = by_edge[
-                    edge, np.arange(states)[:, None], weights + np.arange(weights)
-                ]
-                value[k, flown, :, weights:] = np.where(hopeless, 0.0, aborts)
-            if kept is not None:
-                kept[k] = worth
-        if stop_worths is not None:
-            _allow_stop(value[k, graph.depot], choice[k, graph.depot], worths.astype(dtype))
-        value[k, goal, :, :weights] = goal_worth[k][:, None]
-        value[k, goal, :, weights:] = 0.0
-        lines.write(np.matmul(model.next_state, value[k, graph.head]).reshape(-1, width))
-    return _Swept(value, choice, kept)
+    def _thrift_of(self, energy_wh: NDArray) -> NDArray:
+        """What an edge's energy counts against it, (E, S, weights)."""
+        usable = self._cost < NEVER
+        budget = self._model.budget_wh or 1.0
+        share = np.where(usable, np.where(usable, energy_wh, 0.0) / budget, 0.0)[..., None]
+        most = np.full(len(self._worths), THRIFT)
+        if self._stops:
+            most = np.minimum(most, THRIFT_PER_SUCCESS * (1.0 - self._worths))
+        return (most * share).astype(self._dtype)
 
+    def run(self, choices: bool, candidates: bool = False, watch: int | None = None) -> _Swept:
+        """Go up the levels; with `watch` only that vertex's worths are kept."""
+        model, graph = self._model, self._model.graph
+        edges, states = self._cost.shape
+        weights = len(self._worths)
+        splits = choices and self._stops
+        width = 2 * weights if splits else weights
+        shape = (model.levels + 1, graph.vertex_count, states)
+        kept = (model.levels + 1, states) if watch is not None else shape
+        value = np.zeros((*kept, width), dtype=self._dtype)
+        choice = np.full((*shape, weights) if choices else (0,), LOSS_NOTHING_HELPS, np.uint16)
+        promised = None
+        if candidates:
+            promised = np.zeros((model.levels + 1, edges, states, weights), dtype=self._dtype)
+        lines = _DelayLines(self._cost, self._share, width, self._dtype)
+        candidate = np.zeros((edges * states, width), dtype=self._dtype)
+        by_edge = candidate.reshape(edges, states, width)
+        for k in range(model.levels + 1):
+            now = np.zeros((*shape[1:], width), dtype=self._dtype) if watch is not None else value[k]
+            lines.read(candidate)
+            by_edge[..., :weights] -= self._thrift
+            if len(self._flown):
+                best = np.maximum.reduceat(by_edge[..., :weights], self._first, axis=0)
+                np.maximum(best, 0.0, out=best)
+                now[self._flown, :, :weights] = best
+                if choices:
+                    self._choose(by_edge, best, now, choice[k])
+            if promised is not None:
+                promised[k] = by_edge[..., :weights]
+            if self._stops:
+                self._allow_stop(now[graph.depot], choice[k, graph.depot] if choices else None)
+            now[self._goal, :, :weights] = self._goal_worth[k][:, None]
+            now[self._goal, :, weights:] = 0.0
+            if watch is not None:
+                value[k] = now[watch]
+            lines.write(np.matmul(model.next_state, now[graph.head]).reshape(-1, width))
+        return _Swept(value, choice, promised)
 
-def _thrift(model: StepModel, cost: NDArray[np.int32], stop_worths: NDArray | None) -> NDArray:
-    """What an edge's energy counts against it, (E, S, weights); less where success counts less."""
-    share = np.where(cost < NEVER, cost, 0)[..., None] / model.levels
-    if stop_worths is None:
-        return THRIFT * share
-    return np.minimum(THRIFT, 0.01 * (1.0 - np.asarray(stop_worths))) * share
+    def _choose(self, by_edge: NDArray, best: NDArray, now: NDArray, choice: NDArray) -> None:
+        """The first edge that is worth the best, and P(ABRT) by it."""
+        weights = len(self._worths)
+        is_best = by_edge[..., :weights] == best[self._group]
+        chosen = np.where(is_best, self._place, np.uint16(LOSS_NOTHING_HELPS))
+        chosen = np.minimum.reduceat(chosen, self._first, axis=0)
+        hopeless = best <= 0.0
+        chosen[hopeless] = LOSS_NOTHING_HELPS
+        choice[self._flown] = chosen
+        if by_edge.shape[2] > weights:
+            edge = self._first[:, None, None] + np.where(hopeless, 0, chosen)
+            states = np.arange(by_edge.shape[1])[:, None]
+            aborts = by_edge[edge, states, weights + np.arange(weights)]
+            now[self._flown, :, weights:] = np.where(hopeless, 0.0, aborts)
 
-
-def _allow_stop(value: NDArray, choice: NDArray, worths: NDArray) -> None:
-    """At the depot (S, width), stay where that is worth at least as much as any edge."""
-    weights = len(worths)
-    stays = value[:, :weights] <= worths
-    value[:, :weights] = np.where(stays, worths, value[:, :weights])
-    value[:, weights:] = np.where(stays, 1.0, value[:, weights:])
-    choice[stays] = STOP
+    def _allow_stop(self, value: NDArray, choice: NDArray | None) -> None:
+        """At the depot (S, width), stay where that is worth at least as much as any edge."""
+        weights = len(self._worths)
+        worths = self._worths.astype(self._dtype)
+        stays = value[:, :weights] <= worths
+        value[:, :weights] = np.where(stays, worths, value[:, :weights])
+        if choice is not None:
+            value[:, weights:] = np.where(stays, 1.0, value[:, weights:])
+            choice[stays] = STOP

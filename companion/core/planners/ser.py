@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from companion.core.planners.interface import STAY, Decider, Look
 from companion.core.planners.online import OnlineModel, Viewpoints
+from companion.core.planners.routes import Routes
 
 Ints = NDArray[np.int64]
 
@@ -51,24 +52,18 @@ class _SerFlights:
         begin = sum(steps.shape[2] for steps in self._steps)
         self._plan[look.mission[rows]] = begin + column
         self._steps.append(np.stack([out.next_edge, back.next_edge]))
-        self._stays.append(self._predicted_wh(duration, views, column) > self._budget_wh)
+        self._stays.append(self._predicted_wh(out, back, views, column) > self._budget_wh)
         self._next = None
 
-    def _predicted_wh(self, duration: NDArray, views: Viewpoints, column: Ints) -> NDArray:
+    def _predicted_wh(self, out: Routes, back: Routes, views: Viewpoints, column: Ints) -> NDArray:
         """Energy of each plan by `EnergyCost` under the wind seen at departure."""
         model, graph = self._model, self._model.finder.graph
         first = np.unique(column, return_index=True)[1]
         seen_s = graph.duration_s(views.wind_en_mps[first])
-        total = np.zeros(duration.shape[1])
-        for delivered, origin, goal in (
-            (False, graph.depot, graph.target),
-            (True, graph.target, graph.depot),
-        ):
-            routes = model.finder.to(goal, model.energy_wh(duration, delivered))
-            total += _route_wh(
-                routes.next_edge, model.energy_wh(seen_s, delivered), graph.head, origin, goal
-            )
-        return total
+        loaded, empty = model.energy_wh(seen_s, False), model.energy_wh(seen_s, True)
+        return _route_wh(out.next_edge, loaded, graph.head, graph.depot, graph.target) + _route_wh(
+            back.next_edge, empty, graph.head, graph.target, graph.depot
+        )
 
 
 def _route_wh(next_edge: Ints, edge_wh: NDArray, head: Ints, origin: int, goal: int) -> NDArray:
