@@ -29,7 +29,7 @@ class TuningParams:
     fewest_missions: int = 10_000
     most_missions: int = 400_000
     most_tries: int = 8
-    standard_errors: float = 1.0
+    standard_errors: float = 1.5
 
     def missions(self, max_loss: float) -> int:
         wanted = self.expected_losses / max(max_loss, 1e-9)
@@ -76,9 +76,7 @@ class PolicyTuner:
             share * left.success + (1.0 - share) * right.success,
             share * left.loss + (1.0 - share) * right.loss,
         )
-        return ValuePolicy(
-            policy.model, policy.home, policy.bold, policy.careful, share, measured
-        )
+        return ValuePolicy(policy.model, policy.home, policy.bold, policy.careful, share, measured)
 
     def _upper(self, measured: Forecast, count: int) -> float:
         """The measured loss with its standard error on top; nothing flown, nothing lost."""
@@ -92,9 +90,7 @@ class PolicyTuner:
             model = self.search.model
             if count not in self._winds:
                 random = np.random.default_rng(TUNING_SEED)
-                self._winds[count] = ChainWinds(
-                    model.graph, model.chain, self.sight, count, random
-                )
+                self._winds[count] = ChainWinds(model.graph, model.chain, self.sight, count, random)
             winds = self._winds[count]
             winds.restart()
             planner = Ber(self.search.mixed(weight, weight, 1.0), self.sight)

@@ -74,9 +74,7 @@ def forecast(model: StepModel, table: DeliveryTable) -> Forecast:
 class PolicySearch:
     """Delivery tables by loss weight on one model; keeps those that were solved in full."""
 
-    def __init__(
-        self, model: StepModel, home: HomeTable, keep_candidates: bool = False
-    ) -> None:
+    def __init__(self, model: StepModel, home: HomeTable, keep_candidates: bool = False) -> None:
         self.model, self.home, self._candidates = model, home, keep_candidates
         self.tables: dict[float, DeliveryTable] = {}
         self.forecasts: dict[float, Forecast] = {}

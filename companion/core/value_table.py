@@ -215,7 +215,9 @@ class _Sweep:
         candidate = np.zeros((edges * states, width), dtype=self._dtype)
         by_edge = candidate.reshape(edges, states, width)
         for k in range(model.levels + 1):
-            now = np.zeros((*shape[1:], width), dtype=self._dtype) if watch is not None else value[k]
+            now = (
+                np.zeros((*shape[1:], width), dtype=self._dtype) if watch is not None else value[k]
+            )
             lines.read(candidate)
             by_edge[..., :weights] -= self._thrift
             if len(self._flown):

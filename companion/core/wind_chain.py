@@ -165,7 +165,9 @@ def time_window_s(chain: WindChain, sight: Sight) -> Floats:
         members = np.flatnonzero(sight.of_state == o)
         block = chain.rate_per_s[np.ix_(members, members)]
         share = chain.initial[members]
-        share = share / share.sum() if share.sum() > 0.0 else np.full(len(members), 1 / len(members))
+        share = (
+            share / share.sum() if share.sum() > 0.0 else np.full(len(members), 1 / len(members))
+        )
         if np.linalg.matrix_rank(block) == len(members):
             windows[o] = float(share @ np.linalg.solve(block, -np.ones(len(members))))
     return windows

@@ -138,7 +138,9 @@ def scenario_set(
         others = [v for v in range(params.vertices) if v not in (base.depot, base.target)]
         for t, target in enumerate(random.choice(others, size=targets - 1, replace=False), 1):
             scenarios.append(
-                msgspec.structs.replace(base, name=f"er-{params.vertices}-{seed}-{g}-{t}", target=int(target))
+                msgspec.structs.replace(
+                    base, name=f"er-{params.vertices}-{seed}-{g}-{t}", target=int(target)
+                )
             )
     return scenarios
 

@@ -68,7 +68,9 @@ class ChainUncertainty:
     def duration_std_s(self, origin: Ints, seen: Ints, wind_en_mps: Floats) -> Floats:
         table = self._std_by_lag_s
         step = np.minimum(lag_s(self.graph, origin) / LAG_STEP_S + 0.5, len(table) - 1)
-        return table[step.astype(np.int64), seen[None, :], np.arange(self.graph.edge_count)[:, None]]
+        return table[
+            step.astype(np.int64), seen[None, :], np.arange(self.graph.edge_count)[:, None]
+        ]
 
 
 def seen_prior(chain: WindChain, sight: Sight) -> Floats:
