@@ -4,7 +4,7 @@ Arrays are for planning; `networkx_graph` is for building, checking and drawing.
 by (tail, head), so that the out-edges of a vertex are one slice and ties fall to the lowest head.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import networkx as nx
@@ -146,6 +146,47 @@ def along_course_mps(course_en: Floats, wind_en_mps: ArrayLike, airspeed_mps: fl
     speed = np.sqrt(np.maximum(room, 0.0)) + along
     speed[(room < 0.0) | (speed <= 0.0)] = np.nan
     return speed.reshape(len(course_en), *wind.shape[:-1])
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """A graph without the edges that no mission can use; `edge_of` are their places in the whole."""
+
+    graph: EnergyGraph
+    edge_of: Ints
+
+
+def prune(graph: EnergyGraph, energy_wh: Floats, budget_wh: float) -> Pruned:
+    """Leave out edges from which, at the least energy of any wind, no mission could still end well.
+
+    `energy_wh` (2, E, S) loaded and empty. The policy from the depot is the same without them.
+    """
+    loaded, empty = energy_wh.min(axis=2)
+    away = least_energy_wh(graph, loaded, graph.depot, to_goal=False)
+    turn = least_energy_wh(graph, loaded, graph.depot, to_goal=True)
+    deliver = least_energy_wh(graph, loaded, graph.target, to_goal=True)
+    home = least_energy_wh(graph, empty, graph.depot, to_goal=True)
+    beyond = least_energy_wh(graph, empty, graph.target, to_goal=False)
+    onward = np.minimum(turn, deliver + home[graph.target])
+    out = away[graph.tail] + loaded + onward[graph.head]
+    back = away[graph.target] + beyond[graph.tail] + empty + home[graph.head]
+    kept = np.flatnonzero(np.minimum(out, back) <= budget_wh)
+    return Pruned(replace(graph, tail=graph.tail[kept], head=graph.head[kept]), kept)
+
+
+def least_energy_wh(graph: EnergyGraph, edge_wh: Floats, place: int, to_goal: bool) -> Floats:
+    """Least energy from every vertex to `place`, or from it to every vertex; (V,)."""
+    ends = (graph.tail, graph.head) if to_goal else (graph.head, graph.tail)
+    least = np.full(graph.vertex_count, np.inf)
+    least[place] = 0.0
+    for _ in range(graph.vertex_count):
+        through = edge_wh + least[ends[1]]
+        following = least.copy()
+        np.minimum.at(following, ends[0], through)
+        if np.array_equal(following, least):
+            break
+        least = following
+    return least
 
 
 def build_energy_graph(scenario: Scenario) -> EnergyGraph:

@@ -24,7 +24,11 @@ FIRST_WEIGHTS = (0.0, 0.3, 1.0, 3.0, 10.0, 40.0, 200.0, 2000.0)  # c; first look
 REFINED = 8  # weights of the second look, between the neighbours of the best of the first
 COARSER = 4  # the first looks' grid has this many times fewer levels
 COARSE_LEVELS = 50  # but no fewer than these
-SPREAD = (0.6, 1.0, 1.6)  # final weights about the best, solved in full
+SPREAD = (0.75, 1.35)  # final weights about the best, solved in full
+CLOSE = 2.5  # neighbouring weights that lose little by being mixed
+LEAST_WEIGHT = 0.01  # next to 0
+CLEARLY_WITHIN = 0.5  # of the bound, on the coarse grid
+HOPELESS = 1e-7  # P(SUC)
 WIDENING = 4.0  # how far beyond them to look where the bound is not between them
 MOST_WIDENINGS = 6
 GREATEST_WEIGHT = 3e5  # beyond it float32 cannot tell success from stopping
@@ -90,19 +94,36 @@ class PolicySearch:
 
     def pair(self, max_loss: float) -> tuple[float, float]:
         """The two weights to mix, careful and bold: their forecast losses enclose the bound."""
-        best = self._best_weight(max_loss)
-        self.solve([best * factor for factor in SPREAD])
+        if not self._enclosed(max_loss):
+            self.prepare([max_loss])
         for _ in range(MOST_WIDENINGS):
             careful, bold = self._bracket(max_loss)
             if np.isinf(careful) and bold < GREATEST_WEIGHT:
-                self.solve([bold * WIDENING])
+                self.solve([max(bold, LEAST_WEIGHT) * WIDENING])
             elif careful == bold and careful > 0.0:
-                self.solve([0.0 if careful < 0.01 else careful / WIDENING])
+                self.solve([0.0 if careful < LEAST_WEIGHT else careful / WIDENING])
             else:
                 break
         careful, bold = self._bracket(max_loss)
         self.solve([careful, bold])
         return careful, bold
+
+    def prepare(self, max_losses: list[float]) -> None:
+        """Solve the weights that these bounds will ask for, in as few sweeps as can be."""
+        weights: list[float] = []
+        for max_loss in max_losses:
+            best = self._best_weight(max_loss)
+            weights += [best] if best == 0.0 else [best * factor for factor in SPREAD]
+        self.solve(weights)
+
+    def _enclosed(self, max_loss: float) -> bool:
+        """True when two solved weights close to one another enclose the bound."""
+        if not self.tables:
+            return False
+        careful, bold = self._bracket(max_loss)
+        if careful == bold:
+            return bold == 0.0
+        return careful <= CLOSE * max(bold, LEAST_WEIGHT)
 
     def mixed(self, bold: float, careful: float, share: float) -> ValuePolicy:
         """The policy that flies weight `bold` in `share` of missions, else weight `careful`."""
@@ -145,11 +166,16 @@ class PolicySearch:
 
     def _best_weight(self, max_loss: float) -> float:
         """The weight where the dual g(c) + c max_loss is least, on the coarse grid."""
+        self._look([0.0])
+        if self._gains[0.0] >= 1.0 - CLEARLY_WITHIN * max_loss:
+            return 0.0  # even who never gives up loses less than the bound
+        if self._gains[0.0] <= HOPELESS:
+            return np.inf  # nothing succeeds, whatever is risked
         self._look(list(FIRST_WEIGHTS))
         weights = sorted(self._gains)
         dual = [self._gains[w] + w * max_loss for w in weights]
         best = int(np.argmin(dual))
-        low = max(weights[max(best - 1, 0)], 0.03)
+        low = max(weights[max(best - 1, 0)], LEAST_WEIGHT)
         high = weights[best + 1] if best + 1 < len(weights) else GREATEST_WEIGHT
         self._look(np.geomspace(low, high, REFINED + 2)[1:-1].tolist())
         weights = [w for w in sorted(self._gains) if low <= w <= high]

@@ -6,14 +6,14 @@ only; rows are sums over blocks in order. So the rows are the same whatever the 
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.energy_graph import EnergyGraph, build_energy_graph
+from companion.core.energy_graph import EnergyGraph, build_energy_graph, prune
 from companion.core.errors import LeewayError
 from companion.core.mission_model import ChainWinds, Flown, LogWinds, Outcome, Winds, fly_missions
 from companion.core.planners.ber import Ber
@@ -59,8 +59,8 @@ class CampaignParams:
     risk_weight: float = 1.0
     levels: int = 500
     log_levels: int = 250
-    paper: BerPaperParams = BerPaperParams()
-    tuning: TuningParams = TuningParams()
+    paper: BerPaperParams = field(default_factory=BerPaperParams)
+    tuning: TuningParams = field(default_factory=TuningParams)
 
     def __post_init__(self) -> None:
         if self.missions < 1:
@@ -146,6 +146,7 @@ class Workbench:
             self.chain = chain_from_scenario(scenario.wind)
             self.sight = sight_of(self.chain, params.wind_classes)
         self.process = OrnsteinUhlenbeckWind()
+        self.tuner: PolicyTuner | None = None
 
     def winds(self, block: int) -> Winds:
         """The winds of one block's missions."""
@@ -225,17 +226,26 @@ class Workbench:
                 f"{self.scenario.name}: ber stays at the depot: no flight keeps P(loss) within"
                 f" {self.params.max_loss:g}"
             )
-        return Ber(policy, self.sight)
+        return Ber(policy, self.sight, self.graph)
 
     def policy(self, chain: WindChain, sight: Sight) -> ValuePolicy:
         """The tuned policy for this sight of the chain."""
-        cells = self.graph.edge_count * chain.state_count
+        if self.tuner is None:
+            self.tuner = PolicyTuner(self.search(chain, sight), sight, self.params.tuning)
+        return self.tuner.policy(self.params.max_loss)
+
+    def search(self, chain: WindChain, sight: Sight) -> PolicySearch:
+        """BER's tables by loss weight: the same for every bound, and for every count of classes."""
+        budget = self.scenario.budget_wh
+        winds = chain.states_en_mps
+        energy = np.stack([self.graph.energy_wh(winds, load) for load in (False, True)])
+        graph = prune(self.graph, energy, budget).graph
+        cells = graph.edge_count * chain.state_count
         scale = min(1.0, CELLS_AT_FULL_LEVELS / max(cells, 1))
         levels = max(min(FEWEST_LEVELS, self.params.levels), int(self.params.levels * scale))
-        model = build_step_model(self.graph, chain, self.scenario.budget_wh, levels)
+        model = build_step_model(graph, chain, budget, levels)
         believes = not sight.reveals_state()
-        search = PolicySearch(model, solve_home(model, believes), believes)
-        return PolicyTuner(search, sight, self.params.tuning).policy(self.params.max_loss)
+        return PolicySearch(model, solve_home(model, believes), believes)
 
 
 def run_task(scenario: Scenario, params: CampaignParams, task: Task, bench: Workbench) -> Done:

@@ -9,6 +9,7 @@ became, the class seen tells which are left; it then takes the edge of the best 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.energy_graph import EnergyGraph
 from companion.core.planners.interface import NOWHERE, STAY, Decider, Look
 from companion.core.planners.routes import RouteFinder
 from companion.core.planners.uncertainty import seen_prior
@@ -27,9 +28,12 @@ class Ber:
 
     name = "ber"
 
-    def __init__(self, policy: ValuePolicy, sight: Sight) -> None:
+    def __init__(
+        self, policy: ValuePolicy, sight: Sight, pruned_from: EnergyGraph | None = None
+    ) -> None:
+        """`pruned_from` is the whole graph where the policy was made on a pruned one."""
         self._policy, self._sight = policy, sight
-        self._last_resort = LastResort(policy, sight)
+        self._last_resort = LastResort(policy.model.graph, pruned_from, sight)
 
     def begin(self, coin: NDArray[np.float64]) -> Decider:
         bold = coin < self._policy.bold_share
@@ -39,17 +43,28 @@ class Ber:
 
 
 class LastResort:
-    """Where no edge promises anything: the cheapest way home under the wind seen."""
+    """Where no edge promises anything: the cheapest way home under the wind seen.
 
-    def __init__(self, policy: ValuePolicy, sight: Sight) -> None:
-        graph = policy.model.graph
-        duration = graph.duration_s(sight.seen_en_mps)
-        self._next = RouteFinder(graph).to(graph.depot, duration).next_edge
-        self._depot = graph.depot
+    Also turns a policy's edges into those of the graph that it was pruned from.
+    """
+
+    def __init__(
+        self, graph: EnergyGraph, pruned_from: EnergyGraph | None, sight: Sight
+    ) -> None:
+        whole = pruned_from or graph
+        duration = whole.duration_s(sight.seen_en_mps)
+        self._next = RouteFinder(whole).to(whole.depot, duration).next_edge
+        self._depot = whole.depot
+        keys = [g.tail * whole.vertex_count + g.head for g in (graph, whole)]
+        self._edge_of = np.searchsorted(keys[1], keys[0])
 
     def edges(self, vertex: Ints, seen: Ints, delivered: NDArray[np.bool_]) -> Ints:
         edge = self._next[vertex, seen]
         return np.where(~delivered & (vertex == self._depot), STAY, edge)
+
+    def in_whole(self, edge: Ints) -> Ints:
+        """A policy's edges in the whole graph."""
+        return self._edge_of[edge]
 
 
 class _SightedFlights:
@@ -97,7 +112,9 @@ class _BelievingFlights:
         choice = self._best_choice(look, belief)
         edge = _as_edges(choice, look, self._policy.model.graph.out_start, self._last_resort)
         self._belief[look.mission] = belief
-        self._edge[look.mission] = edge
+        goes = choice < STOP
+        own = self._policy.model.graph.out_start[look.vertex] + np.where(goes, choice, 0)
+        self._edge[look.mission] = np.where(goes, own, NOWHERE)
         self._energy_wh[look.mission] = look.energy_wh
         self._delivered[look.mission] = look.delivered
         return edge
@@ -178,7 +195,9 @@ def _stepped(belief: Floats, next_state: NDArray, edge: Ints) -> Floats:
 
 
 def _as_edges(choice: Ints, look: Look, out_start: Ints, last_resort: LastResort) -> Ints:
-    edge = np.where(choice < STOP, out_start[look.vertex] + choice, STAY)
+    edge = np.full(look.count, STAY, dtype=np.int64)
+    goes = choice < STOP
+    edge[goes] = last_resort.in_whole(out_start[look.vertex[goes]] + choice[goes])
     hopeless = choice == LOSS_NOTHING_HELPS
     if hopeless.any():
         edge[hopeless] = last_resort.edges(
