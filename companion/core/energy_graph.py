@@ -171,6 +171,7 @@ def prune(graph: EnergyGraph, energy_wh: Floats, budget_wh: float) -> Pruned:
     out = away[graph.tail] + loaded + onward[graph.head]
     back = away[graph.target] + beyond[graph.tail] + empty + home[graph.head]
     kept = np.flatnonzero(np.minimum(out, back) <= budget_wh)
+    kept = kept if len(kept) else np.arange(1)  # arrays of nothing serve nobody
     return Pruned(replace(graph, tail=graph.tail[kept], head=graph.head[kept]), kept)
 
 

@@ -148,6 +148,12 @@ class Workbench:
         self.process = OrnsteinUhlenbeckWind()
         self.tuner: PolicyTuner | None = None
 
+    def with_budget(self, budget_wh: float) -> "Workbench":
+        """The same scenario with another budget."""
+        return Workbench(
+            msgspec.structs.replace(self.scenario, budget_wh=budget_wh), self.params
+        )
+
     def winds(self, block: int) -> Winds:
         """The winds of one block's missions."""
         count = min(BLOCK, self.params.missions - block * BLOCK)

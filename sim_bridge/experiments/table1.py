@@ -79,7 +79,9 @@ class Table1Params:
     tuning: TuningParams = TuningParams(fewest_missions=10_000, most_missions=10_000)  # noqa: RUF009
 
 
-GUSTY_PARAMS = Table1Params(generator=GeneratorParams(rose=GUSTY), max_losses=("paper", 0.01))
+GUSTY_PARAMS = Table1Params(
+    generator=GeneratorParams(rose=GUSTY, sides_m=((300.0, 1.0),)), max_losses=("paper", 0.01)
+)
 
 Cell = tuple[int, float, str]  # classes, budget, planner
 
