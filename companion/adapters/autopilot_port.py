@@ -1,0 +1,357 @@
+"""One autopilot on a link: finds it, tells its flavour, hears it as events, gives it orders.
+
+Only component 1 of the chosen system is believed. Orders wait here for their acknowledgement; an
+acknowledgement is reported but is no fact, the mission looks for the effect in telemetry.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from companion.adapters.ardupilot import ArduPilot
+from companion.adapters.clock import AutopilotClock
+from companion.adapters.commands import CommandDesk, Job
+from companion.adapters.mavlink_codec import AUTOPILOT, COMPONENT, mavlink
+from companion.adapters.mission_transfer import MissionDownload, MissionUpload
+from companion.adapters.mission_wire import wire_items
+from companion.adapters.parameters import ParameterDesk
+from companion.adapters.px4 import Px4
+from companion.adapters.telemetry import FlavourWords, boot_s, translate
+from companion.core.actions import (
+    Arm,
+    AskParameters,
+    AskTelemetry,
+    Configure,
+    Disarm,
+    JumpTo,
+    Order,
+    ReadMissionBack,
+    Release,
+    SetGroundSpeed,
+    SetMode,
+    UploadMission,
+)
+from companion.core.events import (
+    AutopilotParameters,
+    ClockLeapt,
+    ClockStepped,
+    Event,
+    Identified,
+    MissionReadBack,
+    MissionUploaded,
+    OrderRefused,
+    OtherComputer,
+    ParametersSet,
+    Position,
+    StreamsAsked,
+    VehicleState,
+)
+from companion.core.mission_items import MissionItem, Spot, differences
+
+HEARTBEATS_TO_TRUST = 3
+"""One heartbeat may be anybody's; three are a vehicle. It is also how long we listen first."""
+
+STREAM = "stream "
+
+FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
+    mavlink.MAV_AUTOPILOT_PX4: Px4,
+}
+NOT_VEHICLES = (
+    mavlink.MAV_TYPE_GCS,
+    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+    mavlink.MAV_TYPE_GIMBAL,
+    mavlink.MAV_TYPE_ADSB,
+)
+
+
+class AutopilotPort:
+    """Hears messages, gives orders; the caller moves the bytes and the time."""
+
+    def __init__(
+        self, send: Callable[[Any], None], clock: AutopilotClock, system_id: int | None = None
+    ) -> None:
+        self._send = send
+        self._clock = clock
+        self._wanted_system = system_id
+        self._heartbeats: dict[tuple[int, int], int] = {}
+        self.words: FlavourWords | None = None
+        self.system_id: int | None = None
+        self._desk = CommandDesk(send)
+        self._parameters: ParameterDesk | None = None
+        self._upload: MissionUpload | None = None
+        self._download: MissionDownload | None = None
+        self._expected: tuple[MissionItem, ...] = ()
+        self._asking_parameters = False
+        self._configuring = False
+        self._refused: list[str] = []
+        self._asking_streams = False
+        self._home = Spot(0.0, 0.0, 0.0)
+
+    # --- hearing -------------------------------------------------------------------------------
+
+    def hear(self, message: Any) -> list[Event]:
+        """Return the events in a message; foreign and stale messages have none."""
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        kind = message.get_type()
+        if self.words is None:
+            return self._look_at(message, system, component) if kind == "HEARTBEAT" else []
+        if system != self.system_id:
+            return []
+        if component == COMPONENT:
+            return [self._other_computer(message)] if kind == "HEARTBEAT" else []
+        if component != AUTOPILOT:
+            return []
+        if kind == "HEARTBEAT" and message.type in NOT_VEHICLES:
+            return []
+        events, t_s = self._time(message)
+        if t_s is None:
+            return events
+        handled = self._answer(message, kind, t_s)
+        if handled is not None:
+            return events + handled
+        values = self._parameters.values if self._parameters is not None else {}
+        found = translate(message, self.words, values, t_s)
+        for event in found:
+            if isinstance(event, Position) and self._home.lat_deg == 0.0:
+                self._home = Spot(event.lat_deg, event.lon_deg, event.alt_amsl_m)
+        if kind == "MISSION_CURRENT":
+            found += self._desk.hear_current(message.seq, t_s)
+        return events + found
+
+    def _look_at(self, message: Any, system: int, component: int) -> list[Event]:
+        """Count heartbeats until one system is trusted to be our vehicle."""
+        if component == COMPONENT and self._wanted_system in (None, system):
+            return [self._other_computer(message)]
+        words = FLAVOURS.get(message.autopilot)
+        if component != AUTOPILOT or words is None or message.type in NOT_VEHICLES:
+            return []
+        if self._wanted_system not in (None, system):
+            return []
+        key = (system, message.autopilot)
+        self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
+        if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
+            return []
+        flavour: FlavourWords = words()
+        self.words = flavour
+        self.system_id = system
+        self._parameters = ParameterDesk(self._send, bytewise=flavour.bytewise_parameters)
+        self._parameters.aim(system)
+        t_s = self._clock.t_s
+        state = [e for e in translate(message, flavour, {}, t_s) if isinstance(e, VehicleState)]
+        return [*state, Identified(t_s, flavour.flavour, system)]
+
+    def _other_computer(self, message: Any) -> Event:
+        status = message.system_status
+        return OtherComputer(
+            self._clock.t_s,
+            active=status not in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT),
+            booting=status == mavlink.MAV_STATE_BOOT,
+        )
+
+    def _time(self, message: Any) -> tuple[list[Event], float | None]:
+        stamp_s = boot_s(message)
+        if stamp_s is None:
+            return [], self._clock.t_s
+        reading = self._clock.stamp(stamp_s)
+        events: list[Event] = []
+        if reading.back_s > 0.0:
+            events.append(ClockStepped(self._clock.t_s, reading.back_s))
+        if reading.ahead_s > 0.0:
+            events.append(ClockLeapt(self._clock.t_s, reading.ahead_s))
+        return events, reading.t_s
+
+    def _answer(self, message: Any, kind: str, t_s: float) -> list[Event] | None:
+        """Take what belongs to a conversation of ours; `None` for everything else."""
+        target = getattr(message, "target_system", 0)
+        mine = target in (0, self.system_id) and getattr(message, "target_component", 0) in (
+            0,
+            COMPONENT,
+        )
+        if kind == "COMMAND_ACK":
+            return self._sift(self._desk.hear_ack(message, t_s)) if mine else []
+        if kind == "PARAM_VALUE" and self._parameters is not None:
+            self._parameters.hear(message)
+            return self._parameters_events(t_s)
+        if kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
+            if self._upload is not None and mine:
+                self._upload.hear(message, t_s)
+            return []
+        if kind in ("MISSION_COUNT", "MISSION_ITEM_INT"):
+            if self._download is not None and mine:
+                self._download.hear(message, t_s)
+            return self._transfer_events(t_s)
+        if kind == "MISSION_ACK":
+            if mine and self._upload is not None:
+                self._upload.hear(message, t_s)
+            elif mine and self._download is not None:
+                self._download.hear(message, t_s)
+            return self._transfer_events(t_s)
+        return None
+
+    # --- orders --------------------------------------------------------------------------------
+
+    def order(self, order: Order, t_s: float) -> None:
+        """Give an order."""
+        words, system = self.words, self.system_id
+        if words is None or system is None:
+            return
+        match order:
+            case AskTelemetry():
+                self._ask_streams(words, system, t_s)
+            case AskParameters():
+                self._read_parameters(order.names, t_s)
+            case Configure():
+                if self._parameters is not None:
+                    self._configuring = True
+                    self._parameters.set(order.values, t_s)
+            case UploadMission():
+                self._download = None
+                wire = wire_items(
+                    order.items,
+                    home_items=words.home_items,
+                    home=self._home,
+                    free_yaw=words.free_yaw,
+                )
+                self._upload = MissionUpload(self._send, system, wire, t_s)
+            case ReadMissionBack():
+                self._upload = None
+                self._expected = order.items
+                self._download = MissionDownload(self._send, system, words.home_items, t_s)
+            case SetMode():
+                params = words.mode_params(order.mode)
+                self._command("mode", f"mode {order.mode.value}", mavlink.MAV_CMD_DO_SET_MODE,
+                              params, t_s, replace=True)  # fmt: skip
+            case Arm():
+                self._command("arm", "arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), t_s)
+            case Disarm():
+                self._command("arm", "disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), t_s)
+            case JumpTo():
+                seq = order.index + words.home_items
+                message, command = words.jump(system, seq)
+                job = Job(
+                    f"jump to item {order.index}",
+                    lambda _attempt: message,
+                    command,
+                    None if command is not None else seq,
+                )
+                self._desk.submit("jump", job, t_s, replace=True)
+            case SetGroundSpeed():
+                params = (1.0, order.ground_speed_mps, -1.0)
+                self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
+                              t_s, replace=True)  # fmt: skip
+            case Release():
+                params = (1.0, float(mavlink.GRIPPER_ACTION_RELEASE))
+                self._command("release", "release", mavlink.MAV_CMD_DO_GRIPPER, params, t_s)
+            case _:
+                raise TypeError(f"unknown order {order!r}")
+
+    def _read_parameters(self, names: tuple[str, ...], t_s: float) -> None:
+        """Ask for these parameters (and those that tell which telemetry is real)."""
+        if self._parameters is None or self.words is None:
+            return
+        self._asking_parameters = True
+        self._parameters.read(dict.fromkeys((*names, *self.words.trust_parameters)), t_s)
+
+    def drop_orders(self) -> None:
+        """Forget everything that is still being sent, retried or waited for."""
+        self._desk.clear()
+        self._upload = None
+        self._download = None
+        self._asking_streams = False
+        self._asking_parameters = False
+        self._configuring = False
+        if self._parameters is not None:
+            self._parameters.clear()
+
+    def tick(self, t_s: float) -> list[Event]:
+        """Retry what is due and report what ended."""
+        events = self._sift(self._desk.tick(t_s)) + self._streams_events(t_s)
+        if self._upload is not None:
+            self._upload.tick(t_s)
+        if self._download is not None:
+            self._download.tick(t_s)
+        events += self._transfer_events(t_s)
+        if self._parameters is not None:
+            self._parameters.tick(t_s)
+            events += self._parameters_events(t_s)
+        return events
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _command(
+        self,
+        lane: str,
+        name: str,
+        command: int,
+        params: tuple[float, ...],
+        t_s: float,
+        *,
+        replace: bool = False,
+        quiet: bool = False,
+    ) -> None:
+        system = self.system_id or 1
+        full = (*params, *([0.0] * (7 - len(params))))
+
+        def make(attempt: int) -> Any:
+            return mavlink.MAVLink_command_long_message(system, AUTOPILOT, command, attempt, *full)
+
+        self._desk.submit(lane, Job(name, make, command, quiet=quiet), t_s, replace=replace)
+
+    def _ask_streams(self, words: FlavourWords, system: int, t_s: float) -> None:
+        self._refused = []
+        self._asking_streams = True
+        wanted = [(name, number, 1e6 / hz) for name, number, hz, _ in words.streams]
+        wanted += [(f"-{number}", number, -1.0) for number in words.unwanted_streams]
+        for name, number, interval_us in wanted:
+            self._command(
+                "streams",
+                STREAM + name,
+                mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                (float(number), interval_us),
+                t_s,
+                quiet=True,
+            )
+
+    def _sift(self, events: list[Event]) -> list[Event]:
+        """Keep refused streams for one report; pass everything else on."""
+        passed: list[Event] = []
+        for event in events:
+            if isinstance(event, OrderRefused) and event.order.startswith(STREAM):
+                self._refused.append(event.order.removeprefix(STREAM))
+            else:
+                passed.append(event)
+        return passed
+
+    def _streams_events(self, t_s: float) -> list[Event]:
+        """Nothing more to ask for: say so once."""
+        if not self._asking_streams or self._desk.pending("streams"):
+            return []
+        self._asking_streams = False
+        wanted = {name for name, _, _, needed in self.words.streams if needed} if self.words else {}
+        return [StreamsAsked(t_s, tuple(name for name in self._refused if name in wanted))]
+
+    def _transfer_events(self, t_s: float) -> list[Event]:
+        if self._upload is not None and self._upload.done is not None:
+            reason, self._upload = self._upload.done, None
+            return [MissionUploaded(t_s, reason or None)]
+        if self._download is not None and self._download.done is not None:
+            download, self._download = self._download, None
+            if download.done:
+                return [MissionReadBack(t_s, (download.done,))]
+            return [MissionReadBack(t_s, differences(self._expected, download.items))]
+        return []
+
+    def _parameters_events(self, t_s: float) -> list[Event]:
+        desk = self._parameters
+        if desk is None or desk.busy:
+            return []
+        if self._configuring:
+            self._configuring = False
+            return [
+                ParametersSet(t_s, tuple(desk.failed)),
+                AutopilotParameters(t_s, dict(desk.values)),
+            ]
+        if self._asking_parameters:
+            self._asking_parameters = False
+            return [AutopilotParameters(t_s, dict(desk.values))]
+        return []

@@ -1,0 +1,138 @@
+"""The only places where the companion's time comes from: the autopilot's clock and the wall's."""
+
+import time
+from dataclasses import dataclass
+
+
+def wall_s() -> float:
+    """Seconds of a clock that never goes back, for silences and progress."""
+    return time.monotonic()
+
+
+def epoch_us() -> int:
+    """Microseconds since 1970, for file stamps and signatures."""
+    return time.time_ns() // 1000
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """What a stamp meant. `t_s`: core time of the stamped message, `None` where it is not to be
+    believed (yet). `back_s`, `ahead_s`: how far the clock was just found to have stepped.
+    """
+
+    t_s: float | None
+    back_s: float = 0.0
+    ahead_s: float = 0.0
+
+
+LATE_S = 1.0
+"""Stamps up to this much older than the newest are late messages: UDP reorders."""
+
+LEAP_S = 2.0
+"""A gap of more than this between two stamps is a step: silence, or the clock leapt."""
+
+WITNESSES = 3
+"""Consecutive stamps that must agree on a step: one wild stamp moves nothing."""
+
+
+class _Source:
+    """One count of the autopilot's time, and how it lies to core time."""
+
+    def __init__(self) -> None:
+        self.newest_s: float | None = None
+        self.offset_s = 0.0
+        self.doubtful: list[float] = []
+
+    def witnessed(self, stamp_s: float) -> bool:
+        """Note a stamp that does not fit; True once enough in a row agree with one another."""
+        if self.doubtful and abs(stamp_s - self.doubtful[-1]) > LEAP_S:
+            self.doubtful.clear()
+        self.doubtful.append(stamp_s)
+        if len(self.doubtful) < WITNESSES:
+            return False
+        self.doubtful.clear()
+        return True
+
+
+class AutopilotClock:
+    """Core time from the autopilot's counts: never goes back, whatever the autopilot says.
+
+    Telemetry carries the time since boot; TIMESYNC requests a count that may be another. A step
+    back adds nothing to core time; a step ahead is taken as time that passed (after a silence it
+    is, and otherwise it only makes everything known older, which is the safe reading).
+    """
+
+    def __init__(self) -> None:
+        self._boot = _Source()
+        self._sync = _Source()
+        self._t_s = 0.0
+
+    @property
+    def t_s(self) -> float:
+        """Core time now."""
+        return self._t_s
+
+    @property
+    def known(self) -> bool:
+        """True once the autopilot has told a time."""
+        return self._boot.newest_s is not None or self._sync.newest_s is not None
+
+    @property
+    def doubtful(self) -> bool:
+        """True while telemetry disagrees with the clock and too few stamps agreed on a step."""
+        return bool(self._boot.doubtful)
+
+    @property
+    def boot_ms(self) -> int:
+        """The autopilot's own time since boot, for messages that carry it."""
+        return int((self._boot.newest_s or self._t_s) * 1000.0) & 0xFFFFFFFF
+
+    def resume(self, t_s: float) -> None:
+        """Start no earlier than a checkpoint's time (before any stamp was heard)."""
+        if not self.known:
+            self._t_s = max(self._t_s, t_s)
+
+    def stamp(self, boot_s: float) -> ClockReading:
+        """Take the time since boot that a telemetry message carries."""
+        source = self._boot
+        if source.newest_s is None:
+            self._begin(source, boot_s)
+            return ClockReading(self._t_s)
+        step_s = boot_s - source.newest_s
+        if -LATE_S <= step_s <= LEAP_S:
+            source.doubtful.clear()
+            return ClockReading(self._accept(source, boot_s))
+        if not source.witnessed(boot_s):
+            return ClockReading(None)
+        if step_s < 0.0:
+            source.newest_s, source.offset_s = boot_s, self._t_s - boot_s
+            return ClockReading(self._t_s, back_s=-step_s)
+        return ClockReading(self._accept(source, boot_s), ahead_s=step_s)
+
+    def synchronise(self, sync_s: float) -> None:
+        """Take the time of a TIMESYNC request: moves core time, never reports a step."""
+        source = self._sync
+        if source.newest_s is None:
+            self._begin(source, sync_s)
+            return
+        fits = -LATE_S <= sync_s - source.newest_s <= LEAP_S
+        fits = fits or abs(sync_s + source.offset_s - self._t_s) <= LEAP_S
+        if fits:
+            source.doubtful.clear()
+            self._accept(source, sync_s)
+        elif source.witnessed(sync_s):
+            source.newest_s, source.offset_s = sync_s, self._t_s - sync_s
+
+    def _begin(self, source: _Source, stamp_s: float) -> None:
+        """The first stamp of a count: taken as it is where it can be, else laid at core time."""
+        behind = stamp_s < self._t_s - LEAP_S / 4.0
+        apart = self.known and abs(stamp_s - self._t_s) > LEAP_S / 4.0
+        source.offset_s = self._t_s - stamp_s if behind or apart else 0.0
+        self._accept(source, stamp_s)
+
+    def _accept(self, source: _Source, stamp_s: float) -> float:
+        newest_s = source.newest_s
+        source.newest_s = stamp_s if newest_s is None else max(newest_s, stamp_s)
+        t_s = stamp_s + source.offset_s
+        self._t_s = max(self._t_s, t_s)
+        return t_s

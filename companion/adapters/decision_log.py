@@ -1,0 +1,118 @@
+"""Decisions, beliefs and energy as MCAP with JSON schemas (Foxglove opens it).
+
+Chunks are off and every message is handed to the system at once, so that after `kill -9` the file
+lacks only its index: readers that stream it, and `mcap recover`, get every message.
+"""
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+NUMBER = {"type": "number"}
+TEXT = {"type": "string"}
+MAYBE = {"type": ["number", "null"]}
+FLAG = {"type": "boolean"}
+
+SCHEMAS: dict[str, dict[str, Any]] = {
+    "decision": {
+        "t_s": NUMBER,
+        "kind": TEXT,
+        "reason": TEXT,
+        "p_home": MAYBE,
+        "p_home_now": MAYBE,
+        "p_success": MAYBE,
+        "margin_wh": MAYBE,
+    },
+    "wind": {
+        "t_s": NUMBER,
+        "n": NUMBER,
+        "e": NUMBER,
+        "nn": NUMBER,
+        "ne": NUMBER,
+        "ee": NUMBER,
+    },
+    "energy": {"t_s": NUMBER, "left_wh": NUMBER, "std_wh": NUMBER, "source": TEXT},
+    "assessment": {
+        "t_s": NUMBER,
+        "p_home": NUMBER,
+        "p_home_now": NUMBER,
+        "p_success": NUMBER,
+        "margin_wh": NUMBER,
+        "energy_left_wh": NUMBER,
+        "energy_need_wh": NUMBER,
+        "p_home_unattended": MAYBE,
+    },
+    "phase": {"t_s": NUMBER, "before": TEXT, "now": TEXT, "why": TEXT},
+    "said": {"t_s": NUMBER, "severity": NUMBER, "text": TEXT},
+}
+
+
+class DecisionLog:
+    """One MCAP file; a run that goes on in the same folder gets a file of its own."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb", buffering=0)
+        self._writer = Writer(
+            self._file, use_chunking=False, compression=CompressionType.NONE, use_statistics=True
+        )
+        self._writer.start(profile="", library="leeway")
+        self._sequence = 0
+        self._channels: dict[str, int] = {}
+        for name, fields in SCHEMAS.items():
+            schema = {
+                "title": f"leeway.{name}",
+                "type": "object",
+                "properties": fields,
+                "required": list(fields),
+            }
+            schema_id = self._writer.register_schema(
+                f"leeway.{name}", "jsonschema", json.dumps(schema).encode()
+            )
+            self._channels[name] = self._writer.register_channel(f"/{name}", "json", schema_id)
+
+    def write(self, kind: str, row: dict[str, Any]) -> None:
+        """Append one message; its time is the autopilot's."""
+        stamp_ns = max(0, round(float(row["t_s"]) * 1e9))
+        self._sequence += 1
+        self._writer.add_message(
+            self._channels[kind],
+            log_time=stamp_ns,
+            data=json.dumps(row, allow_nan=False).encode(),
+            publish_time=stamp_ns,
+            sequence=self._sequence,
+        )
+
+    def close(self) -> None:
+        """Write the index and end the file."""
+        self._writer.finish()
+        self._file.close()
+
+
+def free_name(path: Path) -> Path:
+    """Return the path, or the next free one beside it (`decisions-2.mcap`)."""
+    number, candidate = 1, path
+    while candidate.exists():
+        number += 1
+        candidate = path.with_stem(f"{path.stem}-{number}")
+    return candidate
+
+
+def read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (topic, row) of every whole message, of a file that may have been cut off anywhere."""
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic.removeprefix("/")
+                elif isinstance(record, Message) and record.channel_id in topics:
+                    yield topics[record.channel_id], json.loads(record.data)
+        except (McapError, struct.error, json.JSONDecodeError):
+            return  # the end of what was written

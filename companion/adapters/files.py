@@ -1,0 +1,87 @@
+"""Files that people write: flight, airframe, obstacles. Errors name the file and the key."""
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.core.airframe import Airframe, airframe_from_dict
+from companion.core.errors import LeewayError
+from companion.core.flight import Flight, Place
+from companion.core.flight_plan import frame_at, site_map
+from companion.core.geo import Obstacle
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def params_dir(explicit: Path | None = None) -> Path:
+    """Return the params folder: the one named, else the repository's, else the package's own."""
+    if explicit is not None:
+        if not explicit.is_dir():
+            raise LeewayError(f"{explicit}: no such params folder")
+        return explicit
+    for folder in (PACKAGE.parent / "params", PACKAGE / "_params"):
+        if folder.is_dir():
+            return folder
+    raise LeewayError("no params folder: name one with --params")
+
+
+def read_airframe(name: str, params: Path | None = None) -> Airframe:
+    """Read an airframe by its name (params/airframes/NAME.toml) or by a file's path."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = params_dir(params) / "airframes" / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.toml"))) or "none"
+        raise LeewayError(f"{path}: no such airframe; there are: {known}")
+    return airframe_from_dict(_read_toml(path), str(path))
+
+
+def read_flight(path: Path) -> Flight:
+    """Read a `flight/1` file."""
+    table = _read_toml(path)
+    try:
+        return msgspec.convert(table, Flight)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{path}: {error}") from error
+
+
+def read_obstacle_document(flight: Flight, flight_file: Path) -> dict[str, Any] | None:
+    """Read the GeoJSON that a flight names, beside the flight file; `None` where it names none."""
+    if flight.site.obstacles is None:
+        return None
+    path = Path(flight.site.obstacles)
+    path = path if path.is_absolute() else flight_file.parent / path
+    try:
+        document = json.loads(path.read_text())
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LeewayError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise LeewayError(f"{path}: expected a GeoJSON FeatureCollection")
+    return document
+
+
+def read_obstacles(flight: Flight, flight_file: Path, depot: Place) -> tuple[Obstacle, ...]:
+    """Read a flight's obstacles as prisms about the depot."""
+    document = read_obstacle_document(flight, flight_file)
+    return site_map(flight, frame_at(depot), document).obstacles.obstacles
+
+
+def digest_of(flight_file: Path, airframe: Airframe) -> str:
+    """Tell a flight and an airframe apart from others: a checkpoint belongs to one."""
+    raw = flight_file.read_bytes() + msgspec.json.encode(airframe)
+    return hashlib.sha256(raw).hexdigest()[:16]
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise LeewayError(f"{path}: {error}") from error

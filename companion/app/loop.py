@@ -1,0 +1,276 @@
+"""The loop: bytes in, events, actions, bytes out; one thread, on the autopilot's clock.
+
+With TIMESYNC requests from the autopilot (the simulator's lockstep, and real PX4) a request is a
+tick: everything before it has been heard, the outputs leave, and it is answered last. Without
+them telemetry itself ticks about ten times a second.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from companion.adapters.autopilot_port import AutopilotPort
+from companion.adapters.clock import AutopilotClock, wall_s
+from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.mavlink_link import Link
+from companion.adapters.operator_port import OperatorPort
+from companion.app.recorder import Recorder
+from companion.core.actions import (
+    Action,
+    Answer,
+    DropOrders,
+    Finished,
+    Order,
+    PhaseChanged,
+    Publish,
+    Reply,
+    Say,
+    Severity,
+)
+from companion.core.events import Event, LinkBack, LinkSilent, Tick
+from companion.core.pilot import Pilot
+from companion.core.transitions import FLIGHT_PHASES, Phase
+
+WAIT_S = 0.1
+TICK_S = 0.1
+LOCKSTEP_LAPSE_S = 0.25
+"""Without a TIMESYNC request for this long (autopilot time) telemetry ticks instead."""
+
+SILENT_S = 3.0
+"""Wall-clock silence that counts as a lost link."""
+
+HEARTBEAT_S = 1.0
+TEXT_BYTES = 50
+
+
+@dataclass(slots=True)
+class Loop:
+    """Everything wired; `step` handles what one wait brings."""
+
+    link: Link
+    codec: MavlinkCodec
+    recorder: Recorder
+    pilot: Pilot
+    clock: AutopilotClock
+    silence_limit_s: float
+    autopilot: AutopilotPort
+    operator: OperatorPort
+    finished: Finished | None = None
+    lost: bool = False
+    on_action: Callable[[Action], None] | None = None
+    _system_known: bool = False
+    _ticked_s: float = -1e9
+    _synced_s: float = -1e9
+    _synced_ns: int | None = None
+    _beat_s: float = -1e9
+    _beat_wall_s: float = -1e9
+    _heard_wall_s: float = 0.0
+    _heard_s: float = 0.0
+    _silent: bool = False
+    _reply: Reply = Reply.DENIED
+
+    @classmethod
+    def wire(
+        cls,
+        link: Link,
+        codec: MavlinkCodec,
+        recorder: Recorder,
+        pilot: Pilot,
+        *,
+        system_id: int | None,
+        silence_limit_s: float,
+    ) -> "Loop":
+        """Connect the parts."""
+        clock = AutopilotClock()
+        clock.resume(pilot.now.t_s)
+        made: list[Loop] = []
+
+        def send(message: Any) -> None:
+            made[0].send(message)
+
+        def ask(event: Event) -> Reply:
+            return made[0].ask(event)
+
+        def say(text: str) -> None:
+            made[0].carry_out([Say(Severity.WARNING, text)])
+
+        loop = cls(
+            link=link,
+            codec=codec,
+            recorder=recorder,
+            pilot=pilot,
+            clock=clock,
+            silence_limit_s=silence_limit_s,
+            autopilot=AutopilotPort(send, clock, system_id),
+            operator=OperatorPort(send, ask, lambda: pilot.judge.limits, say),
+        )
+        made.append(loop)
+        loop._heard_wall_s = wall_s()
+        loop._heard_s = clock.t_s
+        return loop
+
+    # --- in ------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Wait a moment for bytes and handle them."""
+        alone = self._silent or not self._system_known
+        if alone and wall_s() - self._beat_wall_s >= HEARTBEAT_S:
+            self._heartbeat()  # a caller must speak first, or nobody knows that it is there
+        incoming = self.link.receive(WAIT_S)
+        self._mind_silence()
+        if incoming is None:
+            return
+        for message in self.codec.parse(incoming.data):
+            self._message(message, incoming.peer)
+            if self.finished is not None:
+                return
+
+    def _message(self, message: Any, peer: Any) -> None:
+        system = self.autopilot.system_id
+        known = system is not None
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if not known or source[0] == system:
+            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+        if known and self.operator.hear(message, system, self.clock.t_s):
+            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            return
+        from_autopilot = source == (system, AUTOPILOT)
+        if from_autopilot:
+            self._heard(peer)
+        if message.get_type() == "TIMESYNC":
+            if from_autopilot and message.tc1 == 0:
+                self._timesync(message)
+            elif not known and source[1] == AUTOPILOT and message.tc1 == 0:
+                self.link.answer_to(peer)
+                self._answer_timesync(message.ts1)
+            return
+        events = self.autopilot.hear(message)
+        if not self._system_known and self.autopilot.system_id is not None:
+            self._system_known = True
+            self.codec.be_system(self.autopilot.system_id)
+            self._heard(peer)
+        self._give(events)
+        if self.clock.t_s - self._synced_s > LOCKSTEP_LAPSE_S:
+            self._tick_by_telemetry()
+
+    def _timesync(self, message: Any) -> None:
+        """Tick, let everything out, answer last. A repeated request is only answered."""
+        if message.ts1 != self._synced_ns:
+            self._synced_ns = message.ts1
+            self.clock.synchronise(message.ts1 / 1e9)
+            self._synced_s = self.clock.t_s
+            if not self.clock.doubtful:
+                self._tick()
+        self._answer_timesync(message.ts1)
+
+    def _answer_timesync(self, asked_ns: int) -> None:
+        now_ns = max(1, round(self.clock.t_s * 1e9))
+        self.send(mavlink.MAVLink_timesync_message(now_ns, asked_ns))
+
+    def _tick_by_telemetry(self) -> None:
+        if self.clock.doubtful or not self.clock.known:
+            return
+        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
+            self._tick()
+
+    def _tick(self) -> None:
+        t_s = self.clock.t_s
+        self._ticked_s = t_s
+        self._give(self.autopilot.tick(t_s))
+        self._give([Tick(t_s)])
+        if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
+            self._beat_s = t_s
+            self._heartbeat()
+
+    def _give(self, events: list[Event]) -> None:
+        for event in events:
+            if self.finished is None:
+                self.carry_out(self.pilot.handle(event))
+
+    def ask(self, event: Event) -> Reply:
+        """Give the mission an operator's order and return its reply."""
+        self._reply = Reply.ACCEPTED
+        self._give([event])
+        return self._reply
+
+    # --- silence -------------------------------------------------------------------------------
+
+    def _heard(self, peer: Any) -> None:
+        self.link.answer_to(peer)
+        self._heard_wall_s = wall_s()
+        if self._silent:
+            self._silent = False
+            self.recorder.note(self.clock.t_s, "heard again")
+            # The gap is known once the clock has been stamped; a lull shows none.
+            self._give([LinkBack(self.clock.t_s, 0.0)])
+
+    def _mind_silence(self) -> None:
+        silent_s = wall_s() - self._heard_wall_s
+        if silent_s > SILENT_S and not self._silent and self._system_known:
+            self._silent = True
+            self._give([LinkSilent(self.clock.t_s)])
+        if silent_s > self.silence_limit_s:
+            self.lost = True
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def carry_out(self, actions: list[Action]) -> None:
+        """Do what the mission asks."""
+        t_s = self.clock.t_s
+        for action in actions:
+            self.recorder.take(action, t_s)
+            match action:
+                case Order():
+                    self.autopilot.order(action, t_s)
+                case DropOrders():
+                    self.autopilot.drop_orders()
+                case Say():
+                    text = action.text.encode()[:TEXT_BYTES]
+                    self.send(mavlink.MAVLink_statustext_message(action.severity, text))
+                case Publish():
+                    self._publish(action)
+                case Answer():
+                    self._reply = action.reply
+                case PhaseChanged():
+                    self._heartbeat()
+                case Finished():
+                    self.finished = action
+                case _:
+                    pass
+            if self.on_action is not None:
+                self.on_action(action)
+
+    def _publish(self, action: Publish) -> None:
+        for name, value in action.values.items():
+            self.send(
+                mavlink.MAVLink_named_value_float_message(
+                    self.clock.boot_ms, name.encode()[:10], value
+                )
+            )
+
+    def _heartbeat(self) -> None:
+        self._beat_wall_s = wall_s()
+        phase = self.pilot.phase
+        if phase is Phase.IDENTIFY:
+            state = mavlink.MAV_STATE_BOOT
+        elif phase is Phase.PASSIVE:
+            state = mavlink.MAV_STATE_STANDBY
+        else:
+            state = mavlink.MAV_STATE_ACTIVE
+        flags = mavlink.MAV_MODE_FLAG_AUTO_ENABLED if phase in FLIGHT_PHASES else 0
+        self.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                flags,
+                0,
+                state,
+                3,
+            )
+        )
+
+    def send(self, message: Any) -> None:
+        """Pack, keep and send one message."""
+        frame = self.codec.pack(message)
+        self.recorder.tlog.write(frame, self.clock.t_s)
+        self.link.send(frame)

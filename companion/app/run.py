@@ -1,0 +1,147 @@
+"""One companion from its arguments to its exit code."""
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from companion.adapters.ardupilot import ArduPilot
+from companion.adapters.checkpoint import read_checkpoint
+from companion.adapters.files import digest_of, read_airframe, read_flight, read_obstacle_document
+from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
+from companion.adapters.mavlink_link import open_link
+from companion.adapters.px4 import Px4
+from companion.app.loop import Loop
+from companion.app.recorder import Recorder
+from companion.core.actions import Action, Say, Severity
+from companion.core.errors import LeewayError
+from companion.core.events import Flavour
+from companion.core.kept import Kept
+from companion.core.pilot import Pilot, PilotOptions
+from companion.core.preflight import Requirement, RouteFacts
+from companion.core.transitions import Phase
+
+DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED = 0, 1, 2, 3, 4, 5
+"""Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
+(for `check`: something is missing); no autopilot, or lost for good; stopped by a signal."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line asks."""
+
+    link: str
+    airframe: str
+    mission: Path
+    run_dir: Path
+    params: Path | None = None
+    signing_key: Path | None = None
+    system_id: int | None = None
+    silence_limit_s: float = 300.0
+    pilot: PilotOptions = field(default_factory=PilotOptions)
+
+
+def run(
+    options: RunOptions, *, on_action: Callable[[Action], None] | None = None
+) -> tuple[int, Pilot]:
+    """Fly (or check) until the mission, a signal or an error ends it; returns the exit code.
+
+    Raises LeewayError for a mistake in the input, before anything is opened.
+    """
+    flight = read_flight(options.mission)
+    airframe = read_airframe(options.airframe, options.params)
+    obstacles = read_obstacle_document(flight, options.mission)
+    key = read_signing_key(options.signing_key) if options.signing_key is not None else None
+    digest = digest_of(options.mission, airframe)
+    kept, trouble = _kept(options, digest)
+    pilot = Pilot(
+        flight,
+        airframe,
+        obstacles=obstacles,
+        requirements=requirements,
+        digest=digest,
+        options=options.pilot,
+        kept=kept,
+    )
+    link = open_link(options.link)
+    recorder = Recorder(
+        options.run_dir,
+        continues=kept is not None and not kept.finished,
+        keep_checkpoints=not options.pilot.check_only,
+    )
+    codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
+    if options.system_id is not None:
+        codec.be_system(options.system_id)
+    loop = Loop.wire(
+        link,
+        codec,
+        recorder,
+        pilot,
+        system_id=options.system_id,
+        silence_limit_s=options.silence_limit_s,
+    )
+    loop.on_action = on_action
+    recorder.note(pilot.now.t_s, f"mission {flight.name}, airframe {airframe.name}")
+    if trouble:
+        recorder.note(pilot.now.t_s, trouble)
+    if not options.pilot.gate_on:
+        recorder.note(pilot.now.t_s, "GATE OFF: never turns back, for comparison only")
+    if kept is not None and not kept.finished:
+        recorder.note(pilot.now.t_s, f"going on from a checkpoint in phase {kept.phase}")
+    return _fly(loop, recorder, pilot), pilot
+
+
+def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]:
+    """What the promise asks of this flavour's parameters."""
+    words = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
+    return words.requirements(facts)
+
+
+def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:
+    """The checkpoint, and what is wrong with it: a broken one must not stop a flight from home."""
+    if options.pilot.check_only:
+        return None, ""
+    try:
+        return read_checkpoint(options.run_dir, digest), ""
+    except LeewayError as error:
+        return None, f"checkpoint not used: {error}"
+
+
+def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
+    stopped: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        stopped.append(number)
+
+    before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        code = _until_the_end(loop, recorder, pilot, stopped)
+    except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
+        # The safe action is none: the autopilot holds a mission that ends at home.
+        recorder.trouble(loop.clock.t_s, error)
+        text = b"companion broken: mission aboard goes home"
+        loop.send(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))
+        code = BROKEN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
+    recorder.write_result(delivered=pilot.air.delivered, flown=pilot.flown, phase=pilot.phase.value)
+    loop.link.close()
+    recorder.close()
+    return code
+
+
+def _until_the_end(loop: Loop, recorder: Recorder, pilot: Pilot, stopped: list[int]) -> int:
+    while True:
+        loop.step()
+        if loop.finished is not None:
+            return DONE if pilot.phase is Phase.DONE else GROUNDED
+        if loop.lost:
+            recorder.note(loop.clock.t_s, "no autopilot heard: giving up the link")
+            return NO_LINK
+        if stopped:
+            recorder.note(loop.clock.t_s, f"signal {stopped[0]}: leaving; the mission stays aboard")
+            loop.carry_out([Say(Severity.WARNING, "companion stopped: mission goes home")])
+            return STOPPED

@@ -1,0 +1,190 @@
+"""From a plan and where the vehicle is to the gate's question: what is left to fly.
+
+Every decision point has the ways home that the mission aboard really holds: the return branch
+entered at `Plan.entry`, and a straight line to each rally point in clear sight.
+"""
+
+from itertools import pairwise
+
+from companion.core.geo import Ned, horizontal_m
+from companion.core.planner import Plan, unattended
+from companion.core.remaining import Ahead, Stage, WayHome
+from companion.core.route_energy import Leg, LegKind
+
+DEPOT = "depot"
+_OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
+
+
+def ahead_outbound(
+    plan: Plan,
+    position_ned_m: Ned,
+    next_index: int,
+    payload_kg: float,
+    drop_height_m: float,
+    drop_s: float,
+    settle_left_s: float = 0.0,
+) -> Ahead:
+    """Still outbound, flying to `plan.outbound_ned_m[next_index]` (take-off and settle included
+    when the vehicle is low over the depot). The decision points are the outbound waypoints.
+
+    Turning back now is priced straight to the return branch's entry of the waypoint behind, or to
+    the depot from the first leg.
+    """
+    start = _at_cruise(plan, position_ned_m)
+    first = _rise(position_ned_m, start, payload_kg)
+    if settle_left_s > 0.0:
+        first += (Leg(LegKind.HOVER, start, start, payload_kg, settle_left_s),)
+    stages: list[Stage] = []
+    here = start
+    for index in range(next_index, len(plan.outbound_ned_m)):
+        there = plan.outbound_ned_m[index]
+        legs = (*first, *_cruise(here, there, payload_kg))
+        stages.append(Stage(legs, ways_from_outbound(plan, index, payload_kg)))
+        first, here = (), there
+    stages.append(_delivery(plan, here, payload_kg, drop_height_m, drop_s))
+    return Ahead(_ways_now(plan, position_ned_m, start, next_index, payload_kg), tuple(stages))
+
+
+def ahead_delivering(
+    plan: Plan,
+    position_ned_m: Ned,
+    payload_kg: float,
+    drop_height_m: float,
+    drop_s: float,
+) -> Ahead:
+    """At the customer, parcel still aboard: descend, drop, climb, return."""
+    over = plan.outbound_ned_m[-1]
+    rise = _rise(position_ned_m, over, payload_kg)
+    last = len(plan.outbound_ned_m) - 1
+    now = tuple(_after(rise, way) for way in ways_from_outbound(plan, last, payload_kg))
+    return Ahead(now, (_delivery(plan, position_ned_m, payload_kg, drop_height_m, drop_s),))
+
+
+def ahead_returning(
+    plan: Plan,
+    position_ned_m: Ned,
+    return_index: int | None,
+    payload_kg: float,
+    delivered: bool,
+    rally_name: str | None = None,
+) -> Ahead:
+    """On the way back to `plan.return_ned_m[return_index]` (None: on the last descent), or on
+    the way to a rally point. `payload_kg` 0 once the release is confirmed.
+    """
+    if return_index is None:
+        ground = next((r.ground_ned_m for r in plan.rally if r.name == rally_name), None)
+        landing = rally_name if ground is not None and rally_name is not None else DEPOT
+        ground = ground or plan.depot_ned_m
+        # A descent drifts little: land from straight above, cruising what is left sideways.
+        over = (ground[0], ground[1], position_ned_m[2])
+        legs = (*_cruise(position_ned_m, over, payload_kg), _land(over, ground, payload_kg))
+        return Ahead((_way(landing, legs, plan.home_ground_speed_mps),), (), delivered)
+    start = _at_cruise(plan, position_ned_m)
+    rise = _rise(position_ned_m, start, payload_kg)
+    ways = list(_ways_home(plan, start, return_index, payload_kg))
+    if return_index > 0:
+        ways += _rally_ways(plan, start, None, return_index - 1, payload_kg)
+    else:
+        ways += _rally_ways(plan, start, len(plan.outbound_ned_m) - 1, None, payload_kg)
+    if rally_name is not None and all(way.landing != rally_name for way in ways):
+        rally = next(r for r in plan.rally if r.name == rally_name)
+        ways.append(_rally_way(plan, start, rally.name, rally.ground_ned_m, payload_kg))
+    return Ahead(tuple(_after(rise, way) for way in ways), (), delivered)
+
+
+def ways_from_outbound(plan: Plan, index: int, payload_kg: float) -> tuple[WayHome, ...]:
+    """Ways home from an outbound waypoint: the return branch, then each rally point in sight."""
+    here = plan.outbound_ned_m[index]
+    ways = _ways_home(plan, here, plan.entry[index], payload_kg)
+    return (*ways, *_rally_ways(plan, here, index, None, payload_kg))
+
+
+def _ways_now(
+    plan: Plan, position: Ned, start: Ned, next_index: int, payload_kg: float
+) -> tuple[WayHome, ...]:
+    """Turning round in the leg to `next_index`, back where it came from."""
+    rise = _rise(position, start, payload_kg)
+    if next_index == 0:
+        over = (plan.depot_ned_m[0], plan.depot_ned_m[1], start[2])
+        if horizontal_m(position, over) <= _OVER_M:  # still over the depot: straight down
+            legs = (_land((over[0], over[1], position[2]), plan.depot_ned_m, payload_kg),)
+            return (_way(DEPOT, legs, plan.home_ground_speed_mps),)
+        legs = (
+            *_cruise(start, over, payload_kg),
+            _land(over, plan.depot_ned_m, payload_kg),
+        )
+        ways: tuple[WayHome, ...] = (_way(DEPOT, legs, plan.home_ground_speed_mps),)
+    else:
+        ways = _ways_home(plan, start, plan.entry[next_index - 1], payload_kg)
+    behind = next_index - 1 if next_index > 0 else None
+    ways = (*ways, *_rally_ways(plan, start, behind, None, payload_kg))
+    return tuple(_after(rise, way) for way in ways)
+
+
+def _ways_home(plan: Plan, here: Ned, entry: int, payload_kg: float) -> tuple[WayHome, ...]:
+    points = (here, *plan.return_ned_m[entry:])
+    legs = [leg for a, b in pairwise(points) for leg in _cruise(a, b, payload_kg)]
+    legs.append(_land(points[-1], plan.depot_ned_m, payload_kg))
+    return (_way(DEPOT, tuple(legs), plan.home_ground_speed_mps),)
+
+
+def _rally_ways(
+    plan: Plan, here: Ned, outbound: int | None, homeward: int | None, payload_kg: float
+) -> tuple[WayHome, ...]:
+    return tuple(
+        _rally_way(plan, here, rally.name, rally.ground_ned_m, payload_kg)
+        for rally in plan.rally
+        if outbound in rally.from_outbound or homeward in rally.from_return
+    )
+
+
+def _rally_way(plan: Plan, here: Ned, name: str, ground: Ned, payload_kg: float) -> WayHome:
+    over = (ground[0], ground[1], here[2])
+    legs = (*_cruise(here, over, payload_kg), _land(over, ground, payload_kg))
+    return _way(name, legs, plan.home_ground_speed_mps)
+
+
+def _delivery(
+    plan: Plan, start: Ned, payload_kg: float, drop_height_m: float, drop_s: float
+) -> Stage:
+    over = plan.outbound_ned_m[-1]
+    drop = (over[0], over[1], plan.customer_ned_m[2] - drop_height_m)
+    down = (over[0], over[1], min(start[2], drop[2]))
+    legs = (
+        Leg(LegKind.DESCEND, down, drop, payload_kg),
+        Leg(LegKind.HOVER, drop, drop, payload_kg, drop_s),
+    )
+    climb = (Leg(LegKind.CLIMB, drop, over, 0.0),)
+    last = len(plan.outbound_ned_m) - 1
+    ways = tuple(_after(climb, way) for way in ways_from_outbound(plan, last, 0.0))
+    return Stage(legs, ways, delivers=True)
+
+
+def _way(landing: str, legs: tuple[Leg, ...], ground_speed_mps: float) -> WayHome:
+    return WayHome(landing, legs, tuple(unattended(leg, ground_speed_mps) for leg in legs))
+
+
+def _after(legs: tuple[Leg, ...], way: WayHome) -> WayHome:
+    if not legs:
+        return way
+    return WayHome(way.landing, (*legs, *way.legs), (*legs, *way.unattended_legs))
+
+
+def _at_cruise(plan: Plan, position: Ned) -> Ned:
+    return position[0], position[1], min(position[2], plan.outbound_ned_m[0][2])
+
+
+def _rise(position: Ned, to: Ned, payload_kg: float) -> tuple[Leg, ...]:
+    if position[2] - to[2] <= _OVER_M:
+        return ()
+    return (Leg(LegKind.CLIMB, position, to, payload_kg),)
+
+
+def _cruise(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
+    if horizontal_m(a, b) <= _OVER_M:
+        return ()
+    return (Leg(LegKind.CRUISE, a, b, payload_kg),)
+
+
+def _land(over: Ned, ground: Ned, payload_kg: float) -> Leg:
+    return Leg(LegKind.LAND, over, ground, payload_kg)

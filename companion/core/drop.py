@@ -1,0 +1,92 @@
+"""The drop: watch the hover, look for proof of the release, ask once more, go home."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from companion.core.actions import (
+    Note,
+    Release,
+    Severity,
+)
+from companion.core.foresight import assess
+from companion.core.obedience import Purpose
+from companion.core.progress import jump
+from companion.core.release import ReleaseWatch
+from companion.core.situation import (
+    BATTERY_MAX_AGE_S,
+    THROTTLE_MAX_AGE_S,
+)
+from companion.core.transitions import Phase, Trigger
+
+if TYPE_CHECKING:
+    from companion.core.pilot import Pilot
+
+RELEASE_AGAIN_S = 3.0
+
+
+def watch_release(pilot: Pilot) -> ReleaseWatch:
+    air = pilot.air
+    if air.release is None:
+        power = pilot.judge.route_energy
+        payload_kg = pilot.flight.vehicle.payload_kg
+        loaded_w, empty_w = power.hover_power_w(payload_kg), power.hover_power_w(0.0)
+        mass_kg = pilot.airframe.mass_kg(payload_kg)
+        air.release = ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
+    return air.release
+
+
+def observe_release(pilot: Pilot) -> None:
+    if pilot.phase not in (Phase.DELIVER, Phase.RELEASE) or pilot.flight.vehicle.payload_kg <= 0.0:
+        return
+    now = pilot.now
+    battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
+    watch = watch_release(pilot)
+    if battery is not None and battery.voltage_v is not None and battery.current_a is not None:
+        watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
+    if now.throttle is not None and now.is_fresh(now.throttle, THROTTLE_MAX_AGE_S):
+        watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)
+
+
+def release(pilot: Pilot) -> None:
+    """Look for proof that the parcel is gone; ask once more; then home."""
+    air, flown = pilot.air, pilot.flown
+    if flown is None or air.jump is not None:
+        return
+    if air.delivered:
+        return
+    if pilot.flight.vehicle.payload_kg <= 0.0:
+        _delivered(pilot, "there was no parcel to weigh")
+        return
+    watch = watch_release(pilot)
+    evidence = watch.evidence(pilot.now.t_s)
+    if evidence is not None:
+        _delivered(pilot, evidence)
+        return
+    if not air.release_asked_again and pilot.now.t_s - pilot.phase_since_s > RELEASE_AGAIN_S:
+        air.release_asked_again = True
+        if not pilot.now.troubles():
+            pilot.do(Release())
+            pilot.do(Note("no proof of the release yet: asked once more"))
+
+
+def _delivered(pilot: Pilot, evidence: str) -> None:
+    air, flown = pilot.air, pilot.flown
+    assert flown is not None
+    air.delivered = True
+    pilot.judge.payload_kg = 0.0
+    pilot.assessment = None
+    assess(pilot, 0.0)
+    pilot.decide("delivered", evidence)
+    pilot.say(Severity.NOTICE, f"delivered: {evidence}")
+    pilot.save()
+    if not pilot.now.troubles():
+        jump(pilot, flown.mission.returning[0], Purpose.HOME)
+        pilot.fire(Trigger.DROP_OVER, "delivered")
+
+
+def release_ends(pilot: Pilot) -> None:
+    """Leaving the drop without proof: the parcel counts as aboard (safety rule 5)."""
+    if not pilot.air.delivered:
+        pilot.decide("release_unconfirmed", "the parcel counts as aboard: returning loaded")
+        pilot.say(Severity.ERROR, "release not confirmed: parcel counts as aboard")

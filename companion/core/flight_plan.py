@@ -1,0 +1,242 @@
+"""From a flight file to what is flown: the site in its frame, the plan, the mission aboard."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.core.airframe import Airframe
+from companion.core.energy_ledger import EnergyBelief
+from companion.core.errors import LeewayError
+from companion.core.events import Position
+from companion.core.flight import Flight, Place
+from companion.core.geo import (
+    LocalFrame,
+    Ned,
+    ObstacleMap,
+    horizontal_m,
+    obstacles_from_geojson,
+    place_ned,
+)
+from companion.core.graph import SiteMap
+from companion.core.mission_items import DeadMansMission, Spot, build_dead_mans_mission
+from companion.core.planner import NoRoute, Plan, Planner, PlanRequest
+from companion.core.preflight import RouteFacts
+
+CLEARANCE_M = 15.0
+"""Sideways: GNSS error, cross-track error in gusts, and the corners that are cut."""
+
+CLEARANCE_UP_M = 8.0
+"""Above: barometer drift over a flight and the vehicle's own height."""
+
+WEIGH_S = 5.0
+"""Hover at drop height before the release: what the loaded vehicle draws."""
+
+RELEASE_S = 8.0
+"""Hover after it: see the power fall, ask once more if it does not."""
+
+DROP_S = WEIGH_S + RELEASE_S
+
+CUSTOMER_HOLD_S = 6.0
+"""Wait over the customer in which leave to descend is given; without it the way home follows."""
+
+SETTLE_SLACK_S = 8.0
+"""The loiter over the depot lasts this much longer than the wind is measured."""
+
+DEPOT_RADIUS_M = 30.0
+LEAST_ROOM_M = 3.0
+"""The cruise height is at least this far above the drop height at the customer."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPlan:
+    """A site, the plan over it, and the mission that goes aboard."""
+
+    site: SiteMap
+    plan: Plan
+    mission: DeadMansMission
+
+    def ned_of(self, position: Position) -> Ned:
+        """Where the vehicle is in the plan's frame (height by the autopilot's home)."""
+        return ned_of(self.site.frame, position)
+
+    def spot_ned(self, spot: Spot) -> Ned:
+        """A mission item's spot in the plan's frame."""
+        frame = self.site.frame
+        north, east, _ = frame.to_ned(
+            math.radians(spot.lat_deg), math.radians(spot.lon_deg), frame.alt_amsl_m
+        )
+        return north, east, -spot.height_rel_m
+
+    def is_clear(self, a_ned_m: Ned, b_ned_m: Ned) -> bool:
+        """Tell whether the straight line from a to b keeps clear of every obstacle."""
+        return self.site.obstacles.blocking(a_ned_m, b_ned_m) is None
+
+    def entry_from(self, here_ned_m: Ned) -> int | None:
+        """Which return waypoint to fly to straight from here for the shortest way home.
+
+        Among equals the latest; `None` when every straight line comes too near an obstacle.
+        """
+        points = [
+            self.spot_ned(s) for i in self.mission.returning if (s := self.mission.spot_at(i))
+        ]
+        ahead_m = [0.0] * len(points)
+        for i in range(len(points) - 2, -1, -1):
+            ahead_m[i] = ahead_m[i + 1] + horizontal_m(points[i], points[i + 1])
+        best, best_m = None, math.inf
+        for i, point in enumerate(points):
+            total_m = horizontal_m(here_ned_m, point) + ahead_m[i]
+            if total_m <= best_m + 0.5 and self.is_clear(here_ned_m, point):
+                best, best_m = i, min(best_m, total_m)
+        return best
+
+
+def ned_of(frame: LocalFrame, position: Position) -> Ned:
+    """Position about the depot; height is the autopilot's above its home, as it flies items."""
+    north, east, _ = frame.to_ned(
+        math.radians(position.lat_deg), math.radians(position.lon_deg), frame.alt_amsl_m
+    )
+    return north, east, -position.height_rel_m
+
+
+def frame_at(depot: Place) -> LocalFrame:
+    """The frame about a depot that is given in degrees."""
+    return LocalFrame(
+        math.radians(depot.lat_deg or 0.0),
+        math.radians(depot.lon_deg or 0.0),
+        depot.alt_amsl_m or 0.0,
+    )
+
+
+def frame_of(flight: Flight, home: Position) -> LocalFrame:
+    """The frame about the flight file's depot, or about where the vehicle stands.
+
+    Raises LeewayError when the vehicle does not stand at the depot.
+    """
+    depot = flight.site.depot
+    here = LocalFrame(math.radians(home.lat_deg), math.radians(home.lon_deg), home.alt_amsl_m)
+    if depot is None:
+        return here
+    frame = frame_at(depot)
+    away_m = horizontal_m(ned_of(frame, home), (0.0, 0.0, 0.0))
+    if away_m > DEPOT_RADIUS_M:
+        raise LeewayError(
+            f"site.depot: the vehicle stands {away_m:.0f} m from it,"
+            f" expected at most {DEPOT_RADIUS_M:.0f} m"
+        )
+    return frame
+
+
+def site_map(flight: Flight, frame: LocalFrame, obstacles: dict[str, Any] | None) -> SiteMap:
+    """The site in a frame; `obstacles` is the GeoJSON document that the flight file names."""
+    found = obstacles_from_geojson(frame, obstacles) if obstacles is not None else ()
+    rally = tuple(
+        (place.name or f"rally {number}", place_ned(frame, place))
+        for number, place in enumerate(flight.site.rally)
+    )
+    return SiteMap(
+        frame,
+        (0.0, 0.0, 0.0),
+        place_ned(frame, flight.site.customer),
+        rally,
+        ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M),
+    )
+
+
+def make_plan(
+    flight: Flight,
+    site: SiteMap,
+    planner: Planner,
+    energy: EnergyBelief | None,
+    reserve_frac: float,
+) -> FlightPlan | NoRoute:
+    """Plan the flight before take-off, when no wind is known yet."""
+    mission = flight.mission
+    for name, ground in (("customer", site.customer_ned_m), *site.rally_ned_m):
+        room_m = mission.cruise_height_m + ground[2]
+        least_m = (mission.drop_height_m if name == "customer" else 0.0) + LEAST_ROOM_M
+        if room_m < least_m:
+            return NoRoute(
+                f"mission.cruise_height_m = {mission.cruise_height_m:g}: {room_m:.0f} m above the"
+                f" ground at {name}, expected {least_m:.0f} m or more"
+            )
+    request = PlanRequest(
+        site=site,
+        cruise_height_m=mission.cruise_height_m,
+        drop_height_m=mission.drop_height_m,
+        leg_length_m=mission.leg_length_m,
+        payload_kg=flight.vehicle.payload_kg,
+        wind_settle_s=mission.wind_settle_s,
+        drop_s=DROP_S,
+        energy=energy,
+        reserve_frac=reserve_frac,
+    )
+    plan = planner.plan(request)
+    if isinstance(plan, NoRoute):
+        return plan
+    return FlightPlan(site, plan, lay_out(flight, site, plan))
+
+
+def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
+    """Turn a plan into the dead man's mission."""
+
+    def spot(ned_m: Ned) -> Spot:
+        lat_rad, lon_rad, _ = site.frame.to_geodetic(ned_m)
+        # As the wire keeps them: 1e-7 degrees and millimetres.
+        return Spot(
+            round(math.degrees(lat_rad), 7), round(math.degrees(lon_rad), 7), round(-ned_m[2], 2)
+        )
+
+    over_customer = plan.outbound_ned_m[-1]
+    cruise_down_m = over_customer[2]
+    drop_down_m = plan.customer_ned_m[2] - flight.mission.drop_height_m
+    return build_dead_mans_mission(
+        depot=spot(plan.depot_ned_m),
+        outbound=[spot(p) for p in plan.outbound_ned_m],
+        drop=spot((over_customer[0], over_customer[1], drop_down_m)),
+        returning=[spot(over_customer), *(spot(p) for p in plan.return_ned_m)],
+        entries=[entry + 1 for entry in plan.entry],
+        rally=[
+            (spot((r.ground_ned_m[0], r.ground_ned_m[1], cruise_down_m)), spot(r.ground_ned_m))
+            for r in plan.rally
+        ],
+        settle_s=math.ceil(flight.mission.wind_settle_s + SETTLE_SLACK_S),
+        hold_s=CUSTOMER_HOLD_S,
+        weigh_s=WEIGH_S,
+        delay_s=RELEASE_S,
+        home_speed_mps=plan.home_ground_speed_mps,
+    )
+
+
+def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteFacts:
+    """What the autopilot's settings are judged against on this flight."""
+    plan = flown.plan
+    points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.rally)]
+    # RTL flies straight from anywhere on the route: what stands on any of those lines counts.
+    highest_m = max(
+        (flown.site.obstacles.highest_m(p, plan.depot_ned_m) for p in points), default=0.0
+    )
+    battery = airframe.battery
+    cutoff_v = battery.cells * battery.cutoff_cell_v
+    # Label energy over the mean resting voltage is the charge that the pack holds.
+    mean_cell_v = float(
+        np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
+    )
+    speeds = airframe.speeds
+    return RouteFacts(
+        highest_obstacle_m=highest_m,
+        cruise_height_m=flight.mission.cruise_height_m,
+        farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
+        first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),
+        max_ground_mps=speeds.max_ground_mps,
+        max_tilt_deg=speeds.max_tilt_deg,
+        climb_mps=speeds.climb_mps,
+        descent_mps=speeds.descent_mps,
+        landing_mps=speeds.landing_mps,
+        battery_cutoff_v=cutoff_v,
+        battery_low_v=cutoff_v + 0.05 * battery.cells,
+        battery_cells=battery.cells,
+        battery_capacity_mah=round(1000.0 * battery.nominal_wh / (battery.cells * mean_cell_v)),
+        carries_parcel=flight.vehicle.payload_kg > 0.0,
+    )

@@ -1,0 +1,101 @@
+"""What is left to fly from here, and the gate's answer to it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from companion.core.ahead import ahead_delivering, ahead_outbound, ahead_returning
+from companion.core.flight_plan import DROP_S
+from companion.core.gate import Ahead, Assessment
+from companion.core.geo import Ned, horizontal_m
+from companion.core.situation import (
+    POSITION_MAX_AGE_S,
+)
+from companion.core.transitions import FLIGHT_PHASES, Phase
+
+if TYPE_CHECKING:
+    from companion.core.pilot import Pilot
+
+ASSESSMENT_MAX_AGE_S = 2.5
+MARGIN_MOVED_FRAC = 0.10
+
+
+def here_ned(pilot: Pilot) -> Ned | None:
+    """Where the vehicle is, `None` when that is not known freshly."""
+    position = pilot.now.position
+    if pilot.flown is None or position is None:
+        return None
+    if not pilot.now.is_fresh(position, POSITION_MAX_AGE_S):
+        return None
+    return pilot.flown.ned_of(position)
+
+
+def what_is_ahead(pilot: Pilot, here: Ned) -> Ahead:
+    flown, air = pilot.flown, pilot.air
+    assert flown is not None
+    plan, payload_kg = flown.plan, pilot.judge.payload_kg
+    drop_m = pilot.flight.mission.drop_height_m
+    match pilot.phase:
+        case Phase.CLIMB | Phase.MEASURE:
+            settled_s = 0.0 if air.settled_s is None else pilot.now.t_s - air.settled_s
+            left_s = max(0.0, pilot.flight.mission.wind_settle_s - settled_s)
+            return ahead_outbound(plan, here, 0, payload_kg, drop_m, DROP_S, left_s)
+        case Phase.OUTBOUND:
+            return ahead_outbound(plan, here, air.leg, payload_kg, drop_m, DROP_S)
+        case Phase.DELIVER | Phase.RELEASE if not air.delivered:
+            return ahead_delivering(plan, here, payload_kg, drop_m, DROP_S)
+        case Phase.LAND:
+            return ahead_returning(plan, here, None, payload_kg, air.delivered, air.rally)
+        case _:
+            return ahead_returning(
+                plan, here, _return_index(pilot, here), payload_kg, air.delivered, air.rally
+            )
+
+
+def _return_index(pilot: Pilot, here: Ned) -> int:
+    """Index into the plan's way back that is flown to (the mission has the climb-out before)."""
+    assert pilot.flown is not None
+    mission, plan = pilot.flown.mission, pilot.flown.plan
+    index = pilot.air.index
+    if index is not None and index in mission.returning:
+        return max(0, mission.returning.index(index) - 1)
+    distances = [horizontal_m(here, point) for point in plan.return_ned_m]
+    return distances.index(min(distances))
+
+
+def assess(pilot: Pilot, every_s: float) -> Assessment | None:
+    """Ask the gate when the last answer is older than `every_s`."""
+    seen, now = pilot.assessment, pilot.now
+    if seen is not None and now.t_s - seen.t_s < every_s - 1e-6:
+        return seen
+    here = here_ned(pilot)
+    if here is None:
+        return None
+    fresh = pilot.judge.assess(what_is_ahead(pilot, here))
+    if fresh is not None:
+        pilot.assessment = fresh
+        _note_move(pilot, fresh)
+    return fresh
+
+
+def _note_move(pilot: Pilot, fresh: Assessment) -> None:
+    """Record a re-decision when the margin has moved by a tenth of the energy left."""
+    noted = pilot.margin_noted_wh
+    step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
+    if noted is None or abs(fresh.margin_wh - noted) > step_wh:
+        pilot.margin_noted_wh = fresh.margin_wh
+        if noted is not None and pilot.phase in FLIGHT_PHASES:
+            pilot.decide("looked_again", fresh.reason)
+
+
+def fresh_assessment(pilot: Pilot) -> Assessment | None:
+    seen = pilot.assessment
+    if seen is None or pilot.now.t_s - seen.t_s > ASSESSMENT_MAX_AGE_S:
+        return None
+    return seen
+
+
+def ground_mps(pilot: Pilot) -> float:
+    position = pilot.now.position
+    return math.hypot(position.vel_n_mps, position.vel_e_mps) if position is not None else 0.0

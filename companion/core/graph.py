@@ -1,0 +1,192 @@
+"""Row 4: the directed waypoint graph of one site, and what its edges cost in wind."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from companion.core.errors import LeewayError
+from companion.core.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_m
+from companion.core.route_energy import Leg, LegKind, RouteEnergy
+
+FloatArray = NDArray[np.float64]
+
+_CORNER_BEYOND_M = 2.0  # waypoints stand this much further out than the clearance
+
+
+@dataclass(frozen=True, slots=True)
+class SiteMap:
+    """The site in the local frame. Ground points: down is minus the ground's height."""
+
+    frame: LocalFrame
+    depot_ned_m: Ned
+    customer_ned_m: Ned
+    rally_ned_m: tuple[tuple[str, Ned], ...]
+    obstacles: ObstacleMap
+
+
+@dataclass(frozen=True, slots=True)
+class WaypointGraph:
+    """Vertices (n, 3) NED at cruise height; directed edges as index arrays.
+
+    `depot`, `customer` and `rally` are vertex indices (rally in the site's order).
+    """
+
+    vertices_ned_m: FloatArray
+    tail: NDArray[np.int64]
+    head: NDArray[np.int64]
+    depot: int
+    customer: int
+    rally: tuple[int, ...]
+
+    def point(self, vertex: int) -> Ned:
+        """A vertex's position."""
+        north, east, down = self.vertices_ned_m[vertex]
+        return float(north), float(east), float(down)
+
+    def length_m(self) -> FloatArray:
+        """L_geo of every edge."""
+        steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]
+        return np.linalg.norm(steps, axis=1)
+
+    def legs(self, payload_kg: float) -> tuple[Leg, ...]:
+        """Every edge as a cruise leg."""
+        return tuple(
+            Leg(LegKind.CRUISE, self.point(int(a)), self.point(int(b)), payload_kg)
+            for a, b in zip(self.tail, self.head, strict=True)
+        )
+
+    def to_networkx(self) -> "nx.DiGraph[int]":
+        """The same graph with `length_m` on its edges, to check and to draw."""
+        graph: nx.DiGraph[int] = nx.DiGraph()
+        for vertex in range(len(self.vertices_ned_m)):
+            graph.add_node(vertex, ned_m=self.point(vertex))
+        for a, b, length in zip(self.tail, self.head, self.length_m(), strict=True):
+            graph.add_edge(int(a), int(b), length_m=float(length))
+        return graph
+
+    def shortest(self, edge_cost: FloatArray, start: int, goal: int) -> list[int] | None:
+        """Vertices of the cheapest path (costs >= 0, infinite where closed), or None."""
+        count = len(self.vertices_ned_m)
+        open_edges = np.isfinite(edge_cost)
+        # Dijkstra on a sparse matrix reads an explicit zero as no edge.
+        cost = np.maximum(edge_cost[open_edges], 1e-12)
+        matrix = csr_array(
+            (cost, (self.tail[open_edges], self.head[open_edges])), shape=(count, count)
+        )
+        distance, before = dijkstra(matrix, indices=start, return_predecessors=True)
+        if not math.isfinite(distance[goal]):
+            return None
+        path = [goal]
+        while path[-1] != start:
+            path.append(int(before[path[-1]]))
+        return path[::-1]
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeCosts:
+    """Per edge: `EnergyCost` (Wh, infinite where infeasible), `Unc` (Wh, one standard deviation),
+    and the synthetic length `L_SE` (m).
+    """
+
+    energy_wh: FloatArray
+    unc_wh: FloatArray
+    synthetic_m: FloatArray
+
+    def surrogate_wh(self, risk_weight: float) -> FloatArray:
+        """`c = EnergyCost + lambda Unc` (arXiv 2604.13441, IV-B)."""
+        return self.energy_wh + risk_weight * self.unc_wh
+
+
+def edge_costs(
+    graph: WaypointGraph,
+    route_energy: RouteEnergy,
+    payload_kg: float,
+    wind_to_ne_mps: FloatArray,
+    cov_ne_m2ps2: FloatArray,
+    risk_weight: float,
+) -> EdgeCosts:
+    """What every edge costs under one wind belief.
+
+    `L_SE = L_geo + lambda L_wind` with `L_wind = max(0, E(w) / E(calm) - 1) L_geo`.
+    """
+    legs = route_energy.compile(graph.legs(payload_kg))
+    winds = np.array([wind_to_ne_mps, [0.0, 0.0]])
+    costs = route_energy.costs(legs, winds)
+    gradient = route_energy.gradient_wh_per_mps(legs, wind_to_ne_mps)
+    variance = np.einsum("ei,ij,ej->e", gradient, cov_ne_m2ps2, gradient)
+    energy = np.where(costs.feasible[0], costs.energy_wh[0], np.inf)
+    length = graph.length_m()
+    excess = np.maximum(energy / costs.energy_wh[1] - 1.0, 0.0)
+    return EdgeCosts(
+        energy, np.sqrt(np.maximum(variance, 0.0)), length * (1.0 + risk_weight * excess)
+    )
+
+
+def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> WaypointGraph:
+    """Waypoints no further than `leg_length_m` apart that keep clear of every obstacle.
+
+    The visibility graph over depot, customer, rally points and the corners of what stands higher
+    than the cruise height, each line cut into equal legs. Raises LeewayError when depot, customer
+    or a rally point stand inside an obstacle's clearance.
+    """
+    places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m), *site.rally_ned_m]
+    knots: list[Ned] = []
+    for name, (north, east, _) in places:
+        over = (north, east, -cruise_height_m)
+        blocking = site.obstacles.blocking(over, over)
+        if blocking is not None:
+            raise LeewayError(_inside(name, blocking, site.obstacles))
+        knots.append(over)
+    for ring in site.obstacles.outlines_ne_m(cruise_height_m, _CORNER_BEYOND_M):
+        corners = [(north, east, -cruise_height_m) for north, east in ring]
+        knots.extend(c for c in corners if site.obstacles.blocking(c, c) is None)
+    return _cut_into_legs(knots, _visible_pairs(knots, site.obstacles), len(places), leg_length_m)
+
+
+def _inside(name: str, obstacle: Obstacle, obstacles: ObstacleMap) -> str:
+    return (
+        f"{name}: stands within {obstacles.clearance_m:g} m of {obstacle.name}, which is"
+        f" {obstacle.height_m:g} m high"
+    )
+
+
+def _visible_pairs(knots: list[Ned], obstacles: ObstacleMap) -> list[tuple[int, int]]:
+    return [
+        (a, b)
+        for a in range(len(knots))
+        for b in range(a + 1, len(knots))
+        if horizontal_m(knots[a], knots[b]) > 0.0 and obstacles.blocking(knots[a], knots[b]) is None
+    ]
+
+
+def _cut_into_legs(
+    knots: list[Ned], pairs: list[tuple[int, int]], places: int, leg_length_m: float
+) -> WaypointGraph:
+    vertices = list(knots)
+    edges: list[tuple[int, int]] = []
+    for a, b in pairs:
+        legs = max(math.ceil(horizontal_m(knots[a], knots[b]) / leg_length_m - 1e-9), 1)
+        start, end = np.array(knots[a]), np.array(knots[b])
+        chain = [a]
+        for step in range(1, legs):
+            north, east, down = start + (end - start) * (step / legs)
+            chain.append(len(vertices))
+            vertices.append((float(north), float(east), float(down)))
+        chain.append(b)
+        for tail, head in pairwise(chain):
+            edges += [(tail, head), (head, tail)]
+    ends = np.array(edges, np.int64).reshape(-1, 2)
+    return WaypointGraph(
+        vertices_ned_m=np.array(vertices),
+        tail=ends[:, 0],
+        head=ends[:, 1],
+        depot=0,
+        customer=1,
+        rally=tuple(range(2, places)),
+    )

@@ -1,0 +1,207 @@
+"""What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
+
+import re
+from dataclasses import dataclass
+
+from companion.core.airframe import Airframe
+from companion.core.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
+from companion.core.events import Flavour
+from companion.core.flight import Flight
+from companion.core.gate import Ahead, Assessment, Gate, GateParams
+from companion.core.geo import Ned
+from companion.core.route_energy import Leg, LegKind, RouteEnergy
+from companion.core.situation import (
+    AIRSPEED_MAX_AGE_S,
+    ATTITUDE_MAX_AGE_S,
+    BATTERY_MAX_AGE_S,
+    POSITION_MAX_AGE_S,
+    WIND_MAX_AGE_S,
+    Situation,
+)
+from companion.core.wind_estimator import WindBelief, WindEstimator, WindObservation
+from companion.core.wind_outlook import WindOutlook
+
+BATTERY_EVERY_S = 0.2
+RESERVE_STEP_FRAC = 0.01
+"""The gate is rebuilt when the reserve moved by more than this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the operator accepts; may change in flight."""
+
+    max_loss: float
+    reserve_frac: float
+
+
+class Judgement:
+    """Holds the estimators and the gate of one vehicle."""
+
+    def __init__(self, flight: Flight, airframe: Airframe, route_energy: RouteEnergy) -> None:
+        self._flight = flight
+        self._airframe = airframe
+        self.route_energy = route_energy
+        self.payload_kg = flight.vehicle.payload_kg
+        self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
+        self._estimator = WindEstimator(airframe)
+        self._outlook = WindOutlook()
+        self._ledger = EnergyLedger(
+            airframe,
+            expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
+            health_frac=flight.vehicle.battery_health_frac,
+            temperature_c=flight.vehicle.temperature_c,
+            charge_frac_stated=flight.vehicle.charge_frac,
+        )
+        self._gate: Gate | None = None
+        self._gate_params: GateParams | None = None
+        self.wind: WindBelief | None = None
+        self._battery_s = -1e9
+        self._left_out: set[str] = set()
+        self._warned: set[str] = set()
+
+    @property
+    def energy(self) -> EnergyBelief | None:
+        """Usable energy left, `None` while nothing is known."""
+        return self._ledger.belief()
+
+    def observe(self, now: Situation, flavour: Flavour) -> tuple[str, ...]:
+        """Take the situation at a tick; returns what is new to warn about, in words."""
+        t_s = now.t_s
+        if t_s - self._battery_s >= BATTERY_EVERY_S - 1e-6 or t_s < self._battery_s:
+            self._battery_s = t_s
+            self._observe_battery(now, flavour, t_s)
+        left_out = self._observe_wind(now, t_s)
+        self.wind = self._estimator.belief(t_s)
+        if now.airborne:
+            self._outlook.observe(self.wind)
+        warnings = [f"wind: {words}" for words in left_out if words not in self._left_out]
+        self._left_out.update(left_out)
+        energy = self.energy
+        if energy is not None:
+            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in energy.warnings}
+            warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
+            self._warned.update(kinds)
+        return tuple(warnings)
+
+    def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
+        battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
+        current_a = battery.current_a if battery else None
+        self._ledger.observe(
+            BatteryObservation(
+                t_s=t_s,
+                at_rest=now.state is not None and not now.armed and not now.airborne,
+                voltage_v=battery.voltage_v if battery else None,
+                current_a=current_a,
+                consumed_mah=(
+                    battery.consumed_ah * 1000.0
+                    if battery and battery.consumed_ah is not None
+                    else None
+                ),
+                consumed_wh=(
+                    battery.consumed_j / 3600.0
+                    if battery and battery.consumed_j is not None
+                    else None
+                ),
+                remaining_frac=battery.remaining_frac if battery else None,
+                # PX4's SIH counts a percentage down by time and knows no current.
+                remaining_is_timer=flavour is Flavour.PX4 and current_a is None,
+                temperature_c=battery.temperature_c if battery else None,
+                modelled_power_w=self._modelled_power_w(now),
+            )
+        )
+
+    def _modelled_power_w(self, now: Situation) -> float | None:
+        if not now.armed:
+            return None
+        if now.on_ground or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
+            return self.route_energy.hover_power_w(self.payload_kg)
+        position = now.position
+        assert position is not None
+        wind_n = wind_e = 0.0
+        if self.wind is not None and self.wind.valid:
+            wind_n, wind_e = (float(x) for x in self.wind.mean_to_ne_mps)
+        airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
+        return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
+
+    def _observe_wind(self, now: Situation, t_s: float) -> tuple[str, ...]:
+        position = now.position if now.is_fresh(now.position, POSITION_MAX_AGE_S) else None
+        if now.gnss is not None and not now.gnss.usable:
+            position = None
+        attitude = now.attitude if now.is_fresh(now.attitude, ATTITUDE_MAX_AGE_S) else None
+        airspeed = now.airspeed if now.is_fresh(now.airspeed, AIRSPEED_MAX_AGE_S) else None
+        wind = now.wind if now.is_fresh(now.wind, WIND_MAX_AGE_S) else None
+        vehicle = self._flight.vehicle
+        return self._estimator.update(
+            WindObservation(
+                t_s=t_s,
+                airborne=now.airborne and (position is None or position.height_rel_m > 2.0),
+                mass_kg=self._airframe.mass_kg(self.payload_kg),
+                vel_ned_mps=(
+                    (position.vel_n_mps, position.vel_e_mps, position.vel_d_mps)
+                    if position
+                    else None
+                ),
+                roll_rad=attitude.roll_rad if attitude else None,
+                pitch_rad=attitude.pitch_rad if attitude else None,
+                yaw_rad=attitude.yaw_rad if attitude else None,
+                airspeed_mps=airspeed.forward_mps if airspeed and vehicle.pitot else None,
+                autopilot_wind_to_ne_mps=(
+                    (wind.to_n_mps, wind.to_e_mps) if wind and vehicle.autopilot_wind else None
+                ),
+            )
+        )
+
+    def assess(self, ahead: Ahead) -> Assessment | None:
+        """Ask the gate; `None` while wind or energy are unknown."""
+        energy = self.energy
+        if energy is None or self.wind is None or not self.wind.valid:
+            return None
+        return self._gate_for(energy).assess(ahead, self.wind, self._outlook, energy)
+
+    def _gate_for(self, energy: EnergyBelief) -> Gate:
+        reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
+        params = self._gate_params
+        if (
+            self._gate is None
+            or params is None
+            or params.max_loss != self.limits.max_loss
+            or abs(params.reserve_wh - reserve_wh) > RESERVE_STEP_FRAC * max(reserve_wh, 1.0)
+        ):
+            self._gate_params = GateParams(max_loss=self.limits.max_loss, reserve_wh=reserve_wh)
+            self._gate = Gate(self.route_energy, self._gate_params)
+        return self._gate
+
+    def ground_speed_mps(self, here_ned_m: Ned, to_ned_m: Ned) -> float | None:
+        """Ground speed to command towards a point; `None` while the wind is unknown."""
+        if self.wind is None or not self.wind.valid:
+            return None
+        leg = Leg(LegKind.CRUISE, here_ned_m, to_ned_m, self.payload_kg)
+        return self.route_energy.ground_speed_mps(leg, self.wind.mean_to_ne_mps)
+
+    def snapshot(self) -> dict[str, object]:
+        """What the checkpoint keeps."""
+        return {
+            "ledger": self._ledger.snapshot(),
+            "outlook": self._outlook.snapshot(),
+            "payload_kg": self.payload_kg,
+            "max_loss": self.limits.max_loss,
+            "reserve_frac": self.limits.reserve_frac,
+        }
+
+    def restore(self, kept: "JudgementKept") -> None:
+        """Go on from a checkpoint: energy never rises."""
+        self._ledger.restore(kept.ledger)
+        self._outlook.restore(kept.outlook)
+        self.payload_kg = kept.payload_kg
+        self.limits = Limits(kept.max_loss, kept.reserve_frac)
+
+
+@dataclass(frozen=True, slots=True)
+class JudgementKept:
+    """`Judgement.snapshot` as read from a checkpoint."""
+
+    ledger: dict[str, object]
+    outlook: dict[str, object]
+    payload_kg: float
+    max_loss: float
+    reserve_frac: float

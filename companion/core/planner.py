@@ -1,0 +1,296 @@
+"""Row 6, first form: BER behind a small protocol. Route out, route back, checked by ReturnOK.
+
+The value policy of the full BER comes with its own issue, behind the same protocol.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.energy_ledger import EnergyBelief
+from companion.core.geo import Ned, ObstacleMap, horizontal_m
+from companion.core.graph import SiteMap, WaypointGraph, build_graph, edge_costs
+from companion.core.route_energy import Leg, LegKind, RouteEnergy
+from companion.core.wind_outlook import WindForecast
+
+FloatArray = NDArray[np.float64]
+
+# Wind assumed before any is known: the prior that the home speed is chosen under, and that the
+# route's uncertainty is priced with.
+PRIOR_WIND_STD_MPS = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class RallyWay:
+    """A rally point's ground point and where it can be flown to in a straight, clear line from:
+    indices into `Plan.outbound_ned_m` and `Plan.return_ned_m`.
+    """
+
+    name: str
+    ground_ned_m: Ned
+    from_outbound: tuple[int, ...]
+    from_return: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Waypoints of the dead man's mission, all at cruise height (down = -cruise height).
+
+    `outbound_ned_m[0]` is the first waypoint after the one over the depot; the last is over the
+    customer. `return_ned_m` starts with the first waypoint after the customer and ends over the
+    depot. From `outbound_ned_m[i]` the way home enters at `return_ned_m[entry[i]]`, in a straight
+    clear line. `home_ground_speed_mps` is what the mission aboard flies on the way home when no
+    further command arrives.
+    """
+
+    depot_ned_m: Ned
+    customer_ned_m: Ned
+    outbound_ned_m: tuple[Ned, ...]
+    return_ned_m: tuple[Ned, ...]
+    entry: tuple[int, ...]
+    rally: tuple[RallyWay, ...]
+    home_ground_speed_mps: float
+    energy_wh: float
+    time_s: float
+    route_std_wh: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoRoute:
+    """No plan; `reason` in words for the operator."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """What a planner needs to know. `forecast` None: no wind known yet (before take-off)."""
+
+    site: SiteMap
+    cruise_height_m: float
+    drop_height_m: float
+    leg_length_m: float
+    payload_kg: float
+    wind_settle_s: float
+    drop_s: float
+    energy: EnergyBelief | None
+    reserve_frac: float
+    forecast: WindForecast | None = None
+
+
+class Planner(Protocol):
+    """Anything that finds a way out and back."""
+
+    def plan(self, request: PlanRequest) -> Plan | NoRoute:
+        """A plan that passes ReturnOK in the wind as believed, or why there is none."""
+        ...
+
+
+class BerPlanner:
+    """Cheapest way out and back by `c = EnergyCost + lambda Unc`, kept when ReturnOK holds.
+
+    ReturnOK: what is left after delivery is at least `curve_factor` times the way back and the
+    reserve (arXiv 2604.13441, IV-B: a curve factor kappa > 1 for the return path).
+    """
+
+    def __init__(
+        self, route_energy: RouteEnergy, risk_weight: float = 1.0, curve_factor: float = 1.15
+    ) -> None:
+        self.route_energy = route_energy
+        self.risk_weight = risk_weight
+        self.curve_factor = curve_factor
+
+    def plan(self, request: PlanRequest) -> Plan | NoRoute:
+        """A plan that passes ReturnOK in the wind as believed, or why there is none."""
+        mass = self.route_energy.airframe.mass
+        if request.payload_kg > mass.max_payload_kg:
+            return NoRoute(
+                f"parcel {request.payload_kg:g} kg: the airframe carries {mass.max_payload_kg:g} kg"
+            )
+        graph = build_graph(request.site, request.cruise_height_m, request.leg_length_m)
+        wind, cov = _wind_of(request.forecast)
+        out = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.customer)
+        back = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.depot)
+        if out is None or back is None:
+            way = "out to the customer" if out is None else "back from the customer"
+            return NoRoute(
+                f"no way {way}: wind of {math.hypot(*wind):.1f} m/s or obstacles close every route"
+            )
+        return self._checked(request, graph, out, back, wind, cov)
+
+    def _cheapest(
+        self,
+        graph: WaypointGraph,
+        payload_kg: float,
+        wind: FloatArray,
+        cov: FloatArray,
+        start: int,
+        goal: int,
+    ) -> list[int] | None:
+        costs = edge_costs(graph, self.route_energy, payload_kg, wind, cov, self.risk_weight)
+        return graph.shortest(costs.surrogate_wh(self.risk_weight), start, goal)
+
+    def _checked(
+        self,
+        request: PlanRequest,
+        graph: WaypointGraph,
+        out: list[int],
+        back: list[int],
+        wind: FloatArray,
+        cov: FloatArray,
+    ) -> Plan | NoRoute:
+        outbound = [graph.point(v) for v in out]
+        homeward = [graph.point(v) for v in back]
+        obstacles, leg_m = request.site.obstacles, request.leg_length_m
+        entry = entries(outbound[1:], homeward[1:], obstacles, leg_m)
+        if entry is None:  # the way out, flown backwards, can be joined from every waypoint
+            homeward = outbound[::-1]
+            entry = entries(outbound[1:], homeward[1:], obstacles, leg_m) or ()
+        outward, inward = legs_out(request, outbound), legs_back(request, homeward)
+        costs = self.route_energy.costs((*outward, *inward), wind[None, :])
+        energy_out = float(costs.energy_wh[0, : len(outward)].sum())
+        energy_back = float(costs.energy_wh[0, len(outward) :].sum())
+        short = self._return_not_ok(request, energy_out, energy_back)
+        if short is not None:
+            return short
+        return Plan(
+            depot_ned_m=request.site.depot_ned_m,
+            customer_ned_m=request.site.customer_ned_m,
+            outbound_ned_m=tuple(outbound[1:]),
+            return_ned_m=tuple(homeward[1:]),
+            entry=entry,
+            rally=_rally_ways(request.site, outbound[1:], homeward[1:]),
+            home_ground_speed_mps=self.home_ground_speed_mps(inward, wind, cov),
+            energy_wh=energy_out + energy_back,
+            time_s=float(costs.time_s.sum()),
+            route_std_wh=self.route_energy.route_std_wh((*outward, *inward), wind, cov),
+        )
+
+    def _return_not_ok(
+        self, request: PlanRequest, energy_out_wh: float, energy_back_wh: float
+    ) -> NoRoute | None:
+        if request.energy is None:
+            return None
+        reserve_wh = request.reserve_frac * request.energy.usable_full_wh
+        budget_wh = request.energy.mean_wh - reserve_wh
+        if energy_out_wh + self.curve_factor * energy_back_wh <= budget_wh:
+            return None
+        return NoRoute(
+            f"beyond reach: out {energy_out_wh:.0f} Wh and {self.curve_factor:g} x back"
+            f" {energy_back_wh:.0f} Wh exceed the {budget_wh:.0f} Wh above the reserve"
+        )
+
+    def home_ground_speed_mps(
+        self, legs_home: tuple[Leg, ...], wind_to_ne_mps: FloatArray, cov_ne_m2ps2: FloatArray
+    ) -> float:
+        """The one ground speed to fly home with when no further command arrives.
+
+        Least mean plus two standard deviations of the energy over the wind belief, whole m/s.
+        """
+        speeds = self.route_energy.airframe.speeds
+        winds = wind_to_ne_mps + _spread() @ np.linalg.cholesky(cov_ne_m2ps2 + 1e-9 * np.eye(2)).T
+        candidates = np.arange(4.0, math.floor(speeds.max_ground_mps) + 0.5)
+        scores: list[float] = []
+        for speed in candidates:
+            fixed = tuple(unattended(leg, float(speed)) for leg in legs_home)
+            energy = self.route_energy.costs(fixed, winds).energy_wh.sum(axis=1)
+            scores.append(float(energy.mean() + 2.0 * energy.std()))
+        return float(candidates[int(np.argmin(scores))])
+
+
+def unattended(leg: Leg, ground_speed_mps: float) -> Leg:
+    """The same leg when nobody commands its speed any more."""
+    if leg.kind is not LegKind.CRUISE:
+        return leg
+    return Leg(
+        leg.kind,
+        leg.from_ned_m,
+        leg.to_ned_m,
+        leg.payload_kg,
+        leg.duration_s,
+        None,
+        ground_speed_mps,
+    )
+
+
+def legs_out(request: PlanRequest, points: list[Ned]) -> tuple[Leg, ...]:
+    """Take-off, settle, cruise, descent and drop, loaded, from the depot's ground."""
+    parcel, start, over = request.payload_kg, points[0], points[-1]
+    drop = (over[0], over[1], request.site.customer_ned_m[2] - request.drop_height_m)
+    return (
+        Leg(LegKind.CLIMB, request.site.depot_ned_m, start, parcel),
+        Leg(LegKind.HOVER, start, start, parcel, request.wind_settle_s),
+        *(Leg(LegKind.CRUISE, a, b, parcel) for a, b in pairwise(points)),
+        Leg(LegKind.DESCEND, over, drop, parcel),
+        Leg(LegKind.HOVER, drop, drop, parcel, request.drop_s),
+    )
+
+
+def legs_back(request: PlanRequest, points: list[Ned]) -> tuple[Leg, ...]:
+    """Climb-out, cruise and landing, empty, from the drop height over the customer."""
+    over = points[0]
+    drop = (over[0], over[1], request.site.customer_ned_m[2] - request.drop_height_m)
+    return (
+        Leg(LegKind.CLIMB, drop, over, 0.0),
+        *(Leg(LegKind.CRUISE, a, b, 0.0) for a, b in pairwise(points)),
+        Leg(LegKind.LAND, points[-1], request.site.depot_ned_m, 0.0),
+    )
+
+
+def _wind_of(forecast: WindForecast | None) -> tuple[FloatArray, FloatArray]:
+    """Mean wind over the forecast's horizons, and its covariance; the prior without one."""
+    if forecast is None:
+        return np.zeros(2), PRIOR_WIND_STD_MPS**2 * np.eye(2)
+    count = forecast.horizon_s.size
+    average = np.tile(np.eye(2), (1, count)) / count
+    return forecast.mean_to_ne_mps.mean(axis=0), average @ forecast.cov_m2ps2 @ average.T
+
+
+def _spread() -> FloatArray:
+    """Standard-normal points on three rings, eight directions: cheap quadrature."""
+    angles = np.arange(8) * (np.pi / 4.0)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.concatenate([0.6 * ring, 1.2 * ring, 2.2 * ring, np.zeros((4, 2))])
+
+
+def entries(
+    outbound: list[Ned], homeward: list[Ned], obstacles: ObstacleMap, leg_m: float
+) -> tuple[int, ...] | None:
+    """For each outbound waypoint, the index on the way back where joining is shortest.
+
+    In clear sight, at most a leg away where there is such a one; None when a waypoint sees none.
+    """
+    onward = [0.0] * len(homeward)
+    for j in range(len(homeward) - 2, -1, -1):
+        onward[j] = onward[j + 1] + horizontal_m(homeward[j], homeward[j + 1])
+    found: list[int] = []
+    for point in outbound:
+        far = [horizontal_m(point, h) for h in homeward]
+        clear = [
+            j
+            for j, h in enumerate(homeward)
+            if far[j] > 0.0 and obstacles.blocking(point, h) is None
+        ]
+        near = [j for j in clear if far[j] <= 1.01 * leg_m] or clear
+        if not near:
+            return None
+        found.append(min(near, key=lambda j: (far[j] + onward[j], -j)))
+    return tuple(found)
+
+
+def _rally_ways(site: SiteMap, outbound: list[Ned], homeward: list[Ned]) -> tuple[RallyWay, ...]:
+    ways: list[RallyWay] = []
+    for name, ground in site.rally_ned_m:
+        over = (ground[0], ground[1], outbound[0][2])
+
+        def sees(points: list[Ned], over: Ned = over) -> tuple[int, ...]:
+            return tuple(
+                i for i, p in enumerate(points) if site.obstacles.blocking(p, over) is None
+            )
+
+        ways.append(RallyWay(name, ground, sees(outbound), sees(homeward)))
+    return tuple(ways)

@@ -1,0 +1,81 @@
+"""Safety rule 5: the parcel is gone when a gripper says so, or when hovering takes less.
+
+Compares the mean hover power (or, without a current sensor, the thrust command) before the release
+with the mean after it. At constant geometry hover power goes with mass to the power of 3/2 and the
+linearised thrust command with mass (Leishman, Principles of Helicopter Aerodynamics, 2.2).
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import fmean
+
+BEFORE_S = 3.0
+SPOOL_S = 0.7
+AFTER_S = 1.8
+LEAST_SAMPLES = 3
+SHARE = 0.5
+"""A drop of at least this share of the expected one counts."""
+
+
+@dataclass(slots=True)
+class _Window:
+    """Samples of one quantity, the last half minute."""
+
+    samples: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=600))
+
+    def add(self, t_s: float, value: float) -> None:
+        if not self.samples or t_s > self.samples[-1][0]:
+            self.samples.append((t_s, value))
+
+    def mean(self, from_s: float, to_s: float) -> float | None:
+        """Mean over a span; `None` with too few samples."""
+        chosen = [value for t_s, value in self.samples if from_s <= t_s <= to_s]
+        return fmean(chosen) if len(chosen) >= LEAST_SAMPLES else None
+
+
+@dataclass(slots=True)
+class ReleaseWatch:
+    """Watches one drop. `power_frac` and `thrust_frac` are the expected relative drops."""
+
+    power_frac: float
+    thrust_frac: float
+    begun_s: float | None = None
+    feedback: bool | None = None
+    _power: _Window = field(default_factory=_Window)
+    _thrust: _Window = field(default_factory=_Window)
+
+    def observe(self, t_s: float, power_w: float | None, thrust_frac: float | None) -> None:
+        """Take what the vehicle draws and how hard it pushes."""
+        if power_w is not None:
+            self._power.add(t_s, power_w)
+        if thrust_frac is not None:
+            self._thrust.add(t_s, thrust_frac)
+
+    def begin(self, t_s: float) -> None:
+        """The release has been ordered (again); the hover before the first one is kept."""
+        if self.begun_s is None:
+            self.begun_s = t_s
+
+    def evidence(self, t_s: float) -> str | None:
+        """Say what shows that the parcel is gone, or `None` while nothing does."""
+        if self.feedback:
+            return "the gripper says so"
+        if self.begun_s is None:
+            return None
+        # The newest hover against the one before the release.
+        start_s = max(self.begun_s + SPOOL_S, t_s - AFTER_S)
+        if t_s < self.begun_s + SPOOL_S + AFTER_S - 0.05:
+            return None
+        for window, expected, words in (
+            (self._power, self.power_frac, "hover power"),
+            (self._thrust, self.thrust_frac, "hover thrust"),
+        ):
+            before = window.mean(self.begun_s - BEFORE_S, self.begun_s)
+            after = window.mean(start_s, t_s)
+            if before is None or after is None or before <= 0.0 or expected <= 0.0:
+                continue
+            drop = 1.0 - after / before
+            if drop >= SHARE * expected:
+                return f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+            return None  # a quantity that is measured and did not fall decides
+        return None

@@ -1,0 +1,163 @@
+"""A closed gate: what closes it, and the one jump to the right way home."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from companion.core.actions import Severity
+from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
+from companion.core.gate import Ahead
+from companion.core.geo import Ned, horizontal_m
+from companion.core.obedience import Purpose
+from companion.core.progress import jump
+from companion.core.situation import (
+    STATE_MAX_AGE_S,
+)
+from companion.core.transitions import HOMEWARD_PHASES, Phase, Trigger
+
+if TYPE_CHECKING:
+    from companion.core.pilot import Pilot
+
+DEPOT = "depot"
+NEAR_M = 10.0
+STRAIGHT_M = 30.0
+BATTERY_LOST_S = 30.0
+DIVERT_GAIN = 0.02
+
+
+def closed_by(pilot: Pilot) -> str:
+    """Say what closes the gate, `""` while it is open. What is closed stays closed."""
+    air = pilot.air
+    if air.gate_closed:
+        return air.gate_closed
+    seen = fresh_assessment(pilot)
+    if seen is not None and seen.turn_back:
+        if pilot.options.gate_on:
+            return seen.reason
+        pilot.say_once(Severity.NOTICE, "gate off: would turn back now")
+    return closed_beside_energy(pilot)
+
+
+def closed_beside_energy(pilot: Pilot) -> str:
+    """Say what closes the gate besides its own budget: the clock, or a battery gone silent."""
+    air, now = pilot.air, pilot.now
+    if air.took_off_s is not None:
+        limit_s = pilot.flight.mission.time_limit_s
+        if now.t_s - air.took_off_s > limit_s:
+            return f"over the time limit of {limit_s:.0f} s"
+    if not now.is_fresh(now.battery, BATTERY_LOST_S):
+        return "nothing heard of the battery"
+    return ""
+
+
+def gate(pilot: Pilot) -> bool:
+    """Turn back when the gate is closed; tells whether it is open."""
+    why = closed_by(pilot)
+    if not why:
+        return True
+    if pilot.air.jump is None or pilot.air.jump.purpose is not Purpose.HOME:
+        go_home(pilot, why)
+    return False
+
+
+def may_go_on(pilot: Pilot) -> str:
+    """Say why leave to go on cannot be given now; `""` when it can. Unknown is a reason."""
+    troubles = pilot.now.troubles()
+    if troubles:
+        return troubles[0]
+    if fresh_assessment(pilot) is None:
+        return "wind or energy unknown"
+    return ""
+
+
+def go_home(pilot: Pilot, why: str) -> None:
+    """One jump to the right item of the way home, or of a rally point."""
+    air, flown = pilot.air, pilot.flown
+    here = here_ned(pilot)
+    air.gate_closed = why
+    if flown is None:
+        return
+    if here is None or not pilot.now.is_fresh(pilot.now.state, STATE_MAX_AGE_S):
+        # Never on stale data; the next waypoint's dead man's jump goes home without us.
+        pilot.say_once(
+            Severity.WARNING, "gate closed; position stale, the mission goes home itself"
+        )
+        return
+    rally = rally_instead(pilot, here)
+    if rally is not None:
+        divert(pilot, rally, why)
+        return
+    entry = _entry(pilot, here)
+    pilot.decide("turn_back", why)
+    pilot.say(Severity.WARNING, f"gate closed: {why}")
+    air.rally = None
+    jump(pilot, flown.mission.returning[entry], Purpose.HOME)
+    pilot.fire(Trigger.HOMEWARD, why)
+
+
+def _entry(pilot: Pilot, here: Ned) -> int:
+    """Which return item to fly to: the shortest way home that starts in a clear straight line."""
+    flown = pilot.flown
+    assert flown is not None
+    mission = flown.mission
+    over = flown.plan.outbound_ned_m[-1]
+    # Low at the customer the vehicle climbs out first; that is what the first item is for.
+    if here[2] > over[2] + NEAR_M and horizontal_m(here, over) < STRAIGHT_M:
+        return 0
+    entry = flown.entry_from(here)
+    if entry is not None:
+        return entry
+    # No line is clear (GNSS error near an obstacle's clearance): as the mission itself would.
+    leg = max(0, pilot.air.leg - 1)
+    return mission.returning.index(mission.entry_of_outbound[leg])
+
+
+def rally_instead(pilot: Pilot, here: Ned) -> str | None:
+    """Name a rally point when the depot does not keep the promise and the rally point does."""
+    flown, seen = pilot.flown, fresh_assessment(pilot)
+    if flown is None or seen is None or seen.best_landing == DEPOT:
+        return None
+    ground = next((r.ground_ned_m for r in flown.plan.rally if r.name == seen.best_landing), None)
+    over = flown.plan.outbound_ned_m[-1][2]
+    if ground is None or not flown.is_clear(here, (ground[0], ground[1], over)):
+        return None
+    ahead = what_is_ahead(pilot, here)
+    depot_only = tuple(way for way in ahead.ways_home_now if way.landing == DEPOT)
+    if not depot_only:
+        return seen.best_landing
+    depot = pilot.judge.assess(Ahead(depot_only, (), pilot.air.delivered))
+    if depot is None:
+        return None
+    needed = 1.0 - pilot.judge.limits.max_loss
+    worse = depot.p_home < needed and seen.p_home_now > depot.p_home + DIVERT_GAIN
+    return seen.best_landing if worse else None
+
+
+def divert(pilot: Pilot, rally: str, why: str) -> None:
+    air, flown = pilot.air, pilot.flown
+    assert flown is not None
+    number = [r.name for r in flown.plan.rally].index(rally)
+    air.rally = rally
+    pilot.decide("divert", f"to {rally}: {why}")
+    pilot.say(Severity.WARNING, f"diverting to {rally}: {why}")
+    jump(pilot, flown.mission.rally[number][0], Purpose.HOME)
+    pilot.fire(Trigger.RALLY_BOUND, why)
+
+
+def abort(pilot: Pilot, by: str) -> bool:
+    """An operator wants it home: the gate closes."""
+    if pilot.phase in HOMEWARD_PHASES:
+        return True
+    if pilot.outward:
+        pilot.decide("abort", f"ordered by {by}")
+        if pilot.phase is Phase.RELEASE and pilot.air.delivered:
+            return True
+        go_home(pilot, f"abort ordered by {by}")
+        return True
+    if pilot.phase in (Phase.SUSPENDED, Phase.PASSIVE, Phase.LINK_LOST, Phase.RECOGNISE):
+        if pilot.phase in (Phase.RECOGNISE, Phase.LINK_LOST):
+            pilot.air.gate_closed = f"abort ordered by {by}"
+            return True
+        return False
+    pilot.fire(Trigger.ABORT, f"abort ordered by {by}")
+    return True

@@ -1,0 +1,322 @@
+"""UDP and TCP endpoints of simulated vehicles, by URL.
+
+| URL | is |
+| --- | --- |
+| `udpout:host:port` | sends to host:port and hears whoever answers from there |
+| `udpin:host:port` | listens, and answers everybody who has spoken lately |
+| `tcpin:host:port` | TCP server for one client at a time, as an autopilot's serial port is |
+
+An empty host is loopback; port 0 takes a free one (see `Endpoint.url`). Nothing here raises because
+of what a peer does or does not do: a lost peer is a silent one.
+"""
+
+import contextlib
+import selectors
+import socket
+import time
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+from sim_bridge.autopilot.codec import Decoder
+
+_LARGEST_DATAGRAM = 65535
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_PEER_FORGOTTEN_AFTER_S = 30.0
+_MOST_PEERS = 16
+_TCP_BACKLOG_BYTES = 1 << 18
+
+
+class EndpointError(ValueError):
+    """A URL that cannot be opened: names it and says why."""
+
+
+class Endpoint(Protocol):
+    """One link of a vehicle."""
+
+    @property
+    def url(self) -> str:
+        """The URL with the port that was really taken."""
+        ...
+
+    def attach(self, selector: selectors.BaseSelector) -> None:
+        """Register whatever sockets there are, and will be, with this endpoint as their data."""
+        ...
+
+    def receive(self) -> list[bytes]:
+        """What has arrived: datagrams, or from a stream whole frames. Does not wait."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send to whoever is there. Does not wait."""
+        ...
+
+    def close(self) -> None:
+        """Let the sockets go."""
+        ...
+
+
+def _udp_socket() -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+    return made
+
+
+class UdpOut:
+    """Speaks first, to one address."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.url = f"udpout:{host}:{port}"
+        self._socket = _udp_socket()
+        try:
+            self._socket.connect((host, port))  # others are not heard
+        except OSError:
+            self._socket.close()
+            raise
+
+    def attach(self, selector: selectors.BaseSelector) -> None:
+        """See `Endpoint`."""
+        selector.register(self._socket, selectors.EVENT_READ, self)
+
+    def receive(self) -> list[bytes]:
+        """See `Endpoint`."""
+        datagrams: list[bytes] = []
+        while True:
+            try:
+                datagrams.append(self._socket.recv(_LARGEST_DATAGRAM))
+            except BlockingIOError:
+                return datagrams
+            except ConnectionRefusedError:  # an earlier datagram found nobody listening
+                continue
+            except OSError:
+                return datagrams
+
+    def send(self, data: bytes) -> None:
+        """See `Endpoint`."""
+        try:
+            self._socket.send(data)
+        except ConnectionRefusedError:  # of an earlier datagram; this one was not sent yet
+            with contextlib.suppress(OSError):
+                self._socket.send(data)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """See `Endpoint`."""
+        self._socket.close()
+
+
+class UdpIn:
+    """Waits to be spoken to; then answers all who have spoken within half a minute."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = _udp_socket()
+        try:
+            self._socket.bind((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self.url = "udpin:{}:{}".format(*self._socket.getsockname())
+        self._heard_s: dict[tuple[str, int], float] = {}
+
+    def attach(self, selector: selectors.BaseSelector) -> None:
+        """See `Endpoint`."""
+        selector.register(self._socket, selectors.EVENT_READ, self)
+
+    def receive(self) -> list[bytes]:
+        """See `Endpoint`."""
+        datagrams: list[bytes] = []
+        while True:
+            try:
+                data, peer = self._socket.recvfrom(_LARGEST_DATAGRAM)
+            except OSError:  # nothing more, in the first place
+                return datagrams
+            if peer in self._heard_s or len(self._heard_s) < _MOST_PEERS:
+                self._heard_s[peer] = time.monotonic()
+            datagrams.append(data)
+
+    def send(self, data: bytes) -> None:
+        """See `Endpoint`."""
+        silent_since_s = time.monotonic() - _PEER_FORGOTTEN_AFTER_S
+        for peer, heard_s in list(self._heard_s.items()):
+            if heard_s < silent_since_s:
+                del self._heard_s[peer]
+                continue
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, peer)
+
+    def close(self) -> None:
+        """See `Endpoint`."""
+        self._socket.close()
+
+
+class TcpIn:
+    """A server for one client; the next may come when that one has gone."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.setblocking(False)
+            self._listener.bind((host, port))
+            self._listener.listen(4)
+        except OSError:
+            self._listener.close()
+            raise
+        self.url = "tcpin:{}:{}".format(*self._listener.getsockname())
+        self._client: socket.socket | None = None
+        self._selector: selectors.BaseSelector | None = None
+        self._framer = Decoder(stream=True, keep_unknown=True)
+        self._unsent = bytearray()
+
+    def attach(self, selector: selectors.BaseSelector) -> None:
+        """See `Endpoint`."""
+        self._selector = selector
+        selector.register(self._listener, selectors.EVENT_READ, self)
+
+    def receive(self) -> list[bytes]:
+        """See `Endpoint`."""
+        if self._client is None:
+            self._accept()
+        if self._client is None:
+            return []
+        self._flush()
+        frames: list[bytes] = []
+        while self._client is not None:
+            try:
+                data = self._client.recv(_LARGEST_DATAGRAM)
+            except BlockingIOError:
+                break
+            except OSError:
+                data = b""
+            if not data:
+                self._drop_client()
+                break
+            frames += [message.wire_bytes for message in self._framer.feed(data)]
+        return frames
+
+    def _accept(self) -> None:
+        try:
+            client, _ = self._listener.accept()
+        except OSError:
+            return
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client = client
+        self._framer = Decoder(stream=True, keep_unknown=True)
+        self._unsent.clear()
+        if self._selector is not None:  # others wait in the listener's queue
+            self._selector.unregister(self._listener)
+            self._selector.register(client, selectors.EVENT_READ, self)
+
+    def _drop_client(self) -> None:
+        if self._client is None:
+            return
+        if self._selector is not None:
+            self._selector.unregister(self._client)
+            self._selector.register(self._listener, selectors.EVENT_READ, self)
+        self._client.close()
+        self._client = None
+
+    def send(self, data: bytes) -> None:
+        """See `Endpoint`; what a client does not read in time is lost in whole datagrams."""
+        if self._client is None or len(self._unsent) > _TCP_BACKLOG_BYTES:
+            self._flush()
+            return
+        self._unsent += data
+        self._flush()
+
+    def _flush(self) -> None:
+        while self._client is not None and self._unsent:
+            try:
+                sent = self._client.send(self._unsent)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._drop_client()
+                return
+            del self._unsent[:sent]
+
+    def close(self) -> None:
+        """See `Endpoint`."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        self._listener.close()
+
+
+_KINDS = {"udpout": UdpOut, "udpin": UdpIn, "tcpin": TcpIn}
+
+
+def open_endpoint(url: str) -> Endpoint:
+    """The endpoint that `url` describes, with its sockets open; `EndpointError` if it cannot."""
+    kind, _, address = url.partition(":")
+    host, colon, port_text = address.rpartition(":")
+    if kind not in _KINDS or not colon or not port_text.isdecimal() or int(port_text) > 65535:
+        raise EndpointError(f"{url}: expected udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT")
+    if kind == "udpout" and int(port_text) == 0:
+        raise EndpointError(f"{url}: cannot send to port 0")
+    try:
+        return _KINDS[kind](host or "127.0.0.1", int(port_text))
+    except OSError as cause:
+        raise EndpointError(f"{url}: {cause.strerror or cause}") from cause
+
+
+class EndpointSet:
+    """All endpoints of a process, numbered in the order given, and one wait for all of them."""
+
+    def __init__(self, urls: Iterable[str]) -> None:
+        self._selector = selectors.DefaultSelector()
+        self._endpoints: list[Endpoint] = []
+        self._index: dict[int, int] = {}
+        try:
+            for url in urls:
+                self.add(url)
+        except EndpointError:
+            self.close()
+            raise
+
+    def add(self, url: str) -> int:
+        """Open one more; returns its number."""
+        endpoint = open_endpoint(url)
+        endpoint.attach(self._selector)
+        self._index[id(endpoint)] = len(self._endpoints)
+        self._endpoints.append(endpoint)
+        return len(self._endpoints) - 1
+
+    @property
+    def urls(self) -> Sequence[str]:
+        """The URLs with the ports really taken, by number."""
+        return [endpoint.url for endpoint in self._endpoints]
+
+    def poll(self, timeout_s: float) -> list[tuple[int, bytes]]:
+        """(number, datagram) of what has arrived, waiting up to `timeout_s` for the first.
+
+        By endpoint number, and within one in order of arrival: what the operating system reports
+        first must not change a simulation.
+        """
+        ready = self._selector.select(timeout_s)
+        if not ready:
+            return []
+        if len(ready) == 1:
+            endpoint = ready[0][0].data
+            number = self._index[id(endpoint)]
+            return [(number, data) for data in endpoint.receive()]
+        numbers = sorted({self._index[id(key.data)] for key, _ in ready})
+        return [(n, data) for n in numbers for data in self._endpoints[n].receive()]
+
+    def send(self, number: int, data: bytes) -> None:
+        """Send on one endpoint, to whoever is there."""
+        self._endpoints[number].send(data)
+
+    def close(self) -> None:
+        """Let all sockets go."""
+        for endpoint in self._endpoints:
+            endpoint.close()
+        self._selector.close()
+
+    def __enter__(self) -> "EndpointSet":
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()

@@ -1,0 +1,150 @@
+"""`sim-bridge bench`: how fast, how light; figures for the README, never a test.
+
+Each figure is the median of `rounds` runs with its least and greatest, since machines are noisy.
+"""
+
+import os
+import statistics
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+from rich.console import Console
+from rich.table import Table
+
+from companion.adapters.files import params_dir
+from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.craft import Craft
+from sim_bridge.app.fly import FlyOptions, Progress, fly
+
+FLEET = 20
+FLEET_SECONDS_S = 90.0
+REAL_TIME_SECONDS_S = 90.0
+SOLO_SECONDS_S = 300.0
+WARM_UP_S = 5.0
+
+
+@dataclass(slots=True)
+class _Meter(Progress):
+    """Stops a run after some simulated time and notes what it took."""
+
+    until_s: float = 60.0
+    began_wall_s: float | None = None
+    began_t_s: float = 0.0
+    ended_t_s: float = 0.0
+    ended_wall_s: float = 0.0
+    exchanges_s: list[float] = field(default_factory=list)
+    cpu_s: float = 0.0
+    rss_mb: float = 0.0
+    _cpu_at_start_s: float = 0.0
+    _process: psutil.Process | None = None
+
+    def update(self, crafts: list[Craft], t_s: float) -> None:
+        now = wall_s()
+        if self.began_wall_s is None and t_s >= WARM_UP_S:
+            self.began_wall_s, self.began_t_s = now, t_s
+            self.exchanges_s.clear()
+            pid = crafts[0].companion.pid
+            self._process = psutil.Process(pid) if pid else None
+            self._cpu_at_start_s = self._cpu()
+        self.ended_wall_s, self.ended_t_s = now, t_s
+        if t_s >= self.until_s:
+            self.cpu_s = self._cpu() - self._cpu_at_start_s
+            if self._process is not None and self._process.is_running():
+                self.rss_mb = self._process.memory_info().rss / 1e6
+
+    def exchanged(self, wall_s: float) -> None:
+        self.exchanges_s.append(wall_s)
+
+    def goes_on(self, t_s: float) -> bool:
+        return t_s < self.until_s
+
+    def _cpu(self) -> float:
+        if self._process is None or not self._process.is_running():
+            return 0.0
+        times = self._process.cpu_times()
+        return times.user + times.system
+
+    @property
+    def wall(self) -> float:
+        """Wall seconds from the warm-up's end."""
+        return self.ended_wall_s - (self.began_wall_s or self.ended_wall_s)
+
+    @property
+    def times_real(self) -> float:
+        """Simulated over wall seconds, after the warm-up."""
+        return (self.ended_t_s - self.began_t_s) / max(self.wall, 1e-9)
+
+    @property
+    def exchange_p99_ms(self) -> float:
+        """99th percentile from a step's telemetry to the companion's answer with its commands."""
+        ordered = sorted(self.exchanges_s)
+        return 1e3 * ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)]
+
+
+def bench(rounds: int, console: Console) -> dict[str, Any]:
+    """Run all benchmarks; prints a table and returns its rows."""
+    rows: list[tuple[str, list[float], str, str]] = []
+    for flavour in ("px4", "ardupilot"):
+        meters = _measure(rounds, console, f"one vehicle, {flavour}, one core", flavour, 1, None)
+        speeds = [m.times_real for m in meters]
+        rows.append(
+            (f"one {flavour} vehicle and companion, one core", speeds, "x real time", ">= 20")
+        )
+    meters = _measure(rounds, console, f"{FLEET} vehicles, all cores", "mixed", FLEET, None)
+    rows.append(
+        (
+            f"{FLEET} vehicles and companions, all cores",
+            [m.times_real for m in meters],
+            "x real time",
+            ">= 1",
+        )
+    )
+    for flavour in ("px4", "ardupilot"):
+        meters = _measure(rounds, console, f"{flavour} at real time", flavour, 1, 1.0)
+        loads = [100.0 * m.cpu_s / m.wall for m in meters]
+        rows.append((f"companion beside {flavour} at real time", loads, "% of a core", "< 15"))
+        rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
+        rows.append(
+            ("  telemetry to command, p99", [m.exchange_p99_ms for m in meters], "ms", "< 100")
+        )
+    table = Table(title=f"median of {rounds} (least to greatest)")
+    for name in ("what", "figure", "unit", "goal"):
+        table.add_column(name)
+    for what, values, unit, goal in rows:
+        spread = f"{statistics.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
+        table.add_row(what, spread, unit, goal)
+    console.print(table)
+    return {"rows": [{"what": w, "values": v, "unit": u, "goal": g} for w, v, u, g in rows]}
+
+
+def _measure(
+    rounds: int, console: Console, what: str, autopilot: str, vehicles: int, speedup: float | None
+) -> list[_Meter]:
+    cores = os.sched_getaffinity(0)
+    if vehicles == 1 and speedup is None:
+        os.sched_setaffinity(0, {min(cores)})
+    until_s = SOLO_SECONDS_S if vehicles == 1 else FLEET_SECONDS_S
+    until_s = REAL_TIME_SECONDS_S if speedup is not None else until_s
+    meters: list[_Meter] = []
+    try:
+        for index in range(rounds):
+            console.print(f"{what}: run {index + 1} of {rounds} ...", highlight=False)
+            meter = _Meter(until_s=until_s)
+            with tempfile.TemporaryDirectory() as folder:
+                options = FlyOptions(
+                    flight_file=params_dir() / "flights" / "default.toml",
+                    autopilot=autopilot,
+                    seed=index + 1,
+                    vehicles=vehicles,
+                    speedup=speedup,
+                    run_root=Path(folder),
+                    picture=False,
+                )
+                fly(options, meter)
+            meters.append(meter)
+    finally:
+        os.sched_setaffinity(0, cores)
+    return meters

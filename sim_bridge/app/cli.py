@@ -1,0 +1,181 @@
+"""`sim-bridge`: simulated vehicles that speak MAVLink as real autopilots do."""
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from companion.adapters.files import params_dir
+from companion.core.errors import LeewayError
+from sim_bridge.adapters.endpoint import EndpointError
+from sim_bridge.truth.errors import TruthError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Software in the loop without hardware: simulated PX4 and ArduCopter vehicles in true"
+    " wind, flown by real companions over MAVLink.",
+)
+
+
+class AutopilotChoice(StrEnum):
+    """Which flavour the simulated vehicles speak."""
+
+    px4 = "px4"
+    ardupilot = "ardupilot"
+    mixed = "mixed"
+
+
+class Switch(StrEnum):
+    """On or off."""
+
+    on = "on"
+    off = "off"
+
+
+@app.command()
+def fly(
+    flight: Annotated[
+        Path | None,
+        typer.Argument(help="FLIGHT.toml (flight/1); default: params/flights/default.toml"),
+    ] = None,
+    autopilot: Annotated[
+        AutopilotChoice, typer.Option(help="Flavour of the vehicles; mixed takes turns.")
+    ] = AutopilotChoice.px4,
+    seed: Annotated[int, typer.Option(min=0, help="Winds, gusts and sensor errors follow it.")] = 1,
+    wind_log: Annotated[
+        Path | None,
+        typer.Option(
+            help="Recording (t_s, wind_speed_mps, wind_from_deg) in place of the file's wind;"
+            " it starts where the seed says."
+        ),
+    ] = None,
+    gate: Annotated[
+        Switch, typer.Option(help="off: never turns back, to see what the gate is worth.")
+    ] = Switch.on,
+    vehicles: Annotated[int, typer.Option(min=1, max=100, help="How many fly at once.")] = 1,
+    speedup: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="Hold this multiple of real time; default: all it can."),
+    ] = None,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write the verdicts here as JSON.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Where the run folder goes.")] = Path("logs"),
+    picture: Annotated[bool, typer.Option(help="Draw flight.png into the run folder.")] = True,
+) -> None:
+    """Fly a mission to its end: simulated vehicles, a companion process for each, one table.
+
+    Vehicle and companion know each other only by MAVLink over UDP on loopback. The run folder
+    holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl), companion.log and
+    flight.png. Exit code 0 whatever the outcome; 2 for a mistake in the input.
+    """
+    from sim_bridge.app.fly import FlyOptions
+    from sim_bridge.app.fly import fly as fly_now
+    from sim_bridge.app.report import LiveView, results_table
+
+    console = Console()
+    options = FlyOptions(
+        flight_file=flight or params_dir() / "flights" / "default.toml",
+        autopilot=autopilot.value,
+        seed=seed,
+        wind_log=wind_log,
+        gate=gate is Switch.on,
+        vehicles=vehicles,
+        speedup=speedup,
+        run_root=runs,
+        picture=picture,
+    )
+    with LiveView(console=console) as view:
+        result = fly_now(options, view)
+    console.print(results_table(result, gate=options.gate))
+    for row in result["flights"]:
+        console.print(f"run folder: {row['run']}", highlight=False)
+    if json_out is not None:
+        json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def series(
+    flight: Annotated[
+        Path | None, typer.Argument(help="FLIGHT.toml; default: params/flights/default.toml")
+    ] = None,
+    seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:20",
+    autopilot: Annotated[
+        list[str] | None, typer.Option(help="px4, ardupilot; once or more. Default: both.")
+    ] = None,
+    gate: Annotated[
+        list[Switch] | None, typer.Option(help="on, off; once or more. Default: both.")
+    ] = None,
+    wind_log: Annotated[
+        Path | None, typer.Option(help="Recording in place of the file's wind.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Flights at once.")] = 2,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every row here as JSON.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
+    picture: Annotated[bool, typer.Option(help="Draw each flight.")] = False,
+) -> None:
+    """Fly the same flight over many seeds and flavours, with and without the gate."""
+    from sim_bridge.app.fly import AUTOPILOTS, FlyOptions
+    from sim_bridge.app.series import report, run_series, write_rows
+
+    first, _, last = seeds.partition(":")
+    if not (first.isdecimal() and (last or first).isdecimal()):
+        raise LeewayError(f"--seeds {seeds}: expected FIRST:LAST, such as 1:20")
+    unknown = set(autopilot or ()) - set(AUTOPILOTS)
+    if unknown:
+        raise LeewayError(f"--autopilot {', '.join(sorted(unknown))}: expected px4 or ardupilot")
+    base = FlyOptions(
+        flight_file=flight or params_dir() / "flights" / "default.toml",
+        wind_log=wind_log,
+        run_root=runs,
+        picture=picture,
+    )
+    rows = run_series(
+        base,
+        seeds=list(range(int(first), int(last or first) + 1)),
+        autopilots=list(autopilot or AUTOPILOTS),
+        gates=[g is Switch.on for g in gate or (Switch.on, Switch.off)],
+        jobs=jobs,
+    )
+    report(Console(), rows)
+    if json_out is not None:
+        write_rows(json_out, rows)
+
+
+@app.command()
+def bench(
+    rounds: Annotated[int, typer.Option(min=1, help="Runs of each benchmark.")] = 3,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every value here as JSON.")
+    ] = None,
+) -> None:
+    """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
+    from sim_bridge.app.bench import bench as bench_now
+
+    result = bench_now(rounds, Console())
+    if json_out is not None:
+        json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def main() -> None:
+    """Entry point: a mistake in the input is one line on stderr and exit code 2."""
+    try:
+        app()
+    except (LeewayError, TruthError, EndpointError) as error:
+        print(f"sim-bridge: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("sim-bridge: stopped; run folders keep what was written", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

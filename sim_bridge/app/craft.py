@@ -1,0 +1,171 @@
+"""One simulated vehicle as flown: physics, autopilot, operator, companion process, record."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from companion.core.flight import Flight, Place, Terrain
+from companion.core.flight_plan import frame_at
+from companion.core.geo import place_ned
+from sim_bridge.app.companion_process import CompanionProcess
+from sim_bridge.app.operator import Operator
+from sim_bridge.app.record import TruthRecord
+from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.codec import Decoder
+from sim_bridge.truth import terrain as ground
+from sim_bridge.truth.terrain_file import load_grid_terrain
+from sim_bridge.truth.vehicle import Vehicle
+
+COMPANION_LINK = 0
+OPERATOR_LINK = 1
+PHYSICS_STEP_S = 0.01
+SETTLED_S = 5.0
+CONCLUDE_WITHIN_S = 30.0  # the companion sees the landing, closes its record and ends
+STUCK_ARMED_S = 60.0  # a landing that the autopilot never notices (measured on ArduCopter)
+RECORD_EVERY_STEPS = 20
+COMMANDING = {  # what changes the flight; telemetry and questions do not
+    "COMMAND_LONG",
+    "COMMAND_INT",
+    "SET_MODE",
+    "MISSION_COUNT",
+    "MISSION_ITEM_INT",
+    "MISSION_SET_CURRENT",
+    "MISSION_CLEAR_ALL",
+    "MISSION_WRITE_PARTIAL_LIST",
+    "SET_POSITION_TARGET_LOCAL_NED",
+    "SET_POSITION_TARGET_GLOBAL_INT",
+    "SET_ATTITUDE_TARGET",
+    "RC_CHANNELS_OVERRIDE",
+    "MANUAL_CONTROL",
+    "PARAM_SET",
+}
+ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
+_CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
+PILOT_CHANNELS = {
+    "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
+    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: COM_RC_OVERRIDE
+}
+
+
+@dataclass(slots=True)
+class Craft:
+    """A vehicle and everything about it; `t_s` runs from power-up."""
+
+    number: int
+    flavour: str
+    flight: Flight
+    depot: Place
+    vehicle: Vehicle
+    autopilot: Autopilot
+    terrain: ground.Terrain
+    operator: Operator
+    companion: CompanionProcess
+    run_dir: Path
+    record: TruthRecord = field(default_factory=TruthRecord)
+    steps: int = 0
+    link_silent_until_s: float = -1.0
+    garbage: bytes = b""
+    commands: list[tuple[float, str, int]] = field(default_factory=list)
+    _decoder: Decoder = field(default_factory=Decoder)
+    restarted: bool = False
+
+    @property
+    def t_s(self) -> float:
+        """Simulated time since power-up."""
+        return self.steps * PHYSICS_STEP_S
+
+    def advance(self, steps: int) -> None:
+        """Run physics and autopilot for some 100 Hz steps, recording truth at 5 Hz."""
+        vehicle, autopilot = self.vehicle, self.autopilot
+        for _ in range(steps):
+            autopilot.step(vehicle.step(autopilot.actuation, PHYSICS_STEP_S), PHYSICS_STEP_S)
+            self.steps += 1
+            if self.steps % RECORD_EVERY_STEPS == 0:
+                truth = vehicle.truth
+                north, east, _ = truth.pos_ned_m
+                self.record.add(truth, self.terrain.up_m(north, east))
+        for frame in self.operator.frames(self.t_s):
+            autopilot.receive(OPERATOR_LINK, frame)
+
+    @property
+    def link_up(self) -> bool:
+        """False while the link fault lasts."""
+        return self.t_s >= self.link_silent_until_s
+
+    def take_outbox(self) -> list[bytes]:
+        """Datagrams for the companion; those for the operator are delivered here."""
+        out: list[bytes] = []
+        for link, data in self.autopilot.take_outbox():
+            if link == OPERATOR_LINK:
+                self.operator.receive(self.t_s, data)
+            elif self.link_up:
+                out.append(data)
+        if self.garbage and self.link_up:
+            out.append(self.garbage)
+        return out
+
+    def pilot_takes_over(self) -> None:
+        """The pilot takes the sticks: the mode switch goes to position hold."""
+        self.autopilot.set_rc(PILOT_CHANNELS[self.flavour])
+
+    def ground_takes_over(self) -> None:
+        """Another ground station orders the vehicle home by mode change."""
+        for frame in self.operator.mode_change(self.flavour):
+            self.autopilot.receive(OPERATOR_LINK, frame)
+
+    def receive(self, datagram: bytes) -> None:
+        """A datagram from the companion."""
+        if not self.link_up:
+            return
+        for message in self._decoder.feed(datagram):
+            number = message.__dict__.get("command", 0)
+            if message.msg_name in COMMANDING and number not in ASKING:
+                self.commands.append((self.t_s, message.msg_name, number))
+        self.autopilot.receive(COMPANION_LINK, datagram)
+
+    @property
+    def phase(self) -> str:
+        """Where in the mission it truly is: start, climb, outbound, drop, return, down."""
+        record = self.record
+        if record.took_off_s is None:
+            return "start"
+        if record.landed_s is not None:
+            return "down"
+        truth = record.rows[-1]
+        away_m = math.hypot(truth[1], truth[2])
+        customer = place_ne_m(self.flight.site.customer, self.depot)
+        if truth[-1] == 0.0:
+            return "return"
+        if math.dist((truth[1], truth[2]), customer) < 15.0:
+            return "drop"
+        return "outbound" if away_m > 30.0 else "climb"
+
+    @property
+    def finished(self) -> bool:
+        """Down for good and the companion has ended, crashed, or it never left."""
+        if self.record.crashed:
+            return True
+        if self.record.landed_s is not None:
+            down_s = self.t_s - self.record.landed_s
+            disarmed = not self.autopilot.is_armed and down_s > SETTLED_S
+            concluded = not self.companion.running or down_s > CONCLUDE_WITHIN_S
+            return (disarmed and concluded) or down_s > STUCK_ARMED_S
+        never_left = self.record.took_off_s is None
+        return never_left and self.companion.starts > 0 and not self.companion.running
+
+
+def place_ne_m(place: Place, depot: Place) -> tuple[float, float]:
+    """A place's north and east of the depot, in metres."""
+    if place.east_m is not None and place.north_m is not None:
+        return place.north_m, place.east_m
+    north, east, _ = place_ned(frame_at(depot), place)
+    return north, east
+
+
+def build_terrain(terrain: Terrain, folder: Path) -> ground.Terrain:
+    """The world's ground from the flight file's table."""
+    if terrain.kind == "grid":
+        return load_grid_terrain(folder / str(terrain.grid))
+    if terrain.kind == "plane":
+        return ground.PlaneTerrain(terrain.slope_north_frac, terrain.slope_east_frac)
+    return ground.PlaneTerrain()

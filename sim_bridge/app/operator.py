@@ -1,0 +1,84 @@
+"""The operator at a simulated ground station: authorises the mission, watches, may take over."""
+
+import math
+from dataclasses import dataclass, field
+
+from sim_bridge.autopilot.codec import Decoder, Encoder, Message
+
+GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
+COMPANION_COMPONENT = 191
+MAV_CMD_MISSION_START = 300
+MAV_CMD_DO_SET_MODE = 176
+ASK_AGAIN_S = 2.0
+SEVERITY_NOTICE = 5
+
+
+@dataclass(slots=True)
+class Operator:
+    """One vehicle's ground station, by MAVLink alone; it sees what any ground station sees."""
+
+    vehicle_system: int
+    authorises: bool = True
+    accepted: bool = False
+    named: dict[str, float] = field(default_factory=dict)
+    said: list[tuple[float, str]] = field(default_factory=list)
+    _encoder: Encoder = field(default_factory=lambda: Encoder(GROUND_SYSTEM, GROUND_COMPONENT))
+    _decoder: Decoder = field(default_factory=Decoder)
+    _next_heartbeat_s: float = 0.0
+    _next_ask_s: float = 0.0
+
+    def frames(self, t_s: float) -> list[bytes]:
+        """What the ground station sends at `t_s`: its heartbeat, and the authorisation once."""
+        out: list[bytes] = []
+        if t_s >= self._next_heartbeat_s:
+            self._next_heartbeat_s = t_s + 1.0
+            out.append(self._encoder.encode(_heartbeat()))
+        if self.authorises and not self.accepted and t_s >= self._next_ask_s:
+            self._next_ask_s = t_s + ASK_AGAIN_S
+            out.append(self._encoder.encode(self._command(MAV_CMD_MISSION_START)))
+        return out
+
+    def receive(self, t_s: float, datagram: bytes) -> None:
+        """Take in what the link brought: named values, texts, acknowledgements."""
+        for message in self._decoder.feed(datagram):
+            name = message.msg_name
+            if name == "NAMED_VALUE_FLOAT" and math.isfinite(message.value):
+                self.named[message.name] = message.value
+            elif name == "STATUSTEXT" and message.severity <= SEVERITY_NOTICE:
+                self.said.append((t_s, message.text.strip()))
+            elif name == "COMMAND_ACK" and message.src_component == COMPANION_COMPONENT:
+                self.accepted |= message.command == MAV_CMD_MISSION_START and message.result == 0
+
+    def mode_change(self, flavour: str) -> list[bytes]:
+        """Order the autopilot to return to launch, behind the companion's back."""
+        mode = (1.0, 6.0, 0.0) if flavour == "ardupilot" else (1.0, 4.0, 5.0)
+        return [self._encoder.encode(self._command(MAV_CMD_DO_SET_MODE, *mode, component=1))]
+
+    def _command(
+        self,
+        command: int,
+        param1: float = 0.0,
+        param2: float = 0.0,
+        param3: float = 0.0,
+        component: int = COMPANION_COMPONENT,
+    ) -> Message:
+        return Message(
+            "COMMAND_LONG",
+            target_system=self.vehicle_system,
+            target_component=component,
+            command=command,
+            confirmation=0,
+            param1=param1,
+            param2=param2,
+            param3=param3,
+            param4=0.0,
+            param5=0.0,
+            param6=0.0,
+            param7=0.0,
+        )
+
+
+def _heartbeat() -> Message:
+    return Message(
+        "HEARTBEAT", type=6, autopilot=8, base_mode=0, custom_mode=0, system_status=4
+    )  # MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID

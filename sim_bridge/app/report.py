@@ -1,0 +1,136 @@
+"""What a person sees of a flight: one live line a vehicle, then the table."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.craft import Craft
+from sim_bridge.app.fly import Progress
+
+REFRESH_WALL_S = 0.25
+LINE_EVERY_S = 30.0
+
+
+@dataclass(slots=True)
+class LiveView(Progress):
+    """A live table on a terminal; on anything else a line every half minute of flight."""
+
+    console: Console = field(default_factory=Console)
+    _live: Live | None = None
+    _next_wall_s: float = 0.0
+    _next_line_s: float = 0.0
+    _started_wall_s: float = field(default_factory=wall_s)
+    _said: dict[int, int] = field(default_factory=dict)
+
+    def __enter__(self) -> "LiveView":
+        if self.console.is_terminal:
+            self._live = Live(console=self.console, refresh_per_second=4, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exc_info: Any) -> None:
+        if self._live is not None:
+            self._live.__exit__(*exc_info)
+
+    def update(self, crafts: list[Craft], t_s: float) -> None:
+        """Show where everybody is; called ten times a simulated second."""
+        now = wall_s()
+        if now < self._next_wall_s:
+            return
+        self._next_wall_s = now + REFRESH_WALL_S
+        pace = t_s / max(now - self._started_wall_s, 1e-6)
+        if self._live is not None:
+            self._live.update(_live_table(crafts, t_s, pace))
+        elif t_s >= self._next_line_s:
+            self._next_line_s = t_s + LINE_EVERY_S
+            for craft in crafts:
+                self.console.print(_line(craft, t_s), highlight=False)
+
+
+def _live_table(crafts: list[Craft], t_s: float, pace: float) -> Table:
+    table = Table(title=f"{t_s:.0f} s of flight time at {pace:.0f} x real time", box=None)
+    for name in ("vehicle", "phase", "from depot", "height", "wind", "margin", "P(home)", "says"):
+        table.add_column(name, justify="left" if name in ("vehicle", "phase", "says") else "right")
+    for craft in crafts:
+        table.add_row(*_cells(craft))
+    return table
+
+
+def _cells(craft: Craft) -> list[str]:
+    named, said = craft.operator.named, craft.operator.said
+    row = craft.record.rows[-1] if craft.record.rows else (0.0,) * 13
+    wind = "-"
+    if "LW_WINDN" in named and "LW_WINDE" in named:
+        north, east = named["LW_WINDN"], named["LW_WINDE"]
+        from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+        wind = f"{math.hypot(north, east):.1f} m/s from {from_deg:03.0f}"
+    return [
+        f"{craft.number} {craft.flavour}",
+        craft.phase,
+        f"{math.hypot(row[1], row[2]):.0f} m",
+        f"{-row[3]:.0f} m",
+        wind,
+        f"{named['LW_MARGIN']:+.1f} Wh" if "LW_MARGIN" in named else "-",
+        f"{named['LW_PHOME']:.3f}" if "LW_PHOME" in named else "-",
+        said[-1][1] if said else "",
+    ]
+
+
+def _line(craft: Craft, t_s: float) -> str:
+    names = ("", "", "out ", "up ", "wind ", "margin ", "P(home) ", "")
+    cells = [n + c for n, c in zip(names, _cells(craft), strict=True) if c]
+    return f"t={t_s:5.0f} s  " + ", ".join(cells)
+
+
+def results_table(result: dict[str, Any], *, gate: bool) -> Table:
+    """The flights of a run as a table."""
+    title = "gate on" if gate else "GATE OFF: it flies on whatever the budget says"
+    table = Table(title=title)
+    for name in (
+        "vehicle",
+        "outcome",
+        "used Wh",
+        "margin Wh",
+        "time s",
+        "wind err m/s",
+        "NEES",
+        "P(home) min",
+        "clairvoyant",
+        "decisions",
+    ):
+        table.add_column(name, justify="right" if name not in ("vehicle", "decisions") else "left")
+    for row in result["flights"]:
+        table.add_row(
+            f"{row['vehicle']} {row['autopilot']}",
+            row["outcome"],
+            f"{row['energy_used_wh']:.1f}",
+            f"{row['margin_wh']:+.1f}",
+            f"{row['flight_time_s']:.0f}",
+            _number(row["wind_rmse_mps"], 2),
+            _number(row["wind_nees"], 2),
+            _number(row["p_home_min"], 3),
+            f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f} Wh",
+            ", ".join(_decision_words(row["decisions"])) or "-",
+        )
+    return table
+
+
+def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:
+    words: list[str] = []
+    for decision in decisions:
+        word = decision["kind"].replace("_", " ")
+        if not words or words[-1].split(" x")[0] != word:
+            words.append(word)
+        else:
+            count = int(words[-1].split(" x")[1]) if " x" in words[-1] else 1
+            words[-1] = f"{word} x{count + 1}"
+    return words
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

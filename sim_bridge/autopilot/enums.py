@@ -1,0 +1,235 @@
+"""Numbers of the MAVLink standard that the simulated autopilots use, by their MAVLink names.
+
+Source: the published `common` and `minimal` message sets (mavlink.io).
+"""
+
+from enum import IntEnum, IntFlag
+
+
+class Result(IntEnum):
+    """MAV_RESULT: what a COMMAND_ACK says."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+    CANCELLED = 6
+    COMMAND_LONG_ONLY = 7
+    COMMAND_INT_ONLY = 8
+    UNSUPPORTED_FRAME = 9
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT: what a MISSION_ACK says."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+class MissionType(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+    ALL = 255
+
+
+class MissionState(IntEnum):
+    """MISSION_STATE in MISSION_CURRENT."""
+
+    UNKNOWN = 0
+    NO_MISSION = 1
+    NOT_STARTED = 2
+    ACTIVE = 3
+    PAUSED = 4
+    COMPLETE = 5
+
+
+class Frame(IntEnum):
+    """MAV_FRAME."""
+
+    GLOBAL = 0
+    LOCAL_NED = 1
+    MISSION = 2
+    GLOBAL_RELATIVE_ALT = 3
+    GLOBAL_INT = 5
+    GLOBAL_RELATIVE_ALT_INT = 6
+    LOCAL_OFFSET_NED = 7
+    BODY_NED = 8
+    BODY_OFFSET_NED = 9
+    GLOBAL_TERRAIN_ALT = 10
+    GLOBAL_TERRAIN_ALT_INT = 11
+
+
+AMSL_FRAMES = frozenset({Frame.GLOBAL, Frame.GLOBAL_INT})
+RELATIVE_FRAMES = frozenset({Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT})
+TERRAIN_FRAMES = frozenset({Frame.GLOBAL_TERRAIN_ALT, Frame.GLOBAL_TERRAIN_ALT_INT})
+
+
+class Cmd(IntEnum):
+    """MAV_CMD, those that either autopilot here knows."""
+
+    NAV_WAYPOINT = 16
+    NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TURNS = 18
+    NAV_LOITER_TIME = 19
+    NAV_RETURN_TO_LAUNCH = 20
+    NAV_LAND = 21
+    NAV_TAKEOFF = 22
+    NAV_LOITER_TO_ALT = 31
+    NAV_DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_DISTANCE = 114
+    CONDITION_YAW = 115
+    DO_SET_MODE = 176
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    DO_SET_HOME = 179
+    DO_SET_SERVO = 183
+    DO_SET_ACTUATOR = 187
+    DO_LAND_START = 189
+    DO_REPOSITION = 192
+    DO_PAUSE_CONTINUE = 193
+    DO_SET_ROI_LOCATION = 195
+    DO_SET_ROI_NONE = 197
+    DO_SET_ROI = 201
+    DO_SET_CAM_TRIGG_DIST = 206
+    DO_FENCE_ENABLE = 207
+    DO_GRIPPER = 211
+    DO_SET_MISSION_CURRENT = 224
+    PREFLIGHT_REBOOT_SHUTDOWN = 246
+    MISSION_START = 300
+    COMPONENT_ARM_DISARM = 400
+    RUN_PREARM_CHECKS = 401
+    GET_HOME_POSITION = 410
+    GET_MESSAGE_INTERVAL = 510
+    SET_MESSAGE_INTERVAL = 511
+    REQUEST_MESSAGE = 512
+    REQUEST_PROTOCOL_VERSION = 519
+    REQUEST_AUTOPILOT_CAPABILITIES = 520
+    DO_GIMBAL_MANAGER_PITCHYAW = 1000
+    DO_GIMBAL_MANAGER_CONFIGURE = 1001
+    DO_TRIGGER_CONTROL = 2003
+    NAV_FENCE_RETURN_POINT = 5000
+    NAV_FENCE_POLYGON_VERTEX_INCLUSION = 5001
+    NAV_FENCE_POLYGON_VERTEX_EXCLUSION = 5002
+    NAV_FENCE_CIRCLE_INCLUSION = 5003
+    NAV_FENCE_CIRCLE_EXCLUSION = 5004
+    NAV_RALLY_POINT = 5100
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY."""
+
+    EMERGENCY = 0
+    ALERT = 1
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+    DEBUG = 7
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    UNDEFINED = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class SystemStatus(IntEnum):
+    """MAV_STATE."""
+
+    BOOT = 1
+    STANDBY = 3
+    ACTIVE = 4
+    CRITICAL = 5
+
+
+class VehicleType(IntEnum):
+    """MAV_TYPE of vehicles, and of the peers whose HEARTBEAT matters."""
+
+    QUADROTOR = 2
+    GCS = 6
+    HEXAROTOR = 13
+    OCTOROTOR = 14
+    ONBOARD_CONTROLLER = 18
+
+
+class ModeFlag(IntFlag):
+    """MAV_MODE_FLAG, the bits of HEARTBEAT.base_mode."""
+
+    CUSTOM = 1
+    AUTO = 4
+    GUIDED = 8
+    STABILIZE = 16
+    MANUAL_INPUT = 64
+    ARMED = 128
+
+
+class EkfFlag(IntFlag):
+    """ESTIMATOR_STATUS_FLAGS; ArduPilot's EKF_STATUS_FLAGS are the same bits."""
+
+    ATTITUDE = 1
+    VELOCITY_HORIZ = 2
+    VELOCITY_VERT = 4
+    POS_HORIZ_REL = 8
+    POS_HORIZ_ABS = 16
+    POS_VERT_ABS = 32
+    POS_VERT_AGL = 64
+    CONST_POS_MODE = 128
+    PRED_POS_HORIZ_REL = 256
+    PRED_POS_HORIZ_ABS = 512
+
+
+class Sensor(IntFlag):
+    """MAV_SYS_STATUS_SENSOR."""
+
+    GYRO = 1
+    ACCEL = 2
+    MAG = 4
+    ABSOLUTE_PRESSURE = 8
+    DIFFERENTIAL_PRESSURE = 16
+    GPS = 32
+    ATTITUDE_STABILIZATION = 2048
+    YAW_POSITION = 4096
+    Z_ALTITUDE_CONTROL = 8192
+    XY_POSITION_CONTROL = 16384
+    MOTOR_OUTPUTS = 32768
+    RC_RECEIVER = 65536
+    GEOFENCE = 1048576
+    AHRS = 2097152
+    BATTERY = 33554432
+    PREARM_CHECK = 268435456
+
+
+class TypeMask(IntFlag):
+    """POSITION_TARGET_TYPEMASK: what a set-point does not say."""
+
+    IGNORE_POSITION = 0b111
+    IGNORE_VELOCITY = 0b111 << 3
+    IGNORE_ACCELERATION = 0b111 << 6
+    FORCE = 1 << 9
+    IGNORE_YAW = 1 << 10
+    IGNORE_YAW_RATE = 1 << 11

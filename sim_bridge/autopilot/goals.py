@@ -1,0 +1,74 @@
+"""What a mode wants of the flight controller at this moment. NED about the site's origin, SI."""
+
+from dataclasses import dataclass
+
+Vec3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Idle:
+    """Armed on the ground: the propellers turn and carry nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowLine:
+    """Along a straight line to `end` at a ground speed, passing it at `exit_mps`."""
+
+    start: Vec3
+    end: Vec3
+    speed_mps: float
+    exit_mps: float = 0.0
+    yaw_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HoldPoint:
+    """Stay at, or come back to, a point."""
+
+    point: Vec3
+    yaw_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FlyVelocity:
+    """A velocity over ground."""
+
+    vel_ned_mps: Vec3
+    yaw_rad: float | None = None
+    yaw_rate_rps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Descend:
+    """Straight down above a point (north, east) until the ground is met."""
+
+    point: tuple[float, float]
+    rate_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlyLevel:
+    """An attitude, and a climb rate (down is minus): by hand, or level where nobody knows where."""
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rate_rps: float = 0.0
+    climb_mps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FlyByHand:
+    """Attitude and thrust straight from the sticks."""
+
+    roll_rad: float
+    pitch_rad: float
+    yaw_rate_rps: float
+    thrust_frac: float
+
+
+Goal = Idle | FollowLine | HoldPoint | FlyVelocity | Descend | FlyLevel | FlyByHand
+
+
+def distance_ne_m(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    """Horizontal distance of two points."""
+    return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5

@@ -1,0 +1,96 @@
+"""The pilot's radio control as the autopilot receives it: sticks, mode switch, loss."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_CHANNELS = 18
+_IGNORE = 65535
+_RELEASE = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Sticks:
+    """Stick positions, -1 to 1 (throttle 0 to 1); pitch forward is negative, as its servo pulse."""
+
+    roll: float
+    pitch: float
+    throttle: float
+    yaw: float
+
+
+def stick(pulse_us: int) -> float:
+    """-1 to 1 from a servo pulse of 1100 to 1900 us, dead in the middle 40 us."""
+    offset = pulse_us - 1500
+    if abs(offset) <= 20:
+        return 0.0
+    return max(-1.0, min(1.0, offset / 400.0))
+
+
+class PilotInput:
+    """Channels of a receiver, or overridden over MAVLink for a while."""
+
+    def __init__(self) -> None:
+        self._receiver: list[int] | None = None
+        self._override = [_RELEASE] * _CHANNELS
+        self._override_until_s = [-1.0] * _CHANNELS
+        self.lost_since_s: float | None = None
+        self.was_present = False
+        self.channels: list[int] | None = None
+
+    def set_receiver(self, channels: Sequence[int] | None) -> None:
+        """What the receiver puts out from now on, in microseconds; None is no signal."""
+        if channels is None:
+            self._receiver = None
+            return
+        values = [int(value) for value in channels][:_CHANNELS]
+        self._receiver = values + [0] * (_CHANNELS - len(values))
+
+    def override(self, channels: Sequence[int], until_s: float) -> None:
+        """RC_CHANNELS_OVERRIDE: 65535 leaves a channel, 0 gives it back to the receiver."""
+        for index, value in enumerate(channels[:_CHANNELS]):
+            if value == _IGNORE:
+                continue
+            self._override[index] = value
+            self._override_until_s[index] = until_s if value != _RELEASE else -1.0
+
+    def step(self, t_s: float) -> None:
+        """Join receiver and overrides into `channels`; notice when both are gone."""
+        live = [until > t_s for until in self._override_until_s]
+        if self._receiver is None and not any(live):
+            self.channels = None
+            if self.was_present and self.lost_since_s is None:
+                self.lost_since_s = t_s
+            return
+        base = self._receiver or [0] * _CHANNELS
+        self.channels = [
+            over if on else value
+            for over, on, value in zip(self._override, live, base, strict=True)
+        ]
+        self.was_present = True
+        self.lost_since_s = None
+
+    def lost_for_s(self, t_s: float) -> float:
+        """Seconds since the signal went; 0 while it is there or never was."""
+        return 0.0 if self.lost_since_s is None else t_s - self.lost_since_s
+
+    def sticks(self) -> Sticks | None:
+        """The four sticks in the usual order of channels (roll, pitch, throttle, yaw)."""
+        channels = self.channels
+        if channels is None or channels[2] == 0:
+            return None
+        throttle = max(0.0, min(1.0, (channels[2] - 1100) / 800.0))
+        return Sticks(
+            stick(channels[0] or 1500),
+            stick(channels[1] or 1500),
+            throttle,
+            stick(channels[3] or 1500),
+        )
+
+    def switch(self, channel: int, edges_us: Sequence[int]) -> int | None:
+        """Position of a mode switch on a channel (1 is the first), counted from 0."""
+        if self.channels is None or not 1 <= channel <= _CHANNELS:
+            return None
+        pulse = self.channels[channel - 1]
+        if not 800 <= pulse <= 2200:
+            return None
+        return sum(pulse > edge for edge in edges_us)

@@ -1,0 +1,88 @@
+"""The autopilot's own wind estimate, where its drag-fusion parameters switch one on.
+
+Both EKF3 and EKF2 explain the horizontal specific force of a multirotor by
+`a = -rho/2 v|v| / BCOEF - MCOEF v` along each body axis (v: airspeed along it; PX4,
+src/modules/ekf2/EKF/aid_sources/drag; ArduPilot, EK3_DRAG_*), and so get wind without a sensor.
+Here the formula is inverted and smoothed, with the coefficients that the parameters hold: wrong
+coefficients give a wrong wind, as they do there.
+"""
+
+import math
+from dataclasses import dataclass
+
+_AIR_KGPM3 = 1.225
+
+
+@dataclass(frozen=True, slots=True)
+class DragCoefficients:
+    """Ballistic coefficients (kg/m2; 0 switches an axis off) and momentum drag (1/s)."""
+
+    bcoef_x_kgpm2: float
+    bcoef_y_kgpm2: float
+    mcoef_hz: float
+
+    @property
+    def are_usable(self) -> bool:
+        """Whether they say anything about both axes."""
+        along = self.bcoef_x_kgpm2 > 0.0 or self.mcoef_hz > 0.0
+        across = self.bcoef_y_kgpm2 > 0.0 or self.mcoef_hz > 0.0
+        return along and across
+
+
+def axis_airspeed_mps(accel_mps2: float, bcoef_kgpm2: float, mcoef_hz: float) -> float:
+    """Airspeed along one body axis that explains the specific force along it."""
+    size = abs(accel_mps2)
+    if bcoef_kgpm2 <= 0.0:
+        speed = size / mcoef_hz
+    else:
+        quadratic = 0.5 * _AIR_KGPM3 / bcoef_kgpm2
+        root = math.sqrt(mcoef_hz * mcoef_hz + 4.0 * quadratic * size)
+        speed = (root - mcoef_hz) / (2.0 * quadratic)
+    return -math.copysign(speed, accel_mps2)
+
+
+class WindEstimator:
+    """Horizontal wind from drag: where the air moves to. It settles in about 15 s."""
+
+    TIME_CONSTANT_S = 5.0
+    ACCEL_FILTER_S = 0.5
+
+    def __init__(self, drag: DragCoefficients) -> None:
+        self.drag = drag
+        self.reset()
+
+    def reset(self) -> None:
+        """Know nothing, as after a reboot."""
+        self.north_mps = 0.0
+        self.east_mps = 0.0
+        self.variance_m2ps2 = 25.0
+        self.flown_s = 0.0
+        self._accel_x = 0.0
+        self._accel_y = 0.0
+
+    def step(
+        self,
+        accel_frd_mps2: tuple[float, float, float],
+        attitude_rad: tuple[float, float, float],
+        vel_ned_mps: tuple[float, float, float],
+        dt_s: float,
+    ) -> None:
+        """Take one moment of flight (not on the ground: the gear bears forces there)."""
+        share = dt_s / self.ACCEL_FILTER_S
+        self._accel_x += share * (accel_frd_mps2[0] - self._accel_x)
+        self._accel_y += share * (accel_frd_mps2[1] - self._accel_y)
+        self.flown_s += dt_s
+        drag = self.drag
+        air_x = axis_airspeed_mps(self._accel_x, drag.bcoef_x_kgpm2, drag.mcoef_hz)
+        air_y = axis_airspeed_mps(self._accel_y, drag.bcoef_y_kgpm2, drag.mcoef_hz)
+        roll, pitch, yaw = attitude_rad
+        sink = vel_ned_mps[2]  # vertical wind is taken as none
+        ahead = (air_x + sink * math.sin(pitch)) / max(math.cos(pitch), 0.3)
+        across = (air_y - sink * math.sin(roll)) / max(math.cos(roll), 0.3)
+        sin_yaw, cos_yaw = math.sin(yaw), math.cos(yaw)
+        wind_north = vel_ned_mps[0] - (ahead * cos_yaw - across * sin_yaw)
+        wind_east = vel_ned_mps[1] - (ahead * sin_yaw + across * cos_yaw)
+        share = dt_s / max(min(self.TIME_CONSTANT_S, self.flown_s), dt_s)
+        self.north_mps += share * (wind_north - self.north_mps)
+        self.east_mps += share * (wind_east - self.east_mps)
+        self.variance_m2ps2 += dt_s / self.TIME_CONSTANT_S * (0.5 - self.variance_m2ps2)

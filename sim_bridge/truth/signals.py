@@ -1,0 +1,79 @@
+"""What crosses the border of the simulated world: commands in, measurements and truth out.
+
+`Vehicle.step` duck-types its command, so that an autopilot may bring a class of its own.
+"""
+
+from dataclasses import dataclass
+
+Vec3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Actuation:
+    """What a flight controller asks of airframe, motors and gripper.
+
+    Attitude is a set-point: roll and pitch in rad, yaw in rad clockwise from north.
+    `thrust_frac` is 0..1 of the static maximum at nominal voltage. `release` opens the gripper.
+    """
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+    thrust_frac: float = 0.0
+    motors_on: bool = False
+    release: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SensorReadings:
+    """What the vehicle's sensors say, with their noise, bias and delay.
+
+    Positions and velocities are NED about the depot's ground point, as GNSS gave them last
+    (10 Hz, late by the receiver's latency, held over an outage). `accel_frd_mps2` is the
+    specific force in body axes (forward, right, down). `airspeed_mps` is a pitot on the forward
+    axis, `None` without one; `voltage_v` and `current_a` are `None` where there is no sensor.
+    """
+
+    t_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    rollspeed_rps: float
+    pitchspeed_rps: float
+    yawspeed_rps: float
+    accel_frd_mps2: Vec3
+    gnss_ok: bool
+    pos_ned_m: Vec3
+    vel_ned_mps: Vec3
+    alt_amsl_m: float
+    airspeed_mps: float | None
+    voltage_v: float | None
+    current_a: float | None
+    temperature_c: float
+    touching_ground: bool
+    parcel_aboard: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is so. For judging and drawing; never for an autopilot or a companion.
+
+    `usable_wh` is what the battery could still deliver until cut-off at the power of a hover
+    without parcel (the reference draw). `airborne` is false while any weight is on the ground.
+    """
+
+    t_s: float
+    pos_ned_m: Vec3
+    vel_ned_mps: Vec3
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    wind_to_ned_mps: Vec3
+    power_w: float
+    energy_used_wh: float
+    usable_wh: float
+    charge_frac: float
+    parcel_aboard: bool
+    airborne: bool
+    motors_failed: bool
+    crashed: bool

@@ -1,0 +1,258 @@
+"""One simulated vehicle: airframe, rotors, battery, wind, ground, parcel and sensors together."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from sim_bridge.truth.airframe import Airframe
+from sim_bridge.truth.atmosphere import GRAVITY_MPS2, air_density_kgpm3
+from sim_bridge.truth.battery import Battery
+from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.params import AirframeTruth
+from sim_bridge.truth.rotor_power import RotorSet
+from sim_bridge.truth.sensors import SensorSuite
+from sim_bridge.truth.signals import SensorReadings, Truth, Vec3
+from sim_bridge.truth.steady_flight import SteadyFlight
+from sim_bridge.truth.terrain import PlaneTerrain, Terrain
+from sim_bridge.truth.wind_field import WindField
+
+_NOMINAL_CELL_V = 3.8  # static_thrust_max_n belongs to it; see battery.py
+_TIPPED_RAD = math.radians(50.0)  # touching the ground at such a tilt breaks rotors
+_STANDING_SHARE = 0.3  # share of weight on the gear that levels the airframe
+
+
+class Command(Protocol):
+    """What `signals.Actuation` has; an autopilot may bring a class of its own."""
+
+    @property
+    def roll_rad(self) -> float: ...
+    @property
+    def pitch_rad(self) -> float: ...
+    @property
+    def yaw_rad(self) -> float: ...
+    @property
+    def thrust_frac(self) -> float: ...
+    @property
+    def motors_on(self) -> bool: ...
+    @property
+    def release(self) -> bool: ...
+
+
+class Vehicle:
+    """A vehicle that stands on the ground until it is flown. Time starts at 0.
+
+    Faults to set: `release_fails` (the gripper is stuck), those of `sensors`, and
+    `fail_motors()`. Losing the battery or hitting the ground hard ends the motors for good.
+    """
+
+    def __init__(
+        self,
+        params: AirframeTruth,
+        wind: WindField,
+        rng: np.random.Generator,
+        *,
+        terrain: Terrain | None = None,
+        payload_kg: float = 0.0,
+        charge_frac: float = 1.0,
+        temperature_c: float = 20.0,
+        battery_health_frac: float = 1.0,
+        depot_alt_amsl_m: float = 0.0,
+        start_ne_m: tuple[float, float] = (0.0, 0.0),
+        start_yaw_rad: float = 0.0,
+        pitot: bool = False,
+        voltage_sensor: bool = True,
+        current_sensor: bool = True,
+    ) -> None:
+        """`start_ne_m` is about the depot; `rng` drives the sensors (the wind has its own)."""
+        if not 0.0 <= payload_kg <= params.max_payload_kg:
+            raise TruthError(
+                f"payload_kg = {payload_kg:g}: expected 0 to {params.max_payload_kg:g} for"
+                f" {params.name}"
+            )
+        self._params = params
+        self._wind = wind
+        self._terrain = terrain or PlaneTerrain()
+        self._density = air_density_kgpm3(depot_alt_amsl_m, temperature_c)
+        self._body = Airframe(params)
+        self._body.north_m, self._body.east_m = start_ne_m
+        self._body.down_m = -self._terrain.up_m(*start_ne_m)
+        self._body.yaw_rad = start_yaw_rad
+        self._rotors = RotorSet(params.rotors, self._density)
+        self._battery = Battery(
+            params.battery,
+            charge_frac=charge_frac,
+            temperature_c=temperature_c,
+            health_frac=battery_health_frac,
+        )
+        self.sensors = SensorSuite(
+            params.sensors,
+            rng,
+            depot_alt_amsl_m=depot_alt_amsl_m,
+            density_kgpm3=self._density,
+            pitot=pitot,
+            voltage_sensor=voltage_sensor,
+            current_sensor=current_sensor,
+        )
+        self._nominal_v = params.battery.cells * _NOMINAL_CELL_V
+        self._reference_draw_w = SteadyFlight(params, self._density).hover_power_w()
+        self._payload_kg = payload_kg
+        self._t_s = 0.0
+        self._wind_to_ned: Vec3 = (0.0, 0.0, 0.0)
+        self._touching = True
+        self._motors_failed = False
+        self._crashed = False
+        self.release_fails = False
+
+    @property
+    def battery(self) -> Battery:
+        """The true pack, for judging."""
+        return self._battery
+
+    @property
+    def wind_field(self) -> WindField:
+        """The wind that this vehicle meets, for a clairvoyant."""
+        return self._wind
+
+    @property
+    def reference_draw_w(self) -> float:
+        """Hover power without parcel in this air: the draw that `Truth.usable_wh` assumes."""
+        return self._reference_draw_w
+
+    @property
+    def mass_kg(self) -> float:
+        return self._params.empty_mass_kg + self._payload_kg
+
+    @property
+    def height_m(self) -> float:
+        """Height above the ground below."""
+        return -self._body.down_m - self._terrain.up_m(self._body.north_m, self._body.east_m)
+
+    def fail_motors(self) -> None:
+        """Take the motors away, for good."""
+        self._motors_failed = True
+
+    def step(self, actuation: Command, dt_s: float) -> SensorReadings:
+        """Advance the world by `dt_s` under one command; returns what the sensors then say."""
+        body = self._body
+        self._t_s += dt_s
+        self._wind_to_ned = self._wind.step(self._t_s, dt_s, self.height_m, body.airspeed_mps)
+        self._release(actuation)
+        before = (body.north_mps, body.east_mps, body.down_mps)
+        self._fly(actuation, dt_s)
+        self._meet_ground(before, dt_s)
+        self._draw_power(dt_s)
+        return self.sensors.read(
+            self._t_s,
+            body,
+            self._specific_force(before, dt_s),
+            self._battery,
+            touching_ground=self._touching,
+            parcel_aboard=self._payload_kg > 0.0,
+        )
+
+    def _release(self, actuation: Command) -> None:
+        if actuation.release and self._payload_kg > 0.0 and not self.release_fails:
+            self._payload_kg = 0.0
+
+    def _fly(self, actuation: Command, dt_s: float) -> None:
+        body = self._body
+        powered = actuation.motors_on and not self._motors_failed
+        thrust_n = 0.0
+        if powered:
+            # Propellers at full throttle turn in proportion to voltage, thrust with its square.
+            rise = self._battery.voltage_v / self._nominal_v
+            share = min(max(actuation.thrust_frac, 0.0), 1.0)
+            thrust_n = share * self._params.rotors.static_thrust_max_n * rise * rise
+            # An autopilot flies its own idea of attitude to the set-point, bias and all.
+            body.lean(
+                actuation.roll_rad - self.sensors.roll_bias_rad,
+                actuation.pitch_rad - self.sensors.pitch_bias_rad,
+                actuation.yaw_rad - self.sensors.heading_bias_rad,
+                dt_s,
+            )
+        elif not self._touching:
+            body.tumble(dt_s)
+        parcel_m2 = self._params.drag.parcel_area_m2 if self._payload_kg > 0.0 else 0.0
+        body.move(thrust_n, self.mass_kg, self._wind_to_ned, self._density, parcel_m2, dt_s)
+
+    def _meet_ground(self, before: Vec3, dt_s: float) -> None:
+        """Rest on the ground, stop by friction, or crash on it."""
+        body = self._body
+        ground_down = -self._terrain.up_m(body.north_m, body.east_m)
+        if body.down_m < ground_down:
+            self._touching = False
+            return
+        if not self._touching and self._hits_hard(before, ground_down, dt_s):
+            self._crashed = True
+            self._motors_failed = True
+        self._touching = True
+        body.down_m = ground_down
+        body.down_mps = 0.0
+        weight_n = self.mass_kg * GRAVITY_MPS2
+        carried_n = body.thrust_n * math.cos(body.roll_rad) * math.cos(body.pitch_rad)
+        borne_n = max(weight_n - carried_n, 0.0)
+        drift = math.hypot(body.north_mps, body.east_mps)
+        loss = self._params.ground.friction_coeff * borne_n / self.mass_kg * dt_s
+        if loss < drift:
+            body.north_mps *= 1.0 - loss / drift
+            body.east_mps *= 1.0 - loss / drift
+        else:  # friction holds it: undo the step, or wind would make it creep
+            body.north_m -= body.north_mps * dt_s
+            body.east_m -= body.east_mps * dt_s
+            body.north_mps = body.east_mps = 0.0
+            body.down_m = -self._terrain.up_m(body.north_m, body.east_m)
+        if borne_n > _STANDING_SHARE * weight_n and not self._crashed:
+            body.stand()
+
+    def _hits_hard(self, before: Vec3, ground_down: float, dt_s: float) -> bool:
+        body, gear = self._body, self._params.ground
+        north, east, _ = before
+        passed = -self._terrain.up_m(body.north_m - north * dt_s, body.east_m - east * dt_s)
+        sink = body.down_mps - (ground_down - passed) / dt_s
+        drift = math.hypot(body.north_mps, body.east_mps)
+        tilt = math.hypot(body.roll_rad, body.pitch_rad)
+        return sink > gear.crash_sink_mps or drift > gear.crash_drift_mps or tilt > _TIPPED_RAD
+
+    def _draw_power(self, dt_s: float) -> None:
+        body = self._body
+        power_w = self._rotors.electric_w(body.thrust_n, body.airspeed_mps, body.useful_w)
+        self._battery.step(power_w, dt_s)
+        if self._battery.cut_off:
+            self._motors_failed = True
+
+    def _specific_force(self, before: Vec3, dt_s: float) -> Vec3:
+        """What accelerometers feel: acceleration without gravity, in body axes."""
+        body = self._body
+        north = (body.north_mps - before[0]) / dt_s
+        east = (body.east_mps - before[1]) / dt_s
+        down = (body.down_mps - before[2]) / dt_s - GRAVITY_MPS2
+        sr, cr = math.sin(body.roll_rad), math.cos(body.roll_rad)
+        sp, cp = math.sin(body.pitch_rad), math.cos(body.pitch_rad)
+        sy, cy = math.sin(body.yaw_rad), math.cos(body.yaw_rad)
+        level = north * cy + east * sy
+        across = east * cy - north * sy
+        leaned = level * sp + down * cp
+        return level * cp - down * sp, across * cr + leaned * sr, leaned * cr - across * sr
+
+    @property
+    def truth(self) -> Truth:
+        """What is so, now."""
+        body, battery = self._body, self._battery
+        return Truth(
+            t_s=self._t_s,
+            pos_ned_m=(body.north_m, body.east_m, body.down_m),
+            vel_ned_mps=(body.north_mps, body.east_mps, body.down_mps),
+            roll_rad=body.roll_rad,
+            pitch_rad=body.pitch_rad,
+            yaw_rad=body.yaw_rad,
+            wind_to_ned_mps=self._wind_to_ned,
+            power_w=battery.voltage_v * battery.current_a,
+            energy_used_wh=battery.delivered_j / 3600.0,
+            usable_wh=battery.usable_wh(self._reference_draw_w),
+            charge_frac=battery.charge_frac,
+            parcel_aboard=self._payload_kg > 0.0,
+            airborne=not self._touching,
+            motors_failed=self._motors_failed,
+            crashed=self._crashed,
+        )

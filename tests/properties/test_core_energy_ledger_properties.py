@@ -1,0 +1,55 @@
+"""Safety rule 4, whatever telemetry says: energy left only ever falls."""
+
+import json
+import tomllib
+from pathlib import Path
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.core.airframe import airframe_from_dict
+from companion.core.energy_ledger import BatteryObservation, EnergyLedger
+
+ROOT = Path(__file__).parents[2]
+M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+
+number = st.one_of(
+    st.none(),
+    st.floats(min_value=0.0, max_value=200.0),
+    st.sampled_from([-1.0, 0.0, float("nan"), float("inf"), 65535.0]),
+)
+frac = st.one_of(st.none(), st.floats(min_value=0.0, max_value=1.0), st.just(-0.01))
+observation = st.builds(
+    dict,
+    step_s=st.sampled_from([0.0, 0.1, 1.0, 30.0, -5.0]),
+    at_rest=st.booleans(),
+    voltage_v=number,
+    current_a=number,
+    consumed_mah=number,
+    consumed_wh=number,
+    remaining_frac=frac,
+    remaining_is_timer=st.booleans(),
+    temperature_c=st.one_of(st.none(), st.floats(-30.0, 60.0)),
+    modelled_power_w=number,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seen=st.lists(observation, min_size=1, max_size=25), restart_at=st.integers(0, 25))
+def test_energy_left_never_rises_and_stays_finite(seen: list, restart_at: int) -> None:
+    book, t_s, before = EnergyLedger(M100, 550.0), 100.0, None
+    for i, one in enumerate(seen):
+        known = dict(one)
+        t_s += known.pop("step_s")
+        book.observe(BatteryObservation(t_s, **known))
+        if i == restart_at:
+            kept = json.loads(json.dumps(book.snapshot()))
+            book = EnergyLedger(M100, 550.0)
+            book.restore(kept)
+        belief = book.belief()
+        assert belief is not None
+        assert 0.0 <= belief.mean_wh <= belief.usable_full_wh * 1.2 + 200.0
+        assert 0.0 <= belief.std_wh < 1e4
+        if before is not None:
+            assert belief.mean_wh <= before
+        before = belief.mean_wh

@@ -1,0 +1,180 @@
+"""MAVProxy, run as a user runs it, flies our simulated vehicles."""
+
+import math
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from sim_bridge.app.serve import Home, Host, Served, stand_up
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+
+pytestmark = [pytest.mark.third_party, pytest.mark.timeout(120)]
+
+PARAMS = Path(__file__).parents[2] / "params"
+HOME = Home()
+SPEEDUP = 8.0
+CRUISE_M = 15.0
+LEG_M = 60.0
+METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
+TAKEOFF, WAYPOINT, LAND = 22, 16, 21
+ABOUT_M = 3.0
+
+
+def on_the_ground(flavour: Flavour) -> Served:
+    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
+    parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
+    return stand_up(flavour, airframe, parameters, home=HOME)
+
+
+class MavProxy:
+    """mavproxy.py on a pseudo-terminal."""
+
+    def __init__(self, master: str, folder: Path) -> None:
+        self._terminal, inside = pty.openpty()
+        command = [
+            sys.executable,
+            str(Path(sys.executable).with_name("mavproxy.py")),
+            f"--master={master}",
+            "--no-state",
+            "--default-modules=arm,mode,wp,cmdlong,param",
+            "--source-system=255",
+        ]
+        environment = {**os.environ, "TERM": "dumb", "HOME": str(folder), "MAVLINK20": "1"}
+        self._process = subprocess.Popen(
+            command, stdin=inside, stdout=inside, stderr=inside, cwd=folder, env=environment
+        )
+        os.close(inside)
+        self.said = ""
+        self._read_to = 0
+
+    def say(self, line: str) -> None:
+        os.write(self._terminal, f"{line}\n".encode())
+
+    def listen(self, for_s: float) -> None:
+        if select.select([self._terminal], [], [], for_s)[0]:
+            self.said += os.read(self._terminal, 65536).decode(errors="replace")
+
+    def expect(self, pattern: str, within_s: float = 20.0) -> None:
+        """Read on until `pattern` appears after what was matched before."""
+        deadline_s = time.monotonic() + within_s
+        while not (found := re.compile(pattern).search(self.said, self._read_to)):
+            left_s = deadline_s - time.monotonic()
+            assert left_s > 0.0, f"MAVProxy never said {pattern!r}:\n{self.said}"
+            self.listen(left_s)
+        self._read_to = found.end()
+
+    def wait_for(self, truth: Callable[[], bool], within_s: float, again: str = "") -> None:
+        """Listen until `truth()`; `again` is a line said every 2 s until then."""
+        deadline_s = time.monotonic() + within_s
+        next_s = 0.0
+        while not truth():
+            now_s = time.monotonic()
+            assert now_s < deadline_s, f"it never came true; MAVProxy said:\n{self.said}"
+            if again and now_s >= next_s:
+                self.say(again)
+                next_s = now_s + 2.0
+            self.listen(0.05)
+
+    def close(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        os.close(self._terminal)
+
+
+@contextmanager
+def mavproxy(master: str, folder: Path) -> Iterator[MavProxy]:
+    client = MavProxy(master, folder)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def waypoints_file(folder: Path, *, with_home: bool) -> Path:
+    """Take-off, 60 m north, 60 m east of that, land there: as a ground station would save it."""
+    north = LEG_M / METRES_PER_DEG
+    east = north / math.cos(math.radians(HOME.lat_deg))
+    places = [
+        (TAKEOFF, 0.0, 0.0, CRUISE_M),
+        (WAYPOINT, north, 0.0, CRUISE_M),
+        (WAYPOINT, north, east, CRUISE_M),
+        (LAND, north, east, 0.0),
+    ]
+    rows = [(WAYPOINT, 0, HOME.alt_amsl_m, 0.0, 0.0)] if with_home else []
+    rows += [(command, 3, alt, dn, de) for command, dn, de, alt in places]
+    lines = ["QGC WPL 110"]
+    for seq, (command, frame, alt, dn, de) in enumerate(rows):
+        lat, lon = HOME.lat_deg + dn, HOME.lon_deg + de
+        lines.append(f"{seq}\t0\t{frame}\t{command}\t0\t0\t0\t0\t{lat:.8f}\t{lon:.8f}\t{alt}\t1")
+    path = folder / "mission.txt"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def flew_the_mission(served: Served, highest_m: float) -> None:
+    north, east, _ = served.truth.pos_ned_m
+    assert math.hypot(north - LEG_M, east - LEG_M) < ABOUT_M
+    assert abs(highest_m - CRUISE_M) < ABOUT_M
+    assert not served.truth.crashed
+
+
+def fly(client: MavProxy, served: Served) -> None:
+    """Watch a mission that was started to its end on the ground, disarmed."""
+    highest_m = 0.0
+
+    def down_again() -> bool:
+        nonlocal highest_m
+        highest_m = max(highest_m, -served.truth.pos_ned_m[2])
+        return highest_m > 5.0 and not served.truth.airborne and not served.autopilot.is_armed
+
+    client.wait_for(down_again, within_s=40.0)
+    flew_the_mission(served, highest_m)
+
+
+def test_mavproxy_flies_a_mission_on_ardupilot_over_tcp(tmp_path: Path) -> None:
+    served = on_the_ground(Flavour.ARDUPILOT)
+    mission = waypoints_file(tmp_path, with_home=True)
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
+        with host.running(), mavproxy(url.replace("tcpin", "tcp"), tmp_path) as client:
+            client.expect("online system 1")
+            client.say(f"wp load {mission.name}")
+            client.expect("Loaded 5 waypoints in")
+            client.say("mode guided")
+            client.expect("Mode GUIDED")
+            client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
+            client.say(f"takeoff {CRUISE_M}")
+            client.wait_for(lambda: served.truth.pos_ned_m[2] < -10.0, 20.0)
+            client.say("mode auto")
+            client.expect("Mode AUTO")
+            fly(client, served)
+
+
+def test_mavproxy_flies_a_mission_on_px4_over_udp(tmp_path: Path) -> None:
+    served = on_the_ground(Flavour.PX4)
+    mission = waypoints_file(tmp_path, with_home=False)
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(served, gcs=["udpin:127.0.0.1:0"])
+        with host.running(), mavproxy(url.replace("udpin", "udpout"), tmp_path) as client:
+            client.expect("online system 1")
+            client.say(f"wp load {mission.name}")
+            client.expect("Loaded 4 waypoints in")
+            client.say("long DO_SET_MODE 1 4 4")  # its `mode` command cannot set PX4's
+            client.expect("Mode MISSION")
+            client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
+            fly(client, served)
