@@ -32,6 +32,9 @@ class EnergyGraph:
     target: int
     airspeed_mps: float
     power_w: tuple[float, float]
+    wind_factor: Floats | None = None
+    """What obstacles make of the wind on each edge: factors on its speed for D equal sectors of
+    where it blows to, the first centred on east; shape (E, D). None: open ground."""
 
     @property
     def vertex_count(self) -> int:
@@ -75,7 +78,11 @@ class EnergyGraph:
         `wind_en_mps` has shape (*winds, 2). Paper III-A: V_G = sqrt(V_A^2 - W_perp^2) + W_par,
         infeasible where |W_perp| > V_A or V_G <= 0. A vertical edge has all wind across it.
         """
-        return along_course_mps(self.course_en, wind_en_mps, self.airspeed_mps)
+        wind = np.asarray(wind_en_mps, dtype=float)
+        factor = None
+        if self.wind_factor is not None:
+            factor = self.wind_factor[:, sector_of(wind, self.wind_factor.shape[1]).reshape(-1)]
+        return along_course_mps(self.course_en, wind, self.airspeed_mps, factor)
 
     def duration_s(self, wind_en_mps: ArrayLike) -> Floats:
         """Seconds that each edge takes in each wind, infinite where infeasible; (E, *winds).
@@ -133,15 +140,27 @@ class EnergyGraph:
         return float(np.sqrt(total @ np.asarray(cov_m2ps2, dtype=float) @ total))
 
 
-def along_course_mps(course_en: Floats, wind_en_mps: ArrayLike, airspeed_mps: float) -> Floats:
-    """Ground speed along each course (E, 2) in each wind (*winds, 2); NaN where infeasible."""
-    wind = np.asarray(wind_en_mps, dtype=float)
+def sector_of(wind_en_mps: Floats, sectors: int) -> Ints:
+    """Which of `sectors` equal sectors each wind blows to, the first centred on east; (...)."""
+    turn = np.arctan2(wind_en_mps[..., 1], wind_en_mps[..., 0]) / (2.0 * np.pi)
+    return np.floor(turn * sectors + 0.5).astype(np.int64) % sectors
+
+
+def along_course_mps(
+    course_en: Floats, wind: Floats, airspeed_mps: float, factor: Floats | None = None
+) -> Floats:
+    """Ground speed along each course (E, 2) in each wind (*winds, 2); NaN where infeasible.
+
+    `factor` (E, winds) scales each wind on each course.
+    """
     flat = wind.reshape(-1, 2).T
     along = course_en @ flat
     calm_or_vertical = np.all(course_en == 0.0, axis=1)
     normal = np.stack([-course_en[:, 1], course_en[:, 0]], axis=1)
     across = normal @ flat
     across[calm_or_vertical] = np.hypot(flat[0], flat[1])
+    if factor is not None:
+        along, across = along * factor, across * factor
     room = airspeed_mps**2 - across**2
     speed = np.sqrt(np.maximum(room, 0.0)) + along
     speed[(room < 0.0) | (speed <= 0.0)] = np.nan
@@ -150,7 +169,7 @@ def along_course_mps(course_en: Floats, wind_en_mps: ArrayLike, airspeed_mps: fl
 
 @dataclass(frozen=True)
 class Pruned:
-    """A graph without the edges that no mission can use; `edge_of` are their places in the whole."""
+    """A graph without the edges that no mission can use; `edge_of`: places in the whole."""
 
     graph: EnergyGraph
     edge_of: Ints
@@ -172,7 +191,9 @@ def prune(graph: EnergyGraph, energy_wh: Floats, budget_wh: float) -> Pruned:
     back = away[graph.target] + beyond[graph.tail] + empty + home[graph.head]
     kept = np.flatnonzero(np.minimum(out, back) <= budget_wh)
     kept = kept if len(kept) else np.arange(1)  # arrays of nothing serve nobody
-    return Pruned(replace(graph, tail=graph.tail[kept], head=graph.head[kept]), kept)
+    factor = None if graph.wind_factor is None else graph.wind_factor[kept]
+    left = replace(graph, tail=graph.tail[kept], head=graph.head[kept], wind_factor=factor)
+    return Pruned(left, kept)
 
 
 def least_energy_wh(graph: EnergyGraph, edge_wh: Floats, place: int, to_goal: bool) -> Floats:

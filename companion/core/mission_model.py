@@ -11,14 +11,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.energy_graph import WH_PER_J, EnergyGraph
+from companion.core.energy_graph import WH_PER_J, EnergyGraph, sector_of
 from companion.core.planners.interface import STAY, Decider, Look
 from companion.core.wind_chain import Sight, WindChain, class_centre
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-JUMPS_AT_ONCE = 4
+JUMPS_AT_ONCE = 2
 
 
 class Outcome(IntEnum):
@@ -53,7 +53,10 @@ class Winds(Protocol):
     def fly(
         self, mission: Ints, edge: Ints, time_s: Floats, energy_wh: Floats, delivered: NDArray
     ) -> tuple[Floats, Floats]:
-        """Seconds and Wh that the edge takes; infinite where it cannot be completed."""
+        """Seconds and Wh that the edge takes; infinite where it cannot be completed.
+
+        `time_s` is that of the last look: the wind seen is the wind flown in.
+        """
         ...
 
 
@@ -74,11 +77,13 @@ class ChainWinds:
         self._graph, self._chain, self._sight = graph, chain, sight
         self._random = random
         self._duration_s = graph.duration_s(chain.states_en_mps)
+        self._power_wh_per_s = np.asarray(graph.power_w) * WH_PER_J
         self._jump_share = _cumulative_jumps(chain.rate_per_s)
         start = np.searchsorted(np.cumsum(chain.initial)[:-1], random.random(count), side="right")
         self._state = start.astype(np.int64)[None, :]  # (jumps so far + 1, n)
         self._until_s = self._stay_s(self._state)
         self._jump = np.zeros(count, dtype=np.int64)
+        self._looked = np.zeros(count, dtype=np.int64)  # the state at the last look
 
     @property
     def count(self) -> int:
@@ -108,7 +113,8 @@ class ChainWinds:
         for _ in range(JUMPS_AT_ONCE):
             uniform = self._random.random(self.count)
             before = states[-1][-1]
-            after = (self._jump_share[before] <= uniform[:, None]).sum(axis=1)[None, :]
+            place = np.searchsorted(self._jump_share, before + uniform, side="right")
+            after = np.clip(place - before * self._chain.state_count, 0, None)[None, :]
             states.append(after)
             until.append(until[-1][-1:] + self._stay_s(after))
         self._state = np.concatenate(states)
@@ -120,26 +126,31 @@ class ChainWinds:
         return np.where(rate > 0.0, draw / np.where(rate > 0.0, rate, 1.0), np.inf)
 
     def look(self, mission: Ints, time_s: Floats) -> tuple[Ints, Floats]:
-        seen = self._sight.of_state[self.state_at(mission, time_s)]
+        state = self.state_at(mission, time_s)
+        self._looked[mission] = state
+        seen = self._sight.of_state[state]
         return seen, self._sight.seen_en_mps[seen]
 
     def fly(
         self, mission: Ints, edge: Ints, time_s: Floats, energy_wh: Floats, delivered: NDArray
     ) -> tuple[Floats, Floats]:
-        duration = self._duration_s[edge, self.state_at(mission, time_s)]
-        power = np.asarray(self._graph.power_w)[delivered.astype(np.int64)] * WH_PER_J
+        duration = self._duration_s[edge, self._looked[mission]]
+        power = self._power_wh_per_s[delivered.astype(np.int64)]
         return duration, duration * power
 
 
 def _cumulative_jumps(rate_per_s: Floats) -> Floats:
-    """Cumulative shares of where a jump out of each state leads, all but the last; (S, S - 1)."""
+    """Where jumps lead: cumulative shares of state s's jumps on top of s, in one rising array.
+
+    The place of s + u in it, less s * S, is the next state for a uniform number u.
+    """
     jumps = np.where(np.eye(len(rate_per_s), dtype=bool), 0.0, rate_per_s)
     total = jumps.sum(axis=1, keepdims=True)
     share = np.cumsum(jumps, axis=1) / np.where(total > 0.0, total, 1.0)
     # Nothing leads beyond the last state that has a share, whatever the rounding says.
     last = np.max(np.where(jumps > 0.0, np.arange(len(jumps)), -1), axis=1)
-    share[np.arange(len(jumps))[None, :] >= np.maximum(last, 0)[:, None]] = 1.0 + 1e-9
-    return share[:, :-1]
+    share[np.arange(len(jumps))[None, :] >= last[:, None]] = 1.0
+    return (np.arange(len(jumps))[:, None] + share).ravel()
 
 
 class LogWinds:
@@ -186,11 +197,15 @@ class LogWinds:
     def durations_s(self, mission: Ints, edge: Ints, time_s: Floats, limit_s: Floats) -> Floats:
         """Seconds that each edge takes from `time_s`; infinite where that is beyond `limit_s`."""
         course, rest = self._graph.course_en[edge], self._graph.length_m[edge].copy()
+        factors = self._graph.wind_factor
         took = np.where(rest > 0.0, np.inf, 0.0)
         flying = np.flatnonzero(rest > 0.0)
         second = 0
         while len(flying):
             wind = self.wind_at(mission[flying], time_s[flying] + second)
+            if factors is not None:
+                sector = sector_of(wind, factors.shape[1])
+                wind = wind * factors[edge[flying], sector][:, None]
             speed = _ground_speed_mps(course[flying], wind, self._graph.airspeed_mps)
             there = rest[flying] <= speed
             done = flying[there]

@@ -198,7 +198,9 @@ def _batches(model: StepModel, weights: list[float]) -> list[list[float]]:
     rows = model.graph.edge_count * model.chain.state_count
     slots = float(np.minimum(model.cost_levels, model.levels).sum()) / 2.0
     cells = (model.levels + 1) * model.graph.vertex_count * model.chain.state_count
-    each = 2.0 * model.next_state.itemsize * (slots + 8.0 * rows) + cells * (2.0 * model.next_state.itemsize + 2.0)
+    each = 2.0 * model.next_state.itemsize * (slots + 8.0 * rows) + cells * (
+        2.0 * model.next_state.itemsize + 2.0
+    )
     size = int(np.clip(SWEEP_BYTES / max(each, 1.0), 1, 8))
     return [weights[i : i + size] for i in range(0, len(weights), size)]
 

@@ -43,7 +43,8 @@ from companion.core.wind_chain import (
 PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber", "clairvoyant")
 BLOCK = 10_000  # missions that are flown together
 BLOCKS_PER_TASK = 5
-TIMED_DECISIONS = 100  # decisions that are timed one by one
+TIMED_DECISIONS = 200  # decisions that are timed one by one,
+TIMED_SHARE = 0.01  # but no more than this share of the missions' number
 CELLS_AT_FULL_LEVELS = 30_000  # edges x states up to which `levels` are all used
 FEWEST_LEVELS = 150
 
@@ -135,9 +136,12 @@ class Done(msgspec.Struct, frozen=True):
 class Workbench:
     """One scenario ready to fly: arrays, chain, winds, and planners built once each."""
 
-    def __init__(self, scenario: Scenario, params: CampaignParams) -> None:
+    def __init__(
+        self, scenario: Scenario, params: CampaignParams, graph: EnergyGraph | None = None
+    ) -> None:
+        """`graph` stands in for the scenario's own where obstacles bend the wind."""
         self.scenario, self.params = scenario, params
-        self.graph: EnergyGraph = build_energy_graph(scenario)
+        self.graph: EnergyGraph = build_energy_graph(scenario) if graph is None else graph
         self.note = ""
         self._planners: dict[str, Planner] = {}
         self.chain: WindChain | None = None
@@ -150,9 +154,7 @@ class Workbench:
 
     def with_budget(self, budget_wh: float) -> "Workbench":
         """The same scenario with another budget."""
-        return Workbench(
-            msgspec.structs.replace(self.scenario, budget_wh=budget_wh), self.params
-        )
+        return Workbench(msgspec.structs.replace(self.scenario, budget_wh=budget_wh), self.params)
 
     def winds(self, block: int) -> Winds:
         """The winds of one block's missions."""
@@ -226,13 +228,17 @@ class Workbench:
             )
             policy = solve_log_policy(model)
             return BerLog(policy, self.process, self.params.max_loss, self.params.wind_classes)
-        policy = self.policy(self.chain, self.sight)
+        return self.ber_on(self.chain, self.sight)
+
+    def ber_on(self, chain: WindChain, sight: Sight) -> Planner:
+        """BER as it plans when it believes in this chain, seen like this."""
+        policy = self.policy(chain, sight)
         if policy.stays:
             self.note = (
                 f"{self.scenario.name}: ber stays at the depot: no flight keeps P(loss) within"
                 f" {self.params.max_loss:g}"
             )
-        return Ber(policy, self.sight, self.graph)
+        return Ber(policy, sight, self.graph)
 
     def policy(self, chain: WindChain, sight: Sight) -> ValuePolicy:
         """The tuned policy for this sight of the chain."""
@@ -338,7 +344,7 @@ def time_decisions(
         timed = _Timed(planner.begin(coins[mission : mission + 1]))
         fly_missions(bench.graph, bench.scenario.budget_wh, _One(winds, mission), timed)
         times += timed.us
-        if len(times) > TIMED_DECISIONS:
+        if len(times) > min(TIMED_DECISIONS, TIMED_SHARE * bench.params.missions):
             break
     return times[1:] if len(times) > 1 else times  # the first one warms caches up
 

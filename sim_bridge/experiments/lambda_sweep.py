@@ -1,4 +1,4 @@
-"""Outcomes against the risk weight lambda and the battery left, as the paper's figure sweeps them."""
+"""Outcomes against the risk weight lambda and the battery left, as in the paper's figure."""
 
 from dataclasses import dataclass
 from pathlib import Path

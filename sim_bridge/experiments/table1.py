@@ -118,7 +118,8 @@ def fly_scenario(scenario: Scenario, params: Table1Params) -> dict[Cell, Shares]
             for name in BASELINES:
                 planner = bench.build(name)
                 cells[classes, budget, name] = _shares(bench, winds, planner, coins)
-            assert bench.chain is not None and bench.sight is not None
+            assert bench.chain is not None
+            assert bench.sight is not None
             if search is None:
                 search = bench.search(bench.chain, bench.sight)
                 search.prepare([bound_of(b, k, budget) for b in params.max_losses for k in CLASSES])
@@ -130,9 +131,7 @@ def fly_scenario(scenario: Scenario, params: Table1Params) -> dict[Cell, Shares]
                 limit = search.policy(max_loss).forecast
                 cells[classes, budget, label_of(bound).replace("ber", "frontier")] = (
                     100.0
-                    * np.array(
-                        [limit.success, limit.loss, 0.0, 1.0 - limit.success - limit.loss]
-                    )
+                    * np.array([limit.success, limit.loss, 0.0, 1.0 - limit.success - limit.loss])
                 )
     return cells
 
@@ -167,9 +166,7 @@ def fly_recorded(scenario: Scenario, wind: LogWind, params: Table1Params) -> dic
     return cells
 
 
-def _shares(
-    bench: Workbench, winds: Winds, planner: Planner, coins: NDArray[np.float64]
-) -> Shares:
+def _shares(bench: Workbench, winds: Winds, planner: Planner, coins: NDArray[np.float64]) -> Shares:
     if isinstance(winds, ChainWinds):
         winds.restart()
     flown = fly_missions(bench.graph, bench.scenario.budget_wh, winds, planner.begin(coins))
@@ -249,10 +246,10 @@ def sheet(title: str, cells: dict[Cell, Shares], note: str, params: Table1Params
 
 NOTE = (
     "Ours: mean ± std over rounds of {graphs} graphs; 95 % intervals over all graphs. The bound is "
-    "kept on every scenario by itself, so that the loss over all is smaller. `frontier` is what the "
-    "tables forecast with the wind's state in full sight, at the loss allowed: an upper bound where "
-    "classes hide it. The paper states neither graph size, wind process nor airframe; ours were "
-    "chosen so that SER and RER come close to its rows, and BER is then what it is."
+    "kept on every scenario by itself, so that the loss over all is smaller. `frontier` is what "
+    "the tables forecast with the wind's state in full sight, at the loss allowed: an upper bound "
+    "where classes hide it. The paper states neither graph size, wind process nor airframe; ours "
+    "were chosen so that SER and RER come close to its rows, and BER is then what it is."
 )
 
 

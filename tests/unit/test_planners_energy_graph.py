@@ -87,7 +87,9 @@ def test_the_energy_gradient_is_the_slope_of_the_energy(wind, delivered):
         ahead, behind = np.array(wind), np.array(wind)
         ahead[axis] += step
         behind[axis] -= step
-        slope = (graph.energy_wh(ahead, delivered) - graph.energy_wh(behind, delivered)) / (2 * step)
+        slope = (graph.energy_wh(ahead, delivered) - graph.energy_wh(behind, delivered)) / (
+            2 * step
+        )
         assert gradient[:, axis] == pytest.approx(slope, rel=1e-6)
 
 

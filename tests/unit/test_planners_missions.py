@@ -26,7 +26,7 @@ def scenario_of(seed, budget_wh=45.0):
 
 def recorded(scenario, seed):
     random = np.random.default_rng(seed)
-    wind = np.cumsum(random.normal(0.0, 0.4, (900, 2)), axis=0) + [5.0, 0.0]
+    wind = np.cumsum(random.normal(0.0, 0.4, (900, 2)), axis=0) + np.array([5.0, 0.0])
     log = LogWind(
         t_s=[float(t) for t in range(900)],
         wind_en_mps=[(float(e), float(n)) for e, n in wind],
@@ -43,7 +43,12 @@ class PlainMission:
         self.g = nx.DiGraph()
         self.g.add_nodes_from(range(len(scenario.vertices_m)))
         self.g.add_edges_from(scenario.edges)
-        self.energy, self.t, self.at, self.delivered = scenario.budget_wh, 0.0, scenario.depot, False
+        self.energy, self.t, self.at, self.delivered = (
+            scenario.budget_wh,
+            0.0,
+            scenario.depot,
+            False,
+        )
 
     def power(self):
         return self.s.power_w.empty if self.delivered else self.s.power_w.loaded
@@ -61,7 +66,8 @@ class PlainMission:
     def step(self, goal, wind):
         total = self.costs_to(goal, wind, self.power())
         options = [
-            (self.g.edges[self.at, b]["wh"] + total[b], b) for b in self.g.successors(self.at)
+            (self.g.edges[self.at, b]["wh"] + total[b], b)
+            for b in self.g.successors(self.at)
             if b in total
         ]
         return min(options)[1] if options else None
@@ -124,7 +130,9 @@ def ser():
                 energy += mission.costs_to(goal, wind, power).get(start, math.inf)
             if energy > mission.s.budget_wh:
                 return "stay"
-        return mission.step(mission.s.depot if mission.delivered else mission.s.target, plan["wind"])
+        return mission.step(
+            mission.s.depot if mission.delivered else mission.s.target, plan["wind"]
+        )
 
     return choose
 

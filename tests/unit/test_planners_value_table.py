@@ -1,7 +1,7 @@
 """The value tables against full enumeration, a closed form, and the independent frontier."""
 
 import math
-from functools import lru_cache
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -18,7 +18,6 @@ from companion.core.value_table import solve_delivery, solve_home
 from companion.core.wind_chain import WindChain, chain_from_scenario, sight_of
 from sim_bridge.experiments.frontier import frontier
 from sim_bridge.experiments.scenario_generator import GeneratorParams, WindRose, random_scenario
-
 
 WEIGHTS = (0.0, *np.geomspace(0.3, 300.0, 9).tolist())  # of the frontier's dual
 
@@ -44,7 +43,7 @@ def enumerated(model, stop_worth):
     """Expectimax by plain recursion over every choice: the value from the depot."""
     graph, chain = model.graph, model.chain
 
-    @lru_cache(maxsize=None)
+    @cache
     def best(vertex, state, level, delivered):
         if delivered and vertex == graph.depot:
             return 1.0
@@ -57,9 +56,7 @@ def enumerated(model, stop_worth):
             duration = float(graph.duration_s(chain.states_en_mps)[e, state])
             row = chain.transition(duration)[state]
             then = delivered or head == graph.target
-            chances = (
-                row[s] * best(head, s, level - cost, then) for s in range(chain.state_count)
-            )
+            chances = (row[s] * best(head, s, level - cost, then) for s in range(chain.state_count))
             value = max(value, sum(chances))
         return value
 

@@ -48,9 +48,7 @@ class LastResort:
     Also turns a policy's edges into those of the graph that it was pruned from.
     """
 
-    def __init__(
-        self, graph: EnergyGraph, pruned_from: EnergyGraph | None, sight: Sight
-    ) -> None:
+    def __init__(self, graph: EnergyGraph, pruned_from: EnergyGraph | None, sight: Sight) -> None:
         whole = pruned_from or graph
         duration = whole.duration_s(sight.seen_en_mps)
         self._next = RouteFinder(whole).to(whole.depot, duration).next_edge
