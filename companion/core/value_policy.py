@@ -25,7 +25,8 @@ REFINED = 8  # weights of the second look, between the neighbours of the best of
 COARSER = 4  # the first looks' grid has this many times fewer levels
 COARSE_LEVELS = 50  # but no fewer than these
 SPREAD = (0.75, 1.35)  # final weights about the best, solved in full
-CLOSE = 2.5  # neighbouring weights that lose little by being mixed
+COVERING_WEIGHTS = (0.0, 0.5, 1.3, 3.5, 9.0, 24.0, 64.0, 170.0)
+CLOSE = 3.0  # neighbouring weights that lose little by being mixed
 LEAST_WEIGHT = 0.01  # next to 0
 CLEARLY_WITHIN = 0.5  # of the bound, on the coarse grid
 HOPELESS = 1e-7  # P(SUC)
@@ -116,6 +117,17 @@ class PolicySearch:
             weights += [best] if best == 0.0 else [best * factor for factor in SPREAD]
         self.solve(weights)
 
+    def cover(self, max_losses: list[float]) -> None:
+        """Solve weights that serve many bounds, in one sweep: cheaper than `prepare` for several.
+
+        Mixing neighbours of these costs little success against the best weight for each bound.
+        """
+        self._look([0.0])
+        if self._gains[0.0] >= 1.0 - CLEARLY_WITHIN * min(max_losses):
+            self.solve([0.0])
+        elif self._gains[0.0] > HOPELESS:
+            self.solve(list(COVERING_WEIGHTS))
+
     def _enclosed(self, max_loss: float) -> bool:
         """True when two solved weights close to one another enclose the bound."""
         if not self.tables:
@@ -123,7 +135,7 @@ class PolicySearch:
         careful, bold = self._bracket(max_loss)
         if careful == bold:
             return bold == 0.0
-        return careful <= CLOSE * max(bold, LEAST_WEIGHT)
+        return bold == 0.0 or careful <= CLOSE * bold
 
     def mixed(self, bold: float, careful: float, share: float) -> ValuePolicy:
         """The policy that flies weight `bold` in `share` of missions, else weight `careful`."""

@@ -122,7 +122,7 @@ def fly_scenario(scenario: Scenario, params: Table1Params) -> dict[Cell, Shares]
             assert bench.sight is not None
             if search is None:
                 search = bench.search(bench.chain, bench.sight)
-                search.prepare([bound_of(b, k, budget) for b in params.max_losses for k in CLASSES])
+                search.cover([bound_of(b, k, budget) for b in params.max_losses for k in CLASSES])
             tuner = PolicyTuner(search, bench.sight, params.tuning)
             for bound in params.max_losses:
                 max_loss = bound_of(bound, classes, budget)
