@@ -11,6 +11,7 @@ from companion.core.wind_chain import WindChain
 
 Floats = NDArray[np.float64]
 NEVER = np.int32(2**30)  # levels that an infeasible edge costs: more than any budget has
+EDGE_COST_IN_SINGLE = 2e-6  # probability; float32 sums of 100 terms are off by some 5e-7
 LEVEL_SLACK = 1e-9  # levels; keeps a whole number of levels whole when it is divided back
 
 
@@ -103,13 +104,18 @@ def _on_grid(
 
 
 def _next_state(chain: WindChain, duration_s: Floats, dtype: type) -> NDArray:
-    """Probability of each state after each edge; rows of infeasible edges keep their state."""
+    """Probability of each state after each edge; rows of infeasible edges keep their state.
+
+    In float32 rows may sum to a hair over 1, and a policy would then fly in circles to gain on it:
+    they are scaled so that every edge costs a little instead.
+    """
+    scale = 1.0 - (EDGE_COST_IN_SINGLE if dtype is np.float32 else 0.0)
     edges, states = duration_s.shape
     rows = np.empty((edges, states, states), dtype=dtype)
     own = np.arange(states)
     for begin in range(0, edges, 4096):
         part = duration_s[begin : begin + 4096]
-        rows[begin : begin + 4096] = chain.transition_rows(
+        rows[begin : begin + 4096] = scale * chain.transition_rows(
             own[None, :], np.where(np.isfinite(part), part, 0.0)
         )
     return rows

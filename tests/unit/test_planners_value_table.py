@@ -185,3 +185,23 @@ def test_edges_that_no_wind_allows_and_vertices_without_edges_are_no_obstacle():
     graph, chain = build_energy_graph(scenario), chain_from_scenario(wind)
     model = build_step_model(graph, chain, 10.0, 50)
     assert find_policy(model, solve_home(model), 0.5).stays
+
+
+def test_rounding_in_float32_gives_no_reason_to_fly_in_circles():
+    # Found on a small square where every route succeeds: worths a hair over 1 grew with each edge.
+    rose = WindRose(directions=16, speeds_mps=(2.0, 6.0, 10.0), dwell_s=600.0)
+    params = GeneratorParams(vertices=20, sides_m=((200.0, 1.0),), budget_wh=100.0, rose=rose)
+    scenario = random_scenario("circles", params, np.random.default_rng(4))
+    graph, chain = build_energy_graph(scenario), chain_from_scenario(scenario.wind)
+    model = build_step_model(graph, chain, 100.0, 200)
+    home = solve_home(model)
+    table = solve_delivery(model, home, np.array([0.0, 1.0]))
+    assert float(home.p_home.max()) <= 1.0
+    assert float(table[0].value.max()) <= 1.0
+    assert forecast(model, table[1]).success == 0.0  # a stop that is worth success: stays
+    policy = find_policy(model, home, 0.01)
+    sight = sight_of(chain, None)
+    winds = ChainWinds(graph, chain, sight, 500, np.random.default_rng(1))
+    flown = fly_missions(graph, 100.0, winds, Ber(policy, sight).begin(np.zeros(500)))
+    assert (flown.outcome == 0).all()
+    assert flown.energy_wh.max() < 40.0  # there and back, not on and on
