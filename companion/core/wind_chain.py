@@ -38,7 +38,7 @@ class WindChain:
 
     def transition(self, duration_s: float) -> Floats:
         """P[s, s'] after `duration_s`: expm(Q t); shape (S, S)."""
-        return _as_probabilities(expm(self.rate_per_s * duration_s))
+        return _as_probabilities(np.asarray(expm(self.rate_per_s * duration_s), dtype=float))
 
     def transition_rows(self, state: ArrayLike, duration_s: ArrayLike) -> Floats:
         """Row `state` of expm(Q t) for each pair (state, t); shape (..., S).
@@ -57,7 +57,7 @@ class WindChain:
             else:
                 values, left, right = spectrum
                 decay = np.exp(np.multiply.outer(flat_duration[chosen], values))
-                rows[chosen] = ((decay * left[s]) @ right).real
+                rows[chosen] = np.real((decay * left[s]) @ right)
         return _as_probabilities(rows).reshape(*state.shape, self.state_count)
 
     @cached_property
@@ -66,7 +66,7 @@ class WindChain:
         if np.linalg.cond(vectors) > CONDITION_LIMIT:
             return None
         if np.all(np.isreal(values)) and np.all(np.isreal(vectors)):
-            values, vectors = values.real, vectors.real
+            values, vectors = np.real(values), np.real(vectors)
         inverse = np.linalg.inv(vectors)
         return values, vectors, inverse
 
@@ -198,12 +198,11 @@ class OrnsteinUhlenbeckWind:
 
     def chain(self) -> WindChain:
         steps = round(self.reach_mps / self.spacing_mps)
-        axis = np.arange(-steps, steps + 1) * self.spacing_mps
+        axis = np.arange(-steps, steps + 1, dtype=np.float64) * self.spacing_mps
         one = self._birth_death(axis)
         size = len(axis)
         rate = np.kron(one, np.eye(size)) + np.kron(np.eye(size), one)
-        east, north = np.meshgrid(axis, axis, indexing="ij")
-        states = np.stack([east.ravel(), north.ravel()], axis=1)
+        states = np.column_stack([np.repeat(axis, size), np.tile(axis, size)]).astype(np.float64)
         weight = np.exp(-0.5 * np.sum(states**2, axis=1) / self.std_mps**2)
         return WindChain(
             states_en_mps=states + np.asarray(self.mean_en_mps),

@@ -112,7 +112,7 @@ class RayCluster:
         self, scenarios: list[Scenario], params: CampaignParams, address: str | None
     ) -> None:
         try:
-            import ray
+            import ray  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise LeewayError("ray is not installed: pip install 'leeway[ray]'") from None
         self._ray = ray

@@ -8,6 +8,7 @@ from time import perf_counter
 import msgspec
 import networkx as nx
 import numpy as np
+from scipy.spatial import KDTree
 
 from companion.core.energy_graph import EnergyGraph, networkx_graph
 from companion.core.mission_model import ChainWinds, fly_missions
@@ -42,17 +43,10 @@ def large_problem(
     """Nearest-neighbour graph with `out_degree` edges a vertex under 8 directions x 3 speeds."""
     random = np.random.default_rng([BENCH_SEED, vertices])
     place = np.column_stack([random.uniform(0, side_m, (vertices, 2)), np.zeros(vertices)])
-    span = (
-        np.sum((place[:, None, :2] - place[None, :, :2]) ** 2, axis=2) if vertices < 2000 else None
-    )
-    if span is not None:
-        near = np.argsort(span, axis=1)[:, 1 : out_degree + 1]
-    else:
-        from scipy.spatial import cKDTree
-
-        near = cKDTree(place[:, :2]).query(place[:, :2], out_degree + 1)[1][:, 1:]
+    near = KDTree(place[:, :2]).query(place[:, :2], out_degree + 1)[1]
+    near = np.asarray(near)[:, 1:]
     tail = np.repeat(np.arange(vertices), out_degree)
-    edges = np.unique(np.column_stack([tail, np.asarray(near).ravel()]), axis=0)
+    edges = np.unique(np.column_stack([tail, near.ravel()]), axis=0)
     centre = np.argsort(np.sum((place[:, :2] - side_m / 2) ** 2, axis=1))
     target = int(np.argmin(np.abs(np.hypot(*(place[:, :2] - place[centre[0], :2]).T) - side_m / 4)))
     graph = EnergyGraph(

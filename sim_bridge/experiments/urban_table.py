@@ -79,7 +79,7 @@ def draw_town(town: Town, path: Path) -> None:
         ends = graph.vertices_m[[graph.tail[e], graph.head[e]], :2]
         axis.plot(*ends.T, color=colours((factor[e, 0] - 0.4) / 1.0), lw=2)
     for vertex, label in ((graph.depot, "depot"), (graph.target, "customer")):
-        axis.annotate(label, graph.vertices_m[vertex, :2])
+        axis.annotate(label, (graph.vertices_m[vertex, 0], graph.vertices_m[vertex, 1]))
     axis.set_aspect("equal")
     axis.set_title("Town: edges by what is left of a wind that blows to the east")
     figure.tight_layout()
