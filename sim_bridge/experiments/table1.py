@@ -80,7 +80,8 @@ class Table1Params:
 
 
 GUSTY_PARAMS = Table1Params(
-    generator=GeneratorParams(rose=GUSTY, sides_m=((300.0, 1.0),)), max_losses=("paper", 0.01)
+    generator=GeneratorParams(rose=GUSTY, sides_m=((240.0, 0.4), (340.0, 0.6))),
+    max_losses=("paper", 0.01),
 )
 
 Cell = tuple[int, float, str]  # classes, budget, planner
