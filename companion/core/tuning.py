@@ -25,14 +25,16 @@ FIRST_ABOVE_NONE = 0.1
 class TuningParams:
     """How much flying a bound is worth: losses expected at the bound, within these missions."""
 
-    expected_losses: float = 400.0
+    expected_losses: float = 2000.0
     fewest_missions: int = 10_000
     most_missions: int = 400_000
     most_tries: int = 8
-    standard_errors: float = 1.5
+    standard_errors: float = 0.5
+    believing_share: float = 0.2  # of those missions, where beliefs make each slower to fly
 
-    def missions(self, max_loss: float) -> int:
-        wanted = self.expected_losses / max(max_loss, 1e-9)
+    def missions(self, max_loss: float, believes: bool) -> int:
+        share = self.believing_share if believes else 1.0
+        wanted = share * self.expected_losses / max(max_loss, 1e-9)
         return int(np.clip(wanted, self.fewest_missions, self.most_missions))
 
 
@@ -50,7 +52,7 @@ class PolicyTuner:
         """The policy of greatest P(SUC) whose measured P(loss) stays within `max_loss`."""
         if not 0.0 <= max_loss <= 1.0:
             raise LeewayError(f"max loss = {max_loss!r}: expected a probability from 0 to 1")
-        count = self.params.missions(max_loss)
+        count = self.params.missions(max_loss, not self.sight.reveals_state())
         tried = {w: self._fly(w, count) for w in self.search.pair(max_loss)}
         for _ in range(self.params.most_tries):
             careful, bold = _bracket({w: self._upper(f, count) for w, f in tried.items()}, max_loss)
