@@ -74,7 +74,7 @@ class Table1Params:
     seed: int = TABLE_SEED
     levels: int = 200
     risk_weight: float = 1.0
-    max_losses: tuple[float | str, ...] = (0.03, 0.01, "paper")
+    max_losses: tuple[float | str, ...] = (0.02, 0.005, "paper")
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
     tuning: TuningParams = TuningParams(fewest_missions=10_000, most_missions=10_000)  # noqa: RUF009
 
