@@ -1,0 +1,1 @@
+"""SER, RER, GER, BER as published and ours, behind one small interface."""

@@ -1,0 +1,179 @@
+"""The paper's experiments as commands: each writes Markdown, CSV and a picture, and prints."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from companion.core.errors import LeewayError
+from sim_bridge.experiments.report import Sheet
+
+app = typer.Typer(add_completion=False, no_args_is_help=True)
+
+Out = Annotated[Path, typer.Option(help="folder for the tables and pictures")]
+Jobs = Annotated[int, typer.Option(help="processes; 0: all cores")]
+OUT = Path("logs/experiments")
+
+
+def _cores(jobs: int) -> int:
+    return jobs or len(os.sched_getaffinity(0))
+
+
+def _finish(sheet: Sheet, out: Path, stem: str) -> None:
+    written = sheet.write(out, stem)
+    typer.echo(sheet.markdown())
+    typer.echo("wrote " + ", ".join(str(path) for path in written), err=True)
+
+
+def _bar() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def _refuse(error: LeewayError) -> typer.Exit:
+    typer.echo(f"sim-bridge: {error}", err=True)
+    return typer.Exit(2)
+
+
+@app.command()
+def table1(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    rounds: Annotated[int, typer.Option(help="rounds")] = 10,
+    graphs: Annotated[int, typer.Option(help="graphs a round")] = 10,
+    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 1,
+    gusty: Annotated[bool, typer.Option(help="the gusty set, which is ours")] = False,
+    wind_log: Annotated[Path | None, typer.Option(help="replay a recording instead")] = None,
+) -> None:
+    """Table 1: SER, RER, GER and BER on random graphs, 4 and 8 wind classes."""
+    from dataclasses import replace
+
+    from sim_bridge.experiments.table1 import (
+        GUSTY_PARAMS,
+        NOTE,
+        Table1Params,
+        draw,
+        results,
+        sheet,
+    )
+    from sim_bridge.experiments.wind_logs import read_wind_log
+
+    params = GUSTY_PARAMS if gusty else Table1Params()
+    params = replace(params, rounds=rounds, graphs=graphs, seed=seed)
+    try:
+        wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
+    except LeewayError as error:
+        raise _refuse(error) from None
+    title = "Table 1" + (", gusty set (ours)" if gusty else "")
+    title += f", recording {wind_log.stem}" if wind_log else ""
+    stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
+    with _bar() as bar:
+        shown = bar.add_task(title, total=rounds * graphs * params.targets)
+        cells = results(
+            params, _cores(jobs), wind, lambda done, total: bar.update(shown, completed=done)
+        )
+    _finish(sheet(title, cells, NOTE.format(graphs=graphs), params), out, stem)
+    draw(cells, title, out / f"{stem}.png")
+
+
+@app.command()
+def table2(out: Out = OUT, trials: Annotated[int, typer.Option(help="trials")] = 10) -> None:
+    """Table 2: what BER's parts are worth, as far as they are built."""
+    from sim_bridge.experiments import table2 as experiment
+
+    found: dict = {variant: [] for variant in experiment.BUILT}
+    with _bar() as bar:
+        shown = bar.add_task("Table 2", total=trials * len(found))
+        for variant, measured in found.items():
+            for trial in range(trials):
+                measured.append(experiment.fly_trial(trial, variant))
+                bar.advance(shown)
+    _finish(experiment.sheet(found), out, "table2")
+    experiment.draw(found, out / "table2.png")
+
+
+@app.command()
+def lambda_sweep(out: Out = OUT, graphs: Annotated[int, typer.Option(help="graphs")] = 100) -> None:
+    """Outcomes against the risk weight lambda and the battery."""
+    from sim_bridge.experiments import lambda_sweep as experiment
+
+    points = experiment.sweep(graphs)
+    _finish(experiment.sheet(points), out, "lambda_sweep")
+    experiment.draw(points, out / "lambda_sweep.png")
+
+
+@app.command()
+def energy_speed(
+    out: Out = OUT, airframe: Annotated[str, typer.Option(help="name or file")] = "octo8"
+) -> None:
+    """Energy per kilometre against speed by wind and payload, with both power models."""
+    from companion.adapters.files import read_airframe
+    from sim_bridge.experiments import energy_speed as experiment
+
+    try:
+        believed = read_airframe(airframe)
+    except LeewayError as error:
+        raise _refuse(error) from None
+    found = experiment.curves(believed)
+    _finish(experiment.sheet(found, believed), out, "energy_speed")
+    experiment.draw(found, out / "energy_speed.png")
+
+
+@app.command()
+def towns(
+    out: Out = OUT,
+    rounds: Annotated[int, typer.Option(help="rounds")] = 10,
+    towns: Annotated[int, typer.Option(help="towns a round")] = 10,
+    budget_wh: Annotated[float, typer.Option(help="B")] = 50.0,
+    max_loss: Annotated[float, typer.Option(help="BER's bound in every town")] = 0.01,
+) -> None:
+    """Outcomes over generated towns whose wind differs from edge to edge."""
+    from sim_bridge.experiments import urban_table
+    from sim_bridge.experiments.urban_scene import TownParams, generate_town
+
+    found = urban_table.fly_towns(rounds, towns, 60, budget_wh, max_loss)
+    _finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
+    town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
+    urban_table.draw_town(town, out / "towns.png")
+
+
+@app.command()
+def frontier(
+    out: Out = OUT,
+    graphs: Annotated[int, typer.Option(help="graphs, each with B = 100 and 50")] = 20,
+) -> None:
+    """How far BER is below the frontier on random chains."""
+    from sim_bridge.experiments import frontier_check
+
+    found = []
+    scenarios = frontier_check.check_set(graphs)
+    with _bar() as bar:
+        shown = bar.add_task("frontier", total=2 * graphs)
+        for scenario in scenarios:
+            for budget in (100.0, 50.0):
+                budgeted = frontier_check.with_budget(scenario, budget)
+                found += frontier_check.distances(
+                    budgeted, frontier_check.CampaignParams(seed=7), frontier_check.FRONTIER_LEVELS
+                )
+                bar.advance(shown)
+    _finish(frontier_check.sheet(found), out, "frontier")
+
+
+@app.command()
+def planner_bench(
+    out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False
+) -> None:
+    """Speed and size of planners and campaigns beside their plain alternatives."""
+    from sim_bridge.experiments import planner_bench as bench
+
+    _finish(bench.sheet(large), out, "planner_bench")

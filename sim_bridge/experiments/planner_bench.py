@@ -1,0 +1,239 @@
+"""Speed and size of planners and campaigns, each beside its plain alternative, in one run."""
+
+import resource
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import msgspec
+import networkx as nx
+import numpy as np
+from scipy.spatial import KDTree
+
+from companion.core.energy_graph import EnergyGraph, networkx_graph
+from companion.core.mission_model import ChainWinds, fly_missions
+from companion.core.planners.ber import Ber
+from companion.core.planners.interface import Look
+from companion.core.planners.routes import RouteFinder
+from companion.core.scenario import Scenario
+from companion.core.step_model import build_step_model
+from companion.core.value_policy import PolicySearch, ValuePolicy
+from companion.core.value_table import solve_delivery, solve_home
+from companion.core.wind_chain import WindChain, sight_of
+from sim_bridge.experiments.campaign import CampaignParams, Workbench, run_campaign
+from sim_bridge.experiments.report import Sheet
+from sim_bridge.experiments.scenario_generator import GeneratorParams, WindRose, random_scenario
+
+BENCH_SEED = 6
+ARM_SLOWER = 4.0  # a Raspberry Pi 4's core against this one in numpy; an estimate, not measured
+
+
+@dataclass(frozen=True)
+class Line:
+    """One measured thing."""
+
+    what: str
+    figure: str
+    bound: str = "-"
+
+
+def large_problem(
+    vertices: int, out_degree: int, states: int = 24, side_m: float = 4000.0
+) -> tuple[EnergyGraph, WindChain]:
+    """Nearest-neighbour graph with `out_degree` edges a vertex under 8 directions x 3 speeds."""
+    random = np.random.default_rng([BENCH_SEED, vertices])
+    place = np.column_stack([random.uniform(0, side_m, (vertices, 2)), np.zeros(vertices)])
+    near = KDTree(place[:, :2]).query(place[:, :2], out_degree + 1)[1]
+    near = np.asarray(near)[:, 1:]
+    tail = np.repeat(np.arange(vertices), out_degree)
+    edges = np.unique(np.column_stack([tail, near.ravel()]), axis=0)
+    centre = np.argsort(np.sum((place[:, :2] - side_m / 2) ** 2, axis=1))
+    target = int(np.argmin(np.abs(np.hypot(*(place[:, :2] - place[centre[0], :2]).T) - side_m / 4)))
+    graph = EnergyGraph(
+        place, edges[:, 0], edges[:, 1], int(centre[0]), target, 15.0, (1900.0, 1100.0)
+    )
+    rose = WindRose(
+        directions=states // 3, offset=False, speeds_mps=(2.0, 6.0, 10.0), jumps="neighbour"
+    )
+    return graph, WindChain(rose.states_en_mps(), rose.rate_per_s(), np.full(states, 1.0 / states))
+
+
+def table_lines(
+    vertices: int, levels: int, budget_wh: float, side_m: float, search: bool
+) -> tuple[list[Line], ValuePolicy | None]:
+    """Time of the value table: home, one weight, and the whole search for a bound of 1 %."""
+    graph, chain = large_problem(vertices, 8, side_m=side_m)
+    size = f"{vertices:,} vertices, {graph.edge_count:,} edges, 24 states, {levels} levels"
+    begin = perf_counter()
+    model = build_step_model(graph, chain, budget_wh, levels)
+    built = perf_counter()
+    home = solve_home(model)
+    homed = perf_counter()
+    solve_delivery(model, home, np.array([0.9]))
+    done = perf_counter()
+    bound = "5 s" if vertices == 1000 else "60 s"
+    lines = [
+        Line(f"value table, {size}: edges and chain", f"{built - begin:.2f} s"),
+        Line("- the way home, once", f"{homed - built:.2f} s", bound),
+        Line("- the way out, a weight", f"{done - homed:.2f} s", bound),
+        Line("- the same on an ARM board (estimate, x4)", f"{ARM_SLOWER * (done - homed):.0f} s"),
+    ]
+    policy = None
+    if search:
+        begin = perf_counter()
+        policy = PolicySearch(model, home).policy(0.01)
+        lines.append(
+            Line("- with the search for max loss 1 %", f"{perf_counter() - built:.1f} s", "30 s")
+        )
+        flies = policy.home.choice.nbytes + policy.bold.choice.nbytes + policy.careful.choice.nbytes
+        lines.append(Line("- choices that fly", f"{flies / 1e6:.1f} MB", "250 MB"))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0 / 1024.0
+    lines.append(
+        Line("- peak memory of this process", f"{peak:.2f} GB", "0.6" if vertices == 1000 else "2")
+    )
+    return lines, policy
+
+
+def decision_lines(policy: ValuePolicy, samples: int = 500) -> list[Line]:
+    """A decision by table, by scipy in place, and by networkx, on the large graph."""
+    model, graph = policy.model, policy.model.graph
+    sight = sight_of(model.chain, None)
+    random = np.random.default_rng(BENCH_SEED)
+    decider = Ber(policy, sight).begin(np.zeros(1))
+    finder, drawn = RouteFinder(graph), networkx_graph(graph)
+    power = graph.power_w[0] / 3600.0
+    winds = random.integers(0, sight.count, samples)
+    places = random.integers(0, graph.vertex_count, samples)
+    left = random.uniform(0, model.budget_wh, samples)
+
+    def by_table(i: int) -> None:
+        decider.decide(
+            Look(
+                np.zeros(1, dtype=np.int64),
+                places[i : i + 1],
+                np.zeros(1, dtype=bool),
+                left[i : i + 1],
+                winds[i : i + 1],
+                sight.seen_en_mps[winds[i : i + 1]],
+            )
+        )
+
+    def by_scipy(i: int) -> None:
+        energy = graph.duration_s(sight.seen_en_mps[winds[i]])[:, None] * power
+        finder.to(graph.target, energy)
+
+    def by_networkx(i: int) -> None:
+        energy = graph.duration_s(sight.seen_en_mps[winds[i]]) * power
+        for _, _, data in drawn.edges(data=True):
+            data["wh"] = energy[data["edge"]]
+        reverse = drawn.reverse(copy=False)
+        nx.single_source_dijkstra_path_length(reverse, graph.target, weight="wh")
+
+    return [
+        Line("decision by table, 1,000 vertices: p50 / p99", _micro(by_table, samples), "1 ms"),
+        Line("decision by re-planning, scipy in place", _micro(by_scipy, samples), "10 ms"),
+        Line("decision by re-planning, networkx", _micro(by_networkx, 30)),
+    ]
+
+
+def _micro(work: Callable[[int], None], samples: int) -> str:
+    work(0)
+    times = []
+    for i in range(samples):
+        begin = perf_counter()
+        work(i)
+        times.append(1e6 * (perf_counter() - begin))
+    return f"{np.median(times):,.0f} / {np.percentile(times, 99):,.0f} us"
+
+
+def campaign_lines(plain_missions: int = 100) -> list[Line]:
+    """Campaigns end to end against a plain loop over networkx, RER, one core."""
+    scenario = bench_scenario()
+    rate_plain = plain_missions / _seconds(lambda: plain_rer(scenario, plain_missions))
+    lines = [Line("plain loop over networkx, RER", f"{rate_plain:,.0f} missions/s")]
+    for missions, bound in ((2_000, 150), (100_000, 1000)):
+        params = CampaignParams(missions=missions, risk_weight=0.0)
+
+        def fly(params: CampaignParams = params) -> None:
+            run_campaign([scenario], ["rer"], params)
+
+        seconds = min(_seconds(fly) for _ in range(3))
+        times = missions / seconds / rate_plain
+        lines.append(
+            Line(
+                f"campaign, RER, {missions:,} missions",
+                f"{seconds:.3f} s, {missions / seconds:,.0f} missions/s, {times:,.0f} x plain",
+                f"{bound} x",
+            )
+        )
+    return lines
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    begin = perf_counter()
+    work()
+    return perf_counter() - begin
+
+
+def bench_scenario() -> Scenario:
+    """A sparse graph whose customer is as many edges away as any vertex is."""
+    params = GeneratorParams(mean_degree=4.0, sides_m=((600.0, 1.0),), budget_wh=200.0)
+    scenario = random_scenario("bench", params, np.random.default_rng(BENCH_SEED))
+    hops = nx.single_source_shortest_path_length(nx.DiGraph(scenario.edges), scenario.depot)
+    return msgspec.structs.replace(scenario, target=max(hops, key=lambda v: (hops[v], v)))
+
+
+def plain_rer(scenario: Scenario, missions: int) -> list[int]:
+    """RER as one would write it first: a networkx search at each vertex of each mission."""
+    bench = Workbench(scenario, CampaignParams(missions=missions, risk_weight=0.0))
+    winds = bench.winds(0)
+    assert isinstance(winds, ChainWinds)
+    assert bench.chain is not None
+    graph = bench.graph
+    drawn = networkx_graph(graph)
+    durations = graph.duration_s(bench.chain.states_en_mps)
+    outcomes = []
+    for mission in range(missions):
+        one = np.array([mission])
+        at, left, time_s, delivered, outcome = graph.depot, scenario.budget_wh, 0.0, False, None
+        for _ in range(4 * graph.vertex_count):
+            state = int(winds.state_at(one, np.array([time_s]))[0])
+            power = graph.power_w[int(delivered)] / 3600.0
+            for _, _, data in drawn.edges(data=True):
+                data["wh"] = min(power * durations[data["edge"], state], 1e9)
+            goal = graph.depot if delivered else graph.target
+            head = nx.dijkstra_path(drawn, at, goal, weight="wh")[1]
+            seconds = durations[drawn.edges[at, head]["edge"], state]
+            if power * seconds > left:
+                break
+            left, time_s, at = left - power * seconds, time_s + seconds, head
+            delivered = delivered or at == graph.target
+            if delivered and at == graph.depot:
+                outcome = 0
+                break
+        outcomes.append(outcome if outcome is not None else 1 if delivered else 2)
+    return outcomes
+
+
+def same_as_plain(missions: int = 100) -> bool:
+    """True when the campaign's outcomes are the plain loop's, mission by mission."""
+    scenario = bench_scenario()
+    bench = Workbench(scenario, CampaignParams(missions=missions, risk_weight=0.0))
+    winds = bench.winds(0)
+    flown = fly_missions(
+        bench.graph, scenario.budget_wh, winds, bench.build("rer").begin(np.zeros(missions))
+    )
+    return flown.outcome.tolist() == plain_rer(scenario, missions)
+
+
+def sheet(large: bool = False) -> Sheet:
+    """The whole benchmark; `large` adds the 10,000-vertex table (minutes)."""
+    lines = campaign_lines()
+    table, policy = table_lines(1000, 200, 300.0, 4000.0, search=True)
+    lines += table
+    assert policy is not None
+    lines += decision_lines(policy)
+    if large:
+        lines += table_lines(10_000, 200, 900.0, 12_600.0, search=False)[0]
+    rows = [[line.what, line.figure, line.bound] for line in lines]
+    return Sheet("Planner speed and size, one core", ["what", "figure", "wanted"], rows)

@@ -1,0 +1,87 @@
+"""Outcomes over generated towns whose wind differs from edge to edge; ours beside the paper's."""
+
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.mission_model import ChainWinds, fly_missions
+from sim_bridge.experiments.campaign import CampaignParams, Workbench
+from sim_bridge.experiments.report import Sheet, interval95_text, mean_std
+from sim_bridge.experiments.table1 import PAPER
+from sim_bridge.experiments.urban_scene import Town, TownParams, generate_town
+
+PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber")
+TOWN_SEED = 3
+
+
+def fly_towns(rounds: int, towns: int, missions: int, budget_wh: float, max_loss: float) -> dict:
+    """Percentages by planner; arrays (rounds, towns, 4)."""
+    found: dict[str, list[np.ndarray]] = {name: [] for name in PLANNERS}
+    for t in range(rounds * towns):
+        town = generate_town(
+            f"town-{t}", TownParams(budget_wh=budget_wh), np.random.default_rng([TOWN_SEED, t])
+        )
+        params = CampaignParams(
+            missions=missions, seed=TOWN_SEED, wind_classes=8, levels=200, max_loss=max_loss
+        )
+        bench = Workbench(town.scenario, params, town.graph)
+        winds = bench.winds(0)
+        assert isinstance(winds, ChainWinds)
+        for name in PLANNERS:
+            winds.restart()
+            decider = bench.planner(name, winds).begin(bench.coins(0, winds.count))
+            flown = fly_missions(bench.graph, budget_wh, winds, decider)
+            found[name].append(100.0 * np.bincount(flown.outcome, minlength=4) / missions)
+    return {name: np.array(v).reshape(rounds, towns, 4) for name, v in found.items()}
+
+
+def sheet(found: dict[str, np.ndarray], budget_wh: float, max_loss: float) -> Sheet:
+    """One line for each planner."""
+    rows = []
+    for name, shares in found.items():
+        paper = PAPER.get((8, budget_wh), {}).get(name)
+        rows.append(
+            [
+                name,
+                *(mean_std(shares.mean(axis=1)[:, i]) for i in range(4)),
+                f"{shares[..., 1:3].sum(axis=-1).mean():.2f}",
+                interval95_text(shares[..., 0].ravel()),
+                " / ".join(f"{x:.1f}" for x in paper) if paper else "-",
+            ]
+        )
+    head = ["planner", "SUC %", "DEL %", "FAIL %", "ABRT %", "loss %", "SUC 95 %"]
+    note = (
+        f"Generated towns, 8 wind classes, B = {budget_wh:g} Wh, BER's bound {100 * max_loss:g} % "
+        "in every town. The wind on an edge is the free wind times its factor (wakes, corners, "
+        "roofs). The paper's row is its Table 1, whose towns are not given."
+    )
+    return Sheet("Towns", [*head, "paper (8 classes)"], rows, note)
+
+
+def draw_town(town: Town, path: Path) -> None:
+    """The town from above, its graph, and the factor on a wind that blows to the east."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.patches import Rectangle
+
+    figure, axis = plt.subplots(figsize=(8, 7))
+    for b in town.buildings:
+        corner = (b.east_m - b.half_east_m, b.north_m - b.half_north_m)
+        axis.add_patch(
+            Rectangle(corner, 2 * b.half_east_m, 2 * b.half_north_m, color=str(1 - b.height_m / 90))
+        )
+    graph, factor = town.graph, town.graph.wind_factor
+    assert factor is not None
+    colours = plt.get_cmap("coolwarm")
+    for e in range(graph.edge_count):
+        ends = graph.vertices_m[[graph.tail[e], graph.head[e]], :2]
+        axis.plot(*ends.T, color=colours((factor[e, 0] - 0.4) / 1.0), lw=2)
+    for vertex, label in ((graph.depot, "depot"), (graph.target, "customer")):
+        axis.annotate(label, (graph.vertices_m[vertex, 0], graph.vertices_m[vertex, 1]))
+    axis.set_aspect("equal")
+    axis.set_title("Town: edges by what is left of a wind that blows to the east")
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
