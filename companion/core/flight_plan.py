@@ -33,7 +33,7 @@ CLEARANCE_UP_M = 8.0
 WEIGH_S = 5.0
 """Hover at drop height before the release: what the loaded vehicle draws."""
 
-RELEASE_S = 8.0
+RELEASE_S = 7.0
 """Hover after it: see the power fall, ask once more if it does not."""
 
 DROP_S = WEIGH_S + RELEASE_S

@@ -177,10 +177,12 @@ class BerPlanner:
             return None
         reserve_wh = request.reserve_frac * request.energy.usable_full_wh
         budget_wh = request.energy.mean_wh - reserve_wh
-        if energy_out_wh + self.curve_factor * energy_back_wh <= budget_wh:
+        # Before take-off no wind is known: what no wind forbids is left to the gate over the depot.
+        factor = 1.0 if request.forecast is None else self.curve_factor
+        if energy_out_wh + factor * energy_back_wh <= budget_wh:
             return None
         return NoRoute(
-            f"beyond reach: out {energy_out_wh:.0f} Wh and {self.curve_factor:g} x back"
+            f"beyond reach: out {energy_out_wh:.0f} Wh and {factor:g} x back"
             f" {energy_back_wh:.0f} Wh exceed the {budget_wh:.0f} Wh above the reserve"
         )
 

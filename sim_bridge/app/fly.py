@@ -307,7 +307,7 @@ def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str
     truth_airframe = load_airframe(params_dir() / "truth" / f"{flight.vehicle.airframe}.toml")
     reserve_wh = _reserve_wh(craft, truth_airframe)
     result = craft.companion.result()
-    np.savez_compressed(craft.run_dir / "truth.npz", **craft.record.arrays())
+    np.save(craft.run_dir / "truth.npy", np.asarray(craft.record.rows, float))
     homes = [(0.0, 0.0), *(place_ne_m(place, craft.depot) for place in site.rally)]
     customer = place_ne_m(site.customer, craft.depot)
     verdict = judge(

@@ -158,7 +158,7 @@ def test_the_few_samples_agree_with_very_many() -> None:
         for left in (50.0, 65.0):
             few = judge(ahead, left, (1.0, -9.0), min_success=0.0)
             many = judge(ahead, left, (1.0, -9.0), min_success=0.0, samples=4096)
-            assert few.p_home_now == pytest.approx(many.p_home_now, abs=0.005)
+            assert few.p_home_now == pytest.approx(many.p_home_now, abs=0.01)
             assert few.margin_wh == pytest.approx(many.margin_wh, abs=0.2)
             assert few.turn_back == many.turn_back
             assert few.p_home == pytest.approx(many.p_home, abs=0.01)

@@ -137,8 +137,10 @@ def test_turning_back_costs_the_speed_that_is_lost_and_gained() -> None:
     straight = (cruise(HERE, middle), cruise(middle, EAST))
     about = (cruise(HERE, middle), cruise(middle, HERE))
     times = [float(ROUTE.costs(legs, CALM).time_s.sum()) for legs in (straight, about)]
-    speed = M100.speeds.cruise_airspeed_mps
-    assert times[0] == pytest.approx(900.0 / speed, rel=1e-3)
+    # In calm air the speed to fly is the mission's, or a little faster where that is cheaper.
+    speed = 900.0 / times[0]
+    cruise_mps = M100.speeds.cruise_airspeed_mps
+    assert cruise_mps - 0.01 <= speed <= cruise_mps + 1.5
     assert times[1] - times[0] == pytest.approx(speed / M100.speeds.accel_mps2, rel=0.02)
 
 
