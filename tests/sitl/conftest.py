@@ -42,8 +42,8 @@ class Flown:
         return [d["kind"] for d in self.row["decisions"]]
 
     def fault_s(self, kind: str) -> float:
-        """When a fault began."""
-        return next(t for t, words in self.faults.log if words.startswith(kind))
+        """When a fault began; 0 where it never did."""
+        return next((t for t, words in self.faults.log if words.startswith(kind)), 0.0)
 
     def commands_after(self, t_s: float) -> list[tuple[float, str, int]]:
         """What the companion commanded after a time."""

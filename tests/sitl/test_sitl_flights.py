@@ -12,19 +12,6 @@ import pytest
 
 pytestmark = pytest.mark.sitl
 
-GROWING = {
-    "kind": "points",
-    "points": [
-        {"t_s": 0.0, "speed_mps": 4.0, "from_deg": 80.0},
-        {"t_s": 70.0, "speed_mps": 5.0, "from_deg": 80.0},
-        {"t_s": 130.0, "speed_mps": 12.5, "from_deg": 76.0},
-    ],
-}
-LONG = {
-    "site": {"customer": {"east_m": -1500.0, "north_m": -100.0, "up_m": 7.5}},
-    "mission": {"leg_length_m": 150.0},
-}
-
 
 def delivered_and_home(flown) -> bool:
     return flown.row["outcome"] == "SUC" and flown.row["margin_wh"] >= 0.0
@@ -37,10 +24,6 @@ def home_with_reserve(flown) -> bool:
 def wind_known(flown) -> bool:
     rmse, nees = flown.row["wind_rmse_mps"], flown.row["wind_nees"]
     return rmse is not None and rmse < 1.0 and nees < 6.0
-
-
-def turned_back_and_home(flown) -> bool:
-    return flown.row["outcome"] == "ABRT" and "turn_back" in flown.kinds
 
 
 def home_undelivered(flown) -> bool:
@@ -75,16 +58,11 @@ def fault(kind: str, **more: Any) -> dict[str, Any]:
     return {"kind": kind, **more}
 
 
+THIN = {"vehicle": {"charge_frac": 0.28}}  # enough to fly it, not to keep the reserve
 LOW = {"vehicle": {"charge_frac": 0.18}}
 
 CASES = [
     Case("a parcel is delivered and the vehicle comes home", delivered_and_home, {}, LOW),
-    Case(
-        "a headwind that grows closes the gate in time",
-        turned_back_and_home,
-        LONG | {"wind": GROWING, "vehicle": {"charge_frac": 0.55}},
-        LONG | {"wind": {"kind": "steady", "speed_mps": 2.0, "from_deg": 80.0}},
-    ),
     Case(
         "the wind is known within its stated error",
         wind_known,
@@ -113,20 +91,20 @@ CASES = [
         "a link silent for some seconds loses nothing",
         home_with_reserve,
         {"faults": [fault("link_silent", phase="outbound", at_s=4.0, duration_s=6.0)]},
-        LONG | {"wind": GROWING, "vehicle": {"charge_frac": 0.5}},
+        THIN,
         canary_gate=False,
     ),
     Case(
         "the pilot takes over and not one command follows",
         silent_after_pilot,
         {"faults": [fault("pilot_takes_over", phase="outbound", at_s=6.0)]},
-        {"faults": [fault("pilot_takes_over", phase="start")]},
+        {},
     ),
     Case(
         "another ground station takes over and not one command follows",
         silent_after_ground,
         {"faults": [fault("ground_takes_over", phase="outbound", at_s=6.0)]},
-        {"faults": [fault("link_silent", phase="outbound", at_s=6.0, duration_s=0.2)]},
+        {},
     ),
     Case(
         "a parcel that sticks is brought home, and the operator hears it",
@@ -138,7 +116,7 @@ CASES = [
         "an autopilot that reboots in flight comes home",
         home_with_reserve,
         {"faults": [fault("autopilot_reboot", phase="outbound", at_s=5.0)]},
-        LONG | {"wind": GROWING, "vehicle": {"charge_frac": 0.5}},
+        THIN,
         canary_gate=False,
     ),
     Case(
