@@ -18,6 +18,7 @@ from sim_bridge.autopilot.message_table import SPECS, crc_bytes
 _TIMESYNC = SPECS["TIMESYNC"]
 _HEARTBEAT_ID = 0
 _ASK_AGAIN_AFTER_S = 0.25
+_LOOK_AFTER_S = 0.1
 _TC1_TS1 = struct.Struct("<qq")
 
 
@@ -83,7 +84,10 @@ class Lockstep:
         *,
         limit_s: float = 5.0,
         clock_s: Callable[[], float] = time.monotonic,
+        is_alive: Callable[[int], bool] | None = None,
     ) -> None:
+        """`is_alive(number)` may tell that a client has ended by itself: it is not waited for."""
+        self._is_alive = is_alive
         self._endpoints = endpoints
         self._request = request
         self._limit_s = limit_s

@@ -252,7 +252,13 @@ def _run(
     def request(number: int, t_ns: int) -> bytes:
         return encoders[number].encode(Message("TIMESYNC", tc1=0, ts1=t_ns))
 
-    lockstep = Lockstep(endpoints, range(len(crafts)), request, limit_s=options.lockstep_limit_s)
+    lockstep = Lockstep(
+        endpoints,
+        range(len(crafts)),
+        request,
+        limit_s=options.lockstep_limit_s,
+        is_alive=lambda number: crafts[number].companion.running,
+    )
     pacer = Pacer(options.speedup) if options.speedup else None
     for craft in crafts:
         craft.companion.start()

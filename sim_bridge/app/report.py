@@ -14,6 +14,7 @@ from sim_bridge.app.fly import Progress
 
 REFRESH_WALL_S = 0.25
 LINE_EVERY_S = 30.0
+ROUTINE = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
 
 
 @dataclass(slots=True)
@@ -123,6 +124,8 @@ def results_table(result: dict[str, Any], *, gate: bool) -> Table:
 def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:
     words: list[str] = []
     for decision in decisions:
+        if decision["kind"] in ROUTINE:
+            continue
         word = decision["kind"].replace("_", " ")
         if not words or words[-1].split(" x")[0] != word:
             words.append(word)
