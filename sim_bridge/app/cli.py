@@ -12,6 +12,7 @@ from rich.console import Console
 from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
+from sim_bridge.app import campaign_cli, experiments_cli
 from sim_bridge.truth.errors import TruthError
 
 app = typer.Typer(
@@ -169,6 +170,10 @@ def bench(
     result = bench_now(rounds, Console())
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+app.registered_commands += campaign_cli.app.registered_commands
+app.registered_commands += experiments_cli.app.registered_commands
 
 
 def main() -> None:
