@@ -201,6 +201,7 @@ class Px4:
                 True,
             ),
             _near("MPC_TILTMAX_AIR", facts.max_tilt_deg, "the tilt limit is the model's", True),
+            _near("MPC_TKO_SPEED", facts.climb_mps, "takes off as the energy model knows"),
             _near("MPC_Z_V_AUTO_UP", facts.climb_mps, "climbs as the energy model knows"),
             _near("MPC_Z_V_AUTO_DN", facts.descent_mps, "descends as the energy model knows"),
             _near("MPC_LAND_SPEED", facts.landing_mps, "lands as the energy model knows"),

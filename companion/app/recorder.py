@@ -120,6 +120,15 @@ class Recorder:
                 "customer_ned_m": flown.plan.customer_ned_m,
                 "outbound_ned_m": flown.plan.outbound_ned_m,
                 "return_ned_m": flown.plan.return_ned_m,
+                "rally": [
+                    {
+                        "name": r.name,
+                        "ground_ned_m": r.ground_ned_m,
+                        "from_customer": len(flown.plan.outbound_ned_m) - 1 in r.from_outbound,
+                        "from_return": r.from_return,
+                    }
+                    for r in flown.plan.rally
+                ],
                 "home_ground_speed_mps": flown.plan.home_ground_speed_mps,
                 "energy_wh": flown.plan.energy_wh,
                 "time_s": flown.plan.time_s,

@@ -1,13 +1,14 @@
 """From a plan and where the vehicle is to the gate's question: what is left to fly.
 
 Every decision point has the ways home that the mission aboard really holds: the return branch
-entered at `Plan.entry`, and a straight line to each rally point in clear sight.
+entered at `Plan.entry`, and each rally point: by a straight line where it is in clear sight, or
+else along the return branch to the waypoint from which it is.
 """
 
 from itertools import pairwise
 
 from companion.core.geo import Ned, horizontal_m
-from companion.core.planner import Plan, unattended
+from companion.core.planner import Plan, RallyWay, unattended
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import Leg, LegKind
 
@@ -83,20 +84,21 @@ def ahead_returning(
     rise = _rise(position_ned_m, start, payload_kg)
     ways = list(_ways_home(plan, start, return_index, payload_kg))
     if return_index > 0:
-        ways += _rally_ways(plan, start, None, return_index - 1, payload_kg)
+        ways += _rally_ways(plan, start, None, return_index - 1, return_index, payload_kg)
     else:
-        ways += _rally_ways(plan, start, len(plan.outbound_ned_m) - 1, None, payload_kg)
+        last = len(plan.outbound_ned_m) - 1
+        ways += _rally_ways(plan, start, last, None, return_index, payload_kg)
     if rally_name is not None and all(way.landing != rally_name for way in ways):
         rally = next(r for r in plan.rally if r.name == rally_name)
-        ways.append(_rally_way(plan, start, rally.name, rally.ground_ned_m, payload_kg))
+        ways.append(_rally_way(plan, (start,), rally.name, rally.ground_ned_m, payload_kg))
     return Ahead(tuple(_after(rise, way) for way in ways), (), delivered)
 
 
 def ways_from_outbound(plan: Plan, index: int, payload_kg: float) -> tuple[WayHome, ...]:
-    """Ways home from an outbound waypoint: the return branch, then each rally point in sight."""
-    here = plan.outbound_ned_m[index]
-    ways = _ways_home(plan, here, plan.entry[index], payload_kg)
-    return (*ways, *_rally_ways(plan, here, index, None, payload_kg))
+    """Ways home from an outbound waypoint: the return branch, then each rally point."""
+    here, entry = plan.outbound_ned_m[index], plan.entry[index]
+    ways = _ways_home(plan, here, entry, payload_kg)
+    return (*ways, *_rally_ways(plan, here, index, None, entry, payload_kg))
 
 
 def _ways_now(
@@ -114,10 +116,11 @@ def _ways_now(
             _land(over, plan.depot_ned_m, payload_kg),
         )
         ways: tuple[WayHome, ...] = (_way(DEPOT, legs, plan.home_ground_speed_mps),)
+        ways = (*ways, *_rally_ways(plan, start, None, None, None, payload_kg))
     else:
-        ways = _ways_home(plan, start, plan.entry[next_index - 1], payload_kg)
-    behind = next_index - 1 if next_index > 0 else None
-    ways = (*ways, *_rally_ways(plan, start, behind, None, payload_kg))
+        entry = plan.entry[next_index - 1]
+        ways = _ways_home(plan, start, entry, payload_kg)
+        ways = (*ways, *_rally_ways(plan, start, next_index - 1, None, entry, payload_kg))
     return tuple(_after(rise, way) for way in ways)
 
 
@@ -129,19 +132,46 @@ def _ways_home(plan: Plan, here: Ned, entry: int, payload_kg: float) -> tuple[Wa
 
 
 def _rally_ways(
-    plan: Plan, here: Ned, outbound: int | None, homeward: int | None, payload_kg: float
+    plan: Plan,
+    here: Ned,
+    outbound: int | None,
+    homeward: int | None,
+    entry: int | None,
+    payload_kg: float,
 ) -> tuple[WayHome, ...]:
-    return tuple(
-        _rally_way(plan, here, rally.name, rally.ground_ned_m, payload_kg)
-        for rally in plan.rally
-        if outbound in rally.from_outbound or homeward in rally.from_return
-    )
+    """A way to each rally point that is seen from the waypoint `outbound` or `homeward`; to one
+    that is not, along the return branch from `entry` until it is.
+    """
+    ways: list[WayHome] = []
+    for rally in plan.rally:
+        if outbound in rally.from_outbound or homeward in rally.from_return:
+            ways.append(_rally_way(plan, (here,), rally.name, rally.ground_ned_m, payload_kg))
+        elif entry is not None and (via := _shortest_via(plan, here, entry, rally)):
+            ways.append(_rally_way(plan, via, rally.name, rally.ground_ned_m, payload_kg))
+    return tuple(ways)
 
 
-def _rally_way(plan: Plan, here: Ned, name: str, ground: Ned, payload_kg: float) -> WayHome:
-    over = (ground[0], ground[1], here[2])
-    legs = (*_cruise(here, over, payload_kg), _land(over, ground, payload_kg))
-    return _way(name, legs, plan.home_ground_speed_mps)
+def _shortest_via(plan: Plan, here: Ned, entry: int, rally: RallyWay) -> tuple[Ned, ...]:
+    """Along the return branch to where the rally point is nearest in sight; empty: it never is."""
+    paths = [
+        (here, *plan.return_ned_m[entry : index + 1])
+        for index in rally.from_return
+        if index >= entry
+    ]
+    over = (rally.ground_ned_m[0], rally.ground_ned_m[1], here[2])
+    return min(paths, key=lambda path: _length_m((*path, over)), default=())
+
+
+def _length_m(path: tuple[Ned, ...]) -> float:
+    return sum(horizontal_m(a, b) for a, b in pairwise(path))
+
+
+def _rally_way(
+    plan: Plan, path: tuple[Ned, ...], name: str, ground: Ned, payload_kg: float
+) -> WayHome:
+    over = (ground[0], ground[1], path[-1][2])
+    legs = [leg for a, b in pairwise((*path, over)) for leg in _cruise(a, b, payload_kg)]
+    return _way(name, (*legs, _land(over, ground, payload_kg)), plan.home_ground_speed_mps)
 
 
 def _delivery(

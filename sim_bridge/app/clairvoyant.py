@@ -1,9 +1,10 @@
 """What knowing the wind would have allowed: the flight integrated through the true mean wind.
 
-The route is flown through the recording or the ramp as it will be, at every moment at the airspeed
-(cruise or faster) that costs least per metre, with the truth's own steady power and battery, to
-the ground: take-off, climb, settling, cruise, descent, drop, climb, return, landing. Gusts and the
-moments of turning are left out.
+The route is flown through the recording or the ramp as it will be, each leg at the one ground
+speed that costs least on it, as an autopilot can fly it, with the truth's own steady power and
+battery, to the ground: take-off, climb, settling, cruise with its speeding up and stopping,
+descent, drop, climb, return, landing. It lands at whichever declared site leaves the most. Gusts
+of simulated turbulence and the moments of turning are left out.
 """
 
 import itertools
@@ -11,10 +12,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 STEP_S = 1.0
+LONGEST_LEG_STEPS = 900
 SLOWEST_MPS = 0.3  # under this ground speed the vehicle makes no way
 SPEED_STEP_MPS = 0.5
 WindAt = Callable[[float, float], tuple[float, float]]
@@ -33,6 +37,16 @@ class Foresight:
     def outcome(self) -> str:
         """SUC, or ABRT: the clairvoyant would not have left."""
         return "SUC" if self.home else "ABRT"
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """Between which ground speeds it is commanded, its most airspeed, how it gains speed."""
+
+    slowest_mps: float
+    fastest_mps: float
+    most_air_mps: float
+    accel_mps2: float
 
 
 @dataclass(slots=True)
@@ -63,40 +77,58 @@ class _Flyer:
             self.spend(self._power(wind, climb), dt_s)
             self.height_m += climb * dt_s
 
-    def along(self, start: Ne, end: Ne, speeds: list[float], fastest_mps: float) -> bool:
-        length = math.dist(start, end)
-        if length < 1.0:
+    def along(
+        self, start: Ne, end: Ne, limits: "SpeedLimits", *, starts: bool, stops: bool
+    ) -> bool:
+        """Fly one leg at the one ground speed that costs least; tells whether it got there.
+
+        `starts` and `stops`: from rest, to rest. Half of a speed-up's time is lost against
+        flying through, at the leg's own power.
+        """
+        length_m = math.dist(start, end)
+        if length_m < 1.0:
             return True
-        unit = ((end[0] - start[0]) / length, (end[1] - start[1]) / length)
-        left_m = length
-        while left_m > 0.0 and not self.battery.cut_off:
-            north, east = self.wind_at(self.t_s, self.height_m)
-            tail = north * unit[0] + east * unit[1]
-            cross = east * unit[0] - north * unit[1]
-            ground, power_w = self._cheapest(speeds, tail, cross, fastest_mps)
-            if ground < SLOWEST_MPS:
-                self.spend(self._level_power(speeds[-1]), STEP_S)
-                continue
-            dt_s = min(STEP_S, left_m / ground)
+        unit = ((end[0] - start[0]) / length_m, (end[1] - start[1]) / length_m)
+        flown = [
+            self._steps(unit, length_m, speed, limits)
+            for speed in np.arange(limits.slowest_mps, limits.fastest_mps + 1e-9, SPEED_STEP_MPS)
+        ]
+        steps = min((f for f in flown if f), key=lambda f: sum(p * dt for p, dt in f), default=[])
+        if not steps:
+            return False
+        for power_w, dt_s in steps:
+            if self.battery.cut_off:
+                return False
             self.spend(power_w, dt_s)
-            left_m -= ground * dt_s
+        mean_mps = length_m / sum(dt for _, dt in steps)
+        lost_s = (starts + stops) * 0.5 * mean_mps / limits.accel_mps2
+        self.spend(steps[-1][0], lost_s)
         return not self.battery.cut_off
 
-    def _cheapest(
-        self, speeds: list[float], tail: float, cross: float, fastest_mps: float
-    ) -> tuple[float, float]:
-        """Ground speed and power of least energy per metre; speed 0 where no way is made."""
-        best = (0.0, 0.0)
-        for airspeed in speeds:
-            if abs(cross) >= airspeed:
-                continue
-            ground = min(math.sqrt(airspeed**2 - cross**2) + tail, fastest_mps)
-            if ground < SLOWEST_MPS:
-                continue
-            power_w = self._level_power(math.hypot(ground - tail, cross))
-            if best[0] == 0.0 or power_w / ground < best[1] / best[0]:
-                best = (ground, power_w)
-        return best
+    def _steps(
+        self, unit: Ne, length_m: float, ground_mps: float, limits: "SpeedLimits"
+    ) -> list[tuple[float, float]]:
+        """(power, seconds) along a leg at a commanded ground speed; empty: it never gets there.
+
+        As the autopilot flies it: the ground speed is held until the tilt saturates.
+        """
+        steps: list[tuple[float, float]] = []
+        left_m, t_s = length_m, self.t_s
+        for _ in range(LONGEST_LEG_STEPS):
+            north, east = self.wind_at(t_s, self.height_m)
+            tail = north * unit[0] + east * unit[1]
+            cross = east * unit[0] - north * unit[1]
+            if abs(cross) >= limits.most_air_mps:
+                return []
+            reach = tail + math.sqrt(limits.most_air_mps**2 - cross**2)
+            ground = min(ground_mps, reach)
+            dt_s = STEP_S if ground < SLOWEST_MPS else min(STEP_S, left_m / ground)
+            steps.append((self._level_power(math.hypot(ground - tail, cross)), dt_s))
+            left_m -= max(ground, 0.0) * dt_s
+            t_s += dt_s
+            if left_m <= 1e-6:
+                return steps
+        return []
 
     def _level_power(self, airspeed_mps: float) -> float:
         key = (round(airspeed_mps * 10.0), self.payload_kg)
@@ -110,54 +142,76 @@ class _Flyer:
 
 
 @dataclass(frozen=True, slots=True)
+class WayBack:
+    """From over the customer (north, east) to over a landing site, and its ground's height."""
+
+    path_ne_m: list[Ne]
+    ground_up_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Itinerary:
-    """What is to be flown. Heights are above the depot; `hover_s` is spent at the drop."""
+    """What is to be flown. Heights are above the depot; `hover_s` is spent at the drop.
+
+    `ways_back` are alternatives; each starts over the customer.
+    """
 
     out_ne_m: list[Ne]
-    back_ne_m: list[Ne]
+    ways_back: list[WayBack]
     cruise_height_m: float
     drop_up_m: float
     settle_s: float
     hover_s: float
-    airspeed_mps: float
-    max_airspeed_mps: float
-    fastest_mps: float
+    speeds: SpeedLimits
+    takeoff_mps: float
     climb_mps: float
     descent_mps: float
     landing_mps: float
+    slow_below_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """The truth that is flown with. `reference_draw_w` is what usable energy is counted at."""
+
+    flight: SteadyFlight
+    wind_at: WindAt
+    payload_kg: float
+    reserve_wh: float
+    reference_draw_w: float
 
 
 def foresee(
-    itinerary: Itinerary,
-    *,
-    flight: SteadyFlight,
-    battery: Battery,
-    wind_at: WindAt,
-    start_s: float,
-    payload_kg: float,
-    reserve_wh: float,
-    reference_draw_w: float,
+    itinerary: Itinerary, means: Means, new_battery: Callable[[], Battery], start_s: float
 ) -> Foresight:
-    """Integrate the whole mission from take-off at `start_s`; `battery` is used up."""
-    plan = itinerary
-    flyer = _Flyer(flight, battery, wind_at, start_s, payload_kg)
-    flyer.to_height(plan.cruise_height_m, plan.climb_mps)
+    """Integrate the whole mission from take-off at `start_s`, by the best of the ways back."""
+    ends = [_end(itinerary, way, means, new_battery(), start_s) for way in itinerary.ways_back]
+    return max(ends, key=lambda end: (end.home, end.margin_wh))
+
+
+def _end(
+    plan: Itinerary, way: WayBack, means: Means, battery: Battery, start_s: float
+) -> Foresight:
+    flyer = _Flyer(means.flight, battery, means.wind_at, start_s, means.payload_kg)
+    flyer.to_height(plan.cruise_height_m, plan.takeoff_mps)
     flyer.hover(plan.settle_s)
-    flown = _fly(flyer, plan.out_ne_m, plan)
+    flown = _fly(flyer, plan.out_ne_m, plan.speeds)
     flyer.to_height(plan.drop_up_m, plan.descent_mps)
     flyer.hover(plan.hover_s)
     flyer.payload_kg = 0.0
     flyer.to_height(plan.cruise_height_m, plan.climb_mps)
-    flown = flown and _fly(flyer, plan.back_ne_m, plan)
-    flyer.to_height(min(10.0, plan.cruise_height_m), plan.descent_mps)
-    flyer.to_height(0.0, plan.landing_mps)
-    margin_wh = battery.usable_wh(reference_draw_w) - reserve_wh
+    flown = flown and _fly(flyer, way.path_ne_m, plan.speeds)
+    slow_from_m = min(way.ground_up_m + plan.slow_below_m, plan.cruise_height_m)
+    flyer.to_height(slow_from_m, plan.descent_mps)
+    flyer.to_height(way.ground_up_m, plan.landing_mps)
+    margin_wh = battery.usable_wh(means.reference_draw_w) - means.reserve_wh
     home = flown and not battery.cut_off and margin_wh >= 0.0
     return Foresight(home, margin_wh, flyer.t_s - start_s)
 
 
-def _fly(flyer: _Flyer, path: list[Ne], plan: Itinerary) -> bool:
-    faster = max(plan.max_airspeed_mps - plan.airspeed_mps, 0.0)
-    count = int(faster / SPEED_STEP_MPS) + 1
-    speeds = [plan.airspeed_mps + k * SPEED_STEP_MPS for k in range(count)]
-    return all(flyer.along(a, b, speeds, plan.fastest_mps) for a, b in itertools.pairwise(path))
+def _fly(flyer: _Flyer, path: list[Ne], speeds: SpeedLimits) -> bool:
+    legs = list(itertools.pairwise(path))
+    return all(
+        flyer.along(a, b, speeds, starts=k == 0, stops=k == len(legs) - 1)
+        for k, (a, b) in enumerate(legs)
+    )

@@ -21,7 +21,8 @@ from sim_bridge.adapters.endpoint import EndpointSet
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.clairvoyant import Foresight, Itinerary, foresee
+from sim_bridge.app.clairvoyant import Foresight
+from sim_bridge.app.clairvoyant_flight import foresee_flight
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.craft import (
     COMPANION_LINK,
@@ -42,7 +43,6 @@ from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth, load_airframe
-from sim_bridge.truth.steady_flight import SteadyFlight
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_params import build_wind_field
 
@@ -324,7 +324,7 @@ def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str
         reserve_wh=reserve_wh,
         wind_estimates=result.get("wind", []),
     )
-    foresight = _foresee(craft, airframe, truth_airframe, reserve_wh, result)
+    foresight = foresee_flight(craft, airframe, truth_airframe, reserve_wh, result.get("plan"))
     if options.picture:
         _draw(options, craft, verdict, result, reserve_wh, airframe)
     return _row(craft, verdict, foresight, result)
@@ -339,52 +339,6 @@ def _reserve_wh(craft: Craft, truth_airframe: AirframeTruth) -> float:
         health_frac=vehicle.battery_health_frac,
     )
     return craft.flight.mission.reserve_frac * pack.usable_wh(craft.vehicle.reference_draw_w)
-
-
-def _foresee(
-    craft: Craft,
-    airframe: Airframe,
-    truth_airframe: AirframeTruth,
-    reserve_wh: float,
-    result: dict[str, Any],
-) -> Foresight:
-    flight, vehicle = craft.flight, craft.flight.vehicle
-    customer = place_ne_m(flight.site.customer, craft.depot)
-    plan = result.get("plan") or {}
-    out = [tuple(p[:2]) for p in plan.get("outbound_ned_m", [])] or [customer]
-    back = [tuple(p[:2]) for p in plan.get("return_ned_m", [])] or [(0.0, 0.0)]
-    mission, speeds = flight.mission, airframe.speeds
-    steady = SteadyFlight(truth_airframe)
-    itinerary = Itinerary(
-        out_ne_m=[(0.0, 0.0), *out],
-        back_ne_m=[customer, *back],
-        cruise_height_m=mission.cruise_height_m,
-        drop_up_m=craft.terrain.up_m(*customer) + mission.drop_height_m,
-        settle_s=mission.wind_settle_s,
-        hover_s=float(plan.get("drop_s", 5.0)),
-        airspeed_mps=mission.cruise_airspeed_mps or speeds.cruise_airspeed_mps,
-        max_airspeed_mps=0.92 * steady.max_level_airspeed_mps(speeds.max_tilt_rad),
-        fastest_mps=speeds.max_ground_mps,
-        climb_mps=speeds.climb_mps,
-        descent_mps=speeds.descent_mps,
-        landing_mps=speeds.landing_mps,
-    )
-    start_s = craft.record.took_off_s if craft.record.took_off_s is not None else craft.t_s
-    return foresee(
-        itinerary,
-        flight=steady,
-        battery=Battery(
-            truth_airframe.battery,
-            charge_frac=craft.charge_frac,
-            temperature_c=vehicle.temperature_c,
-            health_frac=vehicle.battery_health_frac,
-        ),
-        wind_at=craft.vehicle.wind_field.mean_to_ne_mps,
-        start_s=start_s,
-        payload_kg=vehicle.payload_kg,
-        reserve_wh=reserve_wh,
-        reference_draw_w=craft.vehicle.reference_draw_w,
-    )
 
 
 def _row(

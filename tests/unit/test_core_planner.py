@@ -201,6 +201,25 @@ def test_what_is_ahead_ends_on_the_ground_by_every_way() -> None:
                     assert joined
 
 
+def test_a_rally_point_out_of_sight_is_reached_along_the_way_home() -> None:
+    # The wall hides the quay from everything east of it; the way home passes the wall's end.
+    plan = planned(site(WALL))
+    quay = plan.rally[0]
+    customer = len(plan.outbound_ned_m) - 1
+    assert customer not in quay.from_outbound
+    ahead = ahead_delivering(plan, plan.outbound_ned_m[-1], 0.6, 6.0, 6.0)
+    depot, via = ahead.stages[-1].ways_home
+    assert (depot.landing, via.landing) == ("depot", "quay")
+    turn = next(leg.to_ned_m for leg in via.legs[::-1] if leg.to_ned_m in plan.return_ned_m)
+    over = (200.0, 500.0, turn[2])
+    assert site(WALL).obstacles.blocking(turn, over) is None
+    flown = sum(horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in via.legs)
+    # Round the wall's end at north 250, 560 m away over 265 m, and back to the quay.
+    assert 560.0 < flown < 850.0
+    for leg in via.legs:
+        assert site(WALL).obstacles.blocking(leg.from_ned_m, leg.to_ned_m) is None
+
+
 def test_stages_join_and_the_last_one_delivers_at_drop_height() -> None:
     plan = planned(site(WALL))
     ahead = ahead_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 10.0)

@@ -1,0 +1,94 @@
+"""The clairvoyant's flight of one craft: its route, its declared landing sites, its true means."""
+
+from typing import Any
+
+from companion.core.airframe import Airframe
+from sim_bridge.app.clairvoyant import (
+    Foresight,
+    Itinerary,
+    Means,
+    Ne,
+    SpeedLimits,
+    WayBack,
+    foresee,
+)
+from sim_bridge.app.craft import Craft, place_ne_m
+from sim_bridge.truth.battery import Battery
+from sim_bridge.truth.params import AirframeTruth
+from sim_bridge.truth.steady_flight import SteadyFlight
+
+DROP_S = 5.0  # where no companion planned one
+SLOWEST_GROUND_MPS = 4.0
+AIRSPEED_KEPT_FRAC = 0.92  # of the most in level flight: the rest holds course and height
+
+
+def foresee_flight(
+    craft: Craft,
+    airframe: Airframe,
+    truth_airframe: AirframeTruth,
+    reserve_wh: float,
+    plan: dict[str, Any] | None,
+) -> Foresight:
+    """How the flight would have ended that knows its wind, on the route that was planned."""
+    flight, vehicle = craft.flight, craft.flight.vehicle
+    mission, speeds = flight.mission, airframe.speeds
+    customer = place_ne_m(flight.site.customer, craft.depot)
+    plan = plan or {}
+    out = [_ne(p) for p in plan.get("outbound_ned_m", [])] or [customer]
+    steady = SteadyFlight(truth_airframe)
+    itinerary = Itinerary(
+        out_ne_m=[(0.0, 0.0), *out],
+        ways_back=_ways_back(plan, customer),
+        cruise_height_m=mission.cruise_height_m,
+        drop_up_m=craft.terrain.up_m(*customer) + mission.drop_height_m,
+        settle_s=mission.wind_settle_s,
+        hover_s=float(plan.get("drop_s", DROP_S)),
+        speeds=SpeedLimits(
+            slowest_mps=SLOWEST_GROUND_MPS,
+            fastest_mps=speeds.max_ground_mps,
+            most_air_mps=AIRSPEED_KEPT_FRAC * steady.max_level_airspeed_mps(speeds.max_tilt_rad),
+            accel_mps2=speeds.accel_mps2,
+        ),
+        takeoff_mps=speeds.climb_mps,
+        climb_mps=speeds.climb_mps,
+        descent_mps=speeds.descent_mps,
+        landing_mps=speeds.landing_mps,
+        slow_below_m=speeds.land_slow_height_m,
+    )
+
+    def new_battery() -> Battery:
+        return Battery(
+            truth_airframe.battery,
+            charge_frac=craft.charge_frac,
+            temperature_c=vehicle.temperature_c,
+            health_frac=vehicle.battery_health_frac,
+        )
+
+    means = Means(
+        flight=steady,
+        wind_at=craft.vehicle.wind_field.mean_to_ne_mps,
+        payload_kg=vehicle.payload_kg,
+        reserve_wh=reserve_wh,
+        reference_draw_w=craft.vehicle.reference_draw_w,
+    )
+    start_s = craft.record.took_off_s if craft.record.took_off_s is not None else craft.t_s
+    return foresee(itinerary, means, new_battery, start_s)
+
+
+def _ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:
+    """The way to the depot, and to each rally point from each waypoint that sees it."""
+    back = [customer, *(_ne(p) for p in plan.get("return_ned_m", []))]
+    if len(back) == 1:
+        return [WayBack([customer, (0.0, 0.0)], 0.0)]
+    ways = [WayBack(back, 0.0)]
+    for rally in plan.get("rally", []):
+        ground = rally["ground_ned_m"]
+        leaves = [index + 1 for index in rally["from_return"]]
+        if rally["from_customer"]:
+            leaves.append(0)
+        ways += [WayBack([*back[: index + 1], _ne(ground)], -float(ground[2])) for index in leaves]
+    return ways
+
+
+def _ne(point: Any) -> Ne:
+    return float(point[0]), float(point[1])
