@@ -12,8 +12,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.steady_flight import SteadyFlight
 
@@ -47,6 +45,11 @@ class SpeedLimits:
     fastest_mps: float
     most_air_mps: float
     accel_mps2: float
+
+    def choices(self) -> list[float]:
+        """Ground speeds to choose from."""
+        count = int((self.fastest_mps - self.slowest_mps) / SPEED_STEP_MPS) + 1
+        return [self.slowest_mps + k * SPEED_STEP_MPS for k in range(count)]
 
 
 @dataclass(slots=True)
@@ -89,10 +92,7 @@ class _Flyer:
         if length_m < 1.0:
             return True
         unit = ((end[0] - start[0]) / length_m, (end[1] - start[1]) / length_m)
-        flown = [
-            self._steps(unit, length_m, speed, limits)
-            for speed in np.arange(limits.slowest_mps, limits.fastest_mps + 1e-9, SPEED_STEP_MPS)
-        ]
+        flown = [self._steps(unit, length_m, speed, limits) for speed in limits.choices()]
         steps = min((f for f in flown if f), key=lambda f: sum(p * dt for p, dt in f), default=[])
         if not steps:
             return False
