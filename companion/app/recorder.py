@@ -22,7 +22,7 @@ from companion.core.actions import (
     Say,
     WindReport,
 )
-from companion.core.flight_plan import DROP_S, FlightPlan
+from companion.core.flight_plan import FlightPlan, plan_row
 
 RESULT = "result.json"
 FORMAT = "companion-result/1"
@@ -113,27 +113,6 @@ class Recorder:
     def write_result(self, *, delivered: bool, flown: FlightPlan | None, phase: str) -> None:
         """Write `result.json`, whole or not at all, with the rows of the run that we go on from."""
         rows = {name: self._before.get(name, []) + rows for name, rows in self._rows.items()}
-        plan: dict[str, Any] | None = None
-        if flown is not None:
-            plan = {
-                "depot_ned_m": flown.plan.depot_ned_m,
-                "customer_ned_m": flown.plan.customer_ned_m,
-                "outbound_ned_m": flown.plan.outbound_ned_m,
-                "return_ned_m": flown.plan.return_ned_m,
-                "rally": [
-                    {
-                        "name": r.name,
-                        "ground_ned_m": r.ground_ned_m,
-                        "from_customer": len(flown.plan.outbound_ned_m) - 1 in r.from_outbound,
-                        "from_return": r.from_return,
-                    }
-                    for r in flown.plan.rally
-                ],
-                "home_ground_speed_mps": flown.plan.home_ground_speed_mps,
-                "energy_wh": flown.plan.energy_wh,
-                "time_s": flown.plan.time_s,
-                "drop_s": DROP_S,
-            }
         done = self._finished
         result = {
             "format": FORMAT,
@@ -141,7 +120,7 @@ class Recorder:
             "reason": done.reason if done is not None else f"ended in phase {phase}",
             "delivered": delivered,
             "phase": phase,
-            "plan": plan,
+            "plan": None if flown is None else plan_row(flown),
             **rows,
         }
         fresh = self.run_dir / f"{RESULT}.new"

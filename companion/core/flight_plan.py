@@ -209,6 +209,30 @@ def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
     )
 
 
+def plan_row(flown: FlightPlan) -> dict[str, Any]:
+    """The plan as a run's record keeps it: points in NED metres about the depot, Wh, s."""
+    plan = flown.plan
+    return {
+        "depot_ned_m": plan.depot_ned_m,
+        "customer_ned_m": plan.customer_ned_m,
+        "outbound_ned_m": plan.outbound_ned_m,
+        "return_ned_m": plan.return_ned_m,
+        "rally": [
+            {
+                "name": r.name,
+                "ground_ned_m": r.ground_ned_m,
+                "from_customer": len(plan.outbound_ned_m) - 1 in r.from_outbound,
+                "from_return": r.from_return,
+            }
+            for r in plan.rally
+        ],
+        "home_ground_speed_mps": plan.home_ground_speed_mps,
+        "energy_wh": plan.energy_wh,
+        "time_s": plan.time_s,
+        "drop_s": DROP_S,
+    }
+
+
 def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteFacts:
     """What the autopilot's settings are judged against on this flight."""
     plan = flown.plan

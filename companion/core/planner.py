@@ -93,8 +93,9 @@ class Planner(Protocol):
 class BerPlanner:
     """Cheapest way out and back by `c = EnergyCost + lambda Unc`, kept when ReturnOK holds.
 
-    ReturnOK: what is left after delivery is at least `curve_factor` times the way back and the
-    reserve (arXiv 2604.13441, IV-B: a curve factor kappa > 1 for the return path).
+    ReturnOK: what is left after delivery is at least `curve_factor` times the way back, to the
+    depot or to the rally point that is cheapest to reach, and the reserve (arXiv 2604.13441,
+    IV-B: a curve factor kappa > 1 for the return path).
     """
 
     def __init__(
@@ -154,10 +155,7 @@ class BerPlanner:
         costs = self.route_energy.costs((*outward, *inward), wind[None, :])
         energy_out = float(costs.energy_wh[0, : len(outward)].sum())
         energy_back = float(costs.energy_wh[0, len(outward) :].sum())
-        short = self._return_not_ok(request, energy_out, energy_back)
-        if short is not None:
-            return short
-        return Plan(
+        plan = Plan(
             depot_ned_m=request.site.depot_ned_m,
             customer_ned_m=request.site.customer_ned_m,
             outbound_ned_m=tuple(outbound[1:]),
@@ -169,6 +167,23 @@ class BerPlanner:
             time_s=float(costs.time_s.sum()),
             route_std_wh=self.route_energy.route_std_wh((*outward, *inward), wind, cov),
         )
+        to_rally = self._to_rally_wh(request, plan, homeward, wind)
+        short = self._return_not_ok(request, energy_out, min(energy_back, to_rally))
+        return plan if short is None else short
+
+    def _to_rally_wh(
+        self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: FloatArray
+    ) -> float:
+        """Energy from the drop to the rally point that is cheapest to reach; infinite without."""
+        ways = [
+            legs_back(
+                request, [*homeward[: index + 2], over(rally.ground_ned_m, homeward[0])], rally
+            )
+            for rally in plan.rally
+            for index in rally.from_return
+        ]
+        energies = [self.route_energy.costs(way, wind[None, :]).energy_wh.sum() for way in ways]
+        return min((float(energy) for energy in energies), default=math.inf)
 
     def _return_not_ok(
         self, request: PlanRequest, energy_out_wh: float, energy_back_wh: float
@@ -232,14 +247,25 @@ def legs_out(request: PlanRequest, points: list[Ned]) -> tuple[Leg, ...]:
     )
 
 
-def legs_back(request: PlanRequest, points: list[Ned]) -> tuple[Leg, ...]:
-    """Climb-out, cruise and landing, empty, from the drop height over the customer."""
-    over = points[0]
-    drop = (over[0], over[1], request.site.customer_ned_m[2] - request.drop_height_m)
+def over(ground_ned_m: Ned, level: Ned) -> Ned:
+    """The point above a ground point, as high as another point."""
+    return ground_ned_m[0], ground_ned_m[1], level[2]
+
+
+def legs_back(
+    request: PlanRequest, points: list[Ned], rally: RallyWay | None = None
+) -> tuple[Leg, ...]:
+    """Climb-out, cruise and landing, empty, from the drop height over the customer.
+
+    Lands below the last of the points: at the depot, or at the rally point.
+    """
+    start = points[0]
+    drop = (start[0], start[1], request.site.customer_ned_m[2] - request.drop_height_m)
+    ground = request.site.depot_ned_m if rally is None else rally.ground_ned_m
     return (
-        Leg(LegKind.CLIMB, drop, over, 0.0),
+        Leg(LegKind.CLIMB, drop, start, 0.0),
         *(Leg(LegKind.CRUISE, a, b, 0.0) for a, b in pairwise(points)),
-        Leg(LegKind.LAND, points[-1], request.site.depot_ned_m, 0.0),
+        Leg(LegKind.LAND, points[-1], ground, 0.0),
     )
 
 
@@ -287,11 +313,11 @@ def entries(
 def _rally_ways(site: SiteMap, outbound: list[Ned], homeward: list[Ned]) -> tuple[RallyWay, ...]:
     ways: list[RallyWay] = []
     for name, ground in site.rally_ned_m:
-        over = (ground[0], ground[1], outbound[0][2])
+        above = over(ground, outbound[0])
 
-        def sees(points: list[Ned], over: Ned = over) -> tuple[int, ...]:
+        def sees(points: list[Ned], above: Ned = above) -> tuple[int, ...]:
             return tuple(
-                i for i, p in enumerate(points) if site.obstacles.blocking(p, over) is None
+                i for i, p in enumerate(points) if site.obstacles.blocking(p, above) is None
             )
 
         ways.append(RallyWay(name, ground, sees(outbound), sees(homeward)))

@@ -3,6 +3,9 @@
 from typing import Any
 
 from companion.core.airframe import Airframe
+from companion.core.flight_plan import frame_at, make_plan, plan_row, site_map
+from companion.core.planner import BerPlanner, NoRoute
+from companion.core.route_energy import RouteEnergy
 from sim_bridge.app.clairvoyant import (
     Foresight,
     Itinerary,
@@ -28,12 +31,17 @@ def foresee_flight(
     truth_airframe: AirframeTruth,
     reserve_wh: float,
     plan: dict[str, Any] | None,
+    obstacles: dict[str, Any] | None,
 ) -> Foresight:
-    """How the flight would have ended that knows its wind, on the route that was planned."""
+    """How the flight would have ended that knows its wind.
+
+    On the route that the companion planned; where it planned none, on the one that it would have
+    with energy enough.
+    """
     flight, vehicle = craft.flight, craft.flight.vehicle
     mission, speeds = flight.mission, airframe.speeds
     customer = place_ne_m(flight.site.customer, craft.depot)
-    plan = plan or {}
+    plan = plan or _route(craft, airframe, obstacles)
     out = [_ne(p) for p in plan.get("outbound_ned_m", [])] or [customer]
     steady = SteadyFlight(truth_airframe)
     itinerary = Itinerary(
@@ -73,6 +81,14 @@ def foresee_flight(
     )
     start_s = craft.record.took_off_s if craft.record.took_off_s is not None else craft.t_s
     return foresee(itinerary, means, new_battery, start_s)
+
+
+def _route(craft: Craft, airframe: Airframe, obstacles: dict[str, Any] | None) -> dict[str, Any]:
+    flight = craft.flight
+    site = site_map(flight, frame_at(craft.depot), obstacles)
+    planner = BerPlanner(RouteEnergy(airframe))
+    flown = make_plan(flight, site, planner, None, flight.mission.reserve_frac)
+    return {} if isinstance(flown, NoRoute) else plan_row(flown)
 
 
 def _ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:

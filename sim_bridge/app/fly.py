@@ -13,7 +13,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.adapters.files import params_dir, read_airframe, read_flight, read_obstacles
+from companion.adapters.files import (
+    params_dir,
+    read_airframe,
+    read_flight,
+    read_obstacle_document,
+    read_obstacles,
+)
 from companion.core.airframe import Airframe
 from companion.core.errors import LeewayError
 from companion.core.flight import Flight, Place
@@ -324,7 +330,10 @@ def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str
         reserve_wh=reserve_wh,
         wind_estimates=result.get("wind", []),
     )
-    foresight = foresee_flight(craft, airframe, truth_airframe, reserve_wh, result.get("plan"))
+    document = read_obstacle_document(flight, options.flight_file)
+    foresight = foresee_flight(
+        craft, airframe, truth_airframe, reserve_wh, result.get("plan"), document
+    )
     if options.picture:
         _draw(options, craft, verdict, result, reserve_wh, airframe)
     return _row(craft, verdict, foresight, result)

@@ -234,3 +234,14 @@ def test_stages_join_and_the_last_one_delivers_at_drop_height() -> None:
     assert home[0].kind is LegKind.CLIMB
     assert all(leg.payload_kg == 0.0 for leg in home)
     assert math.isclose(home[0].from_ned_m[2], -11.0)
+
+
+def test_a_rally_point_that_can_be_reached_is_a_way_back_that_holds_return_ok() -> None:
+    near = replace(site(WALL), rally_ned_m=(("quay", (-20.0, 1050.0, -2.0)),))
+    without = replace(site(WALL), rally_ned_m=())
+    whole = planned(site(WALL))
+    # Enough for four fifths of the trip and the reserve: not back to the depot, but to a quay
+    # 150 m from the customer.
+    left = 0.82 * whole.energy_wh + 0.15 * 118.0
+    assert isinstance(BerPlanner(ROUTE).plan(request(without, left_wh=left)), NoRoute)
+    assert isinstance(BerPlanner(ROUTE).plan(request(near, left_wh=left)), Plan)
