@@ -82,7 +82,28 @@ def assess(pilot: Pilot, every_s: float) -> Assessment | None:
     here = here_ned(pilot)
     if here is None:
         return None
-    fresh = pilot.judge.assess(what_is_ahead(pilot, here))
+    return _taken(pilot, pilot.judge.assess(what_is_ahead(pilot, here)))
+
+
+def assess_departure(pilot: Pilot) -> Assessment | None:
+    """Ask the gate for the whole mission, and how much risk its later decisions may take."""
+    here = here_ned(pilot)
+    if here is None:
+        return None
+    return _taken(pilot, pilot.judge.depart(what_is_ahead(pilot, here)))
+
+
+def assess_delivery(pilot: Pilot) -> Assessment | None:
+    """Ask the gate for the delivery, from over the customer."""
+    here = here_ned(pilot)
+    if here is None or pilot.flown is None:
+        return None
+    drop_m = pilot.flight.mission.drop_height_m
+    going = ahead_delivering(pilot.flown.plan, here, pilot.judge.payload_kg, drop_m, DROP_S)
+    return _taken(pilot, pilot.judge.assess(going))
+
+
+def _taken(pilot: Pilot, fresh: Assessment | None) -> Assessment | None:
     if fresh is not None:
         pilot.assessment = fresh
         _note_move(pilot, fresh)

@@ -11,6 +11,7 @@ wherever nothing depends on when they show themselves. A tail of 1 % is then a s
 """
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ FloatArray = NDArray[np.float64]
 
 __all__ = ["Ahead", "Assessment", "Gate", "GateParams", "Stage", "WayHome"]
 
+_BOLDNESS_STEPS = 5
 _TIE = 0.002  # of probability: landing sites closer than this are ranked by their order
 
 
@@ -37,13 +39,15 @@ class GateParams:
     """The operator's risk and ours. `reserve_wh` must still be there after landing.
 
     `min_success`: with less than this chance that the energy does for the whole trip, whatever
-    the gate would say on the way, flying on is not worth its energy.
+    the gate would say on the way, flying on is not worth its energy. `boldest`: a single decision
+    may risk at most this many times `max_loss` (see `Gate.depart`).
     """
 
     max_loss: float
     reserve_wh: float
     min_success: float = 0.02
     samples: int = 256
+    boldest: float = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,16 @@ class Assessment:
     p_home_unattended: float | None
     energy_left_wh: float
     energy_need_wh: float
+    reason: str
+
+
+class _Onward(TypedDict):
+    """The part of an assessment that is about flying on."""
+
+    p_home: float
+    p_success: float
+    margin_wh: float
+    turn_back: bool
     reason: str
 
 
@@ -118,14 +132,17 @@ class Gate:
         outlook: WindOutlook,
         energy: EnergyBelief,
         model: ModelError | None = None,
+        accepted_loss: float | None = None,
     ) -> Assessment:
         """Judge the remaining mission under wind, its change, and the models' own errors.
 
         `model`: what was learned of the energy model in flight; without it, the airframe file's.
+        `accepted_loss`: what this decision and later ones may risk; without it, `max_loss`.
         """
+        accepted = self.params.max_loss if accepted_loss is None else accepted_loss
         if model is None:
             model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
-        quantile = float(ndtri(1.0 - self.params.max_loss))
+        quantile = float(ndtri(1.0 - accepted))
         table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler, quantile)
         budget = _Budget(
             energy.mean_wh - self.params.reserve_wh, energy.std_wh, model.std_frac, model.scale
@@ -149,28 +166,53 @@ class Gate:
                 energy_need_wh=budget.scale * float(need.mean()),
                 reason="on the way home",
             )
-        return self._outbound(ahead, table, budget, wind.t_s, landing, p_now, p_unattended)
+        outbound = self._outbound(table, budget, 1.0 - accepted, p_now)
+        return Assessment(
+            t_s=wind.t_s,
+            p_home_now=p_now,
+            best_landing=landing,
+            p_home_unattended=p_unattended,
+            energy_left_wh=energy.mean_wh,
+            energy_need_wh=budget.scale * float(table.whole_wh().mean()),
+            **outbound,
+        )
 
-    def _outbound(
+    def depart(
         self,
         ahead: Ahead,
-        table: LegTable,
-        budget: _Budget,
-        t_s: float,
-        landing: str,
-        p_now: float,
-        p_unattended: float | None,
-    ) -> Assessment:
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None = None,
+    ) -> tuple[float, Assessment]:
+        """(accepted loss, assessment): how much risk later decisions of this mission may take.
+
+        `max_loss` bounds the loss of the whole mission as seen from departure. Most flights never
+        meet a decision that is close, so a close one may risk more than the bound and the mission
+        still keeps it (a Lagrange weight, found by search: evaluation.md, section 4). The boldest
+        share is taken with which the policy, flown through every sampled wind, loses no more than
+        `max_loss`; never more than `boldest` times it.
+        """
+        plain = self.assess(ahead, wind, outlook, energy, model)
+        for times in np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)[:-1]:
+            accepted = float(times) * self.params.max_loss
+            bold = self.assess(ahead, wind, outlook, energy, model, accepted)
+            if not bold.turn_back and bold.p_home >= 1.0 - self.params.max_loss:
+                return accepted, bold
+        return self.params.max_loss, plain
+
+    def _outbound(
+        self, table: LegTable, budget: _Budget, promise: float, p_now: float
+    ) -> "_Onward":
         stage_wh = table.stage_wh(1)
         onward_way, p_on = self._best_way(table, budget, 1, stage_wh)
         need = stage_wh + table.way_wh(1, onward_way)
         p_policy, p_success = p_on, p_on
         if table.stages > 1:
-            p_policy, p_success = self._fly_policy(table, budget)
+            p_policy, p_success = self._fly_policy(table, budget, promise)
             p_further, further = self._best_further(table, budget)
             if p_further > p_on:
                 p_on, need = p_further, further
-        promise = 1.0 - self.params.max_loss
         reason = "flying on keeps the promise"
         turn_back = False
         if p_on < promise and p_now >= p_on - _TIE:
@@ -181,17 +223,11 @@ class Gate:
         elif (p_whole := float(budget.p_enough(table.whole_wh()).mean())) < self.params.min_success:
             turn_back = True
             reason = f"P(energy for the whole trip) {p_whole:.3f} is not worth the flight"
-        return Assessment(
-            t_s=t_s,
+        return _Onward(
             p_home=p_now if turn_back else p_policy,
-            p_home_now=p_now,
             p_success=0.0 if turn_back else p_success,
             margin_wh=budget.margin_wh(need, promise),
             turn_back=turn_back,
-            best_landing=landing,
-            p_home_unattended=p_unattended,
-            energy_left_wh=budget.left_wh + self.params.reserve_wh,
-            energy_need_wh=budget.scale * float(table.whole_wh().mean()),
             reason=reason,
         )
 
@@ -220,14 +256,14 @@ class Gate:
                 best, need = chance, flown + table.way_wh(point, way)
         return best, need
 
-    def _fly_policy(self, table: LegTable, budget: _Budget) -> tuple[float, float]:
+    def _fly_policy(self, table: LegTable, budget: _Budget, promise: float) -> tuple[float, float]:
         """(P(home), P(home and delivered)) when every later gate decides as this one does.
 
         Each sample flies its own wind with its own model error, which its gate sees in what was
         used; the gate there knows its wind so far, forecasts from it, and asks for the promise
         with its own quantiles.
         """
-        z = float(ndtri(1.0 - self.params.max_loss))
+        z = float(ndtri(promise))
         drawn = budget.scale * (1.0 + budget.model_std_frac * self._sampler.model_error[POLICY])
         used = table.stage_wh(1)[POLICY]
         flying = np.ones(used.size, np.bool_)

@@ -11,7 +11,7 @@ from companion.core.actions import (
 from companion.core.ahead import ahead_outbound
 from companion.core.drop import observe_release, release, release_ends, watch_release
 from companion.core.flight_plan import DROP_S
-from companion.core.foresight import assess, ground_mps, here_ned
+from companion.core.foresight import assess, assess_delivery, assess_departure, ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
 from companion.core.obedience import Purpose
 from companion.core.progress import jump, last_resort, mind_foreign_moves, mind_the_jump
@@ -99,7 +99,7 @@ def _measure(pilot: Pilot) -> None:
     if why:
         pilot.say_once(Severity.INFO, f"waiting to go: {why}")
         return
-    assess(pilot, ASSESS_AT_WAYPOINT_S)
+    assess_departure(pilot)
     if not gate(pilot):
         return
     seen = pilot.assessment
@@ -128,7 +128,10 @@ def _outbound(pilot: Pilot) -> None:
     if why:
         pilot.say_once(Severity.WARNING, f"no leave to go on: {why}")
         return
-    assess(pilot, ASSESS_AT_WAYPOINT_S)
+    if last:
+        assess_delivery(pilot)
+    else:
+        assess(pilot, ASSESS_AT_WAYPOINT_S)
     if not gate(pilot):
         return
     seen = pilot.assessment

@@ -57,6 +57,7 @@ class Judgement:
             charge_frac_stated=flight.vehicle.charge_frac_stated,
         )
         self._scale = PowerScale(airframe.power_rotor.model_std_frac)
+        self._accepted_loss: float | None = None
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
@@ -176,8 +177,23 @@ class Judgement:
         if energy is None or self.wind is None or not self.wind.valid:
             return None
         return self._gate_for(energy).assess(
+            ahead, self.wind, self._outlook, energy, self._scale.error(), self._accepted_loss
+        )
+
+    def depart(self, ahead: Ahead) -> Assessment | None:
+        """Ask the gate for the whole mission, over the depot; settles what decisions may risk."""
+        energy = self.energy
+        if energy is None or self.wind is None or not self.wind.valid:
+            return None
+        self._accepted_loss, seen = self._gate_for(energy).depart(
             ahead, self.wind, self._outlook, energy, self._scale.error()
         )
+        return seen
+
+    def limit(self, limits: Limits) -> None:
+        """The operator accepts something else from now on."""
+        self.limits = limits
+        self._accepted_loss = None
 
     def _gate_for(self, energy: EnergyBelief) -> Gate:
         reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
@@ -208,6 +224,7 @@ class Judgement:
             "wind": self._estimator.snapshot(),
             "payload_kg": self.payload_kg,
             "max_loss": self.limits.max_loss,
+            "accepted_loss": self._accepted_loss,
             "reserve_frac": self.limits.reserve_frac,
         }
 
@@ -219,6 +236,7 @@ class Judgement:
         self._estimator.restore(kept.wind)
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
+        self._accepted_loss = kept.accepted_loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,4 +249,5 @@ class JudgementKept:
     wind: dict[str, object]
     payload_kg: float
     max_loss: float
+    accepted_loss: float | None
     reserve_frac: float

@@ -402,11 +402,11 @@ class Pilot:
 
     def _limits(self, event: LimitsChanged) -> None:
         now = self.judge.limits
-        self.judge.limits = Limits(
+        limits = Limits(
             event.max_loss if event.max_loss is not None else now.max_loss,
             event.reserve_frac if event.reserve_frac is not None else now.reserve_frac,
         )
-        limits = self.judge.limits
+        self.judge.limit(limits)
         self.say(Severity.NOTICE, f"max loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
         self.decide("limits", f"max_loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
 

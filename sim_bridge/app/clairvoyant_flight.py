@@ -21,8 +21,7 @@ from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 DROP_S = 5.0  # where no companion planned one
-SLOWEST_GROUND_MPS = 4.0
-AIRSPEED_KEPT_FRAC = 0.92  # of the most in level flight: the rest holds course and height
+SLOWEST_GROUND_MPS = 2.0
 
 
 def foresee_flight(
@@ -54,7 +53,7 @@ def foresee_flight(
         speeds=SpeedLimits(
             slowest_mps=SLOWEST_GROUND_MPS,
             fastest_mps=speeds.max_ground_mps,
-            most_air_mps=AIRSPEED_KEPT_FRAC * steady.max_level_airspeed_mps(speeds.max_tilt_rad),
+            most_air_mps=steady.max_level_airspeed_mps(speeds.max_tilt_rad),
             accel_mps2=speeds.accel_mps2,
         ),
         takeoff_mps=speeds.climb_mps,
