@@ -71,16 +71,17 @@ def _read_signs(datagram: bytes) -> _Signs:
 class Lockstep:
     """Takes turns with the clients on some endpoints of a set.
 
-    `request(number, t_ns)` makes the autopilot's TIMESYNC request for an endpoint. A client that
-    does not answer within `limit_s` of wall time is dead: it is still asked, no longer waited for,
-    and lives again when it answers or sends a HEARTBEAT.
+    `request(number, t_ns)` gives the datagrams for an endpoint: what its autopilot has to say,
+    then its TIMESYNC request (the autopilot numbers its frames as they leave, so both come from
+    one place). A client that does not answer within `limit_s` of wall time is dead: it is still
+    asked, no longer waited for, and lives again when it answers or sends a HEARTBEAT.
     """
 
     def __init__(
         self,
         endpoints: EndpointSet,
         clients: Iterable[int],
-        request: Callable[[int, int], bytes],
+        request: Callable[[int, int], Iterable[bytes]],
         *,
         limit_s: float = 5.0,
         clock_s: Callable[[], float] = time.monotonic,
@@ -122,14 +123,12 @@ class Lockstep:
             received += part.received
         return Gathered(_by_number(received), died=tuple(sorted(missing)))
 
-    def exchange(self, t_ns: int, outbox: Iterable[tuple[int, bytes]] = ()) -> Gathered:
-        """Send the telemetry of `outbox`, give every client its turn at `t_ns`, and gather.
+    def exchange(self, t_ns: int) -> Gathered:
+        """Send what the autopilots say, give every client its turn at `t_ns`, and gather.
 
         Returns when all live clients have answered or their limit is over. `received` is in the
         order of endpoint numbers and, within one, of arrival.
         """
-        for number, datagram in outbox:
-            self._endpoints.send(number, datagram)
         self._ask(self._clients, t_ns)
         waited_for = set(self.live)
         gathered = self._gather(t_ns, waited_for, self._limit_s)
@@ -138,7 +137,8 @@ class Lockstep:
 
     def _ask(self, numbers: Iterable[int], t_ns: int) -> None:
         for number in sorted(numbers):
-            self._endpoints.send(number, self._request(number, t_ns))
+            for datagram in self._request(number, t_ns):
+                self._endpoints.send(number, datagram)
 
     def _gather(self, t_ns: int, waited_for: set[int], limit_s: float) -> Gathered:
         """Poll until nobody is left in `waited_for` (which it empties) or the limit is over."""

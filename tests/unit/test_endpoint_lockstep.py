@@ -36,8 +36,8 @@ def text(words: str) -> bytes:
     return COMPANION.encode(Message("STATUSTEXT", severity=6, text=words))
 
 
-def request(_: int, t_ns: int) -> bytes:
-    return timesync(AUTOPILOT, 0, t_ns)
+def request(_: int, t_ns: int) -> list[bytes]:
+    return [text("telemetry") + timesync(AUTOPILOT, 0, t_ns)]
 
 
 class ScriptedEndpoints:
@@ -81,8 +81,9 @@ def test_telemetry_goes_before_the_request_and_outputs_come_back_before_the_answ
     lockstep = lockstep_of(endpoints, 0)
     lockstep.await_clients(0, LIMIT_S)
     endpoints.sent.clear()
-    gathered = lockstep.exchange(STEP_NS, [(0, b"telemetry")])
-    assert [data for _, data in endpoints.sent] == [b"telemetry", endpoints.sent[-1][1]]
+    gathered = lockstep.exchange(STEP_NS)
+    sent = [m.msg_name for _, data in endpoints.sent for m in Decoder().feed(data)]
+    assert sent == ["STATUSTEXT", "TIMESYNC"]
     (first, *_) = Decoder().feed(gathered.received[0][1])
     assert first.text == f"at {STEP_NS}"
     assert endpoints.now_s == 0.0
