@@ -6,7 +6,7 @@ them telemetry itself ticks about ten times a second.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from companion.adapters.autopilot_port import AutopilotPort
@@ -40,6 +40,9 @@ SILENT_S = 3.0
 """Wall-clock silence that counts as a lost link."""
 
 HEARTBEAT_S = 1.0
+BUNDLE_BYTES = 1400
+"""An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
+
 TEXT_BYTES = 50
 
 
@@ -68,6 +71,8 @@ class Loop:
     _heard_s: float = 0.0
     _silent: bool = False
     _reply: Reply = Reply.DENIED
+    _outgoing: list[bytes] = field(default_factory=list)
+    _outgoing_bytes: int = 0
 
     @classmethod
     def wire(
@@ -118,12 +123,12 @@ class Loop:
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there
         incoming = self.link.receive(WAIT_S)
         self._mind_silence()
-        if incoming is None:
-            return
-        for message in self.codec.parse(incoming.data):
-            self._message(message, incoming.peer)
-            if self.finished is not None:
-                return
+        if incoming is not None:
+            for message in self.codec.parse(incoming.data):
+                self._message(message, incoming.peer)
+                if self.finished is not None:
+                    break
+        self.flush()
 
     def _message(self, message: Any, peer: Any) -> None:
         system = self.autopilot.system_id
@@ -270,7 +275,18 @@ class Loop:
         )
 
     def send(self, message: Any) -> None:
-        """Pack, keep and send one message."""
+        """Pack and keep one message; it leaves at the next `flush`."""
         frame = self.codec.pack(message)
         self.recorder.tlog.write(frame, self.clock.t_s)
-        self.link.send(frame)
+        if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
+            self.flush()
+        self._outgoing.append(frame)
+        self._outgoing_bytes += len(frame)
+
+    def flush(self) -> None:
+        """Let out what was said since the last time, whole frames together: a datagram costs its
+        sender and its reader more than its bytes do."""
+        if self._outgoing:
+            self.link.send(b"".join(self._outgoing))
+            self._outgoing.clear()
+            self._outgoing_bytes = 0

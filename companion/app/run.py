@@ -126,6 +126,7 @@ def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    loop.flush()
     recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
     recorder.write_result(delivered=pilot.air.delivered, flown=pilot.flown, phase=pilot.phase.value)
     loop.link.close()

@@ -20,6 +20,7 @@ from typing import Protocol
 from sim_bridge.autopilot.codec import Decoder
 
 _LARGEST_DATAGRAM = 65535
+_BUNDLE_BYTES = 1400  # an Ethernet frame carries 1472 under IPv4 and UDP, a tunnel some less
 _RECEIVE_BUFFER_BYTES = 1 << 20
 _PEER_FORGOTTEN_AFTER_S = 30.0
 _MOST_PEERS = 16
@@ -53,6 +54,26 @@ class Endpoint(Protocol):
     def close(self) -> None:
         """Let the sockets go."""
         ...
+
+
+def bundled(frames: Iterable[bytes]) -> list[bytes]:
+    """Whole frames in as few datagrams as an Ethernet carries, in order (as PX4 sends them).
+
+    Each datagram wakes its reader, which costs more than its bytes: sending telemetry frame by
+    frame was half of a lockstep flight's time.
+    """
+    datagrams: list[bytes] = []
+    parts: list[bytes] = []
+    size = 0
+    for frame in frames:
+        if parts and size + len(frame) > _BUNDLE_BYTES:
+            datagrams.append(b"".join(parts))
+            parts, size = [], 0
+        parts.append(frame)
+        size += len(frame)
+    if parts:
+        datagrams.append(b"".join(parts))
+    return datagrams
 
 
 def _udp_socket() -> socket.socket:

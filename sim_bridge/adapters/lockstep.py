@@ -71,23 +71,24 @@ def _read_signs(datagram: bytes) -> _Signs:
 class Lockstep:
     """Takes turns with the clients on some endpoints of a set.
 
-    `request(number, t_ns)` makes the autopilot's TIMESYNC request for an endpoint. A client that
-    does not answer within `limit_s` of wall time is dead: it is still asked, no longer waited for,
-    and lives again when it answers or sends a HEARTBEAT.
+    `request(number, t_ns)` gives the datagrams for an endpoint: what its autopilot has to say,
+    then its TIMESYNC request (the autopilot numbers its frames as they leave, so both come from
+    one place). A client that does not answer within `limit_s` of wall time is dead: it is still
+    asked, no longer waited for, and lives again when it answers or sends a HEARTBEAT.
     """
 
     def __init__(
         self,
         endpoints: EndpointSet,
         clients: Iterable[int],
-        request: Callable[[int, int], bytes],
+        request: Callable[[int, int], Iterable[bytes]],
         *,
         limit_s: float = 5.0,
         clock_s: Callable[[], float] = time.monotonic,
         is_alive: Callable[[int], bool] | None = None,
     ) -> None:
         """`is_alive(number)` may tell that a client has ended by itself: it is not waited for."""
-        self._is_alive = is_alive
+        self._is_alive = is_alive or (lambda _: True)
         self._endpoints = endpoints
         self._request = request
         self._limit_s = limit_s
@@ -117,19 +118,19 @@ class Lockstep:
         missing = set(self._clients if only is None else only)
         deadline_s = self._clock_s() + limit_s
         while missing and (left_s := deadline_s - self._clock_s()) > 0.0:
+            if not any(map(self._is_alive, missing)):
+                break
             self._ask(missing, t_ns)
             part = self._gather(t_ns, missing, min(left_s, _ASK_AGAIN_AFTER_S))
             received += part.received
         return Gathered(_by_number(received), died=tuple(sorted(missing)))
 
-    def exchange(self, t_ns: int, outbox: Iterable[tuple[int, bytes]] = ()) -> Gathered:
-        """Send the telemetry of `outbox`, give every client its turn at `t_ns`, and gather.
+    def exchange(self, t_ns: int) -> Gathered:
+        """Send what the autopilots say, give every client its turn at `t_ns`, and gather.
 
         Returns when all live clients have answered or their limit is over. `received` is in the
         order of endpoint numbers and, within one, of arrival.
         """
-        for number, datagram in outbox:
-            self._endpoints.send(number, datagram)
         self._ask(self._clients, t_ns)
         waited_for = set(self.live)
         gathered = self._gather(t_ns, waited_for, self._limit_s)
@@ -138,17 +139,22 @@ class Lockstep:
 
     def _ask(self, numbers: Iterable[int], t_ns: int) -> None:
         for number in sorted(numbers):
-            self._endpoints.send(number, self._request(number, t_ns))
+            for datagram in self._request(number, t_ns):
+                self._endpoints.send(number, datagram)
 
     def _gather(self, t_ns: int, waited_for: set[int], limit_s: float) -> Gathered:
-        """Poll until nobody is left in `waited_for` (which it empties) or the limit is over."""
+        """Poll until nobody who lives is left in `waited_for` (who answers leaves it), or the
+        limit is over."""
         received: list[tuple[int, bytes]] = []
         revived: set[int] = set()
+        ended: set[int] = set()
         deadline_s = self._clock_s() + limit_s
         left_s = limit_s if waited_for else 0.0
         while True:
-            arrived = self._endpoints.poll(left_s)
+            arrived = self._endpoints.poll(min(left_s, _LOOK_AFTER_S))
             received += arrived
+            if not arrived:
+                ended = {n for n in waited_for if not self._is_alive(n)}
             for number, datagram in arrived:
                 if number not in self._clients:
                     continue
@@ -160,7 +166,8 @@ class Lockstep:
                     revived.add(number)
             if not waited_for or left_s == 0.0:
                 break
-            left_s = max(deadline_s - self._clock_s(), 0.0)
+            only_ended = waited_for <= ended  # their last words are here, if they had any
+            left_s = 0.0 if only_ended else max(deadline_s - self._clock_s(), 0.0)
         return Gathered(_by_number(received), revived=tuple(sorted(revived)))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from companion.core.flight import Flight, Place, Terrain
 from companion.core.flight_plan import frame_at
 from companion.core.geo import place_ned
+from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.record import TruthRecord
@@ -93,17 +94,25 @@ class Craft:
         """False while the link fault lasts."""
         return self.t_s >= self.link_silent_until_s
 
-    def take_outbox(self) -> list[bytes]:
-        """Datagrams for the companion; those for the operator are delivered here."""
-        out: list[bytes] = []
-        for link, data in self.autopilot.take_outbox():
+    def ask(self, t_ns: int) -> list[bytes]:
+        """Datagrams for the companion: what the autopilot says, and TIMESYNC of `t_ns` last.
+
+        What it says to the operator is delivered here. A silent link still carries TIMESYNC: it
+        is what time stands still for, not what the vehicle says.
+        """
+        frames = [frame for frame in self._said_to_companion() if self.link_up]
+        garbage = [self.garbage] if self.garbage and self.link_up else []
+        self.autopilot.request_timesync(COMPANION_LINK, t_ns)
+        return [*garbage, *bundled([*frames, *self._said_to_companion()])]
+
+    def _said_to_companion(self) -> list[bytes]:
+        frames: list[bytes] = []
+        for link, frame in self.autopilot.take_outbox():
             if link == OPERATOR_LINK:
-                self.operator.receive(self.t_s, data)
-            elif self.link_up:
-                out.append(data)
-        if self.garbage and self.link_up:
-            out.append(self.garbage)
-        return out
+                self.operator.receive(self.t_s, frame)
+            else:
+                frames.append(frame)
+        return frames
 
     def pilot_takes_over(self) -> None:
         """The pilot takes the sticks: the mode switch goes to position hold."""

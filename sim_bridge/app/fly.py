@@ -44,7 +44,6 @@ from sim_bridge.app.operator import Operator
 from sim_bridge.app.picture import draw_flight
 from sim_bridge.app.scenario import read_faults, read_wind
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.codec import Encoder, Message
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.battery import Battery
@@ -253,15 +252,10 @@ def _run(
     faults: FaultPlan,
     progress: Progress,
 ) -> None:
-    encoders = [Encoder(craft.number, 1) for craft in crafts]
-
-    def request(number: int, t_ns: int) -> bytes:
-        return encoders[number].encode(Message("TIMESYNC", tc1=0, ts1=t_ns))
-
     lockstep = Lockstep(
         endpoints,
         range(len(crafts)),
-        request,
+        lambda number, t_ns: crafts[number].ask(t_ns),
         limit_s=options.lockstep_limit_s,
         is_alive=lambda number: crafts[number].companion.running,
     )
@@ -285,11 +279,8 @@ def _run(
                 craft.advance(STEPS)
         faults.apply(crafts, t_s, lockstep)
         _await_restarted(crafts, lockstep, t_s)
-        outbox = [
-            (index, data) for index, craft in enumerate(crafts) for data in craft.take_outbox()
-        ]
         sent_s = wall_s()
-        gathered = lockstep.exchange(round(t_s * 1e9), outbox)
+        gathered = lockstep.exchange(round(t_s * 1e9))
         progress.exchanged(wall_s() - sent_s)
         _deliver(crafts, gathered.received)
         if pacer is not None:

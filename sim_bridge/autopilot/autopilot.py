@@ -166,15 +166,13 @@ class Autopilot:
         """What the pilot's receiver puts out from now on, in microseconds; None is no signal."""
         self.pilot.set_receiver(channels)
 
-    def request_timesync(self) -> int:
-        """Send TIMESYNC(tc1=0, ts1) on every link, for lockstep; returns ts1.
+    def request_timesync(self, link_id: int, ts1_ns: int) -> None:
+        """Send TIMESYNC(tc1=0, ts1) on a link, for lockstep, which keeps the count.
 
         Answers appear in `timesync_echoes` by (link, system, component). PX4's own 10 Hz requests
         are not simulated: with them a companion would tick at times that the bridge did not set.
         """
-        ts1 = self.time_boot_ns
-        self.radio.send_all("TIMESYNC", tc1=0, ts1=ts1)
-        return ts1
+        self.radio.send(link_id, "TIMESYNC", tc1=0, ts1=ts1_ns)
 
     def reboot(self) -> None:
         """A reboot: volatile state is lost, parameters and missions stay.

@@ -6,9 +6,11 @@ the same check must fail: a check that cannot fail shows nothing.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import pytest
+from pymavlink import mavutil
 
 pytestmark = pytest.mark.sitl
 
@@ -24,6 +26,16 @@ def home_with_reserve(flown) -> bool:
 def wind_known(flown) -> bool:
     rmse, nees = flown.row["wind_rmse_mps"], flown.row["wind_nees"]
     return rmse is not None and rmse < 1.0 and nees < 6.0
+
+
+def no_frame_missed(flown) -> bool:
+    """A strict client's count: the autopilot's frames, TIMESYNC among them, without a gap."""
+    stream = mavutil.mavlink_connection(str(flown.run_dir / "stream.tlog"))
+    heard = [m for m in iter(stream.recv_msg, None) if m.get_srcComponent() == 1]
+    stream.close()
+    numbers = [m.get_seq() for m in heard]
+    steps = {(after - before) % 256 for before, after in pairwise(numbers)}
+    return "TIMESYNC" in {m.get_type() for m in heard} and steps == {1}
 
 
 def home_undelivered(flown) -> bool:
@@ -124,6 +136,12 @@ CASES = [
         home_with_reserve,
         {"faults": [fault("gnss_lost", phase="outbound", at_s=4.0, duration_s=5.0)]},
         {"faults": [fault("gnss_lost", phase="outbound", at_s=4.0)]},
+    ),
+    Case(
+        "the autopilot numbers all its frames in one row",
+        no_frame_missed,
+        {},
+        {"faults": [fault("link_silent", phase="outbound", at_s=4.0, duration_s=2.0)]},
     ),
 ]
 

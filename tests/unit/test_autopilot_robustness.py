@@ -215,10 +215,11 @@ def test_timesync_is_answered_and_lockstep_answers_are_noted(make_rig, flavour):
     answer = rig.last("TIMESYNC")
     assert answer.ts1 == 123456789
     assert answer.tc1 == pytest.approx(rig.ap.time_boot_ns, abs=1_000_000)
-    asked = rig.ap.request_timesync()
-    assert rig.last("TIMESYNC").tc1 == 0
-    rig.send("TIMESYNC", sender=(1, 191), tc1=5, ts1=asked)
-    assert rig.ap.timesync_echoes[0, 1, 191] == asked
+    rig.ap.request_timesync(0, 700_000_000)
+    request = rig.last("TIMESYNC")
+    assert (request.tc1, request.ts1) == (0, 700_000_000)
+    rig.send("TIMESYNC", sender=(1, 191), tc1=5, ts1=700_000_000)
+    assert rig.ap.timesync_echoes[0, 1, 191] == 700_000_000
 
 
 @pytest.mark.parametrize("place", [(55.47, 8.45, 12.0), (-33.9, 151.2, 40.0), (0.0, 0.0, 0.0)])

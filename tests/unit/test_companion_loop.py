@@ -126,6 +126,17 @@ def test_a_timesync_request_is_answered_last_after_everything_before_it_was_hand
         assert station.loop.clock.t_s == pytest.approx(0.1 * k)
 
 
+def test_what_is_said_leaves_together_in_whole_frames_that_an_ethernet_carries(station):
+    for _ in range(40):
+        station.loop.send(mavlink.MAVLink_statustext_message(6, b"x" * 50))
+    station.loop.flush()
+    sent = station.wire.sent
+    assert [len(data) <= 1400 for data in sent] == [True, True]  # 40 frames of 63 bytes
+    assert sum(len(station.ear.parse_buffer(data) or []) for data in sent) == 40
+    station.loop.flush()
+    assert len(sent) == 2
+
+
 def test_a_repeated_request_is_answered_again_but_ticks_once(station):
     station.identify()
     station.put(*station.telemetry(1000), station.sync(1.0))

@@ -3,7 +3,7 @@
 import socket
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import closing
 
 import pytest
@@ -36,8 +36,8 @@ def text(words: str) -> bytes:
     return COMPANION.encode(Message("STATUSTEXT", severity=6, text=words))
 
 
-def request(_: int, t_ns: int) -> bytes:
-    return timesync(AUTOPILOT, 0, t_ns)
+def request(_: int, t_ns: int) -> list[bytes]:
+    return [text("telemetry") + timesync(AUTOPILOT, 0, t_ns)]
 
 
 class ScriptedEndpoints:
@@ -62,13 +62,16 @@ class ScriptedEndpoints:
         return []
 
 
-def lockstep_of(endpoints: ScriptedEndpoints, *clients: int) -> Lockstep:
+def lockstep_of(
+    endpoints: ScriptedEndpoints, *clients: int, ended: Collection[int] = ()
+) -> Lockstep:
     return Lockstep(
         endpoints,  # type: ignore[arg-type]
         clients,
         request,
         limit_s=LIMIT_S,
         clock_s=lambda: endpoints.now_s,
+        is_alive=lambda number: number not in ended,
     )
 
 
@@ -81,8 +84,9 @@ def test_telemetry_goes_before_the_request_and_outputs_come_back_before_the_answ
     lockstep = lockstep_of(endpoints, 0)
     lockstep.await_clients(0, LIMIT_S)
     endpoints.sent.clear()
-    gathered = lockstep.exchange(STEP_NS, [(0, b"telemetry")])
-    assert [data for _, data in endpoints.sent] == [b"telemetry", endpoints.sent[-1][1]]
+    gathered = lockstep.exchange(STEP_NS)
+    sent = [m.msg_name for _, data in endpoints.sent for m in Decoder().feed(data)]
+    assert sent == ["STATUSTEXT", "TIMESYNC"]
     (first, *_) = Decoder().feed(gathered.received[0][1])
     assert first.text == f"at {STEP_NS}"
     assert endpoints.now_s == 0.0
@@ -165,6 +169,37 @@ def test_clients_that_are_not_up_yet_are_asked_again() -> None:
     assert lockstep.live == {0}
     asked_of_0 = [number for number, _ in endpoints.sent].count(0)
     assert 3.0 / 0.25 <= asked_of_0 <= 3.0 / 0.25 + 2
+
+
+def test_a_client_whose_process_has_ended_is_not_waited_for() -> None:
+    ended: set[int] = set()
+    endpoints = ScriptedEndpoints({0: alive, 1: alive})
+    lockstep = lockstep_of(endpoints, 0, 1, ended=ended)
+    lockstep.await_clients(0, LIMIT_S)
+    endpoints.replies = {1: alive}
+    ended.add(0)
+    began_s = endpoints.now_s
+    gathered = lockstep.exchange(STEP_NS)
+    assert gathered.died == (0,)
+    assert [number for number, _ in gathered.received] == [1, 1]
+    assert endpoints.now_s - began_s <= 0.2
+
+
+def test_the_last_words_of_a_client_that_ends_after_its_answer_are_heard() -> None:
+    ended: set[int] = set()
+    endpoints = ScriptedEndpoints({0: alive})
+    lockstep = lockstep_of(endpoints, 0, ended=ended)
+    lockstep.await_clients(0, LIMIT_S)
+    ended.add(0)
+    gathered = lockstep.exchange(STEP_NS)
+    assert gathered.died == ()
+    assert len(gathered.received) == 2
+
+
+def test_a_client_that_ends_before_it_comes_up_is_not_waited_for() -> None:
+    endpoints = ScriptedEndpoints({})
+    assert lockstep_of(endpoints, 0, ended=[0]).await_clients(0, LIMIT_S).died == (0,)
+    assert endpoints.now_s == 0.0
 
 
 def test_datagrams_of_links_without_lockstep_are_gathered_too() -> None:

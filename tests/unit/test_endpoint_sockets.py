@@ -6,8 +6,8 @@ from contextlib import closing
 
 import pytest
 
-from sim_bridge.adapters.endpoint import EndpointError, EndpointSet, open_endpoint
-from sim_bridge.autopilot.codec import Encoder, Message
+from sim_bridge.adapters.endpoint import EndpointError, EndpointSet, bundled, open_endpoint
+from sim_bridge.autopilot.codec import Decoder, Encoder, Message
 
 WAIT_S = 2.0
 
@@ -183,3 +183,12 @@ def test_a_port_that_is_taken_is_refused_by_name(kind: str) -> None:
         pytest.raises(EndpointError, match=first.url),
     ):
         EndpointSet([first.url])
+
+
+def test_a_bundle_holds_whole_frames_in_order_and_no_more_than_an_ethernet_carries() -> None:
+    words = [f"text {number} {'x' * (number % 40)}" for number in range(100)]
+    datagrams = bundled(frame(text) for text in words)
+    assert all(len(data) <= 1400 for data in datagrams)
+    assert len(datagrams) <= 6  # 100 frames of 41 bytes and less on average
+    assert [m.text for data in datagrams for m in Decoder().feed(data)] == words
+    assert bundled([]) == []
