@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from companion.adapters.mavlink_codec import mavlink
+from companion.adapters.mavlink_codec import CurrentMode, mavlink
 from companion.core.events import AutopilotWind, Event, Flavour, Mode
 from companion.core.preflight import Requirement, RouteFacts, Values
 
@@ -37,8 +37,9 @@ AUTO_NUMBER = {mode: number for number, mode in AUTO_MEANING.items()}
 OFFBOARD = 6
 
 STREAMS = (
-    # A pilot's take-over shows in the heartbeat: once a second is late.
-    ("HEARTBEAT", mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4.0, False),
+    # HEARTBEAT stays at 1 Hz whatever is asked (MavlinkReceiver::set_message_interval refuses it):
+    # a pilot's take-over would show up to a second late. CURRENT_MODE comes with every change.
+    ("CURRENT_MODE", CurrentMode.id, 10.0, False),
     ("ATTITUDE", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20.0, True),
     ("GLOBAL_POSITION_INT", mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0, True),
     ("SYS_STATUS", mavlink.MAVLINK_MSG_ID_SYS_STATUS, 2.0, True),

@@ -62,6 +62,7 @@ from companion.core.events import (
     MissionReadBack,
     MissionUploaded,
     Mode,
+    ModeNow,
     OrderRefused,
     OtherComputer,
     ParametersSet,
@@ -269,8 +270,8 @@ class Pilot:
         match event:
             case Tick():
                 self._tick()
-            case VehicleState():
-                self._hear_state(event)
+            case VehicleState() | ModeNow() if self.now.state is not None:
+                self._hear_state(self.now.state)
             case MissionProgress():
                 progress.follow(self, event)
             case Identified():
