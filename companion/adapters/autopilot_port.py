@@ -162,6 +162,16 @@ class AutopilotPort:
             self._ask_time(system)
         self._beat_at_s = self._clock.t_s
 
+    def may_be_ours(self, message: Any) -> bool:
+        """Tell whether a message is the heartbeat of a vehicle that we could belong to."""
+        return (
+            message.get_type() == "HEARTBEAT"
+            and message.get_srcComponent() == AUTOPILOT
+            and message.autopilot in FLAVOURS
+            and message.type not in NOT_VEHICLES
+            and self._wanted_system in (None, message.get_srcSystem())
+        )
+
     def _note_stamp(self, message: Any, system: int, component: int) -> None:
         """Remember over how long a system has been heard, where its messages tell."""
         stamp_s = boot_s(message)
@@ -174,9 +184,7 @@ class AutopilotPort:
         if component == COMPONENT and self._wanted_system in (None, system):
             return [self._other_computer(message)]
         words = FLAVOURS.get(message.autopilot)
-        if component != AUTOPILOT or words is None or message.type in NOT_VEHICLES:
-            return []
-        if self._wanted_system not in (None, system):
+        if words is None or not self.may_be_ours(message):
             return []
         key = (system, message.autopilot)
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1

@@ -147,6 +147,8 @@ class Loop:
                 self.autopilot.hear_time(message)
                 self._tick_between()
             return
+        if not known and self.autopilot.may_be_ours(message):
+            self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
         events = self.autopilot.hear(message)
         if not self._system_known and self.autopilot.system_id is not None:
             self._system_known = True

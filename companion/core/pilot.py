@@ -161,6 +161,7 @@ class GroundWork:
     requirements: tuple[Requirement, ...] = ()
     arm_asked_s: float = -1e9
     mission_matches: bool = False
+    plan_refused: str = ""
     giving_up: str = ""
     giving_up_s: float = 0.0
     authorised_by: str = ""

@@ -71,6 +71,12 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
+def short_flight():
+    """`short_flight(changes)` is the short flight's table so changed."""
+    return lambda changes: merged(SHORT, changes)
+
+
+@pytest.fixture
 def fly_case(tmp_path):
     """`fly_case(flavour, changes, seed=, gate=)` flies the short flight so changed."""
 
