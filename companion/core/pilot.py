@@ -66,6 +66,7 @@ from companion.core.events import (
     OrderRefused,
     OtherComputer,
     ParametersSet,
+    Position,
     ReleaseFeedback,
     StreamsAsked,
     Tick,
@@ -144,6 +145,9 @@ class FlightState:
     disarms_asked: int = 0
     disarmed_s: float | None = None
     still_s: float | None = None
+    doubtful_s: float | None = None
+    position_lost_s: float | None = None
+    last_sure: Position | None = None
     noted: set[str] = field(default_factory=set)
 
 
