@@ -122,31 +122,31 @@ class ArduPilot:
         """Return what the promise asks of ArduCopter's parameters."""
         return (
             _bits("AUTO_OPTIONS", 3, "arming in AUTO and take-off without raising the throttle"),
-            _equal("MIS_RESTART", 0.0, "the mission resumes where it was after a detour"),
+            _equal("MIS_RESTART", 0.0, "a mission that resumes where it was after a detour"),
             Requirement(
                 ("FS_THR_ENABLE", "FS_OPTIONS"),
-                "losing the remote control must not stop the mission",
+                "a mission that goes on when the remote control is lost",
                 lambda v: _loss_keeps_mission(v, "FS_THR_ENABLE", 1),
                 lambda v: {"FS_OPTIONS": float(int(v.get("FS_OPTIONS") or 0) | 1)},
                 True,
             ),
             Requirement(
                 ("FS_GCS_ENABLE", "FS_OPTIONS"),
-                "losing the ground station must not stop the mission",
+                "a mission that goes on when the ground station is lost",
                 lambda v: _loss_keeps_mission(v, "FS_GCS_ENABLE", 2),
                 lambda v: {"FS_OPTIONS": float(int(v.get("FS_OPTIONS") or 0) | 3)},
                 True,
             ),
             Requirement(
                 ("BATT_FS_LOW_ACT",),
-                "a low-battery action is set in the autopilot",
+                "a low-battery action of the autopilot's own",
                 lambda v: _known(v, "BATT_FS_LOW_ACT", lambda x: x > 0.0),
                 lambda v: {"BATT_FS_LOW_ACT": 2.0},
                 True,
             ),
             Requirement(
                 ("BATT_LOW_VOLT",),
-                f"the low-battery voltage is near the pack's cut-off ({facts.battery_low_v:.1f} V)",
+                f"a low-battery voltage near the pack's cut-off ({facts.battery_low_v:.1f} V)",
                 lambda v: _known(
                     v,
                     "BATT_LOW_VOLT",
@@ -157,7 +157,7 @@ class ArduPilot:
             ),
             Requirement(
                 ("BATT_CAPACITY",),
-                f"the percentage counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
+                f"a percentage that counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
                 lambda v: _known(
                     v, "BATT_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
                 ),
@@ -167,7 +167,7 @@ class ArduPilot:
             _rtl_height(facts),
             Requirement(
                 ("FENCE_ENABLE", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX"),
-                "the whole mission lies inside the fence",
+                "a fence that holds the whole mission",
                 lambda v: _inside_fence(v, facts),
                 lambda v: {
                     "FENCE_RADIUS": math.ceil(facts.farthest_m + 200.0),
@@ -188,30 +188,30 @@ class ArduPilot:
                 ("ANGLE_MAX", 100.0),
                 ("ATC_ANGLE_MAX", 1.0),
                 facts.max_tilt_deg,
-                "the tilt limit is the one that the energy model knows",
+                "the tilt limit that the energy model knows",
                 required=True,
             ),
             _either(
                 ("WPNAV_SPEED_UP", 100.0),
                 ("WP_SPD_UP", 1.0),
                 facts.climb_mps,
-                "climbs as the energy model knows",
+                "the climb speed that the energy model knows",
             ),
             _either(
                 ("WPNAV_SPEED_DN", 100.0),
                 ("WP_SPD_DN", 1.0),
                 facts.descent_mps,
-                "descends as the energy model knows",
+                "the descent speed that the energy model knows",
             ),
             _either(
                 ("LAND_SPEED", 100.0),
                 ("LAND_SPD_MS", 1.0),
                 facts.landing_mps,
-                "lands as the energy model knows",
+                "the landing speed that the energy model knows",
             ),
             Requirement(
                 ("ARMING_CHECK",),
-                "the autopilot's arming checks are on",
+                "the autopilot's own arming checks",
                 lambda v: v.get("ARMING_CHECK") is None or bool(v.get("ARMING_CHECK")),
                 lambda v: {"ARMING_CHECK": 1.0},
                 False,
@@ -262,7 +262,7 @@ def _rtl_height(facts: RouteFacts) -> Requirement:
 
     return Requirement(
         ("RTL_ALT", "RTL_ALT_M"),
-        f"RTL flies above every obstacle ({need_m:.0f} m)",
+        f"an RTL above every obstacle ({need_m:.0f} m)",
         lambda v: None if (h := height(v)) is None else h >= need_m,
         lambda v: {"RTL_ALT": math.ceil(need_m) * 100.0, "RTL_ALT_M": float(math.ceil(need_m))},
         True,

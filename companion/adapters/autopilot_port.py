@@ -55,6 +55,12 @@ LISTEN_S = 2.0
 three heartbeats at their usual rate are as long.
 """
 
+HEARTBEATS_WITHOUT_TIME = 10
+"""After so many we take a vehicle that tells no time as it is; retries then wait for telemetry."""
+
+ECHO_S = 1.5
+"""When a jump is sent again that only MISSION_CURRENT confirms: PX4 sends that once a second."""
+
 STREAM = "stream "
 
 FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
@@ -80,6 +86,10 @@ class AutopilotPort:
         self._wanted_system = system_id
         self._heartbeats: dict[tuple[int, int], int] = {}
         self._stamps: dict[int, tuple[float, float]] = {}
+        self._times_asked = 0
+        self._time_asked: dict[int, int] = {}
+        self._times: dict[int, float] = {}
+        self._beat_at_s = -1.0
         self.words: FlavourWords | None = None
         self.system_id: int | None = None
         self._desk = CommandDesk(send)
@@ -108,8 +118,10 @@ class AutopilotPort:
             return [self._other_computer(message)] if kind == "HEARTBEAT" else []
         if component != AUTOPILOT:
             return []
-        if kind == "HEARTBEAT" and message.type in NOT_VEHICLES:
-            return []
+        if kind == "HEARTBEAT":
+            if message.type in NOT_VEHICLES:
+                return []
+            self._mind_the_clock(system)
         events, t_s = self._time(message)
         if t_s is None:
             return events
@@ -125,6 +137,41 @@ class AutopilotPort:
             found += self._desk.hear_current(message.seq, t_s)
         return events + found
 
+    def hear_time(self, message: Any) -> None:
+        """Take the answer to our own TIMESYNC request: what the autopilot's clock says."""
+        system = message.get_srcSystem()
+        if message.get_srcComponent() != AUTOPILOT or self._time_asked.get(system) != message.ts1:
+            return
+        del self._time_asked[system]
+        if self.words is None:
+            self._times[system] = message.tc1 / 1e9
+        elif system == self.system_id:
+            self._clock.synchronise(message.tc1 / 1e9)
+
+    def _ask_time(self, system: int) -> None:
+        self._times_asked += 1
+        self._time_asked[system] = self._times_asked
+        self._send(mavlink.MAVLink_timesync_message(0, self._times_asked))
+
+    def _mind_the_clock(self, system: int) -> None:
+        """Ask for the time while nothing tells it: ArduPilot sends no stamp before it is asked.
+
+        A clock that stands still would never let a lost order be sent again.
+        """
+        if self._clock.t_s == self._beat_at_s:
+            self._ask_time(system)
+        self._beat_at_s = self._clock.t_s
+
+    def may_be_ours(self, message: Any) -> bool:
+        """Tell whether a message is the heartbeat of a vehicle that we could belong to."""
+        return (
+            message.get_type() == "HEARTBEAT"
+            and message.get_srcComponent() == AUTOPILOT
+            and message.autopilot in FLAVOURS
+            and message.type not in NOT_VEHICLES
+            and self._wanted_system in (None, message.get_srcSystem())
+        )
+
     def _note_stamp(self, message: Any, system: int, component: int) -> None:
         """Remember over how long a system has been heard, where its messages tell."""
         stamp_s = boot_s(message)
@@ -137,16 +184,16 @@ class AutopilotPort:
         if component == COMPONENT and self._wanted_system in (None, system):
             return [self._other_computer(message)]
         words = FLAVOURS.get(message.autopilot)
-        if component != AUTOPILOT or words is None or message.type in NOT_VEHICLES:
-            return []
-        if self._wanted_system not in (None, system):
+        if words is None or not self.may_be_ours(message):
             return []
         key = (system, message.autopilot)
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
+        if not self._clock.known and system not in self._stamps:
+            self._ask_time(system)
         if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
             return []
         first_s, last_s = self._stamps.get(system, (0.0, LISTEN_S))
-        if last_s - first_s < LISTEN_S:
+        if last_s - first_s < LISTEN_S or not self._learn_time(system, self._heartbeats[key]):
             return []
         flavour: FlavourWords = words()
         self.words = flavour
@@ -156,6 +203,18 @@ class AutopilotPort:
         t_s = self._clock.t_s
         state = [e for e in translate(message, flavour, {}, t_s) if isinstance(e, VehicleState)]
         return [*state, Identified(t_s, flavour.flavour, system)]
+
+    def _learn_time(self, system: int, heartbeats: int) -> bool:
+        """Set the clock by what the vehicle told; False while it is worth waiting for that.
+
+        An order that is given at time 0 would look overdue at the first stamp, be sent twice, and
+        be answered twice (seen on PX4 1.18 and ArduCopter 4.7).
+        """
+        if system in self._stamps:
+            self._clock.stamp(self._stamps[system][1])
+        elif system in self._times:
+            self._clock.synchronise(self._times[system])
+        return self._clock.known or heartbeats >= HEARTBEATS_WITHOUT_TIME
 
     def _other_computer(self, message: Any) -> Event:
         status = message.system_status
@@ -245,12 +304,10 @@ class AutopilotPort:
             case JumpTo():
                 seq = order.index + words.home_items
                 message, command = words.jump(system, seq)
-                job = Job(
-                    f"jump to item {order.index}",
-                    lambda _attempt: message,
-                    command,
-                    None if command is not None else seq,
-                )
+                name = f"jump to item {order.index}"
+                job = Job(name, lambda _attempt: message, command)
+                if command is None:
+                    job = Job(name, lambda _attempt: message, until_seq=seq, again_s=ECHO_S)
                 self._desk.submit("jump", job, t_s, replace=True)
             case SetGroundSpeed():
                 params = (1.0, order.ground_speed_mps, -1.0)
@@ -271,7 +328,7 @@ class AutopilotPort:
 
     def drop_orders(self) -> None:
         """Forget everything that is still being sent, retried or waited for."""
-        self._desk.clear()
+        self._desk.clear(self._clock.t_s)
         self._upload = None
         self._download = None
         self._asking_streams = False

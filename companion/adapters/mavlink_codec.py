@@ -6,8 +6,9 @@ os.environ.setdefault("MAVLINK20", "1")  # before pymavlink is imported: it choo
 
 import hashlib
 import hmac
+import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -22,6 +23,52 @@ SIGNING_EPOCH_US = 1_420_070_400_000_000
 """2015-01-01, where MAVLink's signing clock starts."""
 
 LARGEST_FRAME = 280
+
+
+_Message: Any = mavlink.MAVLink_message
+
+
+class CurrentMode(_Message):
+    """CURRENT_MODE: PX4's mode by its own stream, at any rate, where HEARTBEAT is held to 1 Hz.
+
+    Standard MAVLink (common.xml, 436) that pymavlink has in its development dialect only.
+    """
+
+    id = 436
+    msgname = "CURRENT_MODE"
+    fieldnames = ("standard_mode", "custom_mode", "intended_custom_mode")
+    ordered_fieldnames = ("custom_mode", "intended_custom_mode", "standard_mode")
+    fieldtypes = ("uint8_t", "uint32_t", "uint32_t")
+    fielddisplays_by_name: ClassVar[dict[str, str]] = {}
+    fieldenums_by_name: ClassVar[dict[str, str]] = {}
+    fieldunits_by_name: ClassVar[dict[str, str]] = {}
+    native_format = bytearray(b"<IIB")
+    orders = (2, 0, 1)
+    lengths = (1, 1, 1)
+    array_lengths = (0, 0, 0)
+    crc_extra = 193
+    unpacker = struct.Struct("<IIB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, standard_mode: int, custom_mode: int, intended_custom_mode: int) -> None:
+        super().__init__(self.id, self.msgname)
+        self._fieldnames = self.fieldnames
+        self._instance_field = None
+        self._instance_offset = -1
+        self.standard_mode = standard_mode
+        self.custom_mode = custom_mode
+        self.intended_custom_mode = intended_custom_mode
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> Any:
+        """Its frame."""
+        payload = self.unpacker.pack(
+            self.custom_mode, self.intended_custom_mode, self.standard_mode
+        )
+        return self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
+
+
+mavlink.mavlink_map.setdefault(CurrentMode.id, CurrentMode)
 
 
 class _Codec(mavlink.MAVLink):

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from companion.adapters.mavlink_codec import mavlink
+from companion.adapters.mavlink_codec import CurrentMode, mavlink
 from companion.core.events import AutopilotWind, Event, Flavour, Mode
 from companion.core.preflight import Requirement, RouteFacts, Values
 
@@ -37,8 +37,9 @@ AUTO_NUMBER = {mode: number for number, mode in AUTO_MEANING.items()}
 OFFBOARD = 6
 
 STREAMS = (
-    # A pilot's take-over shows in the heartbeat: once a second is late.
-    ("HEARTBEAT", mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4.0, False),
+    # HEARTBEAT stays at 1 Hz whatever is asked (MavlinkReceiver::set_message_interval refuses it):
+    # a pilot's take-over would show up to a second late. CURRENT_MODE comes with every change.
+    ("CURRENT_MODE", CurrentMode.id, 10.0, False),
     ("ATTITUDE", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20.0, True),
     ("GLOBAL_POSITION_INT", mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0, True),
     ("SYS_STATUS", mavlink.MAVLINK_MSG_ID_SYS_STATUS, 2.0, True),
@@ -120,21 +121,21 @@ class Px4:
         fence_m = math.ceil(facts.farthest_m + 200.0)
         return (
             _at_least(
-                "COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action is set in the autopilot", True
+                "COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action of the autopilot's own", True
             ),
             Requirement(
                 ("BAT1_CAPACITY",),
-                f"the percentage counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
+                f"a percentage that counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
                 lambda v: _known(
                     v, "BAT1_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
                 ),
                 lambda v: {"BAT1_CAPACITY": facts.battery_capacity_mah},
                 False,
             ),
-            _near("BAT1_N_CELLS", float(facts.battery_cells), "knows the pack's cells"),
+            _near("BAT1_N_CELLS", float(facts.battery_cells), "number of cells"),
             Requirement(
                 ("NAV_RCL_ACT", "COM_RCL_EXCEPT"),
-                "losing the remote control must not stop the mission",
+                "a mission that goes on when the remote control is lost",
                 lambda v: (
                     True
                     if v.get("NAV_RCL_ACT") == 0.0
@@ -145,7 +146,7 @@ class Px4:
             ),
             Requirement(
                 ("NAV_DLL_ACT", "COM_DLL_EXCEPT"),
-                "losing the ground station must not stop the mission",
+                "a mission that goes on when the ground station is lost",
                 lambda v: (
                     True
                     if int(v.get("COM_DLL_EXCEPT") or 0) & 1
@@ -158,12 +159,12 @@ class Px4:
                 "RTL_RETURN_ALT",
                 facts.rtl_height_m,
                 math.ceil(facts.rtl_height_m),
-                f"RTL flies above every obstacle ({facts.rtl_height_m:.0f} m)",
+                f"an RTL above every obstacle ({facts.rtl_height_m:.0f} m)",
                 True,
             ),
             Requirement(
                 ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
-                "the whole mission lies inside the fence",
+                "a fence that holds the whole mission",
                 lambda v: _inside_fence(v, facts),
                 lambda v: {
                     "GF_MAX_HOR_DIST": float(fence_m) if v.get("GF_MAX_HOR_DIST") else 0.0,
@@ -177,7 +178,7 @@ class Px4:
             ),
             Requirement(
                 ("MIS_DIST_1WP",),
-                "the first waypoint is not too far for the autopilot",
+                "a first waypoint that the autopilot does not call too far",
                 lambda v: (
                     v.get("MIS_DIST_1WP") is None
                     or (v.get("MIS_DIST_1WP") or 0.0) <= 0.0
@@ -197,15 +198,15 @@ class Px4:
                 "MPC_XY_VEL_MAX",
                 facts.max_ground_mps,
                 facts.max_ground_mps,
-                f"may fly as fast as the energy model thinks ({facts.max_ground_mps:g} m/s)",
+                f"leave to fly as fast as the energy model thinks ({facts.max_ground_mps:g} m/s)",
                 True,
             ),
-            _near("MPC_TILTMAX_AIR", facts.max_tilt_deg, "the tilt limit is the model's", True),
-            _near("MPC_TKO_SPEED", facts.climb_mps, "takes off as the energy model knows"),
-            _near("MPC_Z_V_AUTO_UP", facts.climb_mps, "climbs as the energy model knows"),
-            _near("MPC_Z_V_AUTO_DN", facts.descent_mps, "descends as the energy model knows"),
-            _near("MPC_LAND_SPEED", facts.landing_mps, "lands as the energy model knows"),
-            _at_least("COM_DISARM_LAND", 0.1, 2.0, "disarms by itself after landing", False),
+            _near("MPC_TILTMAX_AIR", facts.max_tilt_deg, "tilt limit", True),
+            _near("MPC_TKO_SPEED", facts.climb_mps, "take-off speed"),
+            _near("MPC_Z_V_AUTO_UP", facts.climb_mps, "climb speed"),
+            _near("MPC_Z_V_AUTO_DN", facts.descent_mps, "descent speed"),
+            _near("MPC_LAND_SPEED", facts.landing_mps, "landing speed"),
+            _at_least("COM_DISARM_LAND", 0.1, 2.0, "disarming by itself after a landing", False),
         )
 
 
@@ -227,7 +228,7 @@ def _at_least(name: str, least: float, wanted: float, words: str, required: bool
 def _near(name: str, wanted: float, words: str, required: bool = False) -> Requirement:
     return Requirement(
         (name,),
-        f"{words} ({wanted:g})",
+        f"the {words} that the energy model knows ({wanted:g})",
         lambda v: _known(v, name, lambda x: abs(x - wanted) <= 0.02 * wanted),
         lambda v: {name: wanted},
         required,

@@ -20,6 +20,7 @@ from companion.core.events import (
     ItemReached,
     MissionProgress,
     Mode,
+    ModeNow,
     Position,
     Throttle,
     VehicleState,
@@ -87,6 +88,8 @@ def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> 
                     ready_state=message.system_status in READY_STATES,
                 )
             ]
+        case "CURRENT_MODE":
+            return [ModeNow(t_s, *words.mode(message.custom_mode, 0))]
         case "ATTITUDE":
             angles = (message.roll, message.pitch, message.yaw)
             return [Attitude(t_s, *angles)] if all(map(math.isfinite, angles)) else []

@@ -1,18 +1,21 @@
 """`companion`: flies a delivery beside an autopilot, and checks beforehand that it can."""
 
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from companion.app.run import GROUNDED, USAGE, RunOptions, run
+from companion.adapters.files import read_flight
+from companion.app.check_report import report
+from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
-from companion.core.before_flight import live_findings
 from companion.core.errors import LeewayError
 from companion.core.pilot import Pilot, PilotOptions
-from companion.core.transitions import as_markdown, as_mermaid
+from companion.core.transitions import Phase, as_markdown, as_mermaid
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
 mission aboard goes home; 2 a mistake in the input; 3 no take-off was possible, or the check found
@@ -47,6 +50,42 @@ System = Annotated[
     int | None, typer.Option(help="MAVLink system id of the vehicle; default: the first heard.")
 ]
 RunDir = Annotated[Path, typer.Option(help="Where log, checkpoint and result go.")]
+SilenceLimit = Annotated[
+    float, typer.Option(help="Give up after so many seconds without an autopilot.")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class _Where:
+    """What `run` and `check` are both told: which vehicle, which flight, which folders."""
+
+    link: str
+    mission: Path
+    airframe: str | None
+    run_dir: Path
+    params: Path | None
+    signing_key: Path | None
+    system: int | None
+    silence_limit_s: float
+
+    def options(self, pilot: PilotOptions) -> RunOptions:
+        """With the airframe from the flight file where none was named."""
+        try:
+            airframe = self.airframe or read_flight(self.mission).vehicle.airframe
+        except LeewayError as error:
+            _mistake(error)
+            raise
+        return RunOptions(
+            link=self.link,
+            airframe=airframe,
+            mission=self.mission,
+            run_dir=self.run_dir,
+            params=self.params,
+            signing_key=self.signing_key,
+            system_id=self.system,
+            silence_limit_s=self.silence_limit_s,
+            pilot=pilot,
+        )
 
 
 class Gate(StrEnum):
@@ -82,29 +121,16 @@ def run_command(
     gate: Annotated[
         Gate, typer.Option(help="off: never turns back; for comparison only.")
     ] = Gate.ON,
-    silence_limit: Annotated[
-        float, typer.Option(help="Give up after so many seconds without an autopilot.")
-    ] = 300.0,
+    silence_limit: SilenceLimit = 300.0,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
 ) -> None:
     """Fly the mission: plan, upload, wait for authorisation, deliver, come home."""
     del seed
-    options = _options(
-        RunOptions(
-            link=link,
-            airframe=airframe or "",
-            mission=mission,
-            run_dir=run_dir,
-            params=params,
-            signing_key=signing_key,
-            system_id=system,
-            silence_limit_s=silence_limit,
-            pilot=PilotOptions(gate_on=gate is Gate.ON, configure=configure, authorise=authorise),
-        )
-    )
-    code, _ = _run(options)
+    pilot = PilotOptions(gate_on=gate is Gate.ON, configure=configure, authorise=authorise)
+    where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
+    code, _ = _run(where.options(pilot), _show)
     raise typer.Exit(code)
 
 
@@ -117,29 +143,17 @@ def check(
     params: Params = None,
     signing_key: Key = None,
     system: System = None,
-    silence_limit: Annotated[
-        float, typer.Option(help="Give up after so many seconds without an autopilot.")
-    ] = 60.0,
+    silence_limit: SilenceLimit = 60.0,
 ) -> None:
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
-    options = _options(
-        RunOptions(
-            link=link,
-            airframe=airframe or "",
-            mission=mission,
-            run_dir=run_dir,
-            params=params,
-            signing_key=signing_key,
-            system_id=system,
-            silence_limit_s=silence_limit,
-            pilot=PilotOptions(check_only=True),
-        )
-    )
-    code, pilot = _run(options)
-    if pilot.phase.name != "GROUNDED":
-        typer.echo("no answer from an autopilot" if code == 4 else "the check was cut short")
+    where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
+    code, pilot = _run(where.options(PilotOptions(check_only=True)), _show_check)
+    if pilot.phase is not Phase.GROUNDED:
+        typer.echo("no answer from an autopilot" if code == NO_LINK else "the check was cut short")
         raise typer.Exit(code)
-    raise typer.Exit(_tell(pilot))
+    lines, ready = report(pilot)
+    typer.echo("\n".join(lines))
+    raise typer.Exit(DONE if ready else GROUNDED)
 
 
 @app.command()
@@ -150,24 +164,9 @@ def transitions(
     typer.echo(as_mermaid() if mermaid else as_markdown())
 
 
-def _options(options: RunOptions) -> RunOptions:
-    """Take the airframe from the flight file where none was named."""
-    if options.airframe:
-        return options
-    from dataclasses import replace
-
-    from companion.adapters.files import read_flight
-
+def _run(options: RunOptions, show: Callable[[Action], None]) -> tuple[int, Pilot]:
     try:
-        return replace(options, airframe=read_flight(options.mission).vehicle.airframe)
-    except LeewayError as error:
-        _mistake(error)
-        raise
-
-
-def _run(options: RunOptions) -> tuple[int, Pilot]:
-    try:
-        return run(options, on_action=_show)
+        return run(options, on_action=show)
     except LeewayError as error:
         _mistake(error)
         raise
@@ -187,38 +186,23 @@ def _show(action: Action) -> None:
         case Decision():
             promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
             typer.echo(f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}")
-        case Note() if "pre-flight" in action.text:
+        case Note() if action.text.startswith(("pre-flight", "not granted")):
             typer.echo(f"  {action.text}")
         case _:
             return
     sys.stdout.flush()
 
 
-def _tell(pilot: Pilot) -> int:
-    """Print the pre-flight; 0 when nothing is missing."""
-    ground = pilot.ground
-    if ground.giving_up:
-        typer.echo(f"MISSING  {ground.giving_up}")
-        return GROUNDED
-    findings = live_findings(pilot)
-    for finding in findings:
-        word = "WAITING" if finding.waits else "MISSING" if finding.blocks else "off    "
-        typer.echo(f"{word}  {finding.words}")
-    energy = pilot.judge.energy
-    if energy is not None:
-        typer.echo(
-            f"ok       battery: {energy.mean_wh:.0f} Wh usable, one sigma {energy.std_wh:.0f} Wh"
-            f" ({energy.source})"
-        )
-    if pilot.flown is not None:
-        plan = pilot.flown.plan
-        typer.echo(
-            f"ok       route: {len(plan.outbound_ned_m)} waypoints out,"
-            f" {len(plan.return_ned_m)} back, {plan.energy_wh:.0f} Wh in calm air as believed"
-        )
-    blocked = any(finding.blocks for finding in findings)
-    typer.echo("NOT READY" if blocked else "READY")
-    return GROUNDED if blocked else 0
+def _show_check(action: Action) -> None:
+    """Only what the check waits for: its findings come as one list at the end."""
+    match action:
+        case Say():
+            typer.echo(f"waiting: {action.text}")
+        case Note() if action.text.startswith(("autopilot: ", "not granted")):
+            typer.echo(action.text)
+        case _:
+            return
+    sys.stdout.flush()
 
 
 def main() -> None:

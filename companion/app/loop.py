@@ -148,15 +148,19 @@ class Loop:
             elif not known and source[1] == AUTOPILOT and message.tc1 == 0:
                 self.link.answer_to(peer)
                 self._answer_timesync(message.ts1)
+            elif message.tc1 != 0:
+                self.autopilot.hear_time(message)
+                self._tick_between()
             return
+        if not known and self.autopilot.may_be_ours(message):
+            self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
         events = self.autopilot.hear(message)
         if not self._system_known and self.autopilot.system_id is not None:
             self._system_known = True
             self.codec.be_system(self.autopilot.system_id)
             self._heard(peer)
         self._give(events)
-        if self.clock.t_s - self._synced_s > LOCKSTEP_LAPSE_S:
-            self._tick_by_telemetry()
+        self._tick_between()
 
     def _timesync(self, message: Any) -> None:
         """Tick, let everything out, answer last. A repeated request is only answered."""
@@ -172,7 +176,10 @@ class Loop:
         now_ns = max(1, round(self.clock.t_s * 1e9))
         self.send(mavlink.MAVLink_timesync_message(now_ns, asked_ns))
 
-    def _tick_by_telemetry(self) -> None:
+    def _tick_between(self) -> None:
+        """Tick about ten times a second where no TIMESYNC request does."""
+        if self.clock.t_s - self._synced_s <= LOCKSTEP_LAPSE_S:
+            return
         if self.clock.doubtful or not self.clock.known:
             return
         if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from companion.core.errors import LeewayError
 from companion.core.flight import check_range
 
+LOW_ABOVE_CUTOFF_V = 0.05
+"""A cell's voltage at the autopilot's low-battery action, above the cut-off."""
+
 
 class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`empty_kg` is ready to fly, battery in, no parcel."""
@@ -181,6 +184,11 @@ class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """Charge (0 to 1 of the pack's content) from its resting voltage."""
         cell_v = voltage_v / self.cells
         return float(np.interp(cell_v, self.ocv_cell_v, self.ocv_charge_frac))
+
+    @property
+    def low_v(self) -> float:
+        """Loaded voltage of the pack at which an autopilot should act by itself."""
+        return self.cells * (self.cutoff_cell_v + LOW_ABOVE_CUTOFF_V)
 
     def usable_wh(self, draw_w: float, temperature_c: float, health_frac: float) -> float:
         """What a full pack gives at this draw until cut-off, Wh."""

@@ -17,6 +17,7 @@ from companion.core.actions import (
     Severity,
     UploadMission,
 )
+from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.events import (
     AutopilotParameters,
@@ -28,9 +29,9 @@ from companion.core.events import (
     ParametersSet,
     StreamsAsked,
 )
-from companion.core.flight_plan import frame_of, make_plan, route_facts, site_map
+from companion.core.flight_plan import FlightPlan, frame_of, make_plan, route_facts, site_map
 from companion.core.planner import NoRoute
-from companion.core.preflight import Finding, judge, names_read, settings_wanted
+from companion.core.preflight import Finding, judge, names_read, pack_trouble, settings_wanted
 from companion.core.situation import ATTITUDE_MAX_AGE_S, BATTERY_MAX_AGE_S
 from companion.core.transitions import GROUND_PHASES, Phase, Trigger
 
@@ -44,6 +45,7 @@ ARM_LIMIT_S = 90.0
 WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
+PACK_LOOK_S = 5.0
 
 
 def enter(pilot: Pilot, left: Phase) -> None:
@@ -172,6 +174,10 @@ def live_findings(pilot: Pilot) -> tuple[Finding, ...]:
     """The pre-flight now: settings, and what may still come by itself."""
     now = pilot.now
     found = list(pilot.ground.findings)
+    if trouble := _pack_trouble(pilot):
+        found.append(Finding("pack", trouble, blocks=True))
+    if pilot.ground.plan_refused:
+        found.append(Finding("plan", pilot.ground.plan_refused, blocks=True))
     found += [Finding("position", w, blocks=True, waits=True) for w in now.troubles()]
     if now.readiness is not None and not now.readiness.ready:
         words = "the autopilot's own pre-arm checks do not pass yet"
@@ -237,22 +243,38 @@ def _wait_position(pilot: Pilot) -> None:
         give_up(pilot, "; ".join(troubles) or "battery unknown")
 
 
+def _pack_trouble(pilot: Pilot) -> str:
+    battery = pilot.now.battery
+    if pilot.now.armed or battery is None or not pilot.now.is_fresh(battery, BATTERY_MAX_AGE_S):
+        return ""
+    return pack_trouble(pilot.airframe.battery, battery.voltage_v)
+
+
+def _planned(pilot: Pilot, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
+    now = pilot.now
+    assert now.position is not None
+    site = site_map(pilot.flight, frame_of(pilot.flight, now.position), pilot.obstacles)
+    reserve_frac = pilot.judge.limits.reserve_frac
+    return make_plan(pilot.flight, site, pilot.planner, energy, reserve_frac)
+
+
 def _plan(pilot: Pilot) -> None:
     """Plan, then read (and set) the settings that the plan rests on."""
     now, ground = pilot.now, pilot.ground
     if pilot.flown is None:
         if now.position is None or now.position_troubles():
             return
+        checking = pilot.options.check_only
+        # Another pack than the airframe's makes every number here wrong, settings too.
+        if (trouble := _pack_trouble(pilot)) and not checking:
+            if now.t_s - pilot.phase_since_s > PACK_LOOK_S:
+                give_up(pilot, trouble)
+            return
         try:
-            frame = frame_of(pilot.flight, now.position)
-            site = site_map(pilot.flight, frame, pilot.obstacles)
-            flown = make_plan(
-                pilot.flight,
-                site,
-                pilot.planner,
-                pilot.judge.energy if pilot.options.gate_on else None,
-                pilot.judge.limits.reserve_frac,
-            )
+            flown = _planned(pilot, pilot.judge.energy if pilot.options.gate_on else None)
+            if isinstance(flown, NoRoute) and checking:
+                ground.plan_refused = flown.reason  # and go on: what else is missing?
+                flown = _planned(pilot, None)
         except LeewayError as error:
             give_up(pilot, str(error))
             return

@@ -73,6 +73,14 @@ class VehicleState(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class ModeNow(Event):
+    """The flight mode between two heartbeats, where the flavour tells it."""
+
+    mode: Mode
+    mode_name: str
+
+
+@dataclass(frozen=True, slots=True)
 class Attitude(Event):
     """Body attitude, heading clockwise from north."""
 

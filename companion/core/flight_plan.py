@@ -259,7 +259,7 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
         descent_mps=speeds.descent_mps,
         landing_mps=speeds.landing_mps,
         battery_cutoff_v=cutoff_v,
-        battery_low_v=cutoff_v + 0.05 * battery.cells,
+        battery_low_v=battery.low_v,
         battery_cells=battery.cells,
         battery_capacity_mah=round(1000.0 * battery.nominal_wh / (battery.cells * mean_cell_v)),
         carries_parcel=flight.vehicle.payload_kg > 0.0,

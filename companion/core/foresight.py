@@ -80,7 +80,7 @@ def assess(pilot: Pilot, every_s: float) -> Assessment | None:
     if seen is not None and now.t_s - seen.t_s < every_s - 1e-6:
         return seen
     here = here_ned(pilot)
-    if here is None:
+    if here is None or pilot.air.position_lost_s is not None:
         return None
     return _taken(pilot, pilot.judge.assess(what_is_ahead(pilot, here)))
 

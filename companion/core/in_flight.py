@@ -14,6 +14,7 @@ from companion.core.flight_plan import DROP_S
 from companion.core.foresight import assess, assess_delivery, assess_departure, ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
 from companion.core.obedience import Purpose
+from companion.core.position_watch import mind_position
 from companion.core.progress import jump, last_resort, mind_foreign_moves, mind_the_jump
 from companion.core.touchdown import watch_landing
 from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
@@ -56,6 +57,8 @@ def enter(pilot: Pilot, left: Phase) -> None:
 
 def tick(pilot: Pilot) -> None:
     """Work on the flight phase that we are in; in others only watch."""
+    if pilot.air.flying and pilot.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
+        mind_position(pilot)
     if pilot.phase is Phase.SUSPENDED and pilot.air.flying:
         assess(pilot, ASSESS_S)
         watch_landing(pilot)

@@ -62,9 +62,11 @@ from companion.core.events import (
     MissionReadBack,
     MissionUploaded,
     Mode,
+    ModeNow,
     OrderRefused,
     OtherComputer,
     ParametersSet,
+    Position,
     ReleaseFeedback,
     StreamsAsked,
     Tick,
@@ -143,6 +145,9 @@ class FlightState:
     disarms_asked: int = 0
     disarmed_s: float | None = None
     still_s: float | None = None
+    doubtful_s: float | None = None
+    position_lost_s: float | None = None
+    last_sure: Position | None = None
     noted: set[str] = field(default_factory=set)
 
 
@@ -160,6 +165,7 @@ class GroundWork:
     requirements: tuple[Requirement, ...] = ()
     arm_asked_s: float = -1e9
     mission_matches: bool = False
+    plan_refused: str = ""
     giving_up: str = ""
     giving_up_s: float = 0.0
     authorised_by: str = ""
@@ -269,8 +275,8 @@ class Pilot:
         match event:
             case Tick():
                 self._tick()
-            case VehicleState():
-                self._hear_state(event)
+            case VehicleState() | ModeNow() if self.now.state is not None:
+                self._hear_state(self.now.state)
             case MissionProgress():
                 progress.follow(self, event)
             case Identified():

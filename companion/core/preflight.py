@@ -6,6 +6,8 @@ The lists of parameters are the flavours' own (adapters); how they are judged is
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from companion.core.airframe import Battery
+
 Values = Mapping[str, float | None]
 
 
@@ -59,8 +61,35 @@ class Requirement:
     required: bool
 
 
+CELL_SLACK_V = 0.1
+"""A cell's voltage may be so far out of its table: sensor error, and a charge just ended."""
+
+
+def pack_trouble(battery: Battery, resting_v: float | None) -> str:
+    """Say why the pack that is fitted cannot be the airframe's, or is empty; `""` when it may fly.
+
+    `resting_v` is the whole pack's voltage while disarmed, `None` where nobody measures it.
+    """
+    if resting_v is None:
+        return ""
+    cell_v = resting_v / battery.cells
+    empty_v, full_v = battery.ocv_cell_v[0], battery.ocv_cell_v[-1]
+    if not empty_v - CELL_SLACK_V <= cell_v <= full_v + CELL_SLACK_V:
+        return (
+            f"{resting_v:.1f} V does not fit a pack of {battery.cells} cells"
+            f" ({cell_v:.2f} V each; empty is {empty_v:g}, full is {full_v:g}):"
+            " another pack, another airframe, or a dead one?"
+        )
+    if resting_v <= battery.low_v:
+        return (
+            f"the battery is empty: {resting_v:.1f} V at rest, {cell_v:.2f} V a cell"
+            f" (low is {battery.low_v / battery.cells:.2f} in flight)"
+        )
+    return ""
+
+
 def judge(requirements: Iterable[Requirement], values: Values) -> tuple[Finding, ...]:
-    """Return what is off, required things first."""
+    """Return what is missing or off, required things first."""
     found: list[Finding] = []
     for requirement in requirements:
         holds = requirement.holds(values)
@@ -68,15 +97,22 @@ def judge(requirements: Iterable[Requirement], values: Values) -> tuple[Finding,
             continue
         name = requirement.names[0]
         if holds is None:
-            words = f"{requirement.words}: this autopilot does not tell ({name})"
-            found.append(Finding(name, words, blocks=requirement.required))
+            words = f"{requirement.words}: this autopilot tells no {name}"
         else:
-            shown = ", ".join(
-                f"{n} = {v:g}" for n in requirement.names if (v := values.get(n)) is not None
-            )
-            words = f"{requirement.words} ({shown})"
-            found.append(Finding(name, words, blocks=requirement.required))
+            words = f"{requirement.words}: {_remedy(requirement, values)}"
+        found.append(Finding(name, words, blocks=requirement.required))
     return tuple(sorted(found, key=lambda f: not f.blocks))
+
+
+def _remedy(requirement: Requirement, values: Values) -> str:
+    """What is set and what should be: `COM_LOW_BAT_ACT is 0, set 3`."""
+    wanted = requirement.wanted(values)
+    told = {n: v for n in requirement.names if (v := values.get(n)) is not None}
+    return ", ".join(
+        f"{name} is {value:g}" + (f", set {wanted[name]:g}" if name in wanted else "")
+        for name, value in told.items()
+        if wanted.get(name) != value
+    )
 
 
 def settings_wanted(requirements: Iterable[Requirement], values: Values) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """What is known of the vehicle now, how old it is, and whether that is enough to act on."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from companion.core.events import (
     Airspeed,
@@ -15,6 +15,7 @@ from companion.core.events import (
     GroundState,
     Home,
     MissionProgress,
+    ModeNow,
     Position,
     Throttle,
     VehicleState,
@@ -57,6 +58,8 @@ class Situation:
         match event:
             case VehicleState():
                 self.state = event
+            case ModeNow() if self.state is not None:
+                self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
                 self.attitude = event
             case Position() if self.position is None or event.t_s >= self.position.t_s:

@@ -14,6 +14,7 @@ from companion.core.actions import (
 from companion.core.events import Ground
 from companion.core.foresight import ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
+from companion.core.position_watch import last_seen
 from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
 
 if TYPE_CHECKING:
@@ -104,7 +105,9 @@ def conclude(pilot: Pilot, why: str) -> None:
         return
     position = pilot.now.position
     home, where = False, "position unknown"
-    if position is not None:
+    if air.position_lost_s is not None:
+        where = f"position lost, {last_seen(pilot)}"
+    elif position is not None:
         here = flown.ned_of(position)
         places = [(DEPOT, flown.plan.depot_ned_m)]
         places += [(r.name, r.ground_ned_m) for r in flown.plan.rally]

@@ -8,11 +8,12 @@ from companion.core.flight import Flight, Place, Terrain
 from companion.core.flight_plan import frame_at
 from companion.core.geo import place_ned
 from sim_bridge.adapters.endpoint import bundled
+from sim_bridge.app.bad_link import BadLink
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.record import TruthRecord
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.codec import Decoder
+from sim_bridge.autopilot.codec import Decoder, Encoder, Message
 from sim_bridge.truth import terrain as ground
 from sim_bridge.truth.terrain_file import load_grid_terrain
 from sim_bridge.truth.vehicle import Vehicle
@@ -40,7 +41,9 @@ COMMANDING = {  # what changes the flight; telemetry and questions do not
     "MANUAL_CONTROL",
     "PARAM_SET",
 }
+MAV_RESULT_FAILED = 4
 ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
+LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about the depot, above it
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
@@ -66,9 +69,11 @@ class Craft:
     record: TruthRecord = field(default_factory=TruthRecord)
     steps: int = 0
     link_silent_until_s: float = -1.0
-    garbage: bytes = b""
+    bad_link: BadLink | None = None
+    refused: frozenset[tuple[str, int]] = frozenset()
     commands: list[tuple[float, str, int]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
+    _refusals: list[bytes] = field(default_factory=list)
     restarted: bool = False
 
     @property
@@ -100,10 +105,14 @@ class Craft:
         What it says to the operator is delivered here. A silent link still carries TIMESYNC: it
         is what time stands still for, not what the vehicle says.
         """
-        frames = [frame for frame in self._said_to_companion() if self.link_up]
-        garbage = [self.garbage] if self.garbage and self.link_up else []
+        out = [*self._said_to_companion(), *self._refusals] if self.link_up else []
+        self._refusals = []
+        if self.bad_link is not None and self.link_up:
+            out = self.bad_link.spoil(out, self.autopilot.time_boot_ms)
+        else:
+            out = bundled(out)
         self.autopilot.request_timesync(COMPANION_LINK, t_ns)
-        return [*garbage, *bundled([*frames, *self._said_to_companion()])]
+        return [*out, *bundled(self._said_to_companion())]
 
     def _said_to_companion(self) -> list[bytes]:
         frames: list[bytes] = []
@@ -131,11 +140,20 @@ class Craft:
             number = message.__dict__.get("command", 0)
             if message.msg_name in COMMANDING and number not in ASKING:
                 self.commands.append((self.t_s, message.msg_name, number))
+            if (message.msg_name, number) in self.refused:
+                self._refuse(number)
+                return
         self.autopilot.receive(COMPANION_LINK, datagram)
+
+    def _refuse(self, command: int) -> None:
+        """Answer a command with FAILED; what is no command (PX4's jump) is left without effect."""
+        if command:
+            ack = Message("COMMAND_ACK", command=command, result=MAV_RESULT_FAILED)
+            self._refusals.append(Encoder(self.number, 1).encode(ack))
 
     @property
     def phase(self) -> str:
-        """Where in the mission it truly is: start, climb, outbound, drop, return, down."""
+        """Where in the mission it truly is: start, climb, outbound, drop, return, landing, down."""
         record = self.record
         if record.took_off_s is None:
             return "start"
@@ -145,7 +163,7 @@ class Craft:
         away_m = math.hypot(truth[1], truth[2])
         customer = place_ne_m(self.flight.site.customer, self.depot)
         if truth[-1] == 0.0:
-            return "return"
+            return "landing" if away_m < LANDING_M and -truth[3] < LANDING_HEIGHT_M else "return"
         if math.dist((truth[1], truth[2]), customer) < 15.0:
             return "drop"
         return "outbound" if away_m > 30.0 else "climb"

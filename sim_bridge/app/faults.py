@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_bridge.adapters.lockstep import Lockstep
+from sim_bridge.app.bad_link import BadLink
 from sim_bridge.app.craft import Craft
 from sim_bridge.app.scenario import Fault
 
-GARBAGE_BYTES = 400
+JUMPS = frozenset({("MISSION_SET_CURRENT", 0), ("COMMAND_LONG", 224)})
+ARMING = frozenset({("COMMAND_LONG", 400)})
 ATTITUDE_WRONG_RAD = math.radians(6.0)
 
 
@@ -79,9 +81,15 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.pilot_takes_over()
         case "ground_takes_over":
             craft.ground_takes_over()
-        case "garbage":
+        case "bad_link":
             rng = np.random.default_rng(len(craft.record.rows))
-            craft.garbage = rng.bytes(GARBAGE_BYTES)
+            craft.bad_link = BadLink(craft.number, rng)
+        case "clock_jump":
+            craft.autopilot.jump_clock(fault.by_s)
+        case "jumps_refused":
+            craft.refused |= JUMPS
+        case "arming_refused":
+            craft.refused |= ARMING
 
 
 def _end(fault: Fault, craft: Craft) -> None:
@@ -97,7 +105,11 @@ def _end(fault: Fault, craft: Craft) -> None:
             craft.vehicle.sensors.pitot_stuck = False
         case "release_fails":
             craft.vehicle.release_fails = False
-        case "garbage":
-            craft.garbage = b""
+        case "bad_link":
+            craft.bad_link = None
+        case "jumps_refused":
+            craft.refused -= JUMPS
+        case "arming_refused":
+            craft.refused -= ARMING
         case _:
             return

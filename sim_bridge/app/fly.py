@@ -61,7 +61,10 @@ AUTOPILOTS = ("px4", "ardupilot")
 
 @dataclass(frozen=True, slots=True)
 class FlyOptions:
-    """What the command line asks. `speedup` None flies as fast as the machine can."""
+    """What the command line asks. `speedup` None flies as fast as the machine can.
+
+    `believed` is the airframe that the companion is told, a name or a file; None: the true one's.
+    """
 
     flight_file: Path
     autopilot: str = "px4"
@@ -73,6 +76,7 @@ class FlyOptions:
     run_root: Path = Path("logs")
     picture: bool = True
     lockstep_limit_s: float = 20.0
+    believed: str | None = None
 
 
 @dataclass(slots=True)
@@ -198,7 +202,7 @@ def _build_craft(
         run_dir=own_dir,
         arguments=[
             f"--link=udpout:127.0.0.1:{port}",
-            f"--airframe={flight.vehicle.airframe}",
+            f"--airframe={options.believed or flight.vehicle.airframe}",
             f"--mission={mission_file}",
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",

@@ -23,24 +23,32 @@ FaultKind = Literal[
     "release_fails",
     "pitot_stuck",
     "attitude_wrong",
-    "garbage",
+    "bad_link",
+    "clock_jump",
+    "jumps_refused",
+    "arming_refused",
 ]
-Phase = Literal["start", "climb", "outbound", "drop", "return"]
+Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
 
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One thing that goes wrong: `at_s` after take-off, or `after_s` into a phase of the flight."""
+    """One thing that goes wrong: `at_s` after take-off, or `at_s` into a phase of the flight.
+
+    A clock jumps `by_s` (back where it is negative).
+    """
 
     kind: FaultKind
     at_s: float = 0.0
     phase: Phase | None = None
     duration_s: float = 0.0
+    by_s: float = 0.0
     restart: bool = True
     vehicle: int = 1
 
     def __post_init__(self) -> None:
         check_range("faults.at_s", self.at_s, 0.0, 1e6)
         check_range("faults.duration_s", self.duration_s, 0.0, 1e6)
+        check_range("faults.by_s", self.by_s, -1e4, 1e4)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from sim_bridge.adapters.endpoint import EndpointSet
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.codec import Signer
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import Parameter
 from sim_bridge.truth.params import AirframeTruth
@@ -104,15 +105,21 @@ class Host:
         self._steps = 0
 
     def add(
-        self, served: Served, *, onboard: Sequence[str] = (), gcs: Sequence[str] = ()
+        self,
+        served: Served,
+        *,
+        onboard: Sequence[str] = (),
+        gcs: Sequence[str] = (),
+        signing: Signer | None = None,
     ) -> Sequence[str]:
         """Take a vehicle in, with links for companions and for ground stations.
 
-        Returns their URLs in this order, with the ports really taken.
+        With `signing` its links are signed and hear only what is. Returns their URLs in this
+        order, with the ports really taken.
         """
         kinds = [LinkKind.ONBOARD] * len(onboard) + [LinkKind.GCS] * len(gcs)
         for link, (url, kind) in enumerate(zip([*onboard, *gcs], kinds, strict=True)):
-            served.autopilot.add_link(link, kind)
+            served.autopilot.add_link(link, kind, signing=signing)
             self._numbers[len(self._served), link] = self._endpoints.add(url)
             self._owners.append((served, link))
         self._served.append(served)

@@ -207,6 +207,10 @@ class Autopilot:
         self.actuation = Actuation()
         self.guidance = Guidance(Controller(self._control))
 
+    def jump_clock(self, by_s: float) -> None:
+        """Let the time that messages carry jump, ahead or (negative) back; nothing else changes."""
+        self._boot_t_s -= by_s
+
     @property
     def ardupilot(self) -> ArduPilot:
         """The flavour's own part, where it is ArduPilot."""

@@ -45,6 +45,11 @@ class Flown:
         """When a fault began; 0 where it never did."""
         return next((t for t, words in self.faults.log if words.startswith(kind)), 0.0)
 
+    @property
+    def said(self) -> str:
+        """What the operator's ground station was told, in one line."""
+        return "; ".join(text for _, text in self.craft.operator.said)
+
     def commands_after(self, t_s: float) -> list[tuple[float, str, int]]:
         """What the companion commanded after a time."""
         return [c for c in self.craft.commands if c[0] > t_s]
@@ -52,8 +57,22 @@ class Flown:
 
 @dataclass(slots=True)
 class _Keep(Progress):
+    """Keeps what was flown; ends a flight so many seconds after the companion let go."""
+
     kept: list[Craft] = field(default_factory=list)
     plan: FaultPlan | None = None
+    after_hands_off_s: float | None = None
+    _crafts: list[Craft] = field(default_factory=list)
+
+    def update(self, crafts: list[Craft], t_s: float) -> None:
+        self._crafts = crafts
+
+    def goes_on(self, t_s: float) -> bool:
+        if self.after_hands_off_s is None or not self._crafts:
+            return True
+        said = self._crafts[0].operator.said
+        off_s = next((at_s for at_s, text in said if text.startswith("hands off")), None)
+        return off_s is None or t_s < off_s + self.after_hands_off_s
 
     def ended(self, crafts: list[Craft], faults: FaultPlan) -> None:
         self.kept, self.plan = crafts, faults
@@ -71,6 +90,12 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
+def short_flight():
+    """`short_flight(changes)` is the short flight's table so changed."""
+    return lambda changes: merged(SHORT, changes)
+
+
+@pytest.fixture
 def fly_case(tmp_path):
     """`fly_case(flavour, changes, seed=, gate=)` flies the short flight so changed."""
 
@@ -81,11 +106,13 @@ def fly_case(tmp_path):
         seed: int = 1,
         gate: bool = True,
         name: str = "case",
+        after_hands_off_s: float | None = None,
+        believed: str | None = None,
     ) -> Flown:
         table = merged(SHORT, changes or {})
         path = tmp_path / f"{name}.toml"
         path.write_text(_toml(table))
-        keep = _Keep()
+        keep = _Keep(after_hands_off_s=after_hands_off_s)
         options = FlyOptions(
             flight_file=path,
             autopilot=flavour,
@@ -94,6 +121,7 @@ def fly_case(tmp_path):
             run_root=tmp_path / "runs",
             picture=False,
             lockstep_limit_s=30.0,
+            believed=believed,
         )
         row = fly(options, keep)["flights"][0]
         assert keep.plan is not None

@@ -43,7 +43,9 @@ def home_undelivered(flown) -> bool:
 
 
 def silent_after_pilot(flown) -> bool:
-    return not flown.commands_after(flown.fault_s("pilot_takes_over") + 0.2)
+    taken_s = flown.fault_s("pilot_takes_over")
+    flew = any(t_s < taken_s for t_s, _, _ in flown.craft.commands)
+    return flew and "hands off" in flown.said and not flown.commands_after(taken_s + 0.2)
 
 
 def silent_after_ground(flown) -> bool:
@@ -55,19 +57,56 @@ def return_loaded_and_said(flown) -> bool:
     return not flown.row["delivered"] and flown.row["home"] and "release not confirmed" in said
 
 
+def down_whole_and_said_where(flown) -> bool:
+    """It came down by itself, unhurt, with not one order; the operator knows where to look."""
+    truth = flown.craft.record
+    told = "position lost" in flown.said and "coming down blind, last at 55.4" in flown.said
+    down = truth.landed_s is not None and not truth.crashed
+    return down and told and not flown.commands_after(flown.fault_s("gnss_lost") + 3.0)
+
+
+def refused_jumps_bring_it_home(flown) -> bool:
+    return flown.row["outcome"] == "ABRT" and "is not obeyed" in flown.said
+
+
+def stays_on_the_ground_and_says(words: str) -> Callable[[Any], bool]:
+    def check(flown) -> bool:
+        return flown.craft.record.took_off_s is None and words in flown.said
+
+    return check
+
+
+not_armed = stays_on_the_ground_and_says("arm refused: failed")
+out_of_reach = stays_on_the_ground_and_says("no take-off: ")
+
+
 @dataclass(frozen=True)
 class Case:
-    """A flight, what must hold, and the wrong world in which it must not."""
+    """A flight, what must hold, and the wrong world in which it must not.
+
+    `canary` may be left out where another case has the same check. `hands_off_s` ends the flight
+    so long after the companion let go of it.
+    """
 
     name: str
     check: Callable[[Any], bool]
     world: dict[str, Any] = field(default_factory=dict)
-    canary: dict[str, Any] = field(default_factory=dict)
+    canary: dict[str, Any] | None = None
     canary_gate: bool = True
+    hands_off_s: float | None = None
 
 
 def fault(kind: str, **more: Any) -> dict[str, Any]:
     return {"kind": kind, **more}
+
+
+def taken_over(phase: str, at_s: float) -> Case:
+    return Case(
+        f"the pilot takes over in {phase} after {at_s:g} s and not one command follows",
+        silent_after_pilot,
+        {"faults": [fault("pilot_takes_over", phase=phase, at_s=at_s)]},
+        hands_off_s=15.0,
+    )
 
 
 THIN = {"vehicle": {"charge_frac": 0.28}}  # enough to fly it, not to keep the reserve
@@ -143,21 +182,83 @@ CASES = [
         {},
         {"faults": [fault("link_silent", phase="outbound", at_s=4.0, duration_s=2.0)]},
     ),
+    Case(
+        "GNSS lost for a minute brings it down whole where it is, and it says where",
+        down_whole_and_said_where,
+        {"faults": [fault("gnss_lost", phase="outbound", at_s=4.0, duration_s=60.0)]},
+        {},
+    ),
+    Case(
+        "GNSS lost for good brings it down whole where it is, and it says where",
+        down_whole_and_said_where,
+        {"faults": [fault("gnss_lost", phase="return", at_s=4.0)]},
+    ),
+    Case(
+        "garbage, torn, doubled, late and foreign frames and unknown fields lose nothing",
+        delivered_and_home,
+        {"faults": [fault("bad_link")]},
+    ),
+    Case(
+        "a clock that leaps ahead loses nothing",
+        delivered_and_home,
+        {"faults": [fault("clock_jump", phase="outbound", at_s=6.0, by_s=45.0)]},
+    ),
+    Case(
+        "a clock that steps back loses nothing",
+        delivered_and_home,
+        {"faults": [fault("clock_jump", phase="outbound", at_s=6.0, by_s=-30.0)]},
+    ),
+    Case(
+        "an autopilot that obeys no jump comes home by the mission aboard",
+        refused_jumps_bring_it_home,
+        {"faults": [fault("jumps_refused", phase="outbound")]},
+        {},
+    ),
+    Case(
+        "an autopilot that will not arm is left alone",
+        not_armed,
+        {"faults": [fault("arming_refused", phase="start")]},
+        {},
+    ),
+    Case(
+        "a customer beyond reach is refused on the ground",
+        out_of_reach,
+        {"site": {"customer": {"east_m": -30_000.0}}},
+        {},
+    ),
+    Case(
+        "killed over the customer and restarted, the companion picks the flight up",
+        delivered_and_home,
+        {"faults": [fault("companion_kill", phase="drop", at_s=2.0, duration_s=3.0)]},
+    ),
+    taken_over("climb", 4.0),
+    taken_over("climb", 14.0),  # over the depot, measuring the wind
+    taken_over("drop", 1.0),
+    taken_over("drop", 8.0),  # on the way down, or letting go
+    taken_over("return", 3.0),
+    taken_over("landing", 1.0),
 ]
+
+
+CANARIES = [case for case in CASES if case.canary is not None]
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight(fly_case, flavour, case):
-    flown = fly_case(flavour, case.world)
+    flown = fly_case(flavour, case.world, after_hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
+@pytest.mark.parametrize("case", CANARIES, ids=lambda c: c.name.replace(" ", "_"))
 def test_the_check_fails_in_a_wrong_world(fly_case, case):
-    flavour = ("px4", "ardupilot")[CASES.index(case) % 2]
+    flavour = ("px4", "ardupilot")[CANARIES.index(case) % 2]
     flown = fly_case(flavour, case.canary, gate=case.canary_gate)
     assert not case.check(flown), _story(flown)
+
+
+def test_every_check_has_a_canary():
+    assert {case.check for case in CASES} == {case.check for case in CANARIES}
 
 
 def _story(flown) -> str:

@@ -1,5 +1,6 @@
 """The companion's ears: garbage, foreign, stale and torn frames, clocks that jump, signatures."""
 
+import importlib
 import math
 import random
 import socket
@@ -42,13 +43,20 @@ def attitude(ms: int, roll: float = 0.1) -> object:
     return mavlink.MAVLink_attitude_message(ms, roll, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+def running_clock() -> AutopilotClock:
+    """A clock that TIMESYNC has told already: 0 s."""
+    clock = AutopilotClock()
+    clock.synchronise(0.0)
+    return clock
+
+
 def port(autopilot: int = 12, system: int = 1) -> tuple[AutopilotPort, list, MavlinkCodec]:
     """A port that has recognised an autopilot; what it sends; and its codec."""
     sent: list = []
     made = AutopilotPort(sent.append, AutopilotClock())
     codec = MavlinkCodec(datagrams=True)
     mav = sender(system)
-    for _ in range(3):
+    for _ in range(10):  # as many as it takes from one that never tells the time
         for message in codec.parse(frame(mav, heartbeat(autopilot=autopilot))):
             made.hear(message)
     assert made.system_id == system
@@ -119,7 +127,7 @@ def test_garbage_between_frames_costs_only_itself():
 
 
 def test_one_heartbeat_is_nobody_three_are_a_vehicle():
-    made = AutopilotPort(lambda m: None, AutopilotClock())
+    made = AutopilotPort(lambda m: None, running_clock())
     codec, mav = MavlinkCodec(datagrams=True), sender(7)
     hear(made, codec, frame(mav, heartbeat()))
     hear(made, codec, frame(mav, heartbeat()))
@@ -154,7 +162,7 @@ def test_other_systems_and_components_say_nothing(system, component, message):
 
 
 def test_a_chosen_system_is_waited_for_whoever_else_talks():
-    made = AutopilotPort(lambda m: None, AutopilotClock(), system_id=3)
+    made = AutopilotPort(lambda m: None, running_clock(), system_id=3)
     codec = MavlinkCodec(datagrams=True)
     for system in (1, 2, 3):
         mav = sender(system)
@@ -290,6 +298,15 @@ def test_modes_are_the_flavours_own_numbers(autopilot, custom, mode):
     made, _, codec = port(autopilot)
     (event,) = hear(made, codec, frame(sender(), heartbeat(autopilot=autopilot, custom=custom)))
     assert event.mode is mode
+
+
+def test_px4_tells_its_mode_between_heartbeats_by_current_mode():
+    # pymavlink's own development dialect as the other end; HOLD is main mode 4, sub mode 3.
+    development = importlib.import_module("pymavlink.dialects.v20.development")
+    mav = development.MAVLink(None, srcSystem=1, srcComponent=1)
+    made, _, codec = port(12)
+    told = development.MAVLink_current_mode_message(0, 4 << 16 | 3 << 24, 4 << 16 | 4 << 24)
+    assert hear(made, codec, bytes(told.pack(mav))) == [ev.ModeNow(0.0, ev.Mode.HOLD, "AUTO.HOLD")]
 
 
 @pytest.mark.parametrize(("autopilot", "seq", "total", "index", "count"), [

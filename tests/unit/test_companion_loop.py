@@ -87,7 +87,8 @@ class Station:
         return mavlink.MAVLink_timesync_message(0, round(t_s * 1e9))
 
     def identify(self) -> None:
-        self.put(*[mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)] * 3)
+        beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+        self.put(*[beat] * 10)  # as many as it takes from one that never tells the time
         self.turn()
 
     def telemetry(self, ms: int) -> list[Any]:

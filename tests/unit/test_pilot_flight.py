@@ -162,6 +162,7 @@ class World:
     values: dict[str, float | None] = field(default_factory=lambda: {"LOW_ACT": 0.0})
     obeys_jumps: bool = True
     gnss: bool = True
+    volts: float | None = 22.0
     mute: set[type] = field(default_factory=set)
     log: list[tuple[float, Action]] = field(default_factory=list)
     answers: list[ev.Event] = field(default_factory=list)
@@ -269,7 +270,7 @@ class World:
                 *self.velocity,
             ),
             ev.GnssFix(t, self.gnss),
-            ev.Battery(t, voltage_v=22.0, current_a=power / 22.0 if self.armed else 0.5),
+            ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
             ev.MissionProgress(t, self.index, len(self.items) or None),
             ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
         ]
@@ -934,6 +935,32 @@ def test_a_check_changes_nothing_and_says_what_is_missing():
     assert orders == {AskTelemetry, AskParameters}
     assert [f.blocks for f in w.pilot.ground.findings] == [True]
     assert not any(isinstance(a, SaveCheckpoint) for _, a in w.log)
+
+
+@pytest.mark.parametrize(
+    ("volts", "words"),
+    [
+        (14.8, "14.8 V does not fit a pack of 6 cells"),  # four cells at their nominal 3.7 V
+        (33.6, "33.6 V does not fit a pack of 6 cells"),  # eight full ones of 4.2 V
+        (19.9, "the battery is empty: 19.9 V at rest, 3.32 V a cell"),
+    ],
+)
+def test_a_pack_that_does_not_fit_or_is_empty_grounds_it_and_nothing_is_set(volts, words):
+    w = world()
+    w.volts = volts
+    done = w.to_the_end()
+    assert done.outcome == "ABRT"
+    assert words in done.reason
+    assert words in w.said
+    assert not any(isinstance(a, Configure | UploadMission | Arm) for _, a in w.log)
+
+
+@pytest.mark.parametrize("volts", [20.5, 22.8, 26.1, None])
+def test_a_pack_that_fits_or_that_nobody_measures_is_no_reason_to_stay(volts):
+    # From a low charge to the TB48D's 26.1 V when full (DJI data sheet).
+    w = world()
+    w.volts = volts
+    w.until(Phase.CLIMB)
 
 
 def test_an_autopilot_that_refuses_to_arm_ends_grounded_and_disarmed():

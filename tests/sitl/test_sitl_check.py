@@ -1,0 +1,166 @@
+"""`companion check` as a user runs it: a process of its own, over UDP, beside either flavour."""
+
+import contextlib
+import socket
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from sim_bridge.app.serve import Host, stand_up
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+
+pytestmark = [pytest.mark.sitl, pytest.mark.timeout(120)]
+
+PARAMS = Path(__file__).parents[2] / "params"
+COMMAND = Path(sys.executable).with_name("companion")
+SPEEDUP = 6.0
+
+AS_PROMISED = {
+    "px4": {
+        "COM_LOW_BAT_ACT": 3.0,
+        "COM_RCL_EXCEPT": 1.0,
+        "MPC_XY_VEL_MAX": 20.0,
+        "MPC_TILTMAX_AIR": 35.0,
+    },
+    "ardupilot": {
+        "AUTO_OPTIONS": 3.0,
+        "FS_OPTIONS": 17.0,
+        "BATT_FS_LOW_ACT": 2.0,
+        "BATT_LOW_VOLT": 20.1,
+        "GRIP_ENABLE": 1.0,
+        "ANGLE_MAX": 3500.0,
+    },
+}
+"""What a vehicle's owner has set after reading the check's list once."""
+
+LOW_BATTERY = {"px4": "COM_LOW_BAT_ACT", "ardupilot": "BATT_FS_LOW_ACT"}
+
+
+@dataclass
+class Checked:
+    """What the command left behind; settings as the digest of all parameters."""
+
+    code: int
+    said: str
+    settings_before: int
+    settings_after: int
+    armed: bool
+
+
+@pytest.fixture
+def check(tmp_path, short_flight):
+    """`check(flavour, settings, ...)` runs the command beside a vehicle on the ground."""
+
+    def run(
+        flavour: str, settings: dict[str, float], *, charge_frac: float = 0.9, **changes: dict
+    ) -> Checked:
+        parameters = read_parameters(PARAMS / "autopilots" / f"{flavour}.toml", settings)
+        airframe = load_airframe(PARAMS / "truth" / "m100.toml")
+        served = stand_up(Flavour(flavour), airframe, parameters, charge_frac=charge_frac)
+        mission = tmp_path / "flight.toml"
+        mission.write_bytes(msgspec.toml.encode(short_flight(changes)))
+        with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        before = served.autopilot.params.digest()
+        with Host(SPEEDUP) as host:
+            host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
+            with host.running():
+                done = subprocess.run(
+                    [
+                        str(COMMAND),
+                        "check",
+                        f"--link=udpin:127.0.0.1:{port}",
+                        f"--mission={mission}",
+                        f"--run-dir={tmp_path / 'run'}",
+                    ],
+                    capture_output=True,
+                    text=True,
+                    timeout=90,
+                    check=False,
+                )
+        assert done.stderr == ""
+        return Checked(
+            done.returncode,
+            done.stdout,
+            before,
+            served.autopilot.params.digest(),
+            served.autopilot.is_armed,
+        )
+
+    return run
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, flavour):
+    checked = check(flavour, AS_PROMISED[flavour])
+    assert checked.code == 0, checked.said
+    lines = checked.said.splitlines()
+    assert lines[-1] == "READY"
+    assert not any(line.startswith(("MISSING", "WAITING")) for line in lines), checked.said
+    assert any(line.startswith("ok       battery: ") for line in lines)
+    assert any(line.startswith("ok       route: 5 waypoints out") for line in lines)
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, flavour):
+    checked = check(flavour, {})
+    assert checked.settings_after == checked.settings_before
+    assert not checked.armed
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, flavour):
+    name = LOW_BATTERY[flavour]
+    checked = check(flavour, AS_PROMISED[flavour] | {name: 0.0})
+    assert checked.code == 3
+    (missing,) = [line for line in checked.said.splitlines() if line.startswith("MISSING")]
+    wanted = AS_PROMISED[flavour][name]
+    assert missing == (
+        f"MISSING  a low-battery action of the autopilot's own: {name} is 0, set {wanted:g}"
+    )
+    assert checked.said.splitlines()[-1] == "NOT READY"
+
+
+def test_an_empty_battery_is_called_empty(check):
+    checked = check("px4", AS_PROMISED["px4"], charge_frac=0.03)  # 20.0 V by the world's table
+    assert checked.code == 3
+    assert "MISSING  the battery is empty: " in checked.said
+
+
+def test_a_pack_of_other_cells_than_the_airframes_is_named(check, tmp_path):
+    # Six cells are fitted; the airframe's file says four.
+    airframe = tmp_path / "four_cells.toml"
+    text = (PARAMS / "airframes" / "m100.toml").read_text()
+    airframe.write_text(text.replace("cells = 6", "cells = 4"))
+    checked = check("ardupilot", {}, vehicle={"airframe": str(airframe)})
+    assert checked.code == 3
+    assert "does not fit a pack of 4 cells" in checked.said
+    assert checked.settings_after == checked.settings_before
+
+
+def test_nobody_on_the_link_is_said_and_has_a_code_of_its_own(tmp_path, short_flight):
+    mission = tmp_path / "flight.toml"
+    mission.write_bytes(msgspec.toml.encode(short_flight({})))
+    done = subprocess.run(
+        [
+            str(COMMAND),
+            "check",
+            "--link=udpout:127.0.0.1:9",
+            f"--mission={mission}",
+            f"--run-dir={tmp_path / 'run'}",
+            "--silence-limit=1",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 4
+    assert "no answer from an autopilot" in done.stdout
