@@ -1,6 +1,7 @@
 """`sim-bridge`: simulated vehicles that speak MAVLink as real autopilots do."""
 
 import json
+import signal
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -13,6 +14,7 @@ from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import campaign_cli, experiments_cli
+from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
 app = typer.Typer(
@@ -124,14 +126,23 @@ def series(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Flights at once.")] = 2,
     json_out: Annotated[
-        Path | None, typer.Option("--json", help="Write every row here as JSON.")
+        Path | None,
+        typer.Option(
+            "--json",
+            help="Every row goes here as soon as it is flown. A flight that is in it, with the"
+            " same settings and the same program, is not flown again.",
+        ),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
     picture: Annotated[bool, typer.Option(help="Draw each flight.")] = False,
 ) -> None:
-    """Fly the same flight over many seeds and flavours, with and without the gate."""
+    """Fly the same flight over many seeds and flavours, with and without the gate.
+
+    Ctrl-C and SIGTERM end it, its workers and their companions; with --json the same command
+    goes on where it was.
+    """
     from sim_bridge.app.fly import AUTOPILOTS, FlyOptions
-    from sim_bridge.app.series import report, run_series, write_rows
+    from sim_bridge.app.series import SeriesFile, planned, report, run_series, settings_of
 
     first, _, last = seeds.partition(":")
     if not (first.isdecimal() and (last or first).isdecimal()):
@@ -145,16 +156,18 @@ def series(
         run_root=runs,
         picture=picture,
     )
-    rows = run_series(
+    flights = planned(
         base,
         seeds=list(range(int(first), int(last or first) + 1)),
         autopilots=list(autopilot or AUTOPILOTS),
         gates=[g is Switch.on for g in gate or (Switch.on, Switch.off)],
-        jobs=jobs,
     )
-    report(Console(), rows)
-    if json_out is not None:
-        write_rows(json_out, rows)
+    console = Console()
+    file = SeriesFile.open(json_out, settings_of(base))
+    if json_out is not None and json_out.exists():
+        known = sum(map(file.has, flights))
+        console.print(f"{json_out}: {known} of {len(flights)} flights are flown", highlight=False)
+    report(console, run_series(flights, file, jobs))
 
 
 @app.command()
@@ -178,6 +191,7 @@ app.registered_commands += experiments_cli.app.registered_commands
 
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
+    stop_by_signal(signal.SIGTERM)
     try:
         app()
     except (LeewayError, TruthError, EndpointError) as error:
