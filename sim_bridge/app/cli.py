@@ -176,11 +176,14 @@ def bench(
     json_out: Annotated[
         Path | None, typer.Option("--json", help="Write every value here as JSON.")
     ] = None,
+    fresh_clone: Annotated[
+        bool, typer.Option(help="Time `make fly` on a clone, install included (needs network).")
+    ] = True,
 ) -> None:
     """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
     from sim_bridge.app.bench import bench as bench_now
 
-    result = bench_now(rounds, Console())
+    result = bench_now(rounds, Console(), fresh_clone=fresh_clone)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
 
