@@ -1,6 +1,7 @@
 """`sim-bridge`: simulated vehicles that speak MAVLink as real autopilots do."""
 
 import json
+import signal
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +13,8 @@ from rich.console import Console
 from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
-from sim_bridge.app import campaign_cli, experiments_cli
+from sim_bridge.app import campaign_cli, experiments_cli, serve_cli
+from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
 app = typer.Typer(
@@ -124,14 +126,23 @@ def series(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Flights at once.")] = 2,
     json_out: Annotated[
-        Path | None, typer.Option("--json", help="Write every row here as JSON.")
+        Path | None,
+        typer.Option(
+            "--json",
+            help="Every row goes here as soon as it is flown. A flight that is in it, with the"
+            " same settings and the same program, is not flown again.",
+        ),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
     picture: Annotated[bool, typer.Option(help="Draw each flight.")] = False,
 ) -> None:
-    """Fly the same flight over many seeds and flavours, with and without the gate."""
+    """Fly the same flight over many seeds and flavours, with and without the gate.
+
+    Ctrl-C and SIGTERM end it, its workers and their companions; with --json the same command
+    goes on where it was.
+    """
     from sim_bridge.app.fly import AUTOPILOTS, FlyOptions
-    from sim_bridge.app.series import report, run_series, write_rows
+    from sim_bridge.app.series import SeriesFile, planned, report, run_series, settings_of
 
     first, _, last = seeds.partition(":")
     if not (first.isdecimal() and (last or first).isdecimal()):
@@ -145,16 +156,18 @@ def series(
         run_root=runs,
         picture=picture,
     )
-    rows = run_series(
+    flights = planned(
         base,
         seeds=list(range(int(first), int(last or first) + 1)),
         autopilots=list(autopilot or AUTOPILOTS),
         gates=[g is Switch.on for g in gate or (Switch.on, Switch.off)],
-        jobs=jobs,
     )
-    report(Console(), rows)
-    if json_out is not None:
-        write_rows(json_out, rows)
+    console = Console()
+    file = SeriesFile.open(json_out, settings_of(base))
+    if json_out is not None and json_out.exists():
+        known = sum(map(file.has, flights))
+        console.print(f"{json_out}: {known} of {len(flights)} flights are flown", highlight=False)
+    report(console, run_series(flights, file, jobs))
 
 
 @app.command()
@@ -163,21 +176,26 @@ def bench(
     json_out: Annotated[
         Path | None, typer.Option("--json", help="Write every value here as JSON.")
     ] = None,
+    fresh_clone: Annotated[
+        bool, typer.Option(help="Time `make fly` on a clone, install included (needs network).")
+    ] = True,
 ) -> None:
     """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
     from sim_bridge.app.bench import bench as bench_now
 
-    result = bench_now(rounds, Console())
+    result = bench_now(rounds, Console(), fresh_clone=fresh_clone)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
 
 
+app.registered_commands += serve_cli.app.registered_commands
 app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands
 
 
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
+    stop_by_signal(signal.SIGTERM)
     try:
         app()
     except (LeewayError, TruthError, EndpointError) as error:

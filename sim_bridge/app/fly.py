@@ -136,8 +136,8 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
 def _saved_on_interrupt(run_dir: Path) -> Iterator[None]:
     try:
         yield
-    except KeyboardInterrupt:
-        (run_dir / "INTERRUPTED").write_text("stopped by Ctrl-C before the flight's end\n")
+    except (KeyboardInterrupt, SystemExit):
+        (run_dir / "INTERRUPTED").write_text("stopped by a signal before the flight's end\n")
         raise
 
 

@@ -4,9 +4,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group, JustifyMethod, RenderableType
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.craft import Craft
@@ -88,26 +90,40 @@ def _line(craft: Craft, t_s: float) -> str:
     return f"t={t_s:5.0f} s  " + ", ".join(cells)
 
 
-def results_table(result: dict[str, Any], *, gate: bool) -> Table:
-    """The flights of a run as a table."""
-    title = "gate on" if gate else "GATE OFF: it flies on whatever the budget says"
-    table = Table(title=title)
-    for name in (
-        "vehicle",
-        "outcome",
-        "used Wh",
-        "margin Wh",
-        "time s",
-        "wind err m/s",
-        "NEES",
-        "P(home) min",
-        "clairvoyant",
-        "decisions",
-    ):
-        table.add_column(name, justify="right" if name not in ("vehicle", "decisions") else "left")
+def slim_table(title: str, *columns: tuple[str, JustifyMethod]) -> Table:
+    """An empty table without a frame, for terminals of 80 columns."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+    )
+    for name, justify in columns:
+        table.add_column(name, justify=justify, no_wrap=True)
+    return table
+
+
+def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
+    """The flights of a run: a table of figures, and below it what each decided."""
+    table = slim_table(
+        "gate on" if gate else "GATE OFF: it flies on whatever the budget says",
+        ("\nvehicle", "left"),
+        ("\nend", "left"),
+        ("used\nWh", "right"),
+        ("margin\nWh", "right"),
+        ("time\ns", "right"),
+        ("wind\nRMSE", "right"),
+        ("\nNEES", "right"),
+        ("least\nP(home)", "right"),
+        ("clair-\nvoyant", "right"),
+    )
+    decided: list[RenderableType] = []
     for row in result["flights"]:
+        number = row["vehicle"].rpartition("-")[2]
         table.add_row(
-            f"{row['vehicle']} {row['autopilot']}",
+            f"{number} {row['autopilot']}",
             row["outcome"],
             f"{row['energy_used_wh']:.1f}",
             f"{row['margin_wh']:+.1f}",
@@ -115,10 +131,11 @@ def results_table(result: dict[str, Any], *, gate: bool) -> Table:
             _number(row["wind_rmse_mps"], 2),
             _number(row["wind_nees"], 2),
             _number(row["p_home_min"], 3),
-            f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f} Wh",
-            ", ".join(_decision_words(row["decisions"])) or "-",
+            f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f}",
         )
-    return table
+        words = ", ".join(_decision_words(row["decisions"])) or "nothing"
+        decided.append(Text(f"{number} decided: {words}"))
+    return Group(table, "", *decided)
 
 
 def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:

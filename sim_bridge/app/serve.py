@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.endpoint import EndpointSet, bundled
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.codec import Signer
@@ -69,7 +69,7 @@ def stand_up(
     payload_kg: float = 0.0,
     charge_frac: float = 1.0,
     system_id: int = 1,
-    seed: int = 1,
+    seed: int | np.random.SeedSequence = 1,
 ) -> Served:
     """A vehicle of this airframe on the ground at `home`, under an autopilot of this flavour.
 
@@ -167,8 +167,12 @@ class Host:
         self._steps += self._steps_a_turn
         for index, served in enumerate(self._served):
             served.advance(self._steps_a_turn)
-            for link, datagram in served.autopilot.take_outbox():
-                self._endpoints.send(self._numbers[index, link], datagram)
+            frames: dict[int, list[bytes]] = {}
+            for link, frame in served.autopilot.take_outbox():
+                frames.setdefault(link, []).append(frame)
+            for link, said in frames.items():
+                for datagram in bundled(said):
+                    self._endpoints.send(self._numbers[index, link], datagram)
         for number, datagram in self._pacer.wait_until(self.t_s, self._endpoints):
             served, link = self._owners[number]
             served.autopilot.receive(link, datagram)

@@ -96,6 +96,14 @@ def short_flight():
 
 
 @pytest.fixture
+def short_file(tmp_path) -> Path:
+    """The short flight as a file."""
+    path = tmp_path / "short.toml"
+    path.write_text(_toml(SHORT))
+    return path
+
+
+@pytest.fixture
 def fly_case(tmp_path):
     """`fly_case(flavour, changes, seed=, gate=)` flies the short flight so changed."""
 

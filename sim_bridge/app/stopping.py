@@ -1,0 +1,14 @@
+"""SIGTERM as an orderly end: the stack unwinds, and with it every process that was started."""
+
+import signal
+from types import FrameType
+
+
+def stop_by_signal(number: int) -> None:
+    """From now on this signal raises SystemExit(128 + number) once; later ones change nothing."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    signal.signal(number, stop)
