@@ -1,4 +1,4 @@
-"""Signing on, both flavours: a signed flight, beside a forger who has no key."""
+"""Signing on, in both flavours: a signed flight beside a forger who lacks the key."""
 
 import contextlib
 import socket

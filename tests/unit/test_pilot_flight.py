@@ -16,6 +16,7 @@ import pytest
 
 from companion.adapters.files import read_airframe
 from companion.core import events as ev
+from companion.core import recognising
 from companion.core.actions import (
     Action,
     Answer,
@@ -41,11 +42,12 @@ from companion.core.actions import (
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.events import Ground, Mode
 from companion.core.flight import Flight
+from companion.core.flight_state import PilotOptions
 from companion.core.gate import Ahead, Assessment
 from companion.core.judgement import Limits
 from companion.core.kept import Kept
 from companion.core.mission_items import ItemKind, MissionItem, differences
-from companion.core.pilot import Pilot, PilotOptions
+from companion.core.pilot import Pilot
 from companion.core.preflight import Requirement
 from companion.core.transitions import COMMANDING_PHASES, Phase
 from companion.core.wind_estimator import WindBelief
@@ -332,8 +334,8 @@ def world(
     judge = ScriptedJudge(pilot.judge.route_energy)
     pilot.judge = judge  # type: ignore[assignment]
     if kept is not None:
-        pilot._kept = kept
-        pilot._restore()
+        pilot.checkpoint = kept
+        recognising.restore(pilot)
     made = World(pilot, judge, armed=armed)
     if not armed:
         start(made)
