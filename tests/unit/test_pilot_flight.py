@@ -48,7 +48,7 @@ from companion.core.judgement import Limits
 from companion.core.kept import Kept
 from companion.core.mission_items import ItemKind, MissionItem, differences
 from companion.core.pilot import Pilot
-from companion.core.preflight import Requirement
+from companion.core.preflight import Finding, Requirement
 from companion.core.transitions import COMMANDING_PHASES, Phase
 from companion.core.wind_estimator import WindBelief
 
@@ -599,6 +599,45 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
         w.step()
     assert w.pilot.phase is Phase.LAST_RESORT, "its own RTL is not a take-over"
     assert w.orders_after(taken_s) == []
+
+
+def test_safety_rule_3_no_rtl_where_its_altitude_is_not_known_to_clear_the_obstacles():
+    w = reach(Phase.OUTBOUND)
+    w.pilot.ground.findings = (Finding("RTL_ALT", "an RTL above every obstacle", blocks=True),)
+    w.obeys_jumps = False
+    w.judge.turn_back = lambda judge: True
+    w.until(Phase.LAST_RESORT)
+    assert "RTL not safe" in w.said
+    assert not any(isinstance(a, SetMode) and a.mode is Mode.RTL for _, a in w.log)
+
+
+def test_a_position_lost_in_flight_is_said_with_where_it_was_and_promises_nothing():
+    w = reach(Phase.OUTBOUND)
+    w.gnss = False
+    lost_s = w.t_s
+    w.run(lambda x: x.t_s > lost_s + 3.0)
+    assert "position lost: no satellite fix" in w.said
+    (told,) = [a for _, a in w.log if isinstance(a, Decision) and a.kind == "position_lost"]
+    assert f"last at {DEPOT[0] + w.north / M_PER_DEG:.2f}" in told.reason
+    assert told.p_home is None
+    assert w.pilot.assessment is None
+    w.gnss = True
+    w.run(lambda x: x.t_s > lost_s + 6.0)
+    assert "position back after" in w.said
+    assert w.pilot.assessment is not None
+
+
+def test_an_autopilot_that_comes_down_blind_is_left_alone_and_the_operator_knows_where():
+    w = reach(Phase.OUTBOUND)
+    w.gnss = False
+    w.run(lambda x: x.pilot.air.position_lost_s is not None)
+    w.mode = Mode.LAND
+    taken_s = w.t_s
+    w.run(lambda x: x.pilot.phase is Phase.SUSPENDED)
+    for _ in range(50):
+        w.step()
+    assert "coming down blind, last at 55.47" in w.said
+    assert w.orders_after(taken_s + 0.1) == []
 
 
 # --- safety rule 4: energy is counted and kept ---------------------------------------------------
