@@ -19,6 +19,14 @@ class PilotOptions:
     check_only: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Move:
+    """An item that the mission was moved to and not by us, told so many times in a row."""
+
+    index: int
+    told: int
+
+
 @dataclass(slots=True)
 class FlightState:
     """What the flight has come to so far."""
@@ -31,7 +39,7 @@ class FlightState:
     leg: int = 0
     index: int | None = None
     rally: str | None = None
-    moved_to: int | None = None
+    moved_to: Move | None = None
     jump: JumpWatch | None = None
     course: CourseWatch | None = None
     release: ReleaseWatch | None = None

@@ -503,6 +503,17 @@ def test_safety_rule_1_somebody_else_who_moves_the_mission_takes_over():
     assert w.pilot.phase is Phase.SUSPENDED
 
 
+def test_one_late_message_from_before_our_own_jump_is_no_other_hand():
+    # UDP reorders; MISSION_CURRENT carries no time.
+    w = reach(Phase.OUTBOUND)
+    before = w.index
+    w.run(lambda x: x.pilot.air.leg == 1 and x.pilot.air.jump is None)
+    w.tell(ev.MissionProgress(w.t_s, before, len(w.items)))
+    w.tell(ev.Tick(w.t_s))
+    assert w.pilot.phase is Phase.OUTBOUND
+    assert w.to_the_end().outcome == "SUC"
+
+
 def test_safety_rule_1_another_mission_aboard_takes_over():
     w = reach(Phase.OUTBOUND)
     w.tell(ev.MissionProgress(w.t_s, 3, total=5))
