@@ -1,20 +1,19 @@
 """Files that people write: flight, airframe, obstacles. Errors name the file and the key."""
 
 import hashlib
-import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from companion.core.airframe import Airframe, airframe_from_dict
+from companion.core.documents import json_object, params_folders, toml_table
 from companion.core.errors import LeewayError
 from companion.core.flight import Flight, Place
 from companion.core.flight_plan import frame_at, site_map
 from companion.core.geo import Obstacle
 
-PACKAGE = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def params_dir(explicit: Path | None = None) -> Path:
@@ -23,7 +22,7 @@ def params_dir(explicit: Path | None = None) -> Path:
         if not explicit.is_dir():
             raise LeewayError(f"{explicit}: no such params folder")
         return explicit
-    for folder in (PACKAGE.parent / "params", PACKAGE / "_params"):
+    for folder in map(Path, params_folders(ROOT)):
         if folder.is_dir():
             return folder
     raise LeewayError("no params folder: name one with --params")
@@ -55,15 +54,7 @@ def read_obstacle_document(flight: Flight, flight_file: Path) -> dict[str, Any] 
         return None
     path = Path(flight.site.obstacles)
     path = path if path.is_absolute() else flight_file.parent / path
-    try:
-        document = json.loads(path.read_text())
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise LeewayError(f"{path}: expected a GeoJSON FeatureCollection")
-    return document
+    return json_object(_bytes_of(path), str(path), "a GeoJSON FeatureCollection")
 
 
 def read_obstacles(flight: Flight, flight_file: Path, depot: Place) -> tuple[Obstacle, ...]:
@@ -79,9 +70,11 @@ def digest_of(flight_file: Path, airframe: Airframe) -> str:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
+    return toml_table(_bytes_of(path), str(path))
+
+
+def _bytes_of(path: Path) -> bytes:
     try:
-        return tomllib.loads(path.read_text())
+        return path.read_bytes()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: {error}") from error

@@ -14,7 +14,8 @@ from companion.app.check_report import report
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.errors import LeewayError
-from companion.core.pilot import Pilot, PilotOptions
+from companion.core.flight_state import PilotOptions
+from companion.core.pilot import Pilot
 from companion.core.transitions import Phase, as_markdown, as_mermaid
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the

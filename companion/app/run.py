@@ -17,8 +17,9 @@ from companion.app.recorder import Recorder
 from companion.core.actions import Action, Say, Severity
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
+from companion.core.flight_state import PilotOptions
 from companion.core.kept import Kept
-from companion.core.pilot import Pilot, PilotOptions
+from companion.core.pilot import Pilot
 from companion.core.preflight import Requirement, RouteFacts
 from companion.core.transitions import Phase
 

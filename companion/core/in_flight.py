@@ -65,9 +65,8 @@ def tick(pilot: Pilot) -> None:
         return
     if pilot.phase not in FLIGHT_PHASES:
         return
-    mind_foreign_moves(pilot)
-    if pilot.phase not in FLIGHT_PHASES:
-        return
+    if mind_foreign_moves(pilot):
+        return  # taken over, or perhaps: the next message tells
     observe_release(pilot)
     mind_the_jump(pilot)
     if pilot.phase is not Phase.CLIMB:

@@ -6,43 +6,33 @@ every phase: authority, other computers, the link, restarts, reports, the checkp
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
-
-import msgspec
 
 from companion.core import (
     before_flight,
     foresight,
     in_flight,
     progress,
+    recognising,
+    reports,
     touchdown,
     turning_back,
 )
 from companion.core.actions import (
     Action,
     Answer,
-    AskTelemetry,
-    Assessed,
     Decision,
     DropOrders,
-    EnergyReport,
     Finished,
     Note,
     Order,
     PhaseChanged,
-    Publish,
-    ReadMissionBack,
     Reply,
-    SaveCheckpoint,
     Say,
-    SetMode,
     Severity,
-    WindReport,
 )
 from companion.core.airframe import Airframe
 from companion.core.authority import Authority
-from companion.core.energy_ledger import EnergyBelief
 from companion.core.events import (
     AbortOrdered,
     Authorised,
@@ -66,27 +56,23 @@ from companion.core.events import (
     OrderRefused,
     OtherComputer,
     ParametersSet,
-    Position,
     ReleaseFeedback,
     StreamsAsked,
     Tick,
     VehicleState,
 )
 from companion.core.flight import Flight
-from companion.core.flight_plan import FlightPlan, lay_out, site_map
+from companion.core.flight_plan import FlightPlan
+from companion.core.flight_state import FlightState, GroundWork, PilotOptions
 from companion.core.gate import Assessment
-from companion.core.judgement import Judgement, JudgementKept, Limits
-from companion.core.kept import Kept, kept_to_dict
-from companion.core.obedience import CourseWatch, JumpWatch
+from companion.core.judgement import Judgement, Limits
+from companion.core.kept import Kept
 from companion.core.planner import BerPlanner
-from companion.core.preflight import Finding, Requirement, RouteFacts
-from companion.core.release import ReleaseWatch
+from companion.core.preflight import Requirement, RouteFacts
 from companion.core.route_energy import RouteEnergy
 from companion.core.situation import Situation
 from companion.core.transitions import (
     COMMANDING_PHASES,
-    END_PHASES,
-    FLIGHT_PHASES,
     OUTWARD_PHASES,
     Phase,
     Trigger,
@@ -99,77 +85,7 @@ LULL_S = 3.0
 SAME_MISSION_S = 30.0
 """After a gap up to this the mission aboard need not be read item by item again."""
 
-REPORT_S = 1.0
-WIND_REPORT_S = 0.5
-CHECKPOINT_S = 5.0
-
 Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
-
-
-@dataclass(frozen=True, slots=True)
-class PilotOptions:
-    """How this run is to be flown. `authorise` counts once and never after a restart."""
-
-    gate_on: bool = True
-    configure: bool = False
-    authorise: bool = False
-    check_only: bool = False
-
-
-@dataclass(slots=True)
-class FlightState:
-    """What the flight has come to so far."""
-
-    authorised: bool = False
-    flying: bool = False
-    delivered: bool = False
-    gate_closed: str = ""
-    took_off_s: float | None = None
-    leg: int = 0
-    index: int | None = None
-    rally: str | None = None
-    moved_to: int | None = None
-    jump: JumpWatch | None = None
-    course: CourseWatch | None = None
-    release: ReleaseWatch | None = None
-    release_asked_again: bool = False
-    turned_again: int = 0
-    looked_again_s: float = -1e9
-    speed_mps: float | None = None
-    speed_s: float = -1e9
-    speed_index: int | None = None
-    settled_s: float | None = None
-    landed_s: float | None = None
-    energy_landed: EnergyBelief | None = None
-    disarm_asked_s: float = -1e9
-    disarms_asked: int = 0
-    disarmed_s: float | None = None
-    still_s: float | None = None
-    doubtful_s: float | None = None
-    position_lost_s: float | None = None
-    last_sure: Position | None = None
-    noted: set[str] = field(default_factory=set)
-
-
-@dataclass(slots=True)
-class GroundWork:
-    """What is being waited for before take-off."""
-
-    asked_s: float = -1e9
-    attempts: int = 0
-    values: dict[str, float | None] = field(default_factory=dict)
-    settings_before: dict[str, float] = field(default_factory=dict)
-    configured: bool = False
-    findings: tuple[Finding, ...] = ()
-    findings_known: bool = False
-    requirements: tuple[Requirement, ...] = ()
-    arm_asked_s: float = -1e9
-    mission_matches: bool = False
-    plan_refused: str = ""
-    giving_up: str = ""
-    giving_up_s: float = 0.0
-    authorised_by: str = ""
-    said: str = ""
 
 
 class Pilot:
@@ -205,15 +121,13 @@ class Pilot:
         self.ground = GroundWork()
         self.assessment: Assessment | None = None
         self.outcome: str | None = None
-        self._digest = digest
-        self._kept = kept if kept is not None and not kept.finished else None
+        self.digest = digest
+        self.checkpoint = kept if kept is not None and not kept.finished else None
         self._out: list[Action] = []
-        self._reported_s = -1e9
-        self._wind_reported_s = -1e9
-        self._saved_s = -1e9
+        self.told = reports.Told()
         self.noted: foresight.Noted | None = None
         self._silent_since_s: float | None = None
-        self._restore()
+        recognising.restore(self)
 
     # --- the door ------------------------------------------------------------------------------
 
@@ -311,7 +225,7 @@ class Pilot:
             case StreamsAsked() | AutopilotParameters() | ParametersSet() | MissionUploaded():
                 before_flight.hear(self, event)
             case MissionReadBack():
-                self._read_back(event)
+                recognising.read_back(self, event)
             case _:
                 return
 
@@ -321,11 +235,11 @@ class Pilot:
         for words in self.judge.observe(self.now, self.flavour):
             self.do(Note(words))
         if self.phase is Phase.RECOGNISE:
-            self._recognise()
+            recognising.tick(self)
         else:
             before_flight.tick(self)
             in_flight.tick(self)
-        self._report()
+        reports.report(self)
 
     def _enter(self, left: Phase, why: str) -> None:
         """Do what the new phase starts with."""
@@ -343,7 +257,7 @@ class Pilot:
             case Phase.LINK_LOST:
                 self.do(DropOrders())
             case Phase.RECOGNISE:
-                self._start_recognising(why)
+                recognising.begin(self, why)
             case Phase.DONE | Phase.GROUNDED:
                 self.do(DropOrders())
                 touchdown.conclude(self, why)
@@ -366,7 +280,7 @@ class Pilot:
             self.authority.ground_mode = state.mode_name
         if not self.now.armed:
             self.fire(Trigger.IDENTIFIED)
-        elif self._kept is not None and self._kept.flying and self.flown is not None:
+        elif self.checkpoint is not None and self.checkpoint.flying and self.flown is not None:
             self.fire(Trigger.AIRBORNE_AT_START, "armed, and our checkpoint says in flight")
         else:
             self.fire(Trigger.MISSION_UNKNOWN, "armed, and not by us")
@@ -436,149 +350,9 @@ class Pilot:
         self.do(DropOrders())
         self.fire(Trigger.REBOOTED, "the autopilot rebooted")
 
-    def _restore(self) -> None:
-        kept = self._kept
-        if kept is None:
-            return
-        self.judge.restore(_judgement_kept(kept))
-        self.now.t_s = kept.t_s
-        air = self.air
-        air.authorised, air.delivered = kept.authorised, kept.delivered
-        air.gate_closed, air.took_off_s, air.rally = kept.gate_closed, kept.took_off_s, kept.rally
-        air.leg = kept.leg
-        self.ground.settings_before = dict(kept.settings_before)
-        if kept.flying and kept.plan is not None and kept.frame is not None:
-            site = site_map(self.flight, kept.frame, self.obstacles)
-            self.flown = FlightPlan(site, kept.plan, lay_out(self.flight, site, kept.plan))
-            air.flying = True
-
-    def _start_recognising(self, why: str) -> None:
-        state = self.now.state
-        self.ground.mission_matches = False
-        ordered_back = self.authority.ordered is Mode.MISSION
-        if self._kept is not None and not self._kept.authority and not ordered_back:
-            self._kept = None
-            self.fire(Trigger.TAKEN_OVER, "we had no authority before the restart")
-            return
-        self._kept = None
-        if state is not None and state.armed and state.mode is not Mode.MISSION:
-            if not ordered_back:
-                self.fire(Trigger.TAKEN_OVER, f"mode is {state.mode_name}")
-                return
-            self.do(SetMode(Mode.MISSION))
-        if self.flown is None:
-            return
-        self.decide("recognise", why or "reading the mission aboard again")
-        self.do(AskTelemetry(), ReadMissionBack(self.flown.mission.items))
-        before_flight.ask_parameters(self)
-        self.ground.asked_s = self.now.t_s
-        self.air.index = None
-        self.air.moved_to = None
-
-    def _recognise(self) -> None:
-        """On the ground there is nothing to recognise; in the air the read-back decides."""
-        state = self.now.state
-        if state is None or not self.now.is_fresh(state, 3.5):
-            return
-        if not state.armed:
-            if self.air.flying:
-                touchdown.watch_landing(self)
-            else:
-                self.fire(Trigger.STILL_ON_GROUND)
-            return
-        if self.flown is None:
-            self.fire(Trigger.MISSION_UNKNOWN, "armed, and no mission of ours")
-            return
-        if state.mode is not Mode.MISSION:
-            why = self.authority.intrusion(Phase.ARM, state, on_ground=False)
-            waited_s = self.now.t_s - self.phase_since_s
-            if why is not None or self.authority.ordered is None or waited_s > 15.0:
-                self.fire(Trigger.TAKEN_OVER, why or f"mode stays {state.mode_name}")
-            return
-        if self.ground.mission_matches:
-            progress.place_by_progress(self)
-        elif self.now.t_s - self.ground.asked_s > 20.0:
-            self.ground.asked_s = self.now.t_s
-            self.do(ReadMissionBack(self.flown.mission.items))
-
-    def _read_back(self, event: MissionReadBack) -> None:
-        if self.phase is not Phase.RECOGNISE:
-            if event.differences and self.phase in FLIGHT_PHASES:
-                self.fire(Trigger.TAKEN_OVER, "the mission aboard is not ours")
-            before_flight.hear(self, event)
-            return
-        if not event.differences:
-            self.ground.mission_matches = True
-            return
-        for words in event.differences[:10]:
-            self.do(Note(f"mission aboard: {words}"))
-        if event.differences[0].startswith("no answer"):
-            return  # asked again from the tick
-        self.fire(Trigger.MISSION_UNKNOWN, "the mission aboard is not ours")
-
-    # --- reports -------------------------------------------------------------------------------
-
-    def _report(self) -> None:
-        t_s = self.now.t_s
-        wind, energy, seen = self.judge.wind, self.judge.energy, self.assessment
-        if wind is not None and wind.valid and t_s - self._wind_reported_s >= WIND_REPORT_S - 1e-6:
-            self._wind_reported_s = t_s
-            north, east = (float(x) for x in wind.mean_to_ne_mps)
-            cov = wind.cov_ne_m2ps2
-            self.do(
-                WindReport(t_s, north, east, float(cov[0, 0]), float(cov[0, 1]), float(cov[1, 1]))
-            )
-        if t_s - self._reported_s >= REPORT_S - 1e-6:
-            self._reported_s = t_s
-            values: dict[str, float] = {}
-            if wind is not None and wind.valid:
-                values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
-            if energy is not None:
-                values["LW_ENERGY"] = energy.mean_wh
-                self.do(EnergyReport(t_s, energy.mean_wh, energy.std_wh, energy.source))
-            if seen is not None and t_s - seen.t_s <= 2.5:
-                values |= {
-                    "LW_MARGIN": seen.margin_wh,
-                    "LW_PHOME": seen.p_home,
-                    "LW_PHNOW": seen.p_home_now,
-                    "LW_PSUCC": seen.p_success,
-                }
-                self.do(_assessed(seen))
-            self.do(Publish(values))
-        flying = self.phase in FLIGHT_PHASES or self.phase is Phase.SUSPENDED
-        if flying and t_s - self._saved_s >= CHECKPOINT_S - 1e-6:
-            self.save(routine=True)
-
     def save(self, *, routine: bool = False) -> None:
         """Ask for a checkpoint of the present state."""
-        if self.options.check_only:
-            return
-        self._saved_s = self.now.t_s
-        self.do(SaveCheckpoint(kept_to_dict(self.kept()), routine))
-
-    def kept(self) -> Kept:
-        """What a restart needs."""
-        air, flown = self.air, self.flown
-        waiting = self.phase is Phase.LINK_LOST and self.before in FLIGHT_PHASES
-        recognising = self.phase is Phase.RECOGNISE and air.flying
-        return Kept(
-            flight=self._digest,
-            t_s=self.now.t_s,
-            phase=self.phase.value,
-            authority=self.phase in FLIGHT_PHASES or waiting or recognising,
-            authorised=air.authorised,
-            flying=air.flying,
-            finished=self.phase in END_PHASES,
-            delivered=air.delivered,
-            gate_closed=air.gate_closed,
-            leg=air.leg,
-            took_off_s=air.took_off_s,
-            plan=flown.plan if flown is not None else None,
-            frame=flown.site.frame if flown is not None else None,
-            rally=air.rally,
-            settings_before=dict(self.ground.settings_before),
-            judgement=self.judge.snapshot(),
-        )
+        reports.save(self, routine=routine)
 
     def finish(self, outcome: str, reason: str) -> None:
         """End the mission."""
@@ -590,20 +364,3 @@ class Pilot:
     def outward(self) -> bool:
         """Flying away from home, or about to."""
         return self.phase in OUTWARD_PHASES
-
-
-def _judgement_kept(kept: Kept) -> JudgementKept:
-    return msgspec.convert(kept.judgement, JudgementKept)
-
-
-def _assessed(seen: Assessment) -> Assessed:
-    return Assessed(
-        seen.t_s,
-        seen.p_home,
-        seen.p_home_now,
-        seen.p_success,
-        seen.margin_wh,
-        seen.energy_left_wh,
-        seen.energy_need_wh,
-        seen.p_home_unattended,
-    )

@@ -11,13 +11,18 @@ from companion.core.actions import (
     Severity,
 )
 from companion.core.events import MissionProgress, Mode, OrderRefused
+from companion.core.flight_state import Move
 from companion.core.geo import horizontal_m
 from companion.core.mission_items import Part
 from companion.core.obedience import CourseWatch, JumpWatch, Purpose, Verdict
+from companion.core.situation import PROGRESS_MAX_AGE_S
 from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
 
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
+
+
+MOVE_WITNESSES = 2
 
 
 def follow(pilot: Pilot, event: MissionProgress) -> None:
@@ -44,18 +49,29 @@ def follow(pilot: Pilot, event: MissionProgress) -> None:
         _jump_confirmed(pilot, event.index)
         return
     if event.index == air.index or pilot.phase is Phase.LAND:
+        air.moved_to = None
         return
     if air.index is not None and not mission.follows(air.index, event.index):
-        air.moved_to = event.index  # judged at the tick: after a silence it moved on by itself
-        return
+        again = air.moved_to is not None and air.moved_to.index == event.index
+        air.moved_to = Move(event.index, air.moved_to.told + 1 if again and air.moved_to else 1)
+        return  # judged at the tick: after a silence it moved on by itself
+    air.moved_to = None
     at_item(pilot, event.index)
 
 
-def mind_foreign_moves(pilot: Pilot) -> None:
-    """An item that neither we nor the mission itself went to: another hand moved it."""
-    moved_to, pilot.air.moved_to = pilot.air.moved_to, None
-    if moved_to is not None:
-        pilot.fire(Trigger.TAKEN_OVER, f"somebody moved the mission to item {moved_to}")
+def mind_foreign_moves(pilot: Pilot) -> bool:
+    """Tell whether the mission may be in another hand; a hand that shows twice takes over.
+
+    One message alone may be a late one from before our own jump: MISSION_CURRENT has no time.
+    """
+    moved_to, now = pilot.air.moved_to, pilot.now
+    if not now.is_fresh(now.progress, PROGRESS_MAX_AGE_S):
+        pilot.air.moved_to = None
+        return False
+    if moved_to is not None and moved_to.told >= MOVE_WITNESSES:
+        pilot.air.moved_to = None
+        pilot.fire(Trigger.TAKEN_OVER, f"somebody moved the mission to item {moved_to.index}")
+    return moved_to is not None
 
 
 def at_item(pilot: Pilot, index: int) -> None:

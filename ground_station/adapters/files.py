@@ -1,10 +1,9 @@
 """Files that dispatchers give: TOML and GeoJSON. Errors name the file."""
 
-import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
+from companion.core.documents import json_object, params_folders, toml_table
 from companion.core.errors import LeewayError
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -12,7 +11,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 def params_dir() -> Path:
     """The repository's params folder, or the one packaged beside the companion."""
-    for folder in (_ROOT / "params", _ROOT / "companion" / "_params"):
+    for folder in map(Path, params_folders(_ROOT)):
         if folder.is_dir():
             return folder
     raise LeewayError("no params folder beside the installed packages")
@@ -20,22 +19,16 @@ def params_dir() -> Path:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a table."""
-    try:
-        return tomllib.loads(path.read_text())
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: {error}") from error
+    return toml_table(_bytes_of(path), str(path))
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON (GeoJSON) file as an object."""
+    return json_object(_bytes_of(path), str(path))
+
+
+def _bytes_of(path: Path) -> bytes:
     try:
-        document = json.loads(path.read_text())
+        return path.read_bytes()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise LeewayError(f"{path}: expected a JSON object")
-    return document

@@ -15,7 +15,8 @@ from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.run import requirements
 from companion.core.actions import Action, Decision
-from companion.core.pilot import Pilot, PilotOptions
+from companion.core.flight_state import PilotOptions
+from companion.core.pilot import Pilot
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour
 from sim_bridge.autopilot.parameters import read_parameters

@@ -16,7 +16,8 @@ from companion.app import run as run_module
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.run import BROKEN, requirements
-from companion.core.pilot import Pilot, PilotOptions
+from companion.core.flight_state import PilotOptions
+from companion.core.pilot import Pilot
 from companion.core.transitions import Phase
 
 ROOT = Path(__file__).parents[2]

@@ -46,7 +46,7 @@ def test_nothing_is_believed_before_anything_is_known() -> None:
     assert ledger().belief() is None
 
 
-def test_the_start_is_the_resting_voltages_charge_of_the_usable_energy() -> None:
+def test_safety_rule_4_the_start_is_the_resting_voltages_charge_of_the_usable_energy() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V))
     assert left(book).mean_wh == pytest.approx(FULL_WH)
@@ -56,7 +56,7 @@ def test_the_start_is_the_resting_voltages_charge_of_the_usable_energy() -> None
     assert 0.44 * FULL_WH < left(half).mean_wh < 0.5 * FULL_WH  # under half: some is below cut-off
 
 
-def test_cold_and_age_lessen_it() -> None:
+def test_safety_rule_4_cold_and_age_lessen_it() -> None:
     cold = ledger()
     cold.observe(rest(0.0, voltage_v=FULL_V, temperature_c=0.0))
     assert left(cold).mean_wh == pytest.approx(0.82 * FULL_WH)
@@ -81,7 +81,7 @@ def test_the_autopilots_counters_count_from_where_they_stood() -> None:
     assert left(book).mean_wh == pytest.approx(FULL_WH - 14.0)
 
 
-def test_the_lowest_of_disagreeing_sources_counts_and_is_said() -> None:
+def test_safety_rule_4_the_lowest_of_disagreeing_sources_counts_and_is_said() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, consumed_wh=0.0, remaining_frac=1.0))
     for t in range(1, 121):
@@ -186,7 +186,7 @@ def test_started_in_the_air_it_reckons_the_resting_voltage_from_the_loaded_one()
     assert left(book).std_wh > 0.03 * FULL_WH
 
 
-def test_a_companion_restart_goes_on_and_never_raises_it() -> None:
+def test_safety_rule_4_a_companion_restart_goes_on_and_never_raises_it() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, consumed_wh=0.0))
     fly(book, 1, 120, voltage_v=VOLTS, current_a=AMPS, consumed_wh=16.0)
@@ -199,7 +199,7 @@ def test_a_companion_restart_goes_on_and_never_raises_it() -> None:
     assert left(again).mean_wh <= FULL_WH - 24.0 + 1e-6
 
 
-def test_restoring_an_older_higher_checkpoint_does_not_raise_it() -> None:
+def test_safety_rule_4_restoring_an_older_higher_checkpoint_does_not_raise_it() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V))
     old = book.snapshot()
@@ -209,7 +209,7 @@ def test_restoring_an_older_higher_checkpoint_does_not_raise_it() -> None:
     assert left(book).mean_wh <= low
 
 
-def test_an_autopilot_reboot_in_flight_never_raises_it() -> None:
+def test_safety_rule_4_an_autopilot_reboot_in_flight_never_raises_it() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, consumed_wh=0.0, remaining_frac=1.0))
     fly(book, 1, 120, voltage_v=VOLTS, current_a=AMPS, consumed_wh=20.0, remaining_frac=0.8)

@@ -16,6 +16,7 @@ import pytest
 
 from companion.adapters.files import read_airframe
 from companion.core import events as ev
+from companion.core import recognising
 from companion.core.actions import (
     Action,
     Answer,
@@ -41,12 +42,13 @@ from companion.core.actions import (
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.events import Ground, Mode
 from companion.core.flight import Flight
+from companion.core.flight_state import PilotOptions
 from companion.core.gate import Ahead, Assessment
 from companion.core.judgement import Limits
 from companion.core.kept import Kept
 from companion.core.mission_items import ItemKind, MissionItem, differences
-from companion.core.pilot import Pilot, PilotOptions
-from companion.core.preflight import Requirement
+from companion.core.pilot import Pilot
+from companion.core.preflight import Finding, Requirement
 from companion.core.transitions import COMMANDING_PHASES, Phase
 from companion.core.wind_estimator import WindBelief
 
@@ -332,8 +334,8 @@ def world(
     judge = ScriptedJudge(pilot.judge.route_energy)
     pilot.judge = judge  # type: ignore[assignment]
     if kept is not None:
-        pilot._kept = kept
-        pilot._restore()
+        pilot.checkpoint = kept
+        recognising.restore(pilot)
     made = World(pilot, judge, armed=armed)
     if not armed:
         start(made)
@@ -501,6 +503,17 @@ def test_safety_rule_1_somebody_else_who_moves_the_mission_takes_over():
     assert w.pilot.phase is Phase.SUSPENDED
 
 
+def test_one_late_message_from_before_our_own_jump_is_no_other_hand():
+    # UDP reorders; MISSION_CURRENT carries no time.
+    w = reach(Phase.OUTBOUND)
+    before = w.index
+    w.run(lambda x: x.pilot.air.leg == 1 and x.pilot.air.jump is None)
+    w.tell(ev.MissionProgress(w.t_s, before, len(w.items)))
+    w.tell(ev.Tick(w.t_s))
+    assert w.pilot.phase is Phase.OUTBOUND
+    assert w.to_the_end().outcome == "SUC"
+
+
 def test_safety_rule_1_another_mission_aboard_takes_over():
     w = reach(Phase.OUTBOUND)
     w.tell(ev.MissionProgress(w.t_s, 3, total=5))
@@ -597,6 +610,45 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
         w.step()
     assert w.pilot.phase is Phase.LAST_RESORT, "its own RTL is not a take-over"
     assert w.orders_after(taken_s) == []
+
+
+def test_safety_rule_3_no_rtl_where_its_altitude_is_not_known_to_clear_the_obstacles():
+    w = reach(Phase.OUTBOUND)
+    w.pilot.ground.findings = (Finding("RTL_ALT", "an RTL above every obstacle", blocks=True),)
+    w.obeys_jumps = False
+    w.judge.turn_back = lambda judge: True
+    w.until(Phase.LAST_RESORT)
+    assert "RTL not safe" in w.said
+    assert not any(isinstance(a, SetMode) and a.mode is Mode.RTL for _, a in w.log)
+
+
+def test_a_position_lost_in_flight_is_said_with_where_it_was_and_promises_nothing():
+    w = reach(Phase.OUTBOUND)
+    w.gnss = False
+    lost_s = w.t_s
+    w.run(lambda x: x.t_s > lost_s + 3.0)
+    assert "position lost: no satellite fix" in w.said
+    (told,) = [a for _, a in w.log if isinstance(a, Decision) and a.kind == "position_lost"]
+    assert f"last at {DEPOT[0] + w.north / M_PER_DEG:.2f}" in told.reason
+    assert told.p_home is None
+    assert w.pilot.assessment is None
+    w.gnss = True
+    w.run(lambda x: x.t_s > lost_s + 6.0)
+    assert "position back after" in w.said
+    assert w.pilot.assessment is not None
+
+
+def test_an_autopilot_that_comes_down_blind_is_left_alone_and_the_operator_knows_where():
+    w = reach(Phase.OUTBOUND)
+    w.gnss = False
+    w.run(lambda x: x.pilot.air.position_lost_s is not None)
+    w.mode = Mode.LAND
+    taken_s = w.t_s
+    w.run(lambda x: x.pilot.phase is Phase.SUSPENDED)
+    for _ in range(50):
+        w.step()
+    assert "coming down blind, last at 55.47" in w.said
+    assert w.orders_after(taken_s + 0.1) == []
 
 
 # --- safety rule 4: energy is counted and kept ---------------------------------------------------

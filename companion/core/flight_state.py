@@ -1,0 +1,83 @@
+"""What the pilot remembers of one mission: how to fly it, the ground work, the flight so far."""
+
+from dataclasses import dataclass, field
+
+from companion.core.energy_ledger import EnergyBelief
+from companion.core.events import Position
+from companion.core.obedience import CourseWatch, JumpWatch
+from companion.core.preflight import Finding, Requirement
+from companion.core.release import ReleaseWatch
+
+
+@dataclass(frozen=True, slots=True)
+class PilotOptions:
+    """How this run is to be flown. `authorise` counts once and never after a restart."""
+
+    gate_on: bool = True
+    configure: bool = False
+    authorise: bool = False
+    check_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """An item that the mission was moved to and not by us, told so many times in a row."""
+
+    index: int
+    told: int
+
+
+@dataclass(slots=True)
+class FlightState:
+    """What the flight has come to so far."""
+
+    authorised: bool = False
+    flying: bool = False
+    delivered: bool = False
+    gate_closed: str = ""
+    took_off_s: float | None = None
+    leg: int = 0
+    index: int | None = None
+    rally: str | None = None
+    moved_to: Move | None = None
+    jump: JumpWatch | None = None
+    course: CourseWatch | None = None
+    release: ReleaseWatch | None = None
+    release_asked_again: bool = False
+    turned_again: int = 0
+    looked_again_s: float = -1e9
+    speed_mps: float | None = None
+    speed_s: float = -1e9
+    speed_index: int | None = None
+    settled_s: float | None = None
+    landed_s: float | None = None
+    energy_landed: EnergyBelief | None = None
+    disarm_asked_s: float = -1e9
+    disarms_asked: int = 0
+    disarmed_s: float | None = None
+    still_s: float | None = None
+    doubtful_s: float | None = None
+    position_lost_s: float | None = None
+    last_sure: Position | None = None
+    noted: set[str] = field(default_factory=set)
+
+
+@dataclass(slots=True)
+class GroundWork:
+    """What is being waited for before take-off."""
+
+    asked_s: float = -1e9
+    attempts: int = 0
+    values: dict[str, float | None] = field(default_factory=dict)
+    settings_before: dict[str, float] = field(default_factory=dict)
+    configured: bool = False
+    findings: tuple[Finding, ...] = ()
+    findings_known: bool = False
+    requirements: tuple[Requirement, ...] = ()
+    arm_asked_s: float = -1e9
+    mission_matches: bool = False
+    plan_refused: str = ""
+    giving_up: str = ""
+    giving_up_s: float = 0.0
+    authorised_by: str = ""
+    said: str = ""
