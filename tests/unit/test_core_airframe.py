@@ -75,10 +75,11 @@ def test_drag_that_is_nothing_at_all_is_refused() -> None:
         airframe_from_dict(broken)
 
 
-def test_the_m100_reaches_its_published_top_speed_at_its_published_tilt() -> None:
-    # DJI Matrice 100 specifications: 22 m/s, 35 degrees, without wind or parcel.
+def test_the_m100_fitted_out_is_a_little_slower_than_the_bare_types_published_top_speed() -> None:
+    # DJI Matrice 100 specifications: 22 m/s, 35 degrees, bare. Companion, radio and gripper add
+    # weight (tilt thrust) and area: between a tenth slower and just as fast.
     m100 = airframe("m100")
-    assert max_airspeed_mps(m100, m100.mass_kg(0.0)) == pytest.approx(22.0, abs=0.3)
+    assert 0.9 * 22.0 <= max_airspeed_mps(m100, m100.mass_kg(0.0)) <= 22.0
 
 
 def test_the_m100_draws_what_the_field_logs_measured() -> None:
