@@ -105,6 +105,12 @@ class ScriptedJudge:
         self.t_s = now.t_s
         return ()
 
+    def depart(self, ahead: Ahead) -> Assessment | None:
+        return self.assess(ahead)
+
+    def limit(self, limits: Limits) -> None:
+        self.limits = limits
+
     def assess(self, ahead: Ahead) -> Assessment | None:
         if not self.known:
             return None
@@ -122,7 +128,7 @@ class ScriptedJudge:
 
     def snapshot(self) -> dict[str, object]:
         return {"ledger": {}, "outlook": {}, "scale": {}, "wind": {}, "payload_kg": self.payload_kg,
-                "max_loss": 0.01, "reserve_frac": 0.15}  # fmt: skip
+                "max_loss": 0.01, "accepted_loss": None, "reserve_frac": 0.15}  # fmt: skip
 
     def restore(self, kept: Any) -> None:
         self.restored = True
