@@ -248,6 +248,10 @@ class AutopilotPort:
         if kind == "PARAM_VALUE" and self._parameters is not None:
             self._parameters.hear(message)
             return self._parameters_events(t_s)
+        if kind == "PARAM_ERROR" and self._parameters is not None:
+            if mine:
+                self._parameters.hear_error(message)
+            return self._parameters_events(t_s)
         if kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
             if self._upload is not None and mine:
                 self._upload.hear(message, t_s)

@@ -98,6 +98,14 @@ class ParameterDesk:
         if wish is not None and abs(wish[0] - value) <= 1e-4 * max(1.0, abs(wish[0])):
             del self._setting[name]
 
+    def hear_error(self, message: Any) -> None:
+        """Take a PARAM_ERROR (PX4 1.18): there is no such parameter, or it cannot be set so."""
+        name = message.param_id
+        if self._reading.pop(name, None) is not None:
+            self.values.setdefault(name, None)
+        if self._setting.pop(name, None) is not None:
+            self.failed.append(name)
+
     def tick(self, t_s: float) -> None:
         """Ask (again) for what is due."""
         for name in list(self._reading)[:AT_ONCE]:

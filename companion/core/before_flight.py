@@ -173,11 +173,12 @@ def authorise(pilot: Pilot, by: str) -> Reply:
 def live_findings(pilot: Pilot) -> tuple[Finding, ...]:
     """The pre-flight now: settings, and what may still come by itself."""
     now = pilot.now
-    found = list(pilot.ground.findings)
+    found: list[Finding] = []
     if trouble := _pack_trouble(pilot):
         found.append(Finding("pack", trouble, blocks=True))
     if pilot.ground.plan_refused:
         found.append(Finding("plan", pilot.ground.plan_refused, blocks=True))
+    found += pilot.ground.findings
     found += [Finding("position", w, blocks=True, waits=True) for w in now.troubles()]
     if now.readiness is not None and not now.readiness.ready:
         words = "the autopilot's own pre-arm checks do not pass yet"

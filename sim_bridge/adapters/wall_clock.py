@@ -6,3 +6,8 @@ import time
 def wall_s() -> float:
     """Seconds that only ever grow, from no particular start."""
     return time.monotonic()
+
+
+def signing_10us() -> int:
+    """MAVLink's signing time: 10 us since 2015-01-01 UTC (mavlink.io, message signing)."""
+    return time.time_ns() // 10_000 - 1_420_070_400 * 100_000

@@ -10,6 +10,7 @@ from companion.core.geo import place_ned
 from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.bad_link import BadLink
 from sim_bridge.app.companion_process import CompanionProcess
+from sim_bridge.app.forger import Forger
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.record import TruthRecord
 from sim_bridge.autopilot.autopilot import Autopilot
@@ -70,6 +71,7 @@ class Craft:
     steps: int = 0
     link_silent_until_s: float = -1.0
     bad_link: BadLink | None = None
+    forger: Forger | None = None
     refused: frozenset[tuple[str, int]] = frozenset()
     commands: list[tuple[float, str, int]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
@@ -93,6 +95,9 @@ class Craft:
                 self.record.add(truth, self.terrain.up_m(north, east))
         for frame in self.operator.frames(self.t_s):
             autopilot.receive(OPERATOR_LINK, frame)
+        if self.forger is not None:
+            for frame in self.forger.to_autopilot():
+                autopilot.receive(COMPANION_LINK, frame)
 
     @property
     def link_up(self) -> bool:
@@ -111,6 +116,8 @@ class Craft:
             out = self.bad_link.spoil(out, self.autopilot.time_boot_ms)
         else:
             out = bundled(out)
+        if self.forger is not None and self.link_up:
+            out += self.forger.to_companion()
         self.autopilot.request_timesync(COMPANION_LINK, t_ns)
         return [*out, *bundled(self._said_to_companion())]
 

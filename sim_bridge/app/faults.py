@@ -8,6 +8,7 @@ import numpy as np
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.app.bad_link import BadLink
 from sim_bridge.app.craft import Craft
+from sim_bridge.app.forger import Forger
 from sim_bridge.app.scenario import Fault
 
 JUMPS = frozenset({("MISSION_SET_CURRENT", 0), ("COMMAND_LONG", 224)})
@@ -84,6 +85,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
         case "bad_link":
             rng = np.random.default_rng(len(craft.record.rows))
             craft.bad_link = BadLink(craft.number, rng)
+        case "forger":
+            craft.forger = Forger(craft.number, craft.flavour)
         case "clock_jump":
             craft.autopilot.jump_clock(fault.by_s)
         case "jumps_refused":
@@ -107,6 +110,8 @@ def _end(fault: Fault, craft: Craft) -> None:
             craft.vehicle.release_fails = False
         case "bad_link":
             craft.bad_link = None
+        case "forger":
+            craft.forger = None
         case "jumps_refused":
             craft.refused -= JUMPS
         case "arming_refused":

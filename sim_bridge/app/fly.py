@@ -26,7 +26,7 @@ from companion.core.flight import Flight, Place
 from sim_bridge.adapters.endpoint import EndpointSet
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.adapters.realtime import Pacer
-from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.adapters.wall_clock import signing_10us, wall_s
 from sim_bridge.app.clairvoyant import Foresight
 from sim_bridge.app.clairvoyant_flight import foresee_flight
 from sim_bridge.app.companion_process import CompanionProcess
@@ -46,6 +46,7 @@ from sim_bridge.app.scenario import read_faults, read_wind
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.signing import LinkSigning, Signing
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth, load_airframe
 from sim_bridge.truth.vehicle import Vehicle
@@ -64,6 +65,8 @@ class FlyOptions:
     """What the command line asks. `speedup` None flies as fast as the machine can.
 
     `believed` is the airframe that the companion is told, a name or a file; None: the true one's.
+    With `signing_key` (a file of 32 bytes) the companion's link is signed; the companion is then
+    authorised on its command line, since the operator's own frames are not.
     """
 
     flight_file: Path
@@ -77,6 +80,7 @@ class FlyOptions:
     picture: bool = True
     lockstep_limit_s: float = 20.0
     believed: str | None = None
+    signing_key: Path | None = None
 
 
 @dataclass(slots=True)
@@ -195,7 +199,7 @@ def _build_craft(
         read_parameters(params_dir() / "autopilots" / f"{flavour}.toml"),
         system_id=number,
     )
-    autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD)
+    autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD, signing=_signer(options.signing_key))
     autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
     port = endpoints.urls[index].rsplit(":", 1)[1]
     companion = CompanionProcess(
@@ -206,6 +210,7 @@ def _build_craft(
             f"--mission={mission_file}",
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
+            *_signed_arguments(options.signing_key),
         ],
     )
     return Craft(
@@ -221,6 +226,14 @@ def _build_craft(
         companion=companion,
         run_dir=own_dir,
     )
+
+
+def _signer(key: Path | None) -> LinkSigning | None:
+    return None if key is None else Signing(key.read_bytes(), signing_10us()).on_link(0)
+
+
+def _signed_arguments(key: Path | None) -> list[str]:
+    return [] if key is None else [f"--signing-key={key}", "--authorise"]
 
 
 def _drawn_charge(flight: Flight, rng: np.random.Generator) -> float:

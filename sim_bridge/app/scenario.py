@@ -24,6 +24,7 @@ FaultKind = Literal[
     "pitot_stuck",
     "attitude_wrong",
     "bad_link",
+    "forger",
     "clock_jump",
     "jumps_refused",
     "arming_refused",

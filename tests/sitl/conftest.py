@@ -116,6 +116,7 @@ def fly_case(tmp_path):
         name: str = "case",
         after_hands_off_s: float | None = None,
         believed: str | None = None,
+        signing_key: Path | None = None,
     ) -> Flown:
         table = merged(SHORT, changes or {})
         path = tmp_path / f"{name}.toml"
@@ -130,6 +131,7 @@ def fly_case(tmp_path):
             picture=False,
             lockstep_limit_s=30.0,
             believed=believed,
+            signing_key=signing_key,
         )
         row = fly(options, keep)["flights"][0]
         assert keep.plan is not None

@@ -438,6 +438,16 @@ def test_parameters_are_read_by_name_and_unknown_ones_end_as_none():
     assert event.values["NO_SUCH"] is None
 
 
+def test_an_autopilot_that_says_that_there_is_no_such_parameter_is_believed_at_once():
+    bench = Bench(PX4)
+    bench.port.order(AskParameters(("NO_SUCH",)), 10.0)
+    for name in ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO"):
+        bench.hear(value_of(name, 0.0, 6))
+    error = mavlink.MAVLink_param_error_message(1, 191, b"NO_SUCH", -1, 1)
+    (event,) = bench.hear(error)
+    assert event.values["NO_SUCH"] is None
+
+
 def test_a_setting_is_read_back_and_a_stubborn_one_is_named():
     bench = Bench(ARDUPILOT)
     bench.hear(value_of("A", 1.0))
