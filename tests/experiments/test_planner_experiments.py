@@ -42,7 +42,7 @@ def test_table_1_prints_every_cell_and_draws(tmp_path):
         generator=GeneratorParams(vertices=12),
         tuning=table1.TuningParams(fewest_missions=500, most_missions=500),
     )
-    cells = table1.results(params, jobs=1)
+    cells = table1.cells_of([table1.fly(job) for job in table1.jobs_of(params)], params)
     sheet = table1.sheet("Table 1", cells, "note", params)
     assert len(sheet.rows) == 4 * 6
     for shares in cells.values():
