@@ -181,6 +181,9 @@ class LogWinds:
     ) -> None:
         self._graph, self._t_s, self._wind, self._classes = graph, t_s, wind_en_mps, classes
         self.start_s = start_s
+        self._change = np.diff(wind_en_mps, axis=0, append=wind_en_mps[-1:])
+        self._place = np.arange(len(t_s), dtype=float)
+        self._step_s = _even_step_s(t_s)
 
     @property
     def count(self) -> int:
@@ -191,8 +194,15 @@ class LogWinds:
 
     def wind_at(self, mission: Ints, time_s: Floats) -> Floats:
         """The wind at `time_s` after each departure; (n, 2)."""
-        when = self.start_s[mission] + time_s
-        return np.stack([np.interp(when, self._t_s, self._wind[:, i]) for i in (0, 1)], axis=1)
+        when = np.clip(self.start_s.take(mission) + time_s, self._t_s[0], self._t_s[-1])
+        place = (
+            np.interp(when, self._t_s, self._place)
+            if self._step_s is None
+            else ((when - self._t_s[0]) / self._step_s)
+        )
+        before = np.minimum(place.astype(np.int64), max(len(self._t_s) - 2, 0))
+        start = self._wind.take(before, axis=0)
+        return start + (place - before)[:, None] * self._change.take(before, axis=0)
 
     def look(self, mission: Ints, time_s: Floats) -> tuple[Ints, Floats]:
         wind = self.wind_at(mission, time_s)
@@ -226,6 +236,14 @@ class LogWinds:
             second += 1
             flying = flying[~there & (second <= limit_s[flying])]
         return np.where(took <= limit_s, took, np.inf)
+
+
+def _even_step_s(t_s: Floats) -> float | None:
+    """The step of a recording that has one: its samples are then found without a search."""
+    steps = np.diff(t_s)
+    if not len(steps) or np.ptp(steps) > 1e-9 * steps[0]:
+        return None
+    return float(t_s[-1] - t_s[0]) / len(steps)
 
 
 def _ground_speed_mps(course_en: Floats, wind_en_mps: Floats, airspeed_mps: float) -> Floats:
