@@ -29,7 +29,7 @@ Shares = NDArray[np.float64]  # SUC, DEL, FAIL, ABRT in percent
 BUDGETS_WH = (100.0, 50.0)
 CLASSES = (4, 8)
 BASELINES = ("ser", "rer", "ger", "ber-paper")
-TABLE_SEED = 11  # unseen when the settings were chosen; seed 1 was not
+TABLE_SEED = 12  # not looked at when the settings were chosen; seed 1 was
 
 # arXiv 2604.13441, Table 1: (classes, B) -> planner -> SUC, DEL, FAIL, ABRT.
 PAPER: dict[tuple[int, float], dict[str, tuple[float, float, float, float]]] = {
@@ -69,11 +69,11 @@ class Table1Params:
     targets: int = 2
     missions: int = 60
     seed: int = TABLE_SEED
-    levels: int = 200
+    levels: int = 140
     risk_weight: float = 1.0
     max_losses: tuple[float | str, ...] = (0.02, 0.005, "paper")
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
-    tuning: TuningParams = TuningParams(fewest_missions=10_000, most_missions=10_000)  # noqa: RUF009
+    tuning: TuningParams = TuningParams(fewest_missions=5_000, most_missions=5_000)  # noqa: RUF009
 
 
 GUSTY_PARAMS = Table1Params(
