@@ -41,6 +41,16 @@ class Frontier:
         bound = np.min(self.gain + self.loss_weight * loss[..., None], axis=-1)
         return np.clip(bound, 0.0, 1.0)
 
+    def weights_near(self, losses: ArrayLike) -> Floats:
+        """The weights that bound these losses, with their neighbours: all that a finer grid needs.
+
+        Any weights give a bound; others than these would hardly tighten it there.
+        """
+        loss = np.atleast_1d(np.asarray(losses, dtype=float))
+        best = np.argmin(self.gain + self.loss_weight * loss[:, None], axis=1)
+        near = np.clip(best[:, None] + [-1, 0, 1], 0, len(self.loss_weight) - 1)
+        return self.loss_weight[np.unique(near)]
+
     def slope(self, loss: float) -> float:
         """What one more lost mission buys in successful ones, at this P(loss)."""
         return float(self.loss_weight[np.argmin(self.gain + self.loss_weight * loss)])

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.scenario import Scenario
 from sim_bridge.experiments.campaign import CampaignParams, Row, run_campaign
-from sim_bridge.experiments.frontier import Frontier, frontier
+from sim_bridge.experiments.frontier import LOSS_WEIGHTS, Frontier, frontier
 from sim_bridge.experiments.report import Sheet
 from sim_bridge.experiments.scenario_generator import GeneratorParams, WindRose, random_scenario
 
@@ -120,9 +120,12 @@ def check_set(graphs: int, set_seed: int = SET_SEED) -> list[Scenario]:
 def check(case: Case) -> list[Distance]:
     """BER at each bound, and at each rival's measured loss, judged."""
     flown = _campaigns(case)
+    asked = [loss for f in flown for loss in (f.loss, f.max_loss)]
     found: list[Distance] = []
+    weights = np.asarray(LOSS_WEIGHTS)
     for levels in LEVELS:
-        limit = frontier(case.scenario, levels)
+        limit = frontier(case.scenario, levels, weights)
+        weights = limit.weights_near(asked)
         found = [_distance(case.scenario, f, limit, levels) for f in flown]
         if all(
             d.beyond_noise <= PLAINLY_NEAR and d.below_at_allowed <= PLAINLY_ALLOWED for d in found
