@@ -18,8 +18,6 @@ from companion.core.wind_chain import Sight, WindChain, class_centre
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-JUMPS_AT_ONCE = 2
-
 
 class Outcome(IntEnum):
     """How a mission ended (`evaluation.md`, 1)."""
@@ -87,8 +85,12 @@ class ChainWinds:
         self._first_until_s = self._until_after(
             np.zeros(count), self._start, random.exponential(size=count)
         )
-        self._uniform = np.empty((0, count))  # (jumps drawn so far, n): where each leads
-        self._stay = np.empty((0, count))  # and how long it stays there, in mean stays
+        # Jump j of mission m: drawn for all missions, followed (`_known` so far) where one asks.
+        self._drawn = 0
+        self._known = np.zeros(count, dtype=np.int64)
+        self._uniform = np.empty((0, count))  # where it leads: drawn,
+        self._path = np.empty((0, count), dtype=np.int16)  # followed
+        self._leave_s = np.empty((0, count))  # when it ends: drawn in mean stays, followed in s
         self.restart()
 
     @property
@@ -111,28 +113,36 @@ class ChainWinds:
 
     def _let_jump(self, mission: Ints) -> None:
         jump = self._jump[mission]
-        if jump.max() >= len(self._uniform):
-            self._draw_jumps()
-        before = self._state[mission]
-        place = np.searchsorted(
-            self._jump_share, before + self._uniform[jump, mission], side="right"
-        )
-        after = np.clip(place - before * self._chain.state_count, 0, None)
-        self._state[mission] = after
-        self._until_s[mission] = self._until_after(
-            self._until_s[mission], after, self._stay[jump, mission]
-        )
+        if jump.max() >= self._drawn:
+            self._draw_jump()
+        new = jump >= self._known[mission]
+        if new.any():
+            self._follow(mission[new], jump[new])
+        self._state[mission] = self._path[jump, mission]
+        self._until_s[mission] = self._leave_s[jump, mission]
         self._jump[mission] = jump + 1
 
-    def _draw_jumps(self) -> None:
-        """The random numbers of the next jumps of all missions, whoever asks."""
-        for _ in range(JUMPS_AT_ONCE):
-            uniform, stay = (
-                self._random.random(self.count),
-                self._random.exponential(size=self.count),
-            )
-            self._uniform = np.concatenate([self._uniform, uniform[None]])
-            self._stay = np.concatenate([self._stay, stay[None]])
+    def _follow(self, mission: Ints, jump: Ints) -> None:
+        """Where the drawn numbers lead from where the missions are."""
+        before = self._state[mission]
+        drawn = before + self._uniform[jump, mission]
+        place = np.searchsorted(self._jump_share, drawn, side="right")
+        after = np.maximum(place - before * self._chain.state_count, 0)
+        stay = self._leave_s[jump, mission]
+        self._path[jump, mission] = after
+        self._leave_s[jump, mission] = self._until_after(self._until_s[mission], after, stay)
+        self._known[mission] = jump + 1
+
+    def _draw_jump(self) -> None:
+        """The random numbers of the next jump of all missions, whoever asks."""
+        if self._drawn == len(self._uniform):
+            room = np.empty((max(2, self._drawn), self.count))
+            self._uniform = np.concatenate([self._uniform, room])
+            self._leave_s = np.concatenate([self._leave_s, room])
+            self._path = np.concatenate([self._path, np.empty(room.shape, dtype=np.int16)])
+        self._random.random(out=self._uniform[self._drawn])
+        self._random.standard_exponential(out=self._leave_s[self._drawn])
+        self._drawn += 1
 
     def _until_after(self, since_s: Floats, state: Ints, stay: Floats) -> Floats:
         rate = self._leave_per_s.take(state)
