@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.energy_graph import WH_PER_J, EnergyGraph, sector_of
-from companion.core.planners.interface import STAY, Decider, Look
+from companion.core.planners.interface import NOWHERE, STAY, Decider, Look
 from companion.core.wind_chain import Sight, WindChain, class_centre
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-JUMPS_AT_ONCE = 2
 
 
 class Outcome(IntEnum):
@@ -61,9 +59,10 @@ class Winds(Protocol):
 
 
 class ChainWinds:
-    """Winds of a Markov chain: one path of jumps for each mission, drawn as far as needed.
+    """Winds of a Markov chain: one path of jumps for each mission, followed as far as needed.
 
     Times are asked for in ascending order within a mission; `restart` goes back to departure.
+    Random numbers are drawn for all missions alike, so that no planner changes another's winds.
     """
 
     def __init__(
@@ -78,65 +77,88 @@ class ChainWinds:
         self._random = random
         self._duration_s = graph.duration_s(chain.states_en_mps)
         self._power_wh_per_s = np.asarray(graph.power_w) * WH_PER_J
+        self._of_seen = sight.of_state
         self._jump_share = _cumulative_jumps(chain.rate_per_s)
+        self._leave_per_s = -chain.rate_per_s.diagonal()
         start = np.searchsorted(np.cumsum(chain.initial)[:-1], random.random(count), side="right")
-        self._state = start.astype(np.int64)[None, :]  # (jumps so far + 1, n)
-        self._until_s = self._stay_s(self._state)
-        self._jump = np.zeros(count, dtype=np.int64)
-        self._looked = np.zeros(count, dtype=np.int64)  # the state at the last look
+        self._start = start.astype(np.int64)
+        self._first_until_s = self._until_after(
+            np.zeros(count), self._start, random.exponential(size=count)
+        )
+        # Jump j of mission m: drawn for all missions, followed (`_known` so far) where one asks.
+        self._drawn = 0
+        self._known = np.zeros(count, dtype=np.int64)
+        self._uniform = np.empty((0, count))  # where it leads: drawn,
+        self._path = np.empty((0, count), dtype=np.int16)  # followed
+        self._leave_s = np.empty((0, count))  # when it ends: drawn in mean stays, followed in s
+        self.restart()
 
     @property
     def count(self) -> int:
-        return self._state.shape[1]
+        return len(self._start)
 
     def restart(self) -> None:
         """Let the next planner meet the same winds."""
-        self._jump[:] = 0
+        self._state, self._until_s = self._start.copy(), self._first_until_s.copy()
+        self._jump = np.zeros(self.count, dtype=np.int64)
 
     def state_at(self, mission: Ints, time_s: Floats) -> Ints:
         """The chain's state at `time_s` after departure."""
+        late = np.flatnonzero(self._until_s.take(mission) <= time_s)
+        while len(late):
+            at = mission[late]
+            self._let_jump(at)
+            late = late[self._until_s[at] <= time_s[late]]
+        return self._state.take(mission)
+
+    def _let_jump(self, mission: Ints) -> None:
         jump = self._jump[mission]
-        late = np.arange(len(mission))
-        while True:
-            late = late[self._until_s[jump[late], mission[late]] <= time_s[late]]
-            if not len(late):
-                break
-            jump[late] += 1
-            if jump[late].max() == len(self._state):
-                self._draw_jumps()
-        self._jump[mission] = jump
-        return self._state[jump, mission]
+        if jump.max() >= self._drawn:
+            self._draw_jump()
+        new = jump >= self._known[mission]
+        if new.any():
+            self._follow(mission[new], jump[new])
+        self._state[mission] = self._path[jump, mission]
+        self._until_s[mission] = self._leave_s[jump, mission]
+        self._jump[mission] = jump + 1
 
-    def _draw_jumps(self) -> None:
-        """The next states of all missions and how long they hold; for all, whoever asks."""
-        states, until = [self._state], [self._until_s]
-        for _ in range(JUMPS_AT_ONCE):
-            uniform = self._random.random(self.count)
-            before = states[-1][-1]
-            place = np.searchsorted(self._jump_share, before + uniform, side="right")
-            after = np.clip(place - before * self._chain.state_count, 0, None)[None, :]
-            states.append(after)
-            until.append(until[-1][-1:] + self._stay_s(after))
-        self._state = np.concatenate(states)
-        self._until_s = np.concatenate(until)
+    def _follow(self, mission: Ints, jump: Ints) -> None:
+        """Where the drawn numbers lead from where the missions are."""
+        before = self._state[mission]
+        drawn = before + self._uniform[jump, mission]
+        place = np.searchsorted(self._jump_share, drawn, side="right")
+        after = np.maximum(place - before * self._chain.state_count, 0)
+        stay = self._leave_s[jump, mission]
+        self._path[jump, mission] = after
+        self._leave_s[jump, mission] = self._until_after(self._until_s[mission], after, stay)
+        self._known[mission] = jump + 1
 
-    def _stay_s(self, state: Ints) -> Floats:
-        rate = -self._chain.rate_per_s[state, state]
-        draw = self._random.exponential(size=state.shape)
-        return np.where(rate > 0.0, draw / np.where(rate > 0.0, rate, 1.0), np.inf)
+    def _draw_jump(self) -> None:
+        """The random numbers of the next jump of all missions, whoever asks."""
+        if self._drawn == len(self._uniform):
+            room = np.empty((max(2, self._drawn), self.count))
+            self._uniform = np.concatenate([self._uniform, room])
+            self._leave_s = np.concatenate([self._leave_s, room])
+            self._path = np.concatenate([self._path, np.empty(room.shape, dtype=np.int16)])
+        self._random.random(out=self._uniform[self._drawn])
+        self._random.standard_exponential(out=self._leave_s[self._drawn])
+        self._drawn += 1
+
+    def _until_after(self, since_s: Floats, state: Ints, stay: Floats) -> Floats:
+        rate = self._leave_per_s.take(state)
+        with np.errstate(divide="ignore"):
+            return since_s + np.where(rate > 0.0, stay / rate, np.inf)
 
     def look(self, mission: Ints, time_s: Floats) -> tuple[Ints, Floats]:
-        state = self.state_at(mission, time_s)
-        self._looked[mission] = state
-        seen = self._sight.of_state[state]
-        return seen, self._sight.seen_en_mps[seen]
+        seen = self._of_seen.take(self.state_at(mission, time_s))
+        return seen, self._sight.seen_en_mps.take(seen, axis=0)
 
     def fly(
         self, mission: Ints, edge: Ints, time_s: Floats, energy_wh: Floats, delivered: NDArray
     ) -> tuple[Floats, Floats]:
-        duration = self._duration_s[edge, self._looked[mission]]
-        power = self._power_wh_per_s[delivered.astype(np.int64)]
-        return duration, duration * power
+        cell = edge * self._chain.state_count + self._state.take(mission)
+        duration = self._duration_s.take(cell)
+        return duration, duration * self._power_wh_per_s.take(delivered.astype(np.int64))
 
 
 def _cumulative_jumps(rate_per_s: Floats) -> Floats:
@@ -169,6 +191,9 @@ class LogWinds:
     ) -> None:
         self._graph, self._t_s, self._wind, self._classes = graph, t_s, wind_en_mps, classes
         self.start_s = start_s
+        self._change = np.diff(wind_en_mps, axis=0, append=wind_en_mps[-1:])
+        self._place = np.arange(len(t_s), dtype=float)
+        self._step_s = _even_step_s(t_s)
 
     @property
     def count(self) -> int:
@@ -179,8 +204,15 @@ class LogWinds:
 
     def wind_at(self, mission: Ints, time_s: Floats) -> Floats:
         """The wind at `time_s` after each departure; (n, 2)."""
-        when = self.start_s[mission] + time_s
-        return np.stack([np.interp(when, self._t_s, self._wind[:, i]) for i in (0, 1)], axis=1)
+        when = np.clip(self.start_s.take(mission) + time_s, self._t_s[0], self._t_s[-1])
+        place = (
+            np.interp(when, self._t_s, self._place)
+            if self._step_s is None
+            else ((when - self._t_s[0]) / self._step_s)
+        )
+        before = np.minimum(place.astype(np.int64), max(len(self._t_s) - 2, 0))
+        start = self._wind.take(before, axis=0)
+        return start + (place - before)[:, None] * self._change.take(before, axis=0)
 
     def look(self, mission: Ints, time_s: Floats) -> tuple[Ints, Floats]:
         wind = self.wind_at(mission, time_s)
@@ -216,6 +248,14 @@ class LogWinds:
         return np.where(took <= limit_s, took, np.inf)
 
 
+def _even_step_s(t_s: Floats) -> float | None:
+    """The step of a recording that has one: its samples are then found without a search."""
+    steps = np.diff(t_s)
+    if not len(steps) or np.ptp(steps) > 1e-9 * steps[0]:
+        return None
+    return float(t_s[-1] - t_s[0]) / len(steps)
+
+
 def _ground_speed_mps(course_en: Floats, wind_en_mps: Floats, airspeed_mps: float) -> Floats:
     """Ground speed of each course in its own wind, 0 where the vehicle makes no way; (n,)."""
     along = np.sum(course_en * wind_en_mps, axis=1)
@@ -229,47 +269,86 @@ def _ground_speed_mps(course_en: Floats, wind_en_mps: Floats, airspeed_mps: floa
 
 def fly_missions(graph: EnergyGraph, budget_wh: float, winds: Winds, decider: Decider) -> Flown:
     """Fly every mission to its end."""
-    count = winds.count
-    outcome = np.full(count, Outcome.FAIL, dtype=np.int8)
-    vertex = np.full(count, graph.depot, dtype=np.int64)
-    delivered = np.zeros(count, dtype=bool)
-    energy = np.full(count, float(budget_wh))
-    time = np.zeros(count)
-    decisions = np.zeros(count, dtype=np.int64)
-    power = np.asarray(graph.power_w) * WH_PER_J
-    flying = np.arange(count)
-    for edges_flown in range(4 * graph.vertex_count + 1):
-        if not len(flying):
+    fleet = _Fleet(graph, budget_wh, winds.count)
+    most_edges = 4 * graph.vertex_count
+    for edges_flown in range(most_edges + 1):
+        if not len(fleet.mission):
             break
-        seen, wind = winds.look(flying, time[flying])
-        look = Look(flying, vertex[flying], delivered[flying], energy[flying], seen, wind)
+        seen, wind = winds.look(fleet.mission, fleet.time_s)
+        look = Look(fleet.mission, fleet.vertex, fleet.delivered, fleet.energy_wh, seen, wind)
         edge = np.asarray(decider.decide(look), dtype=np.int64)
-        decisions[flying] += 1
-        stays = (edge == STAY) & (look.vertex == graph.depot) & ~look.delivered
-        outcome[flying[stays]] = Outcome.ABRT
-        took = np.full(len(flying), np.inf)
-        used = np.full(len(flying), np.inf)
-        goes = np.flatnonzero((edge >= 0) & (edges_flown < 4 * graph.vertex_count))
-        if len(goes):
-            took[goes], used[goes] = winds.fly(
-                flying[goes],
-                edge[goes],
-                time[flying[goes]],
-                energy[flying[goes]],
-                look.delivered[goes],
+        if edges_flown == most_edges:
+            edge = np.where(edge >= 0, NOWHERE, edge)
+        edge = fleet.leave(edge)
+        if len(edge):
+            fleet.arrive(
+                edge,
+                *winds.fly(fleet.mission, edge, fleet.time_s, fleet.energy_wh, fleet.delivered),
             )
-        arrives = used <= look.energy_wh
-        lost = ~arrives & ~stays
-        at = flying[lost]
-        outcome[at] = np.where(delivered[at], Outcome.DEL, Outcome.FAIL)
-        time[at] += energy[at] / power[delivered[at].astype(np.int64)]
-        energy[at] = 0.0
-        at = flying[arrives]
-        energy[at] -= used[arrives]
-        time[at] += took[arrives]
-        vertex[at] = graph.head[edge[arrives]]
-        delivered[at] |= vertex[at] == graph.target
-        home = delivered[at] & (vertex[at] == graph.depot)
-        outcome[at[home]] = Outcome.SUC
-        flying = at[~home]
-    return Flown(outcome, budget_wh - energy, time, decisions)
+    return fleet.flown
+
+
+class _Fleet:
+    """Missions under way as arrays without gaps, and what became of those that ended."""
+
+    def __init__(self, graph: EnergyGraph, budget_wh: float, count: int) -> None:
+        self._graph, self._budget_wh = graph, float(budget_wh)
+        self._power_wh_per_s = np.asarray(graph.power_w) * WH_PER_J
+        self.mission = np.arange(count)
+        self.vertex = np.full(count, graph.depot, dtype=np.int64)
+        self.delivered = np.zeros(count, dtype=bool)
+        self.energy_wh = np.full(count, self._budget_wh)
+        self.time_s = np.zeros(count)
+        self._decisions = 0  # that each of them has taken
+        self.flown = Flown(
+            np.empty(count, dtype=np.int8),
+            np.empty(count),
+            np.empty(count),
+            np.empty(count, dtype=np.int64),
+        )
+
+    def leave(self, edge: Ints) -> Ints:
+        """End the missions that take no edge; the edges of those that do."""
+        self._decisions += 1
+        if edge.min() >= 0:
+            return edge
+        stays = (edge == STAY) & (self.vertex == self._graph.depot) & ~self.delivered
+        stops = edge < 0
+        self._lose(stops & ~stays)
+        self._end(stops, np.where(stays, Outcome.ABRT, self._lost_as())[stops])
+        return edge[~stops]
+
+    def arrive(self, edge: Ints, took_s: Floats, used_wh: Floats) -> None:
+        """Everyone at the head of their edge, or lost on the way to it."""
+        lost = ~(used_wh <= self.energy_wh)
+        if lost.any():
+            self._lose(lost)
+            self._end(lost, self._lost_as()[lost])
+            edge, took_s, used_wh = edge[~lost], took_s[~lost], used_wh[~lost]
+        self.energy_wh = self.energy_wh - used_wh
+        self.time_s = self.time_s + took_s
+        self.vertex = self._graph.head.take(edge)
+        self.delivered = self.delivered | (self.vertex == self._graph.target)
+        home = self.delivered & (self.vertex == self._graph.depot)
+        if home.any():
+            self._end(home, Outcome.SUC)
+
+    def _lose(self, lost: NDArray[np.bool_]) -> None:
+        """All that is left is used, in the air."""
+        power = self._power_wh_per_s.take(self.delivered.astype(np.int64))
+        self.time_s = np.where(lost, self.time_s + self.energy_wh / power, self.time_s)
+        self.energy_wh = np.where(lost, 0.0, self.energy_wh)
+
+    def _lost_as(self) -> NDArray[np.int64]:
+        return np.where(self.delivered, Outcome.DEL, Outcome.FAIL)
+
+    def _end(self, which: NDArray[np.bool_], outcome: int | NDArray[np.int64]) -> None:
+        at = self.mission[which]
+        self.flown.outcome[at] = outcome
+        self.flown.energy_wh[at] = self._budget_wh - self.energy_wh[which]
+        self.flown.time_s[at] = self.time_s[which]
+        self.flown.decisions[at] = self._decisions
+        left = ~which
+        self.mission, self.vertex = self.mission[left], self.vertex[left]
+        self.delivered, self.energy_wh = self.delivered[left], self.energy_wh[left]
+        self.time_s = self.time_s[left]

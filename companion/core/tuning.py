@@ -17,6 +17,7 @@ from companion.core.value_policy import Forecast, PolicySearch, ValuePolicy, bol
 from companion.core.wind_chain import Sight
 
 TUNING_SEED = 20_260_413  # of the planner's own missions; no campaign draws from it
+BLOCK = 40_000  # missions that are flown together
 STEP = 1.7  # from one loss weight to the next that is tried
 FIRST_ABOVE_NONE = 0.1
 
@@ -45,7 +46,7 @@ class PolicyTuner:
     search: PolicySearch
     sight: Sight
     params: TuningParams = field(default_factory=TuningParams)
-    _winds: dict[int, ChainWinds] = field(default_factory=dict)
+    _winds: dict[int, list[ChainWinds]] = field(default_factory=dict)
     _flown: dict[tuple[float, int], Forecast] = field(default_factory=dict)
 
     def policy(self, max_loss: float) -> ValuePolicy:
@@ -90,20 +91,34 @@ class PolicyTuner:
         if (weight, count) not in self._flown:
             self.search.solve([weight])
             model = self.search.model
-            if count not in self._winds:
-                random = np.random.default_rng(TUNING_SEED)
-                self._winds[count] = ChainWinds(model.graph, model.chain, self.sight, count, random)
-            winds = self._winds[count]
-            winds.restart()
             planner = Ber(self.search.mixed(weight, weight, 1.0), self.sight)
-            flown = fly_missions(
-                model.graph, model.budget_wh, winds, planner.begin(np.zeros(count))
-            )
-            shares = np.bincount(flown.outcome, minlength=4) / count
+            shares = np.zeros(4)
+            for winds in self._winds_of(count):
+                winds.restart()
+                flown = fly_missions(
+                    model.graph, model.budget_wh, winds, planner.begin(np.zeros(winds.count))
+                )
+                shares += np.bincount(flown.outcome, minlength=4) / count
             self._flown[weight, count] = Forecast(
                 float(shares[Outcome.SUC]), float(shares[Outcome.DEL] + shares[Outcome.FAIL])
             )
         return self._flown[weight, count]
+
+    def _winds_of(self, count: int) -> list[ChainWinds]:
+        """The winds of `count` missions in blocks that a core's cache holds; the same each time."""
+        if count not in self._winds:
+            model = self.search.model
+            self._winds[count] = [
+                ChainWinds(
+                    model.graph,
+                    model.chain,
+                    self.sight,
+                    min(BLOCK, count - begin),
+                    np.random.default_rng([TUNING_SEED, begin]),
+                )
+                for begin in range(0, count, BLOCK)
+            ]
+        return self._winds[count]
 
 
 def _bracket(loss: dict[float, float], max_loss: float) -> tuple[float | None, float | None]:

@@ -18,10 +18,9 @@ from sim_bridge.experiments.campaign import PLANNERS, CampaignParams, Row
 from sim_bridge.experiments.campaign_runner import (
     Executor,
     InProcess,
-    Journal,
     Pool,
     RayCluster,
-    campaign_digest,
+    campaign_journal,
     run,
 )
 
@@ -94,10 +93,7 @@ def _campaign(
     _check_planners(planners, scenarios)
     if out is not None and not out.parent.is_dir():
         raise LeewayError(f"{out}: its folder does not exist")
-    journal = None
-    if out is not None:
-        digest = campaign_digest(scenarios, planners, params)
-        journal = Journal(out.with_name(out.name + ".partial"), digest)
+    journal = None if out is None else campaign_journal(out, scenarios, planners, params)
     console = Console(stderr=True)
     with Progress(
         TextColumn("campaign"),

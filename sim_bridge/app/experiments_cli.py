@@ -1,6 +1,7 @@
 """The paper's experiments as commands: each writes Markdown, CSV and a picture, and prints."""
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.core.errors import LeewayError
+from sim_bridge.app.campaign_cli import INTERRUPTED
+from sim_bridge.experiments.journal import Journal, Result, Work, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
@@ -40,6 +43,21 @@ def _bar() -> Progress:
     )
 
 
+def _journaled(
+    title: str, work: Sequence[Work], do: Callable[[Work], Result], jobs: int, kept: Journal[Result]
+) -> list[Result]:
+    """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
+    with _bar() as bar:
+        shown = bar.add_task(title, total=len(work))
+        try:
+            return journaled_map(
+                work, do, _cores(jobs), kept, lambda done, _: bar.update(shown, completed=done)
+            )
+        except KeyboardInterrupt:
+            typer.echo(f"stopped; {kept.path} keeps what is done, the same command goes on")
+            raise typer.Exit(INTERRUPTED) from None
+
+
 def _refuse(error: LeewayError) -> typer.Exit:
     typer.echo(f"sim-bridge: {error}", err=True)
     return typer.Exit(2)
@@ -51,7 +69,7 @@ def table1(
     jobs: Jobs = 0,
     rounds: Annotated[int, typer.Option(help="rounds")] = 10,
     graphs: Annotated[int, typer.Option(help="graphs a round")] = 10,
-    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 1,
+    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 12,
     gusty: Annotated[bool, typer.Option(help="the gusty set, which is ours")] = False,
     wind_log: Annotated[Path | None, typer.Option(help="replay a recording instead")] = None,
 ) -> None:
@@ -61,9 +79,12 @@ def table1(
     from sim_bridge.experiments.table1 import (
         GUSTY_PARAMS,
         NOTE,
+        Part,
         Table1Params,
+        cells_of,
         draw,
-        results,
+        fly,
+        jobs_of,
         sheet,
     )
     from sim_bridge.experiments.wind_logs import read_wind_log
@@ -77,13 +98,12 @@ def table1(
     title = "Table 1" + (", gusty set (ours)" if gusty else "")
     title += f", recording {wind_log.stem}" if wind_log else ""
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
-    with _bar() as bar:
-        shown = bar.add_task(title, total=rounds * graphs * params.targets)
-        cells = results(
-            params, _cores(jobs), wind, lambda done, total: bar.update(shown, completed=done)
-        )
+    work = jobs_of(params, wind)
+    kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
+    cells = cells_of(_journaled(title, work, fly, jobs, kept), params)
     _finish(sheet(title, cells, NOTE.format(graphs=graphs), params), out, stem)
     draw(cells, title, out / f"{stem}.png")
+    kept.remove()
 
 
 @app.command()
@@ -151,22 +171,17 @@ def towns(
 def frontier(
     out: Out = OUT,
     graphs: Annotated[int, typer.Option(help="graphs, each with B = 100 and 50")] = 20,
+    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 404,
+    jobs: Jobs = 0,
 ) -> None:
-    """How far BER is below the frontier on random chains."""
-    from sim_bridge.experiments import frontier_check
+    """How far BER is below the frontier on random chains; goes on where it was stopped."""
+    from sim_bridge.experiments import frontier_check as check
 
-    found = []
-    scenarios = frontier_check.check_set(graphs)
-    with _bar() as bar:
-        shown = bar.add_task("frontier", total=2 * graphs)
-        for scenario in scenarios:
-            for budget in (100.0, 50.0):
-                budgeted = frontier_check.with_budget(scenario, budget)
-                found += frontier_check.distances(
-                    budgeted, frontier_check.CampaignParams(seed=7), frontier_check.FRONTIER_LEVELS
-                )
-                bar.advance(shown)
-    _finish(frontier_check.sheet(found), out, "frontier")
+    cases = check.cases(graphs, seed)
+    kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
+    found = _journaled("frontier", cases, check.check, jobs, kept)
+    _finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
+    kept.remove()
 
 
 @app.command()

@@ -43,8 +43,8 @@ from companion.core.wind_chain import (
 PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber", "clairvoyant")
 BLOCK = 10_000  # missions that are flown together
 BLOCKS_PER_TASK = 5
-TIMED_DECISIONS = 200  # decisions that are timed one by one,
-TIMED_SHARE = 0.01  # but no more than this share of the missions' number
+TIMED_DECISIONS = 100  # decisions that are timed one by one,
+TIMED_SHARE = 0.004  # but no more than this share of the missions' number
 CELLS_AT_FULL_LEVELS = 30_000  # edges x states up to which `levels` are all used
 FEWEST_LEVELS = 150
 

@@ -1,17 +1,14 @@
 """Runs a campaign's tasks on one core, on many, or on a Ray cluster, and survives Ctrl-C.
 
-What is done is kept in a journal beside the result (`OUT.partial`), one JSON line for each task;
-the same command takes it up again, another command refuses to mix with it and starts afresh.
+What is done is kept in a journal beside the result (`OUT.partial`).
 """
 
 import hashlib
-import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import Protocol
 
 import msgspec
 
@@ -27,6 +24,7 @@ from sim_bridge.experiments.campaign import (
     run_task,
     tasks_of,
 )
+from sim_bridge.experiments.journal import Journal, leave_ctrl_c_to_the_parent
 
 PER_WORKER = 2  # tasks handed out ahead of each worker
 
@@ -67,7 +65,7 @@ _worker: list[Worker] = []  # of this process, when it is one of a pool
 
 
 def _begin_worker(scenarios: list[Scenario], params: CampaignParams) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    leave_ctrl_c_to_the_parent()
     _worker[:] = [Worker(scenarios, params)]
 
 
@@ -154,46 +152,12 @@ def campaign_digest(scenarios: list[Scenario], planners: list[str], params: Camp
     return digest.hexdigest()
 
 
-class Journal:
-    """Finished tasks on disk, one line each, after a line that says whose they are."""
-
-    def __init__(self, path: Path, digest: str) -> None:
-        self.path, self._digest = path, digest
-        self._file: TextIO | None = None
-
-    def read(self) -> dict[int, Done]:
-        """Finished tasks of this very campaign; none where the journal is another's."""
-        try:
-            lines = self.path.read_bytes().splitlines()
-        except FileNotFoundError:
-            return {}
-        if not lines or lines[0] != self._digest.encode():
-            return {}
-        done = {}
-        for line in lines[1:]:
-            try:
-                index, result = msgspec.json.decode(line, type=tuple[int, Done])
-            except msgspec.DecodeError:
-                break  # cut off in the middle of a line
-            done[index] = result
-        return done
-
-    @contextmanager
-    def writing(self, done: dict[int, Done]) -> Iterator[Callable[[int, Done], None]]:
-        """A journal that begins with what is done and takes what follows."""
-        with self.path.open("w", encoding="utf-8") as file:
-            file.write(self._digest + "\n")
-
-            def add(index: int, result: Done) -> None:
-                file.write(msgspec.json.encode((index, result)).decode() + "\n")
-                file.flush()
-
-            for index, result in done.items():
-                add(index, result)
-            yield add
-
-    def remove(self) -> None:
-        self.path.unlink(missing_ok=True)
+def campaign_journal(
+    out: Path, scenarios: list[Scenario], planners: list[str], params: CampaignParams
+) -> Journal[Done]:
+    """The journal of this campaign beside its result."""
+    digest = campaign_digest(scenarios, planners, params)
+    return Journal(out.with_name(out.name + ".partial"), digest, Done)
 
 
 def run(
@@ -201,7 +165,7 @@ def run(
     planners: list[str],
     params: CampaignParams,
     executor: Executor,
-    journal: Journal | None = None,
+    journal: Journal[Done] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     say: Callable[[str], None] = lambda note: None,
 ) -> list[Row]:

@@ -75,7 +75,7 @@ class GeneratorParams:
 
     vertices: int = 40
     mean_degree: float = 6.0
-    sides_m: tuple[tuple[float, float], ...] = ((500.0, 0.5), (1200.0, 0.5))
+    sides_m: tuple[tuple[float, float], ...] = ((520.0, 0.5), (1180.0, 0.5))
     budget_wh: float = 100.0
     airspeed_mps: float = 15.0
     loaded_w: float = 1450.0
@@ -154,9 +154,13 @@ def scenario_set(
 
 
 def _target_in_turn(scenario: Scenario, turn: int, seed: int) -> int:
-    """A customer by rank of distance from the depot; ranks come evenly, by the golden ratio."""
+    """A customer by rank of the way from the depot; ranks come evenly, by the golden ratio."""
     place = np.array(scenario.vertices_m)
-    order = np.argsort(np.linalg.norm(place - place[scenario.depot], axis=1), kind="stable")[1:]
+    graph = nx.Graph()
+    for a, b in scenario.edges:
+        graph.add_edge(a, b, m=float(np.linalg.norm(place[a] - place[b])))
+    way_m = nx.single_source_dijkstra_path_length(graph, scenario.depot, weight="m")
+    order = sorted(way_m, key=lambda v: (way_m[v], v))[1:]
     share = (turn * GOLDEN + seed * GOLDEN**2) % 1.0
     return int(order[int(share * len(order))])
 

@@ -4,10 +4,7 @@ Ten rounds of ten graphs with two customers each, 60 missions per customer, B = 
 chains, and on a recording with the clairvoyant. The same code prints the gusty set, which is ours.
 """
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -32,7 +29,7 @@ Shares = NDArray[np.float64]  # SUC, DEL, FAIL, ABRT in percent
 BUDGETS_WH = (100.0, 50.0)
 CLASSES = (4, 8)
 BASELINES = ("ser", "rer", "ger", "ber-paper")
-TABLE_SEED = 1  # not the seed that the settings were chosen on
+TABLE_SEED = 12  # not looked at when the settings were chosen; seed 1 was
 
 # arXiv 2604.13441, Table 1: (classes, B) -> planner -> SUC, DEL, FAIL, ABRT.
 PAPER: dict[tuple[int, float], dict[str, tuple[float, float, float, float]]] = {
@@ -72,11 +69,11 @@ class Table1Params:
     targets: int = 2
     missions: int = 60
     seed: int = TABLE_SEED
-    levels: int = 200
+    levels: int = 140
     risk_weight: float = 1.0
     max_losses: tuple[float | str, ...] = (0.02, 0.005, "paper")
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
-    tuning: TuningParams = TuningParams(fewest_missions=10_000, most_missions=10_000)  # noqa: RUF009
+    tuning: TuningParams = TuningParams(fewest_missions=5_000, most_missions=5_000)  # noqa: RUF009
 
 
 GUSTY_PARAMS = Table1Params(
@@ -183,43 +180,42 @@ class Job:
     wind: LogWind | None
 
 
-def _fly(job: Job) -> dict[Cell, Shares]:
-    if job.wind is None:
-        return fly_scenario(job.scenario, job.params)
-    return fly_recorded(job.scenario, job.wind, job.params)
+class Part(msgspec.Struct, frozen=True):
+    """One cell of the table on one scenario: SUC, DEL, FAIL, ABRT in percent."""
+
+    classes: int
+    budget_wh: float
+    planner: str
+    shares: list[float]
 
 
-def results(
-    params: Table1Params,
-    jobs: int,
-    wind: LogWind | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[Cell, Shares]:
-    """Percentages of every scenario in every cell; arrays (rounds, graphs x targets, 4)."""
+def jobs_of(params: Table1Params, wind: LogWind | None = None) -> list[Job]:
+    """The table's scenarios, round by round."""
     scenarios = scenario_set(
         params.rounds * params.graphs, params.generator, params.seed, params.targets
     )
-    work = [Job(scenario, params, wind) for scenario in scenarios]
-    found = []
-    for part in _map(work, jobs):
-        found.append(part)
-        progress(len(found), len(work))
-    return {
-        cell: np.array([part[cell] for part in found]).reshape(params.rounds, -1, 4)
-        for cell in found[0]
-    }
+    return [Job(scenario, params, wind) for scenario in scenarios]
 
 
-def _map(work: list[Job], jobs: int) -> Iterator[dict[Cell, Shares]]:
-    if jobs == 1:
-        yield from map(_fly, work)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        try:
-            yield from pool.map(_fly, work)
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+def fly(job: Job) -> list[Part]:
+    """Every cell of the table on one scenario."""
+    if job.wind is None:
+        cells = fly_scenario(job.scenario, job.params)
+    else:
+        cells = fly_recorded(job.scenario, job.wind, job.params)
+    return [
+        Part(classes, budget, planner, shares.tolist())
+        for (classes, budget, planner), shares in cells.items()
+    ]
+
+
+def cells_of(found: list[list[Part]], params: Table1Params) -> dict[Cell, Shares]:
+    """Percentages of every scenario in every cell; arrays (rounds, graphs x targets, 4)."""
+    cells: dict[Cell, list[list[float]]] = {}
+    for parts in found:
+        for part in parts:
+            cells.setdefault((part.classes, part.budget_wh, part.planner), []).append(part.shares)
+    return {cell: np.array(shares).reshape(params.rounds, -1, 4) for cell, shares in cells.items()}
 
 
 def sheet(title: str, cells: dict[Cell, Shares], note: str, params: Table1Params) -> Sheet:
@@ -281,8 +277,3 @@ def draw(cells: dict[Cell, Shares], title: str, path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
-
-
-def quick(params: Table1Params) -> Table1Params:
-    """A small version for a first look; its intervals are wide."""
-    return replace(params, rounds=2, graphs=2, targets=1, missions=30)

@@ -16,7 +16,7 @@ from sim_bridge.experiments.campaign import (
     tasks_of,
     without_timings,
 )
-from sim_bridge.experiments.campaign_runner import InProcess, Journal, Pool, campaign_digest, run
+from sim_bridge.experiments.campaign_runner import InProcess, Pool, campaign_journal, run
 from sim_bridge.experiments.scenario_generator import GeneratorParams, WindRose, scenario_set
 
 SMALL = GeneratorParams(
@@ -99,8 +99,7 @@ class Interrupted:
 def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path):
     scenarios = scenario_set(2, SMALL, 23)
     params = CampaignParams(missions=100)
-    digest = campaign_digest(scenarios, ["ser", "rer"], params)
-    journal = Journal(tmp_path / "rows.json.partial", digest)
+    journal = campaign_journal(tmp_path / "rows.json", scenarios, ["ser", "rer"], params)
     with pytest.raises(KeyboardInterrupt):
         run(scenarios, ["ser", "rer"], params, Interrupted(scenarios, params), journal)
     assert len(journal.read()) == 1
@@ -114,11 +113,11 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path):
 def test_a_journal_of_another_campaign_is_not_taken_up(tmp_path):
     scenarios = scenario_set(1, SMALL, 23)
     params = CampaignParams(missions=100)
-    path = tmp_path / "rows.json.partial"
-    journal = Journal(path, campaign_digest(scenarios, ["ser"], params))
+    out = tmp_path / "rows.json"
+    journal = campaign_journal(out, scenarios, ["ser"], params)
     run(scenarios, ["ser"], params, InProcess(scenarios, params), journal)
     other = CampaignParams(missions=100, seed=9)
-    assert Journal(path, campaign_digest(scenarios, ["ser"], other)).read() == {}
+    assert campaign_journal(out, scenarios, ["ser"], other).read() == {}
 
 
 def test_winds_differ_between_scenarios_and_not_between_planners():

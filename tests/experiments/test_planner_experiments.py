@@ -5,12 +5,14 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from companion.adapters.files import read_airframe
 from companion.core.errors import LeewayError
-from sim_bridge.experiments import energy_speed, table1, table2
+from sim_bridge.experiments import energy_speed, frontier_check, planner_bench, table1, table2
+from sim_bridge.experiments.journal import Journal, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet, interval95, mean_std
 from sim_bridge.experiments.scenario_generator import GeneratorParams, scenario_set
 from sim_bridge.experiments.urban_scene import SECTORS, TownParams, generate_town
@@ -42,7 +44,7 @@ def test_table_1_prints_every_cell_and_draws(tmp_path):
         generator=GeneratorParams(vertices=12),
         tuning=table1.TuningParams(fewest_missions=500, most_missions=500),
     )
-    cells = table1.results(params, jobs=1)
+    cells = table1.cells_of([table1.fly(job) for job in table1.jobs_of(params)], params)
     sheet = table1.sheet("Table 1", cells, "note", params)
     assert len(sheet.rows) == 4 * 6
     for shares in cells.values():
@@ -126,6 +128,51 @@ def test_means_and_intervals_are_the_textbook_ones():
     assert mean_std([1.0, 2.0, 3.0]) == "2.0 ± 1.0"
     low, high = interval95([1.0, 2.0, 3.0])
     assert high - low == pytest.approx(2 * 1.96 / math.sqrt(3.0))
+
+
+@pytest.mark.parametrize(
+    "scenario", [planner_bench.bench_scenario(), planner_bench.recorded_scenario()]
+)
+def test_what_the_benchmark_calls_fast_and_plain_end_alike(scenario):
+    poor = msgspec.structs.replace(scenario, budget_wh=60.0)
+    assert planner_bench.same_as_plain(poor, 40)
+
+
+def test_long_work_goes_on_where_it_stopped_and_does_nothing_twice(tmp_path):
+    journal = Journal(tmp_path / "x.partial", digest_of("squares", 5), int)
+    asked = []
+
+    def square(n, stops_at=None):
+        if n == stops_at:
+            raise KeyboardInterrupt
+        asked.append(n)
+        return n * n
+
+    with pytest.raises(KeyboardInterrupt):
+        journaled_map(range(5), lambda n: square(n, stops_at=3), 1, journal)
+    assert journaled_map(range(5), square, 1, journal) == [0, 1, 4, 9, 16]
+    assert asked == [0, 1, 2, 3, 4]
+    other = Journal(journal.path, digest_of("squares", 6), int)
+    assert other.read() == {}
+
+
+def test_the_frontier_check_counts_what_is_beyond_noise():
+    flown = frontier_check.Flown(0.01, "rer", success=0.80, loss=0.012, missions=10_000)
+    near = frontier_check.Distance("a", 100.0, flown, 0.012, 0.03, noise=0.004, levels=500)
+    assert near.beyond_noise == pytest.approx(0.004)
+    # Two standard errors of a loss of 1 % over 10,000 missions are 0.199 points.
+    assert near.excess_loss == pytest.approx(0.002 - 2 * math.sqrt(0.01 * 0.99 / 10_000))
+    assert near.lead is None
+    rival = msgspec.structs.replace(flown, rival_success=0.82)
+    beaten = msgspec.structs.replace(near, flown=rival)
+    assert beaten.lead == pytest.approx(-0.02)
+    assert "behind beyond noise in 1 of 1" in frontier_check.summary(
+        [beaten]
+        + [
+            msgspec.structs.replace(near, flown=msgspec.structs.replace(rival, max_loss=b, rival=r))
+            for b, r in [(0.001, ""), (0.01, ""), (0.05, ""), (0.0, "ser"), (0.0, "ber-paper")]
+        ]
+    )
 
 
 def test_a_sheet_is_markdown_and_csv(tmp_path):

@@ -57,21 +57,26 @@ class Remembered:
         self, model: OnlineModel, entries: int, solve: Callable[[Viewpoints], NDArray]
     ) -> None:
         self._model, self._solve = model, solve
-        vertices = model.finder.graph.vertex_count
-        self._known = np.zeros((vertices, model.winds), dtype=bool)
-        self._values = np.zeros((vertices, model.winds, entries))
+        cells = model.finder.graph.vertex_count * model.winds
+        self._known = np.zeros(cells, dtype=bool)
+        self._values = np.zeros((cells, entries))
 
     def get(self, look: Look, rows: Ints) -> NDArray:
         """What `solve` says for each of the looks in `rows`; (len(rows), entries)."""
-        views = Viewpoints(look.vertex[rows], look.seen[rows], look.wind_en_mps[rows])
+        return self.of(look.vertex[rows], look.seen[rows], look.wind_en_mps[rows])
+
+    def of(self, vertex: Ints, seen: Ints, wind_en_mps: Floats) -> NDArray:
+        """The same of places and winds."""
         if not self._model.winds:
-            return self._solve(views)
-        unknown = ~self._known[views.origin, views.seen]
-        if unknown.any():
-            fresh = self._to_solve(views, unknown)
-            self._values[fresh.origin, fresh.seen] = self._solve(fresh)
-            self._known[fresh.origin, fresh.seen] = True
-        return self._values[views.origin, views.seen]
+            return self._solve(Viewpoints(vertex, seen, wind_en_mps))
+        cell = vertex * self._model.winds + seen
+        known = self._known.take(cell)
+        if not known.all():
+            fresh = self._to_solve(Viewpoints(vertex, seen, wind_en_mps), ~known)
+            solved = fresh.origin * self._model.winds + fresh.seen
+            self._values[solved] = self._solve(fresh)
+            self._known[solved] = True
+        return self._values.take(cell, axis=0)
 
     def _to_solve(self, views: Viewpoints, unknown: NDArray[np.bool_]) -> Viewpoints:
         """Each unknown view once; from all vertices at once where the origin does not matter."""

@@ -16,20 +16,23 @@ class Rer:
 
     def __init__(self, model: OnlineModel) -> None:
         self._model = model
-        self._next = [
+        self._next = (
             Remembered(model, 1, lambda views: self._plan(views, False)),
             Remembered(model, 1, lambda views: self._plan(views, True)),
-        ]
+        )
 
     def begin(self, coin: NDArray[np.float64]) -> Decider:
         return self
 
     def decide(self, look: Look) -> Ints:
+        empty = np.count_nonzero(look.delivered)
+        if empty in (0, look.count):
+            plan = self._next[int(empty > 0)]
+            return plan.of(look.vertex, look.seen, look.wind_en_mps)[:, 0].astype(np.int64)
         edge = np.empty(look.count, dtype=np.int64)
         for delivered in (False, True):
             rows = np.flatnonzero(look.delivered == delivered)
-            if len(rows):
-                edge[rows] = self._next[int(delivered)].get(look, rows)[:, 0]
+            edge[rows] = self._next[int(delivered)].get(look, rows)[:, 0]
         return edge
 
     def _plan(self, views: Viewpoints, delivered: bool) -> NDArray:

@@ -16,6 +16,7 @@ Ints = NDArray[np.int64]
 # An edge that cannot be flown in the wind seen: planned over only where nothing else leads on.
 INFEASIBLE_WH = 1e9
 LEAST_WH = 1e-9  # an edge of no length still costs a little, so that routes end
+CACHED_COSTS = 32_768  # edges x problems in one sweep: what fits a core's cache
 FEW = 3  # problems up to which one Dijkstra each is faster than all in one sweep
 
 
@@ -51,6 +52,17 @@ class RouteFinder:
 
         Infinite costs count as INFEASIBLE_WH. Ties fall to the lowest head.
         """
+        width = max(FEW + 1, CACHED_COSTS // max(self.graph.edge_count, 1))
+        if cost_wh.shape[1] <= width:
+            return self._all_to(goal, cost_wh)
+        begins = range(0, cost_wh.shape[1], width)
+        parts = [self._all_to(goal, cost_wh[:, begin : begin + width]) for begin in begins]
+        return Routes(
+            np.concatenate([part.cost_wh for part in parts], axis=1),
+            np.concatenate([part.next_edge for part in parts], axis=1),
+        )
+
+    def _all_to(self, goal: int, cost_wh: Floats) -> Routes:
         cost = np.clip(cost_wh, LEAST_WH, INFEASIBLE_WH)
         if cost.shape[1] <= FEW:
             total = np.stack([self._dijkstra(goal, column) for column in cost.T], axis=1)
@@ -63,17 +75,20 @@ class RouteFinder:
         return dijkstra(self._reverse, indices=goal)
 
     def _bellman_ford(self, goal: int, cost_wh: Floats) -> Floats:
-        graph = self.graph
-        total = np.full((graph.vertex_count, cost_wh.shape[1]), np.inf)
+        slots = self.graph.out_edges.T  # (W, V): whole vectors at a time, where reduceat is slow
+        heads = np.where(slots >= 0, self.graph.head[slots], 0)
+        costs = np.where(slots[..., None] >= 0, cost_wh[slots], np.inf)
+        total = np.full(costs.shape[1:], np.inf)
         total[goal] = 0.0
-        flown = np.flatnonzero(np.diff(graph.out_start) > 0)
-        first = graph.out_start[flown]
+        through = np.empty_like(total)
         while True:
-            best = np.minimum.reduceat(cost_wh + total[graph.head], first, axis=0)
-            best[flown == goal] = 0.0
-            if np.array_equal(best, total[flown]):
+            best = total.copy()
+            for cost, head in zip(costs, heads, strict=True):
+                np.add(cost, total.take(head, axis=0), out=through)
+                np.minimum(best, through, out=best)
+            if np.array_equal(best, total):
                 return total
-            total[flown] = best
+            total = best
 
     def _next_edge(self, through_wh: Floats) -> Ints:
         """The cheapest out-edge of each vertex given each edge's cost to the goal (E, n)."""

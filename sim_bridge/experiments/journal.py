@@ -1,0 +1,111 @@
+"""Long work that survives Ctrl-C: what is done is kept, one JSON line for each piece of work.
+
+The journal lies beside the result until that is whole. The same command takes it up again; another
+command refuses to mix with it and starts afresh.
+"""
+
+import hashlib
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+
+Work = TypeVar("Work")
+Result = TypeVar("Result")
+
+
+class Journal(Generic[Result]):
+    """Finished pieces on disk, one line each, after a line that says whose they are."""
+
+    def __init__(self, path: Path, digest: str, kind: type[Result]) -> None:
+        self.path, self._digest, self._kind = path, digest, kind
+
+    def read(self) -> dict[int, Result]:
+        """Finished pieces of this very work; none where the journal is another's."""
+        try:
+            lines = self.path.read_bytes().splitlines()
+        except FileNotFoundError:
+            return {}
+        if not lines or lines[0] != self._digest.encode():
+            return {}
+        done = {}
+        for line in lines[1:]:
+            try:
+                index, result = msgspec.json.decode(line, type=tuple[int, self._kind])
+            except msgspec.DecodeError:
+                break  # cut off in the middle of a line
+            done[index] = result
+        return done
+
+    @contextmanager
+    def writing(self, done: dict[int, Result]) -> Iterator[Callable[[int, Result], None]]:
+        """A journal that begins with what is done and takes what follows."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("w", encoding="utf-8") as file:
+            file.write(self._digest + "\n")
+
+            def add(index: int, result: Result) -> None:
+                file.write(msgspec.json.encode((index, result)).decode() + "\n")
+                file.flush()
+
+            for index, result in done.items():
+                add(index, result)
+            yield add
+
+    def remove(self) -> None:
+        self.path.unlink(missing_ok=True)
+
+
+def journaled_map(
+    work: Sequence[Work],
+    do: Callable[[Work], Result],
+    jobs: int,
+    journal: Journal[Result],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """`do` of every piece, in order, on `jobs` processes; takes up what the journal has.
+
+    The journal is left to the caller to remove, once the result is written.
+    """
+    done = journal.read()
+    progress(len(done), len(work))
+    pending = [i for i in range(len(work)) if i not in done]
+    with journal.writing(done) as keep:
+        for index, result in _in_any_order(work, do, pending, jobs):
+            keep(index, result)
+            done[index] = result
+            progress(len(done), len(work))
+    return [done[i] for i in range(len(work))]
+
+
+def _in_any_order(
+    work: Sequence[Work], do: Callable[[Work], Result], pending: list[int], jobs: int
+) -> Iterator[tuple[int, Result]]:
+    if jobs == 1:
+        for index in pending:
+            yield index, do(work[index])
+        return
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=leave_ctrl_c_to_the_parent
+    )
+    try:
+        waiting = {pool.submit(do, work[index]): index for index in pending}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def digest_of(*things: object) -> str:
+    """What tells one work from another: of values whose `repr` says all about them."""
+    return hashlib.sha256(repr(things).encode()).hexdigest()
+
+
+def leave_ctrl_c_to_the_parent() -> None:
+    """What a worker process does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
