@@ -12,7 +12,7 @@ from rich.console import Console
 from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
-from sim_bridge.app import campaign_cli, experiments_cli
+from sim_bridge.app import campaign_cli, conform_cli, experiments_cli
 from sim_bridge.truth.errors import TruthError
 
 app = typer.Typer(
@@ -174,6 +174,7 @@ def bench(
 
 app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands
+app.registered_commands += conform_cli.app.registered_commands
 
 
 def main() -> None:
