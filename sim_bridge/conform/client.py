@@ -111,6 +111,7 @@ class Client:
             base_mode=0,
             custom_mode=0,
             system_status=mavlink.MAV_STATE_ACTIVE,
+            mavlink_version=3,
         )
 
     @contextlib.contextmanager
@@ -305,5 +306,10 @@ class Client:
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
 
     def texts(self) -> list[str]:
-        """STATUSTEXTs heard since `forget`, as they came."""
-        return [m.text for m in self.heard if m.get_type() == "STATUSTEXT"]
+        """STATUSTEXTs heard since `forget`, those that came in pieces put together."""
+        texts: dict[tuple[int, int], str] = {}
+        for number, message in enumerate(self.heard):
+            if message.get_type() == "STATUSTEXT":
+                key = (message.id, 0) if message.id else (0, number)
+                texts[key] = texts.get(key, "") + message.text
+        return list(texts.values())

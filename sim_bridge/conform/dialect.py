@@ -64,7 +64,7 @@ PX4 = Dialect(
     mission="MISSION",
     guided="OFFBOARD",
     has_home_item=False,
-    integer_parameter="COM_RC_OVERRIDE",
+    integer_parameter="COM_RC_IN_MODE",
     float_parameter="MPC_XY_CRUISE",
 )
 ARDUPILOT = Dialect(

@@ -36,6 +36,7 @@ def _reposition_relative(s: Subject) -> Seen:
     asked_m = here.rel_m + _UP_M
     place = (here.lat_deg, here.lon_deg, asked_m)
     answer = s.client.command_int(_REPOSITION, -1.0, 1.0, 0.0, math.nan, place=place, frame=6)
+    s.client.collect(1.0)
     moved = s.client.until(lambda: abs(_climb(s)) > 0.5, 6.0)
     rises = _climb(s) > 0.0
     s.set_mode(s.dialect.hold)
@@ -119,13 +120,13 @@ def _north_mps(s: Subject) -> float:
 
 
 def _velocity_flown(s: Subject) -> float:
-    _fly_velocity(s, 7.0)
+    _fly_velocity(s, 9.0)
     return round(_north_mps(s), 1)
 
 
 def _velocity_stops(s: Subject) -> Seen:
     """The set-points stop: what the mode is 8 s later, and when it had slowed down."""
-    _fly_velocity(s, 7.0)
+    _fly_velocity(s, 9.0)
     start_s = s.client.t_s
     slowed = s.client.until(lambda: _north_mps(s) < 0.5 * _SPEED_MPS, 12.0)
     slowed_s = s.client.t_s - start_s
@@ -135,9 +136,9 @@ def _velocity_stops(s: Subject) -> Seen:
 
 
 def _velocity_patience(s: Subject) -> float:
-    _fly_velocity(s, 7.0)
+    _fly_velocity(s, 9.0)
     start_s = s.client.t_s
-    if not s.client.until(lambda: _north_mps(s) < 0.8 * _SPEED_MPS, 12.0):
+    if not s.client.until(lambda: _north_mps(s) < 0.6 * _SPEED_MPS, 12.0):
         raise CannotSee("it does not slow down")
     return round(s.client.t_s - start_s, 1)
 

@@ -110,10 +110,10 @@ def _change_speed(s: Subject) -> Seen:
 def _item_message(s: Subject) -> str:
     """What MISSION_REQUEST, the older request, is answered with."""
     s.upload(_probe(s))
-    missions.count(s.client)
+    missions.begin_download(s.client)
     s.client.send("MISSION_REQUEST", seq=0, mission_type=0)
     reply = s.client.hear(("MISSION_ITEM", "MISSION_ITEM_INT"), 3.0)
-    s.client.send("MISSION_ACK", type=0, mission_type=0)
+    missions.end_download(s.client)
     return "no answer" if reply is None else reply.get_type()
 
 
@@ -161,6 +161,16 @@ def _out_of_order(s: Subject) -> str:
     s.client.send("MISSION_REQUEST_INT", seq=3, mission_type=0)
     reply = s.client.hear(("MISSION_ITEM_INT", "MISSION_ACK"), 2.5)
     return "no answer" if reply is None else reply.get_type()
+
+
+def _unfinished_download(s: Subject) -> str:
+    """An upload while a download has been begun and is not acknowledged."""
+    s.upload(_probe(s))
+    missions.begin_download(s.client)
+    done = s.upload(_probe(s))
+    s.client.collect(8.0)
+    missions.end_download(s.client)
+    return done.ack
 
 
 def _cut_on_ground(s: Subject) -> Seen:
@@ -268,6 +278,7 @@ BEHAVIOURS = (
     Behaviour("mission/clear", "Clearing on the ground is", _clear),
     Behaviour("mission/empty_upload", "An upload of 0 items is", _empty_upload),
     Behaviour("mission/out_of_order", "An item asked for out of turn gives", _out_of_order),
+    Behaviour("mission/unfinished_download", "An upload amid a download is", _unfinished_download),
     Behaviour("mission/cut_on_ground", "After an upload that breaks off there is", _cut_on_ground),
     Behaviour("mission/terrain", "A mission in the terrain frame, then arming, is", _terrain),
     Behaviour("mission/jump_on_ground", "DO_SET_MISSION_CURRENT, disarmed, is", _jump_on_ground),

@@ -197,16 +197,18 @@ def _change_speed(kind: float, speed_mps: float) -> Callable[[Subject], Seen]:
 
 
 def _speed_to_default(s: Subject) -> Seen:
-    """Slowed to 2 m/s, then DO_CHANGE_SPEED with -1... and 0."""
+    """Slowed to 2 m/s, then DO_CHANGE_SPEED with -1, and with 0."""
     fly_straight(s)
     s.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)
     s.client.until(lambda: _speed(s) < 2.6, 8.0)
     answers, speeds = [], []
     for value in (-1.0, 0.0):
         answers.append(s.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, value, -1.0))
-        s.client.collect(5.0)
-        speeds.append("faster" if _speed(s) > 3.5 else "as before")
-    return Seen(f"-1: {answers[0]}, {speeds[0]}; 0: {answers[1]}, {speeds[1]}")
+        s.client.collect(6.0)
+        speeds.append(_speed(s))
+    words = ["faster" if speed > 3.2 else "as before" for speed in speeds]
+    note = f"{speeds[0]:.1f}, then {speeds[1]:.1f} m/s"
+    return Seen(f"-1: {answers[0]}, {words[0]}; 0: {answers[1]}, {words[1]}", note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +277,7 @@ def _start(s: Subject) -> str:
         s.arm()
         s.enter("AUTO")
         s.client.collect(1.0)
-    airborne = s.client.until(lambda: not s.is_on_ground, 8.0)
+    airborne = s.client.until(lambda: not s.is_on_ground, 5.0)
     if airborne:
         return "armed and in the mission mode"
     answer = s.client.command(mavlink.MAV_CMD_MISSION_START)

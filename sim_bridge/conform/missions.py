@@ -105,9 +105,21 @@ def write_partial(client: Client, first: int, items: Sequence[Item]) -> Uploaded
 
 def count(client: Client, kind: int = 0) -> int | None:
     """How many items the vehicle says that it has; None without an answer."""
+    number = begin_download(client, kind)
+    end_download(client, kind)
+    return number
+
+
+def begin_download(client: Client, kind: int = 0) -> int | None:
+    """MISSION_REQUEST_LIST; the number of items, None without an answer."""
     client.send("MISSION_REQUEST_LIST", mission_type=kind)
     reply = client.hear("MISSION_COUNT", _REPLY_S, lambda m: m.mission_type == kind)
     return None if reply is None else reply.count
+
+
+def end_download(client: Client, kind: int = 0) -> None:
+    """MISSION_ACK: until it comes PX4 refuses whatever else is wanted of its missions."""
+    client.send("MISSION_ACK", type=mavlink.MAV_MISSION_ACCEPTED, mission_type=kind)
 
 
 def item_at(client: Client, seq: int, kind: int = 0) -> Message | None:
@@ -118,11 +130,11 @@ def item_at(client: Client, seq: int, kind: int = 0) -> Message | None:
 
 def download(client: Client, kind: int = 0) -> list[Message] | None:
     """Everything stored; None where an answer is missing."""
-    number = count(client, kind)
+    number = begin_download(client, kind)
     if number is None:
         return None
     items = [item_at(client, seq, kind) for seq in range(number)]
-    client.send("MISSION_ACK", type=mavlink.MAV_MISSION_ACCEPTED, mission_type=kind)
+    end_download(client, kind)
     return None if None in items else items
 
 

@@ -30,13 +30,13 @@ def _release(s: Subject, whom: Identity | None = None) -> None:
 
 
 def _channel_seen(s: Subject) -> bool:
-    channels = s.client.hear("RC_CHANNELS", 2.0)
-    return channels is not None and channels.chan2_raw == _PUSHED[1]
+    heard = [m for m in s.client.heard if m.get_type() == "RC_CHANNELS"]
+    return any(m.chan2_raw == _PUSHED[1] for m in heard)
 
 
 def _override_seen(s: Subject) -> bool:
     """Whether an override appears in RC_CHANNELS, on the ground."""
-    _override(s, _PUSHED, 1.5, None)
+    _override(s, _PUSHED, 3.0, None)
     seen = _channel_seen(s)
     _release(s)
     return seen
@@ -45,7 +45,8 @@ def _override_seen(s: Subject) -> bool:
 def _override_by_stranger(s: Subject) -> bool:
     _release(s)
     s.client.collect(2.0)
-    _override(s, _PUSHED, 1.5, _STRANGER)
+    s.client.forget()
+    _override(s, _PUSHED, 3.0, _STRANGER)
     seen = _channel_seen(s)
     _release(s, _STRANGER)
     return seen

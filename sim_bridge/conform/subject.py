@@ -42,9 +42,13 @@ WORKING_HZ = {
 """What the suite asks for to see by, once the unasked telemetry has been looked at."""
 
 
+_NEWER_MESSAGES = {"CURRENT_MODE": 436}
+"""Messages of the common set that pymavlink's older releases do not have."""
+
+
 def message_id(name: str) -> int:
     """The number of a message."""
-    return getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+    return _NEWER_MESSAGES.get(name) or getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +118,9 @@ class Subject:
         self.client.collect(0.2)
         self.client.hear("HEARTBEAT", 3.0)
 
-    def position(self) -> Position:
+    def position(self, within_s: float = 5.0) -> Position:
         """Where it is, by a message that is new."""
-        message = self.client.hear("GLOBAL_POSITION_INT", 5.0)
+        message = self.client.hear("GLOBAL_POSITION_INT", within_s)
         if message is None:
             raise CannotSee("no GLOBAL_POSITION_INT")
         return position_in(message)
@@ -139,13 +143,15 @@ class Subject:
 
     def _home(self) -> Position:
         if self.home is None:
-            self.home = self.position()
+            self.home = self.position(_READY_S)  # an estimator that has just been switched on
         return self.home
 
     @property
     def home_amsl_m(self) -> float:
-        """Altitude of the ground at home."""
-        return self._home().amsl_m - self._home().rel_m
+        """Altitude of the ground at home, as the vehicle has it now: estimates drift."""
+        self._home()
+        here = position_in(self.client.latest["GLOBAL_POSITION_INT"])
+        return here.amsl_m - here.rel_m
 
     # --- seeing -------------------------------------------------------------------------------
 
@@ -301,6 +307,8 @@ class Subject:
             self.enter(self.dialect.hold)
         self._forget_missions()
         self.restore()
+        if self.is_px4:  # a speed that was set outlives its mission
+            self.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, -1.0, -1.0)
         self._come_back()
 
     def _sights(self) -> None:
@@ -343,11 +351,12 @@ class Subject:
         far = math.hypot(*self.from_home_m(here)) > _NEAR_M
         if far or abs(here.rel_m - HEIGHT_M) > 4.0:
             self.go_to(0.0, 0.0, HEIGHT_M)
-        self.client.until(lambda: self._speed_mps() < 0.7, 15.0)
+        self.client.until(lambda: self._speed_mps() < 0.5, 15.0)
+        self.client.collect(0.5)
 
     def _speed_mps(self) -> float:
         message = self.client.latest["GLOBAL_POSITION_INT"]
-        return math.hypot(message.vx, message.vy) * 0.01
+        return math.hypot(message.vx, message.vy, message.vz) * 0.01
 
     def go_to(self, north_m: float, east_m: float, height_m: float) -> None:
         """DO_REPOSITION by a way that both autopilots understand: AMSL, as COMMAND_INT."""

@@ -169,11 +169,13 @@ def _text_without_gcs(s: Subject) -> str:
     return "always" if alone else "only where a ground station is heard"
 
 
-def _text_end(s: Subject) -> str:
+def _text_end(s: Subject) -> Seen:
     said = _provoke_text(s)
     if not said:
         raise CannotSee("no STATUSTEXT came")
-    return "with a tab" if all(text.endswith("\t") for text in said) else "plainly"
+    tabs = sum(text.endswith("\t") for text in said)
+    word = "with a tab" if tabs == len(said) else "some with a tab" if tabs else "plainly"
+    return Seen(word, "; ".join(repr(text) for text in said))
 
 
 def _heartbeat_lag(s: Subject) -> Seen:
