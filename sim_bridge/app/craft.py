@@ -43,7 +43,7 @@ ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
-    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: COM_RC_OVERRIDE
+    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: MAN_OVERRIDE_SPD
 }
 
 

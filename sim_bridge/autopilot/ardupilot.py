@@ -169,6 +169,9 @@ class ArduPilot:
         """There is none."""
         return 0.0
 
+    def parameter_unknown(self, ap: "Autopilot", link_id: int, message: Message) -> None:
+        """Silence."""
+
     def set_parameter(self, ap: "Autopilot", link_id: int, message: Message) -> None:
         """Any type is cast; what is not a number is ignored; unknown names get no answer."""
         name = message.param_id

@@ -85,7 +85,10 @@ class MissionProtocol:
         owner, rules = self._owner, self._rules
         kind = message.mission_type
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
-            self._ack(link_id, message, MissionResult.UNSUPPORTED)
+            self._ack(link_id, message, rules.unknown_type)
+            return
+        if rules.is_atomic and self._download is not None:  # PX4: one transfer at a time
+            self._ack(link_id, message, MissionResult.ERROR)
             return
         upload = self._upload
         if upload is not None and not (
@@ -171,7 +174,10 @@ class MissionProtocol:
         )
 
     def clear_all(self, link_id: int, message: Message) -> None:
-        """MISSION_CLEAR_ALL."""
+        """MISSION_CLEAR_ALL; PX4 does not answer amid a download."""
+        if self._rules.is_atomic and self._download is not None:
+            self._owner.say(Severity.CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+            return
         kind = message.mission_type
         kinds = (
             [MissionType.MISSION, MissionType.FENCE, MissionType.RALLY]

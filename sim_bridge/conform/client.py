@@ -74,6 +74,12 @@ class Client:
         self._attended = 0
         self._limit_s = math.inf
 
+    @property
+    def companion(self) -> Identity:
+        """A companion computer aboard this vehicle."""
+        kind = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        return Identity(self.target[0], mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, kind)
+
     # --- speaking -----------------------------------------------------------------------------
 
     def send(self, name: str, as_whom: Identity | None = None, **fields: Any) -> None:

@@ -237,6 +237,7 @@ def _terrain(s: Subject) -> str:
 def _jump_on_ground(s: Subject) -> str:
     """DO_SET_MISSION_CURRENT while disarmed, and MISSION_CURRENT after it."""
     s.upload(_probe(s))
+    s.client.collect(3.0)
     wanted = s.first_seq() + 2
     answer = s.client.command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, float(wanted))
     s.client.collect(1.2)
@@ -245,6 +246,7 @@ def _jump_on_ground(s: Subject) -> str:
 
 def _set_current_on_ground(s: Subject) -> str:
     s.upload(_probe(s))
+    s.client.collect(3.0)
     wanted = s.first_seq() + 2
     s.client.send("MISSION_SET_CURRENT", seq=wanted)
     s.client.collect(1.2)

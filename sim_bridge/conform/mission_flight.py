@@ -9,8 +9,7 @@ from typing import cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
-from sim_bridge.conform.client import COMPANION
+from sim_bridge.conform.behaviour import Behaviour, Seen, Value, Where
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.mission import LAND, LOITER_TIME, TAKEOFF, WAYPOINT, waypoint
 from sim_bridge.conform.missions import Item
@@ -217,7 +216,7 @@ class _Flight:
 
     start: str
     climbed_m: float
-    land_reached: str
+    land_reached: Seen
     disarm_after_s: float
     mode_at_end: str
     reached_repeats: int
@@ -226,7 +225,7 @@ class _Flight:
 
 
 def _whole_flight(s: Subject) -> _Flight:
-    """Take-off, a waypoint, a short loiter, LAND, a DO item: watched from arming to disarming."""
+    """Take-off, a waypoint, a short loiter, LAND 25 m beside it: from arming to disarming."""
     return cast(_Flight, s.remember("a whole flight", lambda: _fly_whole(s)))
 
 
@@ -235,15 +234,16 @@ def _fly_whole(s: Subject) -> _Flight:
         Item(TAKEOFF, *s.place(0.0, 0.0), 12.0, param4=math.nan),
         waypoint(s, 25.0, 0.0, 12.0),
         Item(LOITER_TIME, *s.place(25.0, 0.0), 12.0, param1=2.0),
-        Item(LAND, *s.place(25.0, 0.0), 0.0),
+        Item(LAND, *s.place(25.0, 25.0), 0.0),
     ]
     done = s.upload(items)
     if done.ack != "ACCEPTED":
         raise CannotSee(f"the mission was not taken: {done.ack}")
     client = s.client
     client.forget()
-    client.beat(COMPANION)
+    client.beat(client.companion)
     start = _start(s)
+    client.beat(client.companion)
     if not client.until(lambda: not s.is_armed and s.is_on_ground, 150.0):
         raise CannotSee(f"it did not come down: {s.mode}; {'; '.join(client.texts()[-4:])}")
     client.collect(1.5)
@@ -296,14 +296,16 @@ def _last_landing_s(states: list) -> float:
     return down_s
 
 
-def _where_reached(times_s: list[float], down_s: float) -> str:
+def _where_reached(times_s: list[float], down_s: float) -> Seen:
     if not times_s:
-        return "never"
-    return "in the air" if times_s[0] < down_s - 1.0 else "on the ground"
+        return Seen("never")
+    early_s = down_s - times_s[0]
+    word = "in the air" if early_s > 1.0 else "on the ground"
+    return Seen(word, f"{early_s:.1f} s before it says that it is on the ground")
 
 
-def _field(name: str) -> Callable[[Subject], str | float]:
-    def see(s: Subject) -> str | float:
+def _field(name: str) -> Callable[[Subject], Seen | Value]:
+    def see(s: Subject) -> Seen | Value:
         return getattr(_whole_flight(s), name)
 
     return see
@@ -320,22 +322,40 @@ def _takeoff_item(s: Subject) -> Seen:
     return Seen("above home" if abs(climbed - 12.0) < 2.5 else "elsewhere", f"{climbed:.1f} m")
 
 
+def _behind_land(s: Subject) -> tuple[str, Seen]:
+    """Take-off, LAND here, then waypoints: what follows the landing, and where LAND is told."""
+
+    def look() -> tuple[str, Seen]:
+        items = [
+            Item(TAKEOFF, *s.place(0.0, 0.0), 8.0, param4=math.nan),
+            Item(LAND, *s.place(0.0, 0.0), 0.0),
+            waypoint(s, 30.0, 0.0, 10.0),
+            waypoint(s, 60.0, 0.0, 10.0),
+        ]
+        s.upload(items)
+        client = s.client
+        client.forget()
+        _start(s)
+        if not client.until(lambda: s.is_on_ground, 90.0):
+            raise CannotSee("it did not land")
+        again = client.until(lambda: not s.is_on_ground or not s.is_armed, 30.0)
+        word = "disarms" if s.is_on_ground else "takes off again"
+        land_seq = s.first_seq() + 1
+        reached = [m for m in client.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+        states = [m for m in client.heard if m.get_type() == "EXTENDED_SYS_STATE"]
+        told = [m.heard_s for m in reached if m.seq == land_seq]
+        where = _where_reached(told, _last_landing_s(states))
+        return word if again else "stays armed on the ground", where
+
+    return cast(tuple[str, Seen], s.remember("an item behind LAND", look))
+
+
 def _item_behind_land(s: Subject) -> str:
-    """Take-off, LAND here, then a waypoint: what follows the landing."""
-    items = [
-        Item(TAKEOFF, *s.place(0.0, 0.0), 8.0, param4=math.nan),
-        Item(LAND, *s.place(0.0, 0.0), 0.0),
-        waypoint(s, 30.0, 0.0, 10.0),
-        waypoint(s, 60.0, 0.0, 10.0),
-    ]
-    s.upload(items)
-    _start(s)
-    if not s.client.until(lambda: s.is_on_ground, 90.0):
-        raise CannotSee("it did not land")
-    again = s.client.until(lambda: not s.is_on_ground or not s.is_armed, 30.0)
-    if not again:
-        return "stays armed on the ground"
-    return "disarms" if s.is_on_ground else "takes off again"
+    return _behind_land(s)[0]
+
+
+def _land_reached_amid(s: Subject) -> Seen:
+    return _behind_land(s)[1]
 
 
 def _mission_end_in_air(s: Subject) -> str:
@@ -404,7 +424,7 @@ BEHAVIOURS = (
     ),
     Behaviour(
         "mission_flight/land_reached",
-        "LAND is told as reached",
+        "LAND 25 m from the last waypoint is told as reached",
         _field("land_reached"),
         Where.FLIGHT,
     ),
@@ -432,6 +452,12 @@ BEHAVIOURS = (
         "mission_flight/behind_land",
         "At LAND with a waypoint behind it, it",
         _item_behind_land,
+        Where.FLIGHT,
+    ),
+    Behaviour(
+        "mission_flight/land_reached_amid",
+        "LAND below, with a waypoint behind it, is told as reached",
+        _land_reached_amid,
         Where.FLIGHT,
     ),
 )

@@ -5,7 +5,7 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform.behaviour import Behaviour, Seen, Where
-from sim_bridge.conform.client import COMPANION, Identity
+from sim_bridge.conform.client import Identity
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
 
@@ -16,13 +16,13 @@ _IGNORE = 65535
 
 
 def _override(s: Subject, channels: tuple[int, ...], for_s: float, whom: Identity | None) -> None:
-    """RC_CHANNELS_OVERRIDE at 10 Hz; the channels after those given are left alone."""
+    """RC_CHANNELS_OVERRIDE at 20 Hz; the channels after those given are left alone."""
     end_s = s.client.t_s + for_s
     fields = {f"chan{i + 1}_raw": value for i, value in enumerate(channels)}
     fields |= {f"chan{i}_raw": _IGNORE for i in range(len(channels) + 1, 9)}
     while s.client.t_s < end_s:
         s.client.send("RC_CHANNELS_OVERRIDE", whom, **fields)
-        s.client.collect(0.1)
+        s.client.collect(0.05)
 
 
 def _release(s: Subject, whom: Identity | None = None) -> None:
@@ -53,20 +53,43 @@ def _override_by_stranger(s: Subject) -> bool:
 
 
 def _sticks_in_hold(s: Subject) -> Seen:
-    """Sticks centred, then the pitch stick moved, in the holding mode in the air."""
+    """Sticks centred, then the pitch stick pushed over in 0.5 s, in the holding mode in the air."""
     _override(s, _CENTRED, 2.0, None)
     before = s.mode
-    _override(s, _PUSHED, 2.0, None)
+    for pulse_us in range(1540, 1901, 40):
+        _override(s, (1500, pulse_us, 1500, 1500), 0.04, None)
+    _override(s, _PUSHED, 1.5, None)
     s.client.collect(0.8)
     after = s.mode
     _release(s)
     return Seen("nothing" if after == before else f"mode {after}", f"{before} to {after}")
 
 
+def _joystick_in_hold(s: Subject) -> Seen:
+    """MANUAL_CONTROL centred, then pushed forward in 0.5 s, in the holding mode in the air."""
+    _joystick(s, 0, 2.0)
+    before = s.mode
+    for forward in range(100, 1001, 100):
+        _joystick(s, forward, 0.04)
+    _joystick(s, 1000, 1.5)
+    s.client.collect(0.8)
+    after = s.mode
+    return Seen("nothing" if after == before else f"mode {after}", f"{before} to {after}")
+
+
+def _joystick(s: Subject, forward: int, for_s: float) -> None:
+    end_s = s.client.t_s + for_s
+    while s.client.t_s < end_s:
+        s.client.send(
+            "MANUAL_CONTROL", target=s.client.target[0], x=forward, y=0, z=500, r=0, buttons=0
+        )
+        s.client.collect(0.05)
+
+
 def _companion_beats(s: Subject) -> str:
     """Whether the autopilot goes on as the same with a companion's HEARTBEAT on its link."""
     for _ in range(5):
-        s.client.beat(COMPANION)
+        s.client.beat(s.client.companion)
         s.client.collect(0.6)
     beats = [m for m in s.client.heard if m.get_type() == "HEARTBEAT"]
     return "alike" if beats and len({m.custom_mode for m in beats}) == 1 else "otherwise"
@@ -75,17 +98,19 @@ def _companion_beats(s: Subject) -> str:
 def _foreign_text(s: Subject) -> bool:
     """Whether it takes a companion's HEARTBEAT for its own: the link hears it back."""
     for _ in range(5):
-        s.client.beat(COMPANION)
+        s.client.beat(s.client.companion)
         s.client.collect(0.6)
-    return (COMPANION.system, COMPANION.component) in s.client.others
+    return (s.client.companion.system, s.client.companion.component) in s.client.others
 
 
 def _command_from_companion(s: Subject) -> str:
     """A command from the vehicle's own system, another component: its target in the ACK."""
-    s.client.beat(COMPANION)
+    s.client.beat(s.client.companion)
     number = mavlink.MAV_CMD_REQUEST_MESSAGE
     params = {f"param{i}": 0.0 for i in range(2, 8)}
-    s.client.send("COMMAND_LONG", COMPANION, command=number, confirmation=0, param1=148.0, **params)
+    s.client.send(
+        "COMMAND_LONG", s.client.companion, command=number, confirmation=0, param1=148.0, **params
+    )
     ack = s.client.hear("COMMAND_ACK", 3.0, lambda m: m.command == number)
     if ack is None:
         return "no answer"
@@ -178,6 +203,12 @@ BEHAVIOURS = (
         "rc_override/sticks",
         "A stick moved in the holding mode changes",
         _sticks_in_hold,
+        Where.AIR,
+    ),
+    Behaviour(
+        "rc_override/joystick",
+        "MANUAL_CONTROL moved in the holding mode changes",
+        _joystick_in_hold,
         Where.AIR,
     ),
     Behaviour(

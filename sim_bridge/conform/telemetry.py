@@ -7,7 +7,7 @@ from typing import cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform.behaviour import Behaviour, Seen
-from sim_bridge.conform.client import COMPANION, NO_ANSWER
+from sim_bridge.conform.client import NO_ANSWER
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import WORKING_HZ, Subject, message_id
 
@@ -159,7 +159,7 @@ def _provoke_text(s: Subject) -> list[str]:
 
 def _text_without_gcs(s: Subject) -> str:
     """Whether a refusal is put into words on a link where no ground station is."""
-    with s.client.appearing_as(COMPANION):
+    with s.client.appearing_as(s.client.companion):
         s.client.collect(_GCS_FORGOTTEN_S)
         alone = _provoke_text(s)
     s.client.collect(3.0)

@@ -7,8 +7,11 @@ every time and as fast as the machine.
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim_bridge.app.serve import Served, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+import numpy as np
+
+from sim_bridge.app.serve import Home, Served
+from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.flavour import BatterySensing, Flavour
 from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.conform.behaviour import Behaviour
 from sim_bridge.conform.client import Client
@@ -16,10 +19,13 @@ from sim_bridge.conform.reference import Result, as_result
 from sim_bridge.conform.subject import Subject
 from sim_bridge.conform.suite import Row, identify, run_suite
 from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
 
 PARAMS = Path(__file__).parents[2] / "params"
 STEPS_A_TURN = 2
+HOME = Home()
+SENSING = {Flavour.PX4: BatterySensing.SIH_TIMER, Flavour.ARDUPILOT: BatterySensing.POWER_MODULE}
 WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
 
 
@@ -57,13 +63,21 @@ class Watcher:
 
 def stood(flavour: Flavour) -> Served:
     """A flavour on the ground, in the wind of the references."""
-    return stand_up(
-        flavour,
-        load_airframe(PARAMS / "truth" / "m100.toml"),
-        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml"),
-        wind=WindField(WIND),
+    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
+    vehicle = Vehicle(
+        airframe,
+        WindField(WIND),
+        np.random.default_rng(1),
         payload_kg=0.5,
+        depot_alt_amsl_m=HOME.alt_amsl_m,
     )
+    autopilot = Autopilot(
+        flavour,
+        (HOME.lat_deg, HOME.lon_deg, HOME.alt_amsl_m),
+        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml"),
+        battery_sensing=SENSING[flavour],
+    )
+    return Served(vehicle, autopilot)
 
 
 def ask(served: Served, behaviours: Sequence[Behaviour]) -> Result:
