@@ -82,12 +82,12 @@ class Client:
 
     # --- speaking -----------------------------------------------------------------------------
 
-    def send(self, name: str, as_whom: Identity | None = None, **fields: Any) -> None:
+    def send(self, name: str, as_whom: Identity | None = None, /, **fields: Any) -> None:
         """Send a message by its name; `target_*` are the vehicle's unless given."""
         self._attended = len(self.heard)
         self._post(name, as_whom, **fields)
 
-    def _post(self, name: str, as_whom: Identity | None = None, **fields: Any) -> None:
+    def _post(self, name: str, as_whom: Identity | None = None, /, **fields: Any) -> None:
         made = getattr(mavlink, f"MAVLink_{name.lower()}_message")
         names = made.fieldnames
         for field, value in zip(("target_system", "target_component"), self.target, strict=True):
@@ -270,14 +270,16 @@ class Client:
 
     def command(self, number: int, *params: float, within_s: float = 3.0) -> str:
         """Send a COMMAND_LONG; the word of its first COMMAND_ACK."""
-        given = (*params, *(0.0,) * (7 - len(params)))
-        self.send(
-            "COMMAND_LONG",
-            command=number,
-            confirmation=0,
-            **{f"param{i + 1}": value for i, value in enumerate(given)},
-        )
+        self.say_command(number, *params)
         return self.answer_to(number, within_s)
+
+    def say_command(
+        self, number: int, *params: float, as_whom: Identity | None = None, **target: int
+    ) -> None:
+        """Send a COMMAND_LONG and do not wait; `target_system`, `target_component` if others."""
+        given = (*params, *(0.0,) * (7 - len(params)))
+        fields = {f"param{i + 1}": value for i, value in enumerate(given)}
+        self.send("COMMAND_LONG", as_whom, command=number, confirmation=0, **fields, **target)
 
     def command_int(
         self,

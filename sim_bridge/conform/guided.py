@@ -103,16 +103,8 @@ def _fly_velocity(s: Subject, for_s: float) -> None:
         s.client.collect(0.1)
         if not asked and s.client.t_s - start_s > 1.0:
             asked = True
-            _, main, sub = s.dialect.mode_params(s.dialect.guided)
-            s.client.send(
-                "COMMAND_LONG",
-                command=mavlink.MAV_CMD_DO_SET_MODE,
-                confirmation=0,
-                param1=1.0,
-                param2=main,
-                param3=sub,
-                **{f"param{i}": 0.0 for i in range(4, 8)},
-            )
+            mode = s.dialect.mode_params(s.dialect.guided)
+            s.client.say_command(mavlink.MAV_CMD_DO_SET_MODE, *mode)
 
 
 def _north_mps(s: Subject) -> float:

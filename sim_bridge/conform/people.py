@@ -107,10 +107,8 @@ def _command_from_companion(s: Subject) -> str:
     """A command from the vehicle's own system, another component: its target in the ACK."""
     s.client.beat(s.client.companion)
     number = mavlink.MAV_CMD_REQUEST_MESSAGE
-    params = {f"param{i}": 0.0 for i in range(2, 8)}
-    s.client.send(
-        "COMMAND_LONG", s.client.companion, command=number, confirmation=0, param1=148.0, **params
-    )
+    version = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    s.client.say_command(number, version, as_whom=s.client.companion)
     ack = s.client.hear("COMMAND_ACK", 3.0, lambda m: m.command == number)
     if ack is None:
         return "no answer"

@@ -10,6 +10,8 @@ from sim_bridge.conform.subject import Subject
 
 _NO_COMMAND = 31999
 _NO_MESSAGE = 41999
+_REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
+_VERSION = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
 
 def _command_long(s: Subject) -> str:
@@ -25,7 +27,7 @@ def _interval(s: Subject) -> str:
 
 
 def _request(s: Subject) -> str:
-    return s.client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, _NO_MESSAGE)
+    return s.client.command(_REQUEST, _NO_MESSAGE)
 
 
 def _mode(s: Subject) -> str:
@@ -58,43 +60,20 @@ def _mission_frame(s: Subject) -> str:
 
 
 def _other_system(s: Subject) -> str:
-    with_target = {"target_system": 77, "target_component": 1}
-    s.client.send(
-        "COMMAND_LONG",
-        command=mavlink.MAV_CMD_REQUEST_MESSAGE,
-        confirmation=0,
-        param1=148.0,
-        **{f"param{i}": 0.0 for i in range(2, 8)},
-        **with_target,
-    )
-    return s.client.answer_to(mavlink.MAV_CMD_REQUEST_MESSAGE)
+    s.client.say_command(_REQUEST, _VERSION, target_system=77, target_component=1)
+    return s.client.answer_to(_REQUEST)
 
 
 def _broadcast(s: Subject) -> str:
-    s.client.send(
-        "COMMAND_LONG",
-        command=_NO_COMMAND,
-        confirmation=0,
-        target_system=0,
-        target_component=0,
-        **{f"param{i}": 0.0 for i in range(1, 8)},
-    )
+    s.client.say_command(_NO_COMMAND, target_system=0, target_component=0)
     return s.client.answer_to(_NO_COMMAND)
 
 
 def _unheard_sender(s: Subject) -> str:
     """A command from a system that has never sent a HEARTBEAT."""
     stranger = Identity(201, 7, mavlink.MAV_TYPE_GENERIC)
-    with s.client.appearing_as(stranger):
-        number = mavlink.MAV_CMD_REQUEST_MESSAGE
-        s.client.send(
-            "COMMAND_LONG",
-            command=number,
-            confirmation=0,
-            param1=148.0,
-            **{f"param{i}": 0.0 for i in range(2, 8)},
-        )
-        ack = s.client.hear("COMMAND_ACK", 3.0, lambda m: m.command == number)
+    s.client.say_command(_REQUEST, _VERSION, as_whom=stranger)
+    ack = s.client.hear("COMMAND_ACK", 3.0, lambda m: m.command == _REQUEST)
     return NO_ANSWER if ack is None else f"answered to {ack.target_system}/{ack.target_component}"
 
 
@@ -103,8 +82,8 @@ def _noise(s: Subject) -> bool:
     s.client.send_bytes(bytes(range(256)))
     s.client.send_bytes(b"\xfd\x21\x00\x00\x00\xff\xbe\x4c\x00\x00\x01")
     s.client.collect(0.5)
-    s.client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0)  # may be swallowed with the cut frame
-    return s.client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0) == "ACCEPTED"
+    s.client.command(_REQUEST, _VERSION)  # may be swallowed with the cut frame
+    return s.client.command(_REQUEST, _VERSION) == "ACCEPTED"
 
 
 BEHAVIOURS = (
