@@ -40,8 +40,8 @@ def timesync(ap: "Autopilot", link_id: int, message: Message) -> None:
 
 
 def ping(ap: "Autopilot", link_id: int, message: Message) -> None:
-    """PING request: sent back to its sender."""
-    if message.target_system == 0 and message.target_component == 0:
+    """PING request: sent back to its sender, by PX4; ArduCopter does not answer."""
+    if ap.behaviour.answers_ping and message.target_system == 0 and message.target_component == 0:
         ap.radio.send(
             link_id,
             "PING",
@@ -80,7 +80,7 @@ def param_request_read(ap: "Autopilot", link_id: int, message: Message) -> None:
     if message.param_index >= 0:
         name = ap.params.name_at(message.param_index)
     if name is not None and (name in ap.params or name == "_HASH_CHECK"):
-        ap.radio.send_parameter(link_id, name)
+        ap.radio.send_parameter(link_id, name, ap.behaviour.index_told(message.param_index))
     else:
         ap.behaviour.parameter_unknown(ap, link_id, message)
 

@@ -244,7 +244,7 @@ class MissionProtocol:
         if kind == MissionType.MISSION and seq == 0 and self._rules.has_home_item:
             item = self._owner.home_item()
         item = self._rules.give(item)
-        as_float = asked_by == "MISSION_REQUEST" and self._rules.is_atomic
+        as_float = asked_by == "MISSION_REQUEST"
         scale = 1e-7 if item.command in PLACED else 1.0
         frame = item.frame
         if as_float and frame in (Frame.GLOBAL_INT, Frame.GLOBAL_RELATIVE_ALT_INT):

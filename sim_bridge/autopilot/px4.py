@@ -222,6 +222,12 @@ class Px4:
         if ap.params[name] != before and name not in self._changed:
             self._changed.append(name)
 
+    answers_ping = True
+
+    def index_told(self, asked: int) -> int | None:
+        """The parameter's own."""
+        return None
+
     def parameter_unknown(self, ap: "Autopilot", link_id: int, message: Message) -> None:
         """PARAM_ERROR (mavlink_parameters.cpp, send_error)."""
         self._refuse_parameter(ap, link_id, message, _DOES_NOT_EXIST)

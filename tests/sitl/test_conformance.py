@@ -34,6 +34,10 @@ BOTH = pytest.mark.parametrize("flavour", Flavour)
 SPEEDUP = 20.0
 HOME = Home()
 SETTINGS = {Flavour.PX4: {}, Flavour.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
+RECEIVER = {  # SIH has none; ArduPilot's SITL has one, its throttle down, its switch at STABILIZE
+    Flavour.PX4: None,
+    Flavour.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
+}
 SENSING = {Flavour.PX4: BatterySensing.SIH_TIMER, Flavour.ARDUPILOT: BatterySensing.POWER_MODULE}
 WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
 
@@ -86,6 +90,7 @@ def stood(flavour: Flavour) -> Served:
         read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml", SETTINGS[flavour]),
         battery_sensing=SENSING[flavour],
     )
+    autopilot.set_rc(RECEIVER[flavour])
     return Served(vehicle, autopilot)
 
 
