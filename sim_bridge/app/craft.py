@@ -48,7 +48,7 @@ LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about the depot, above it
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
-    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: COM_RC_OVERRIDE
+    "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: MAN_OVERRIDE_SPD
 }
 
 

@@ -169,6 +169,15 @@ class ArduPilot:
         """There is none."""
         return 0.0
 
+    answers_ping = False
+
+    def index_told(self, asked: int) -> int | None:
+        """The index that was asked for; 65535 for a name."""
+        return asked if asked >= 0 else 65535
+
+    def parameter_unknown(self, ap: "Autopilot", link_id: int, message: Message) -> None:
+        """Silence."""
+
     def set_parameter(self, ap: "Autopilot", link_id: int, message: Message) -> None:
         """Any type is cast; what is not a number is ignored; unknown names get no answer."""
         name = message.param_id
@@ -189,6 +198,8 @@ class ArduPilot:
             ap.speed_override_mps = None
             ap.guidance.set_limits(self.rules.limits(ap.params))
         self.modes.entered(ap, mode)
+        # mode.cpp, set_mode: told at once, not with the next second's
+        ap.radio.send_all("HEARTBEAT", **(self.streams["HEARTBEAT"](ap) or {}))
 
     def armed(self, ap: "Autopilot") -> None:
         """In AUTO, arming starts the mission."""
@@ -383,18 +394,9 @@ class ArduPilot:
     # --- people -------------------------------------------------------------------------------
 
     def set_mode_message(self, ap: "Autopilot", link_id: int, message: Message) -> None:
-        """SET_MODE: answered by a COMMAND_ACK for its own message number."""
-        result = Result.DENIED
+        """SET_MODE: done or not done, and not acknowledged."""
         if message.base_mode & 1:
-            result = request_mode(ap, message.custom_mode)
-        ap.radio.send(
-            link_id,
-            "COMMAND_ACK",
-            command=11,
-            result=int(result),
-            target_system=message.src_system,
-            target_component=message.src_component,
-        )
+            request_mode(ap, message.custom_mode)
 
     def override_channels(self, ap: "Autopilot", system: int, channels: list[int]) -> None:
         """Only from the ground station that SYSID_MYGCS names, for RC_OVERRIDE_TIME."""

@@ -81,7 +81,9 @@ def arming_problem(ap: "Autopilot") -> str | None:
     if mode is Mode.AUTO:
         if not int(ap.params["AUTO_OPTIONS"]) & _AUTO_MAY_ARM:
             return "AUTO mode not armable"
-        if ap.executor.plan.is_empty or not starts_with_takeoff(ap):
+        if ap.executor.plan.is_empty:
+            return "Mode requires mission"
+        if not starts_with_takeoff(ap):
             return "Missing Takeoff Cmd"
     if checking and mode not in (Mode.GUIDED, Mode.AUTO):
         sticks = ap.pilot.sticks()
@@ -96,10 +98,10 @@ def mode_problem(ap: "Autopilot", mode: Mode) -> str | None:
     """Why a mode cannot be entered now."""
     if ap.is_armed and mode in NEED_POSITION and not ap.has_position:
         return "requires position"
-    if mode is Mode.AUTO:
+    if mode is Mode.AUTO and ap.is_armed:  # disarmed, nothing is asked of it (mode_auto.cpp, init)
         if ap.executor.plan.is_empty:
             return "init failed"
-        if ap.is_armed and ap.is_landed and not starts_with_takeoff(ap):
+        if ap.is_landed and not starts_with_takeoff(ap):
             ap.say(Severity.CRITICAL, "Auto: Missing Takeoff Cmd")
             return "init failed"
     return None
@@ -192,7 +194,7 @@ def place_of_command(ap: "Autopilot", command: Command) -> Vec3 | None:
 def _reposition(ap: "Autopilot", command: Command) -> Result:
     """COMMAND_INT only; the frame is obeyed, the speed is not."""
     if command.frame is None:
-        return Result.COMMAND_INT_ONLY
+        return Result.UNSUPPORTED
     may_change_mode = bool(as_int(command.param2, 0) & 1)
     if ap.mode is not Mode.GUIDED and not may_change_mode:
         return Result.DENIED
@@ -211,7 +213,9 @@ def _reposition(ap: "Autopilot", command: Command) -> Result:
 def _change_speed(ap: "Autopilot", command: Command) -> Result:
     """Airspeed is treated as ground speed; nothing below zero."""
     kind, speed = as_int(command.param1), command.param2
-    if not math.isfinite(speed) or speed <= 0.0 or kind not in (0, 1, 2, 3):
+    if kind not in (0, 1, 2, 3):
+        return Result.FAILED
+    if not math.isfinite(speed) or speed <= 0.0:
         return Result.DENIED
     ap.ardupilot.change_speed(ap, kind, speed)
     return Result.ACCEPTED
@@ -285,6 +289,10 @@ def _fence_enable(ap: "Autopilot", command: Command) -> Result:
     return Result.ACCEPTED
 
 
+def _failed(ap: "Autopilot", command: Command) -> Result:
+    return Result.FAILED
+
+
 def _accepted(ap: "Autopilot", command: Command) -> Result:
     return Result.ACCEPTED
 
@@ -308,6 +316,7 @@ COMMANDS: dict[int, Handler] = {
     Cmd.DO_SET_SERVO: _servo,
     Cmd.CONDITION_YAW: _condition_yaw,
     Cmd.DO_FENCE_ENABLE: _fence_enable,
+    Cmd.DO_WINCH: _failed,  # there is none
     Cmd.DO_SET_ROI: _accepted,
     Cmd.DO_SET_ROI_LOCATION: _accepted,
     Cmd.DO_SET_ROI_NONE: _accepted,

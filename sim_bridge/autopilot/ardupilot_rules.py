@@ -32,6 +32,7 @@ class ArduPilotRules:
             takeoff_min_height_m=0.0,
             corner_accel_mps2=2.0 * max(params.metres("WPNAV_ACCEL"), 0.1),
             land_above_m=radius,
+            land_from_m=radius,
             brakes_when_sent_elsewhere=True,
         )
 

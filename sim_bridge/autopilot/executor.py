@@ -41,6 +41,8 @@ class FlightRules:
     takeoff_min_height_m: float
     corner_accel_mps2: float
     land_above_m: float
+    """Nearer than this to a LAND item's place, flown to first, the descent begins."""
+    land_from_m: float
     """Farther than this from a LAND item's place it is flown to first."""
     ramp_s: float = 0.0
     """From spooled up, on the ground, to thrust enough to lift (PX4)."""
@@ -418,7 +420,7 @@ class MissionExecutor:
         leg = Leg(item, Phase.MOVE, self._line_start or here, above)
         leg.start = (leg.start[0], leg.start[1], here[2])
         leg.yaw_rad = self._vehicle.leg_yaw_rad(here, above, item)
-        near = self._vehicle.flight_rules.land_above_m
+        near = self._vehicle.flight_rules.land_from_m
         if distance_ne_m(here, place) <= near:
             leg.phase = Phase.DESCEND
         return leg

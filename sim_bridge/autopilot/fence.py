@@ -12,6 +12,12 @@ from sim_bridge.autopilot.mission import Item
 PointNE = tuple[float, float]
 
 
+_VERTICES = (
+    Cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    Cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+)
+
+
 class Breach(Enum):
     """What was broken, by its MAVLink FENCE_BREACH number."""
 
@@ -59,7 +65,7 @@ def read_areas(items: Sequence[Item], frame: LocalFrame) -> tuple[Area, ...]:
         )
         if item.command in (Cmd.NAV_FENCE_CIRCLE_INCLUSION, Cmd.NAV_FENCE_CIRCLE_EXCLUSION):
             areas.append(Area((point,), item.param1, is_inclusion))
-        elif item.command != Cmd.NAV_FENCE_RETURN_POINT:
+        elif item.command in _VERTICES:
             vertices.append(point)
             if len(vertices) >= max(int(item.param1), 3):
                 areas.append(Area(tuple(vertices), None, is_inclusion))

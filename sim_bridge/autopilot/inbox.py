@@ -11,6 +11,9 @@ from sim_bridge.autopilot.setpoints import global_setpoint, local_setpoint
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
 
+_GCS_FORGOTTEN_S = 2.5
+"""PX4, TelemetryStatus.msg, HEARTBEAT_TIMEOUT_US; only PX4 asks who is on a link."""
+
 OnMessage = Callable[["Autopilot", int, Message], None]
 
 
@@ -24,7 +27,7 @@ def heartbeat(ap: "Autopilot", link_id: int, message: Message) -> None:
     """HEARTBEAT: who is there; a ground station's keeps the data link alive."""
     link = ap.radio.links[link_id]
     if message.type == VehicleType.GCS:
-        link.has_gcs = True
+        link.gcs_until_s = ap.t_s + _GCS_FORGOTTEN_S
         ap.gcs_heard(message.src_system)
 
 
@@ -37,8 +40,8 @@ def timesync(ap: "Autopilot", link_id: int, message: Message) -> None:
 
 
 def ping(ap: "Autopilot", link_id: int, message: Message) -> None:
-    """PING request: sent back to its sender."""
-    if message.target_system == 0 and message.target_component == 0:
+    """PING request: sent back to its sender, by PX4; ArduCopter does not answer."""
+    if ap.behaviour.answers_ping and message.target_system == 0 and message.target_component == 0:
         ap.radio.send(
             link_id,
             "PING",
@@ -72,13 +75,14 @@ def command_ack(ap: "Autopilot", link_id: int, message: Message) -> None:
 
 
 def param_request_read(ap: "Autopilot", link_id: int, message: Message) -> None:
-    """PARAM_REQUEST_READ: by index, or by name when the index is -1. Unknown: silence."""
+    """PARAM_REQUEST_READ: by index, or by name when the index is -1."""
+    name: str | None = message.param_id
     if message.param_index >= 0:
         name = ap.params.name_at(message.param_index)
-        if name is not None:
-            ap.radio.send_parameter(link_id, name)
-    elif message.param_id in ap.params or message.param_id == "_HASH_CHECK":
-        ap.radio.send_parameter(link_id, message.param_id)
+    if name is not None and (name in ap.params or name == "_HASH_CHECK"):
+        ap.radio.send_parameter(link_id, name, ap.behaviour.index_told(message.param_index))
+    else:
+        ap.behaviour.parameter_unknown(ap, link_id, message)
 
 
 def param_request_list(ap: "Autopilot", link_id: int, message: Message) -> None:

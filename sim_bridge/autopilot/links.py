@@ -16,7 +16,8 @@ class Link:
     kind: LinkKind
     encoder: Encoder
     decoder: Decoder
-    has_gcs: bool = False
+    gcs_until_s: float = -1.0
+    """Until when a ground station counts as being there."""
     peers: set[tuple[int, int]] = field(default_factory=set)
     parameters: Iterator[str] | None = None
     _intervals_s: dict[str, float] = field(default_factory=dict)

@@ -277,6 +277,8 @@ _DEFINITIONS = """
     u64 time, u8[18] uas_id, i32 lat, i32 lon, i32 alt, i32 relative_alt, i16 vx, i16 vy,
     i16 vz, u16 h_acc, u16 v_acc, u16 vel_acc, i32 next_lat, i32 next_lon, i32 next_alt,
     u16 update_rate, u8 flight_state, u8 flags
+345 PARAM_ERROR
+    u8 target_system, u8 target_component, char[16] param_id, i16 param_index, u8 error
 385 TUNNEL
     u8 target_system, u8 target_component, u16 payload_type, u8 payload_length, u8[128] payload
 435 AVAILABLE_MODES

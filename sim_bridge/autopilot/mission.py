@@ -100,6 +100,11 @@ class MissionRules(Protocol):
         ...
 
     @property
+    def unknown_type(self) -> MissionResult:
+        """The answer to an upload of a type that there is not."""
+        ...
+
+    @property
     def has_home_item(self) -> bool:
         """Whether index 0 of a mission is the home position, whatever was uploaded there."""
         ...
@@ -197,6 +202,7 @@ class ArduPilotMissionRules:
     """Items are squeezed into ArduPilot's 15 bytes: what has no room there does not come back."""
 
     request_name: str = "MISSION_REQUEST"
+    unknown_type: MissionResult = MissionResult.UNSUPPORTED
     has_home_item: bool = True
     is_atomic: bool = False
     takes_partial_writes: bool = True
@@ -296,6 +302,7 @@ class Px4MissionRules:
     """Items with a place keep their frame and NaN; items without one need frame MISSION."""
 
     request_name: str = "MISSION_REQUEST_INT"
+    unknown_type: MissionResult = MissionResult.NO_SPACE
     has_home_item: bool = False
     is_atomic: bool = True
     takes_partial_writes: bool = False
@@ -318,7 +325,7 @@ class Px4MissionRules:
             return MissionResult.UNSUPPORTED_FRAME
         supported = {
             MissionType.MISSION: _PX4_PLACED,
-            MissionType.FENCE: FENCE_COMMANDS,
+            MissionType.FENCE: FENCE_COMMANDS | {Cmd.NAV_WAYPOINT},  # taken, and then no fence
             MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
         }.get(MissionType(mission_type), frozenset())
         if item.command not in supported:

@@ -85,7 +85,10 @@ class MissionProtocol:
         owner, rules = self._owner, self._rules
         kind = message.mission_type
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
-            self._ack(link_id, message, MissionResult.UNSUPPORTED)
+            self._ack(link_id, message, rules.unknown_type)
+            return
+        if rules.is_atomic and self._download is not None:  # PX4: one transfer at a time
+            self._ack(link_id, message, MissionResult.ERROR)
             return
         upload = self._upload
         if upload is not None and not (
@@ -171,7 +174,10 @@ class MissionProtocol:
         )
 
     def clear_all(self, link_id: int, message: Message) -> None:
-        """MISSION_CLEAR_ALL."""
+        """MISSION_CLEAR_ALL; PX4 does not answer amid a download."""
+        if self._rules.is_atomic and self._download is not None:
+            self._owner.say(Severity.CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+            return
         kind = message.mission_type
         kinds = (
             [MissionType.MISSION, MissionType.FENCE, MissionType.RALLY]
@@ -238,7 +244,7 @@ class MissionProtocol:
         if kind == MissionType.MISSION and seq == 0 and self._rules.has_home_item:
             item = self._owner.home_item()
         item = self._rules.give(item)
-        as_float = asked_by == "MISSION_REQUEST" and self._rules.is_atomic
+        as_float = asked_by == "MISSION_REQUEST"
         scale = 1e-7 if item.command in PLACED else 1.0
         frame = item.frame
         if as_float and frame in (Frame.GLOBAL_INT, Frame.GLOBAL_RELATIVE_ALT_INT):

@@ -40,6 +40,7 @@ from sim_bridge.autopilot.modes import (
     px4_mode_of,
 )
 from sim_bridge.autopilot.parameters import ParameterStore
+from sim_bridge.autopilot.pilot import Sticks
 from sim_bridge.autopilot.px4_commands import COMMANDS, can_run, has_gripper, request_mode
 from sim_bridge.autopilot.px4_failsafe import watch
 from sim_bridge.autopilot.px4_mission import mission_problem
@@ -52,8 +53,10 @@ if TYPE_CHECKING:
 _SWITCH_EDGES_US = (1160, 1320, 1480, 1640, 1800)
 _NEW_MISSION_AFTER_S = 1.5
 """A mission uploaded in flight takes over after 1 to 2 s (measured)."""
-_OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2
+_STICK_PERIOD_S = 0.1
 _REACHED_AGAIN = 10
+_DOES_NOT_EXIST, _TYPE_MISMATCH = 1, 7
+"""MAV_PARAM_ERROR, as the MAVLink development set has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,13 @@ class _Later:
 
     command: Command
     due_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Speed:
+    """A speed for the next item; None is the default."""
+
+    mps: float | None
 
 
 class Px4:
@@ -85,9 +95,9 @@ class Px4:
         self.rules = Px4Rules()
         self.modes = Px4Modes()
         self._mission_problem: str | None = None
-        self._pending_speed_mps: float | None = None
+        self._pending_speed: _Speed | None = None
         self._switch: int | None = None
-        self._throttle_at_entry: float | None = None
+        self._sticks: Sticks | None = None
         self._acts_at_s = math.inf
         self._acts_with: Mode | None = None
         self._interrupted: Mode | None = None
@@ -98,6 +108,7 @@ class Px4:
         self._idle_since_s: float | None = None
         self._known_seq = -1
         self._changed: list[str] = []
+        self._ended_in_air = False
 
     # --- what it says -------------------------------------------------------------------------
 
@@ -127,7 +138,8 @@ class Px4:
 
     def status_text(self, ap: "Autopilot", text: str) -> tuple[str, list[int]]:
         """Only where a ground station's HEARTBEAT was heard; texts end with a tab."""
-        return text + "\t", [link.id for link in ap.radio.links.values() if link.has_gcs]
+        links = ap.radio.links.values()
+        return text + "\t", [link.id for link in links if ap.t_s <= link.gcs_until_s]
 
     def hud_airspeed_mps(self, ap: "Autopilot") -> float:
         """VFR_HUD.airspeed: NaN on a multirotor without a sensor."""
@@ -191,7 +203,7 @@ class Px4:
         return params.digest_as_float()
 
     def set_parameter(self, ap: "Autopilot", link_id: int, message: Message) -> None:
-        """The type has to be right; the stored value is sent back in any case.
+        """The type has to be right; the stored value is sent back, or what is wrong.
 
         A value that has changed is sent again, on every link, before it is saved
         (mavlink_parameters.cpp, send_untransmitted).
@@ -199,13 +211,39 @@ class Px4:
         name = message.param_id
         if name not in ap.params:
             ap.say(Severity.INFO, f"[pm] unknown param: {name}")
+            self.parameter_unknown(ap, link_id, message)
             return
         before = ap.params[name]
         if not ap.params.accept(name, message.param_value, message.param_type):
             ap.say(Severity.ERROR, f"[pm] param types mismatch param: {name}")
+            self._refuse_parameter(ap, link_id, message, _TYPE_MISMATCH)
+            return
         ap.radio.send_parameter(link_id, name)
         if ap.params[name] != before and name not in self._changed:
             self._changed.append(name)
+
+    answers_ping = True
+
+    def index_told(self, asked: int) -> int | None:
+        """The parameter's own."""
+        return None
+
+    def parameter_unknown(self, ap: "Autopilot", link_id: int, message: Message) -> None:
+        """PARAM_ERROR (mavlink_parameters.cpp, send_error)."""
+        self._refuse_parameter(ap, link_id, message, _DOES_NOT_EXIST)
+
+    def _refuse_parameter(
+        self, ap: "Autopilot", link_id: int, message: Message, error: int
+    ) -> None:
+        ap.radio.send(
+            link_id,
+            "PARAM_ERROR",
+            target_system=message.src_system,
+            target_component=message.src_component,
+            param_id=message.param_id,
+            param_index=message.__dict__.get("param_index", -1),
+            error=error,
+        )
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -217,8 +255,6 @@ class Px4:
         """What entering a mode starts."""
         ap.enter(mode)
         self.modes.entered(ap, mode)
-        sticks = ap.pilot.sticks()
-        self._throttle_at_entry = None if sticks is None else sticks.throttle
         if mode is Mode.AUTO and ap.is_armed:
             self._start_mission(ap)
 
@@ -230,6 +266,8 @@ class Px4:
 
     def disarmed(self, ap: "Autopilot") -> None:
         """The mission keeps its place; a finished one will start again."""
+        if ap.mode is Mode.AUTO:
+            self.mission_left(ap)
         self._interrupted = None
         self._acts_with = None
         ap.executor.stop()
@@ -327,9 +365,9 @@ class Px4:
 
     def item_started(self, ap: "Autopilot", item: Item, seq: int) -> None:
         """MISSION_CURRENT at each change that is news."""
-        if self._pending_speed_mps is not None:
-            ap.speed_override_mps = self._pending_speed_mps
-            self._pending_speed_mps = None
+        if self._pending_speed is not None:
+            ap.speed_override_mps = self._pending_speed.mps
+            self._pending_speed = None
         if seq != self._known_seq:
             self._known_seq = seq
             self._tell_current(ap)
@@ -346,10 +384,14 @@ class Px4:
         self._reached_next_s = ap.t_s + 1.0
 
     def mission_ended(self, ap: "Autopilot") -> None:
-        """It stays in MISSION, on the ground or loitering."""
+        """On the ground it stays in MISSION; in the air it goes over to HOLD.
+
+        Commander.cpp: to AUTO_LOITER when the mission is finished, unless landed.
+        """
         self._tell_current(ap)
         where = "landed" if ap.is_landed else "loitering"
         ap.say(Severity.INFO, f"Mission finished, {where}")
+        self._ended_in_air = not ap.is_landed
 
     def place_of(self, ap: "Autopilot", item: Item) -> Vec3:
         """INT32_MAX and NaN mean here, and this altitude."""
@@ -385,14 +427,19 @@ class Px4:
         return 0.0
 
     def change_speed(self, ap: "Autopilot", kind: int, speed_mps: float) -> None:
-        """Ground speed at once, other types with the next item; nothing above 0 is the default."""
+        """Ground speed at once, other types with the next item; so the default, not above 0.
+
+        Flown: 2 m/s in a leg, then -1 and 0, went on at 2 m/s on that leg (conform: speed/none).
+        """
         if not speed_mps > 0.0:
-            ap.speed_override_mps = None
-            self._pending_speed_mps = None
+            self._pending_speed = _Speed(None)
+            if ap.mode is not Mode.AUTO:
+                ap.speed_override_mps = None
         elif kind == 1:
             ap.speed_override_mps = speed_mps
+            self._pending_speed = None
         else:
-            self._pending_speed_mps = speed_mps
+            self._pending_speed = _Speed(speed_mps)
 
     def grip(self, ap: "Autopilot", action: int) -> None:
         """DO_GRIPPER: open loop."""
@@ -444,23 +491,28 @@ class Px4:
                 request_mode(ap, mode)
         if ap.is_armed and not ap.is_landed:
             self._heed_sticks(ap)
+        else:
+            self._sticks = ap.pilot.sticks()
 
     def _heed_sticks(self, ap: "Autopilot") -> None:
+        """Sticks that move faster than MAN_OVERRIDE_SPD (full travels a second) take over.
+
+        Source: PX4 1.18, manual_control/ManualControl.cpp; COM_RC_OVERRIDE is gone. A receiver
+        that comes up is taken to have been centred, with the throttle where it is.
+        """
         sticks = ap.pilot.sticks()
+        before, self._sticks = self._sticks, sticks
         if sticks is None or ap.mode in PILOTED:
             return
-        bit = _OVERRIDE_OFFBOARD if ap.mode is Mode.GUIDED else _OVERRIDE_AUTO
-        if not int(ap.params["COM_RC_OVERRIDE"]) & bit:
-            return
-        if self._throttle_at_entry is None:
-            self._throttle_at_entry = sticks.throttle
+        before = before or Sticks(0.0, 0.0, sticks.throttle, 0.0)
         moved = max(
-            abs(sticks.roll),
-            abs(sticks.pitch),
-            abs(sticks.yaw),
-            2.0 * abs(sticks.throttle - self._throttle_at_entry),
+            abs(sticks.roll - before.roll),
+            abs(sticks.pitch - before.pitch),
+            abs(sticks.yaw - before.yaw),
+            2.0 * abs(sticks.throttle - before.throttle),
         )
-        if moved > ap.params["COM_RC_STICK_OV"] / 100.0:
+        least_per_s = ap.params["MAN_OVERRIDE_SPD"]
+        if least_per_s >= 0.0 and moved > least_per_s * _STICK_PERIOD_S:
             self.user_took_over(ap)
             ap.set_mode(Mode.LOITER if ap.has_position else Mode.ALT_HOLD)
             ap.say(Severity.INFO, "Pilot took over using sticks")
@@ -506,6 +558,10 @@ class Px4:
         if not ap.is_landed:
             ap.has_flown = True
             ap.landed_since_s = ap.t_s
+        if self._ended_in_air:
+            self._ended_in_air = False
+            if ap.mode is Mode.AUTO and not ap.is_landed:
+                ap.set_mode(Mode.HOLD)
         self._disarm_on_ground(ap)
         if self._acts_with is not None and ap.t_s >= self._acts_at_s:
             mode, self._acts_with = self._acts_with, None

@@ -23,6 +23,8 @@ from sim_bridge.autopilot.px4_telemetry import NOT_ON_REQUEST
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
 
+_GET_HOME = Cmd.GET_HOME_POSITION
+"""UNSUPPORTED in PX4 1.18: REQUEST_MESSAGE has taken its place."""
 _PREVENT_ARMING = frozenset({Mode.RTL, Mode.LAND, Mode.DESCEND})
 
 
@@ -42,7 +44,7 @@ def can_run(ap: "Autopilot", mode: Mode) -> bool:
 def request_mode(ap: "Autopilot", mode: Mode | None) -> Result:
     """Disarmed, any mode is accepted; armed, only one that can run."""
     if mode is None:
-        return Result.DENIED
+        return Result.TEMPORARILY_REJECTED
     if ap.is_armed and not can_run(ap, mode):
         ap.say(
             Severity.CRITICAL, f"Switching to mode '{PX4_NAMES[mode]}' is currently not possible"
@@ -89,7 +91,7 @@ def _arm_disarm(ap: "Autopilot", command: Command) -> Result:
 
 def _do_set_mode(ap: "Autopilot", command: Command) -> Result:
     if not as_int(command.param1, 0) & ModeFlag.CUSTOM:
-        return Result.DENIED
+        return Result.TEMPORARILY_REJECTED
     pair = (as_int(command.param2), as_int(command.param3, 0))
     mode = PX4_MODES.get(pair if pair[0] == 4 else (pair[0], 0))
     return request_mode(ap, mode)
@@ -114,14 +116,13 @@ def _takeoff(ap: "Autopilot", command: Command) -> Result:
 
 def _reposition(ap: "Autopilot", command: Command) -> Result:
     """LONG or INT; the altitude is AMSL, whatever the frame; NaN keeps what is."""
-    change_mode = as_int(command.param2, 0) & 1
-    if change_mode and request_mode(ap, Mode.HOLD) is not Result.ACCEPTED:
+    if not as_int(command.param2, 0) & 1:  # not told to change the mode: Commander.cpp
+        return Result.DENIED
+    if request_mode(ap, Mode.HOLD) is not Result.ACCEPTED:
         return Result.DENIED
     if not ap.is_armed:
         ap.say(Severity.WARNING, "Reposition is ignored while disarmed")
         return Result.ACCEPTED
-    if ap.mode is not Mode.HOLD:
-        return Result.ACCEPTED  # an acknowledgement is not a fact
     north, east, down = ap.pos_ned_m
     if math.isfinite(command.lat_deg) and math.isfinite(command.lon_deg):
         if abs(command.lat_deg) > 90.0 or abs(command.lon_deg) > 180.0:
@@ -201,8 +202,12 @@ def _accepted(ap: "Autopilot", command: Command) -> Result:
     return Result.ACCEPTED
 
 
+def _unanswered(ap: "Autopilot", command: Command) -> None:
+    """Left to a module that is not running."""
+
+
 COMMANDS: dict[int, Handler] = {
-    **COMMON_COMMANDS,
+    **{number: handler for number, handler in COMMON_COMMANDS.items() if number != _GET_HOME},
     Cmd.SET_MESSAGE_INTERVAL: _set_interval,
     Cmd.DO_SET_MODE: _do_set_mode,
     Cmd.COMPONENT_ARM_DISARM: _arm_disarm,
@@ -216,6 +221,7 @@ COMMANDS: dict[int, Handler] = {
     Cmd.RUN_PREARM_CHECKS: _accepted,
     Cmd.DO_GRIPPER: _gripper,
     Cmd.DO_SET_ACTUATOR: _actuator,
+    Cmd.DO_WINCH: _unanswered,
     Cmd.DO_SET_ROI: _accepted,
     Cmd.DO_SET_ROI_LOCATION: _accepted,
     Cmd.DO_SET_ROI_NONE: _accepted,

@@ -34,6 +34,7 @@ class Px4Rules:
             takeoff_min_height_m=max(params["MIS_TAKEOFF_ALT"], 0.0),
             corner_accel_mps2=max(params["MPC_ACC_HOR"], 0.1),
             land_above_m=2.0,
+            land_from_m=max(params["NAV_ACC_RAD"], 2.0),  # mission_base.cpp, do_need_move_to_item
             ramp_s=_LIFT_RAMP_S,
             item_period_s=_NAVIGATOR_PERIOD_S,
         )

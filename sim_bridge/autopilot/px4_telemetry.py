@@ -122,7 +122,7 @@ DEFAULT_RATES_HZ = {
         "SYS_STATUS": 5.0,
         "EXTENDED_SYS_STATE": 5.0,
         "ESTIMATOR_STATUS": 1.0,
-        "GPS_RAW_INT": 5.0,
+        "GPS_RAW_INT": 8.0,
         "BATTERY_STATUS": 0.5,
         "HOME_POSITION": 0.5,
         "MISSION_CURRENT": 1.0,

@@ -63,7 +63,7 @@ class Radio:
         self._own_commands.clear()
         self._text_id = 0
         for link in self.links.values():
-            link.has_gcs = False
+            link.gcs_until_s = -1.0
             link.peers.clear()
             link.parameters = None
             self._start_streams(link)

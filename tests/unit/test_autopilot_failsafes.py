@@ -113,10 +113,11 @@ def test_moved_sticks_take_px4_over_from_a_mission(airborne):
     assert abs(rig.ne_m[1] - east) + abs(rig.ne_m[0]) > 5.0
 
 
-def test_small_movements_of_sticks_take_nothing_over(airborne):
+def test_slow_movements_of_sticks_take_nothing_over(airborne):
     rig = out_on_a_mission(airborne(PX4))
-    rig.ap.set_rc(channels(roll=1560))
-    rig.step(2.0)
+    for pulse_us in range(1500, 1801, 10):  # 0.8 of the travel in 3 s; MAN_OVERRIDE_SPD is 1 a s
+        rig.ap.set_rc(channels(roll=pulse_us))
+        rig.step(0.1)
     assert rig.ap.mode is Mode.AUTO
 
 

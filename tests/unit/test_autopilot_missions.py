@@ -157,9 +157,10 @@ def test_an_item_that_got_lost_is_asked_for_again(make_rig, flavour):
 @BOTH
 def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, flavour):
     rig = started(make_rig(flavour))
-    rig.gcs_heartbeat()
     rig.send("MISSION_COUNT", count=3)
-    rig.step(9.0)
+    for _ in range(9):
+        rig.gcs_heartbeat()
+        rig.step(1.0)
     assert any("time" in text for text in rig.texts())
     assert rig.upload(simple(rig)) == ACCEPTED
 
@@ -288,6 +289,7 @@ def test_px4_jumps_by_message_only(airborne):
     assert not rig.all("MISSION_CURRENT")  # flown: only that of the second confirms it
     assert rig.until(lambda: bool(rig.all("MISSION_CURRENT")), 1.1)
     assert [m.seq for m in rig.all("MISSION_CURRENT")] == [3]
+    rig.gcs_heartbeat()
     rig.send("MISSION_SET_CURRENT", seq=30)
     assert "Not in list" in rig.texts()[-1]
 

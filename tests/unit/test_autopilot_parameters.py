@@ -106,7 +106,7 @@ def test_ardupilot_casts_integers_to_float(make_rig):
     assert (message.param_value, message.param_type, message.param_index) == (
         1500.0,
         INT32,
-        rig.ap.params.index_of("RTL_ALT"),
+        65535,  # asked by name; flown on ArduCopter 4.7
     )
 
 
@@ -144,12 +144,17 @@ def test_any_px4_integer_survives_the_trip(value):
         assert struct.pack("<f", store.wire("X")[0]) == struct.pack("<i", value)
 
 
-def test_px4_refuses_the_wrong_type_and_answers_with_what_it_has(make_rig):
+def test_px4_answers_what_it_cannot_do_with_param_error(make_rig):
     rig = make_rig(PX4)
     rig.step(0.2)
     rig.gcs_heartbeat()
     rig.send("PARAM_SET", param_id="RTL_RETURN_ALT", param_value=20.0, param_type=INT32)
+    assert rig.last("PARAM_ERROR").error == 7  # MAV_PARAM_ERROR_TYPE_MISMATCH
+    assert not rig.all("PARAM_VALUE")
+    rig.send("PARAM_REQUEST_READ", param_id="RTL_RETURN_ALT", param_index=-1)
     assert rig.last("PARAM_VALUE").param_value == 60.0
+    rig.send("PARAM_REQUEST_READ", param_id="XYZ", param_index=-1)
+    assert rig.last("PARAM_ERROR").error == 1  # MAV_PARAM_ERROR_DOES_NOT_EXIST
     assert any("types mismatch" in text for text in rig.texts())
     rig.send("PARAM_SET", param_id="RTL_RETURN_ALT", param_value=20.0, param_type=REAL32)
     assert rig.last("PARAM_VALUE").param_value == 20.0

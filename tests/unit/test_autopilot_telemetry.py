@@ -99,13 +99,20 @@ def test_ardupilots_request_data_stream_still_works(make_rig):
     assert rate_hz(rig, "GLOBAL_POSITION_INT", 4.0) == pytest.approx(5.0, abs=0.3)
 
 
-def test_the_heartbeats_mode_lags_an_accepted_mode_change(make_rig):
-    rig = make_rig(AP)
+def test_px4s_heartbeat_lags_an_accepted_mode_change(make_rig):
+    rig = make_rig(PX4)
     rig.step(1.3)
-    assert rig.set_mode(Mode.GUIDED) == ACCEPTED
+    assert rig.set_mode(Mode.RTL) == ACCEPTED
     rig.step(0.1)
     assert not rig.all("HEARTBEAT")
     rig.step(1.0)
+    assert rig.last("HEARTBEAT").custom_mode == 4 << 16 | 5 << 24
+
+
+def test_ardupilot_tells_a_mode_change_at_once(make_rig):
+    rig = make_rig(AP)
+    rig.step(1.3)
+    assert rig.set_mode(Mode.GUIDED) == ACCEPTED
     assert rig.last("HEARTBEAT").custom_mode == 4
 
 

@@ -1,0 +1,206 @@
+"""Bytes to and from a vehicle by URL: the suite's only socket, port and clock.
+
+| URL | is |
+| --- | --- |
+| `udpin:HOST:PORT` | listens, and answers whoever spoke last |
+| `udpout:HOST:PORT` | calls |
+| `tcp:HOST:PORT` | calls; comes back by itself after a break, as after a reboot |
+| `serial:DEVICE[:BAUD]` | a port, 57600 baud unless said |
+"""
+
+import contextlib
+import ipaddress
+import select
+import socket
+import time
+from typing import Protocol
+
+import serial
+
+from sim_bridge.conform.errors import ConformError
+
+_LARGEST = 65536
+_BUFFER_BYTES = 1 << 21
+_RECONNECT_S = 0.5
+_EXPECTED = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
+
+
+class Link(Protocol):
+    """One way to the vehicle."""
+
+    def send(self, data: bytes) -> None:
+        """Send; a lost peer is a silent one."""
+        ...
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has arrived, waiting for at most `timeout_s`; empty when nothing has."""
+        ...
+
+    def now_s(self) -> float:
+        """A clock that only goes forward, for patience with a silent vehicle."""
+        ...
+
+    def close(self) -> None:
+        """Let it go."""
+        ...
+
+
+class UdpLink:
+    """UDP, calling or listening."""
+
+    def __init__(self, host: str, port: int, *, listens: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        self._peer = None if listens else (host, port)
+        if listens:
+            self._socket.bind((host, port))
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> None:
+        """Send to the peer, once there is one."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """All datagrams that wait, joined."""
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b""
+        chunks: list[bytes] = []
+        with contextlib.suppress(OSError):
+            while len(chunks) < 256:
+                data, self._peer = self._socket.recvfrom(_LARGEST)
+                chunks.append(data)
+        return b"".join(chunks)
+
+    def now_s(self) -> float:
+        """The wall's clock."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Let the socket go."""
+        self._socket.close()
+
+
+class TcpLink:
+    """TCP, calling; tries again twice a second while nobody answers."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = (host, port)
+        self._socket: socket.socket | None = None
+        self._tried_s = -_RECONNECT_S
+        self._connect()
+        if self._socket is None:
+            raise ConformError(f"tcp:{host}:{port}: nobody answers there")
+
+    def _connect(self) -> None:
+        if self.now_s() - self._tried_s < _RECONNECT_S:
+            return
+        self._tried_s = self.now_s()
+        with contextlib.suppress(OSError):
+            self._socket = socket.create_connection(self._address, timeout=2.0)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _lose(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+    def send(self, data: bytes) -> None:
+        """Send, if there is a connection."""
+        if self._socket is not None:
+            try:
+                self._socket.sendall(data)
+            except OSError:
+                self._lose()
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What the stream holds."""
+        if self._socket is None:
+            self._connect()
+            if self._socket is None:
+                select.select([], [], [], timeout_s)
+                return b""
+        try:
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return b""
+            data = self._socket.recv(_LARGEST)
+        except OSError:
+            data = b""
+        if not data:
+            self._lose()
+        return data
+
+    def now_s(self) -> float:
+        """The wall's clock."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Let the connection go."""
+        self._lose()
+
+
+class SerialLink:
+    """A serial port."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            self._port = serial.Serial(device, baud, timeout=0.02)
+        except (OSError, ValueError) as error:
+            raise ConformError(f"serial:{device}:{baud}: {error}") from error
+
+    def send(self, data: bytes) -> None:
+        """Send."""
+        self._port.write(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has arrived."""
+        self._port.timeout = timeout_s
+        first = self._port.read(1)
+        return first + self._port.read(self._port.in_waiting)
+
+    def now_s(self) -> float:
+        """The wall's clock."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Let the port go."""
+        self._port.close()
+
+
+def _split(url: str) -> tuple[str, str, int]:
+    kind, _, rest = url.partition(":")
+    if kind == "serial" and rest:
+        device, _, baud = rest.partition(":")
+        if device and (baud or "57600").isdecimal():
+            return kind, device, int(baud or 57600)
+    host, colon, port = rest.rpartition(":")
+    if kind in ("udpin", "udpout", "tcp") and colon and port.isdecimal():
+        return kind, host or "127.0.0.1", int(port)
+    raise ConformError(f"--link {url}: {_EXPECTED}")
+
+
+def is_on_loopback(url: str) -> bool:
+    """Whether only this machine can be behind a URL."""
+    kind, host, _ = _split(url)
+    if kind == "serial":
+        return False
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def open_link(url: str) -> Link:
+    """Open a URL; a mistake in it is a ConformError."""
+    kind, where, number = _split(url)
+    try:
+        if kind == "serial":
+            return SerialLink(where, number)
+        if kind == "tcp":
+            return TcpLink(where, number)
+        return UdpLink(where, number, listens=kind == "udpin")
+    except OSError as error:
+        raise ConformError(f"--link {url}: {error.strerror}") from error

@@ -1,0 +1,211 @@
+"""Our flavours against the recorded answers of the real autopilots, and a suite that can fail.
+
+The suite runs against a simulated vehicle in this process: waiting is simulating. The bytes are
+those that would go over a socket; there is only no socket, so that a run is the same every time
+and as fast as the machine.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sim_bridge.app.cli import app
+from sim_bridge.app.serve import Home, Host, Served
+from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.enums import Cmd, Result
+from sim_bridge.autopilot.flavour import BatterySensing, Flavour
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.conform import reference
+from sim_bridge.conform.behaviour import Behaviour
+from sim_bridge.conform.client import Client
+from sim_bridge.conform.reference import Verdict
+from sim_bridge.conform.subject import Subject
+from sim_bridge.conform.suite import CATALOGUE, Row, identify, run_suite, select
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.vehicle import Vehicle
+from sim_bridge.truth.wind_field import SteadyWind, WindField
+
+PARAMS = Path(__file__).parents[2] / "params"
+STEPS_A_TURN = 2
+BOTH = pytest.mark.parametrize("flavour", Flavour)
+SPEEDUP = 20.0
+HOME = Home()
+SETTINGS = {Flavour.PX4: {}, Flavour.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
+RECEIVER = {  # SIH has none; ArduPilot's SITL has one, its throttle down, its switch at STABILIZE
+    Flavour.PX4: None,
+    Flavour.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
+}
+SENSING = {Flavour.PX4: BatterySensing.SIH_TIMER, Flavour.ARDUPILOT: BatterySensing.POWER_MODULE}
+WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
+
+
+class InProcess:
+    """A link whose other end is an autopilot in this process."""
+
+    def __init__(self, served: Served) -> None:
+        self._served = served
+        served.autopilot.add_link(0)
+
+    def send(self, data: bytes) -> None:
+        self._served.autopilot.receive(0, data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        self._served.advance(STEPS_A_TURN)
+        return b"".join(data for _, data in self._served.autopilot.take_outbox())
+
+    def now_s(self) -> float:
+        return self._served.autopilot.t_s
+
+    def close(self) -> None:
+        pass
+
+
+class Watcher:
+    """Prints what pytest shows for a run that failed."""
+
+    def begins(self, behaviour: Behaviour) -> None:
+        pass
+
+    def ended(self, row: Row) -> None:
+        seen = row.problem and f"NOT SEEN: {row.problem}"
+        print(f"{row.behaviour.name}: {row.behaviour.says} {seen or row.value} ({row.note})")
+
+
+def stood(flavour: Flavour) -> Served:
+    """A flavour on the ground, in the wind of the references."""
+    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
+    vehicle = Vehicle(
+        airframe,
+        WindField(WIND),
+        np.random.default_rng(1),
+        payload_kg=0.5,
+        depot_alt_amsl_m=HOME.alt_amsl_m,
+    )
+    autopilot = Autopilot(
+        flavour,
+        (HOME.lat_deg, HOME.lon_deg, HOME.alt_amsl_m),
+        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml", SETTINGS[flavour]),
+        battery_sensing=SENSING[flavour],
+    )
+    autopilot.set_rc(RECEIVER[flavour])
+    return Served(vehicle, autopilot)
+
+
+def ask(served: Served, behaviours: Sequence[Behaviour]) -> reference.Result:
+    """What a vehicle answers; it is left as it was found."""
+    client = Client(InProcess(served))
+    subject = Subject(client, may_force=True)
+    vehicle = identify(subject)
+    try:
+        rows = run_suite(subject, behaviours, Watcher())
+    finally:
+        subject.clean_up()
+    return reference.as_result(vehicle, rows)
+
+
+def recorded(flavour: Flavour) -> reference.Result:
+    return reference.read_result(reference.reference_folder() / f"{flavour.value}.json")
+
+
+def known_differences(flavour: Flavour) -> dict[str, str]:
+    return dict(reference.read_differences(reference.reference_folder(), flavour.value))
+
+
+def judged(flavour: Flavour, seen: reference.Result) -> dict[str, Verdict]:
+    return reference.judge_all(seen, recorded(flavour), known_differences(flavour))
+
+
+def wrong(verdicts: dict[str, Verdict]) -> list[str]:
+    bad = (Verdict.DIFFERENT, Verdict.NOT_SEEN)
+    return [name for name, verdict in verdicts.items() if verdict in bad]
+
+
+@pytest.mark.sitl
+@BOTH
+def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: Flavour) -> None:
+    served = stood(flavour)
+    answers = recorded(flavour).answers
+    chosen = [b for b in select((), reboots=True) if b.name in answers]
+    verdicts = judged(flavour, ask(served, chosen))
+    assert wrong(verdicts) == []
+    assert sum(verdict is Verdict.SAME for verdict in verdicts.values()) >= 40
+    assert not served.autopilot.is_armed
+    assert not served.truth.airborne
+    assert not served.autopilot.store.mission[1:]
+
+
+@pytest.mark.sitl
+@BOTH
+def test_a_known_difference_is_one(flavour: Flavour) -> None:
+    """A reason in differences.toml for what is the same would hide the next difference."""
+    reasons = known_differences(flavour)
+    if not reasons:
+        pytest.skip("no difference is known")
+    verdicts = judged(flavour, ask(stood(flavour), select(reasons, reboots=True)))
+    assert {name: verdicts[name] for name in reasons} == dict.fromkeys(reasons, Verdict.EXPLAINED)
+
+
+@pytest.mark.sitl
+def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
+    """Canary: PX4 that takes ArduPilot's jump, and reads parameters as C casts."""
+    served = stood(Flavour.PX4)
+    commands = dict(served.autopilot.behaviour.commands)
+    commands[Cmd.DO_SET_MISSION_CURRENT] = lambda *_: Result.ACCEPTED
+    served.autopilot.behaviour.commands = commands
+    served.autopilot.params._bytewise = False
+    chosen = select(("mission/jump_on_ground", "parameters/integer_encoding"), reboots=False)
+    assert wrong(judged(Flavour.PX4, ask(served, chosen))) == [
+        "parameters/integer_encoding",
+        "mission/jump_on_ground",
+    ]
+
+
+def test_every_recorded_answer_belongs_to_a_behaviour() -> None:
+    names = {behaviour.name for behaviour in CATALOGUE}
+    assert len(names) == len(CATALOGUE)
+    for flavour in Flavour:
+        assert recorded(flavour).answers.keys() <= names
+
+
+def test_the_command_asks_over_udp_and_judges(tmp_path: Path) -> None:
+    out = tmp_path / "seen.json"
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(stood(Flavour.PX4), onboard=["udpin:127.0.0.1:0"])
+        link = url.replace("udpin", "udpout")
+        words = ["conform", "--link", link, "--as", "px4", "--only", "parameters/*encoding"]
+        with host.running():
+            done = CliRunner().invoke(app, [*words, "--json", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "1 same" in done.output
+    seen = reference.read_result(out)
+    assert seen.vehicle.autopilot == "px4"
+    assert seen.answers["parameters/integer_encoding"].value == "integer bits in the float"
+
+
+@pytest.mark.parametrize(
+    ("link", "told"),
+    [
+        ("udpout:192.0.2.7:14550", []),
+        ("udpin:0.0.0.0:14550", []),
+        ("serial:/dev/ttyACM0", ["--yes-it-may-fly"]),
+        ("tcp:192.0.2.7:5760", ["--not-a-simulator"]),
+    ],
+)
+def test_what_is_not_on_this_machine_is_refused_unless_told_twice(
+    link: str, told: list[str]
+) -> None:
+    done = CliRunner().invoke(app, ["conform", "--link", link, *told])
+    assert done.exit_code != 0
+    assert "leaves this machine" in str(done.exception)
+
+
+def test_two_results_are_compared_as_a_table() -> None:
+    path = str(reference.reference_folder() / "px4.json")
+    done = CliRunner().invoke(app, ["conform", "--compare", path, path])
+    assert done.exit_code == 0
+    assert "| An upload is asked for with | MISSION_REQUEST_INT | MISSION_REQUEST_INT | = |" in (
+        done.output
+    )
