@@ -57,7 +57,8 @@ class EnergyBelief:
     """Usable energy left (Wh, to the cut-off, reserve included), and how sure that is.
 
     `usable_full_wh` is what a full pack would give (the reserve is a share of it). `source` names
-    the source that rules; `warnings` are in words, empty when all is well.
+    the source that rules; `warnings` are in words, empty when all is well. `used_wh` is what has
+    been consumed since the start by the source that counts most.
     """
 
     t_s: float
@@ -66,6 +67,7 @@ class EnergyBelief:
     usable_full_wh: float
     source: str
     warnings: tuple[str, ...] = ()
+    used_wh: float = 0.0
 
 
 @dataclass(slots=True)
@@ -149,6 +151,7 @@ class EnergyLedger:
             counts.usable_full_wh,
             counts.source,
             tuple(counts.warnings),
+            max(self._consumed().values()),
         )
 
     def snapshot(self) -> dict[str, object]:

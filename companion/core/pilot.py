@@ -354,11 +354,13 @@ class Pilot:
         """Ask for a checkpoint of the present state."""
         reports.save(self, routine=routine)
 
-    def finish(self, outcome: str, reason: str) -> None:
+    def finish(
+        self, outcome: str, reason: str, *, home: bool, margin_wh: float | None = None
+    ) -> None:
         """End the mission."""
         self.outcome = outcome
         self.decide("finished", f"{outcome}: {reason}")
-        self.do(Finished(outcome, self.air.delivered, reason))
+        self.do(Finished(outcome, self.air.delivered, reason, home, margin_wh))
 
     @property
     def outward(self) -> bool:

@@ -74,6 +74,15 @@ def test_volts_times_amperes_are_integrated() -> None:
     assert left(book).warnings == ()
 
 
+def test_what_was_used_is_told_apart_from_what_a_pessimistic_percentage_leaves() -> None:
+    book = ledger()
+    book.observe(rest(0.0, voltage_v=FULL_V, remaining_frac=0.9))
+    assert left(book).used_wh == 0.0
+    fly(book, 1, 60, voltage_v=VOLTS, current_a=AMPS, remaining_frac=0.9)
+    assert left(book).used_wh == pytest.approx(MINUTE_WH, abs=0.3)
+    assert left(book).mean_wh == pytest.approx(0.9 * FULL_WH)
+
+
 def test_the_autopilots_counters_count_from_where_they_stood() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, consumed_wh=31.0, consumed_mah=1300.0))
