@@ -45,6 +45,17 @@ BUNDLE_BYTES = 1400
 
 TEXT_BYTES = 50
 
+BEHIND = 40
+"""Arrivals that wait: with more we are late, and hear them all before we think and order again.
+An order given at a time that is long past counts its time-outs from there, and finds itself
+disobeyed by telemetry older than itself (flown: PX4 at four times real time on a busy machine).
+"""
+
+BEHIND_LIMIT_S = 0.5
+"""Wall-clock time for which a tick may be put off: a link that always brings more than we can hear
+must not keep us from thinking.
+"""
+
 
 @dataclass(slots=True)
 class Loop:
@@ -67,6 +78,7 @@ class Loop:
     _synced_ns: int | None = None
     _beat_s: float = -1e9
     _beat_wall_s: float = -1e9
+    _ticked_wall_s: float = -1e9
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
@@ -168,7 +180,7 @@ class Loop:
             self._synced_ns = message.ts1
             self.clock.synchronise(message.ts1 / 1e9)
             self._synced_s = self.clock.t_s
-            if not self.clock.doubtful:
+            if not self.clock.doubtful and not self._is_behind():
                 self._tick()
         self._answer_timesync(message.ts1)
 
@@ -182,12 +194,18 @@ class Loop:
             return
         if self.clock.doubtful or not self.clock.known:
             return
-        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
+        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005 and not self._is_behind():
             self._tick()
+
+    def _is_behind(self) -> bool:
+        """Tell whether to hear more before the next tick."""
+        late = self.link.waiting() > BEHIND
+        return late and wall_s() - self._ticked_wall_s < BEHIND_LIMIT_S
 
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
+        self._ticked_wall_s = wall_s()
         self._give(self.autopilot.tick(t_s))
         self._give([Tick(t_s)])
         if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:

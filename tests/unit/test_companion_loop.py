@@ -12,6 +12,7 @@ import pytest
 from companion.adapters.files import digest_of, read_airframe, read_flight
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Incoming
+from companion.app import loop as loop_module
 from companion.app import run as run_module
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
@@ -32,12 +33,16 @@ class WireTap:
     def __init__(self) -> None:
         self.incoming: deque[bytes] = deque()
         self.sent: list[bytes] = []
+        self.tells_waiting = False
 
     def receive(self, timeout_s: float) -> Incoming | None:
         return Incoming(self.incoming.popleft(), ("here", 1)) if self.incoming else None
 
     def send(self, data: bytes) -> None:
         self.sent.append(data)
+
+    def waiting(self) -> int:
+        return len(self.incoming) if self.tells_waiting else 0
 
     def answer_to(self, peer: Any) -> None:
         return
@@ -162,6 +167,47 @@ def test_without_timesync_telemetry_itself_ticks_about_ten_times_a_second(statio
     station.turn()
     assert 80 <= len(ticks) <= 101
     assert ticks == sorted(ticks)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_when_late_it_hears_everything_before_it_thinks_and_orders_again(station, asked):
+    # A busy computer: two seconds of telemetry wait. An order given at their beginning would count
+    # its time-outs from there, and be found disobeyed by telemetry older than itself.
+    station.identify()
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event.t_s) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    station.wire.tells_waiting = True
+    for k in range(200):
+        station.put(mavlink.MAVLink_attitude_message(10 * k, 0, 0, 0, 0, 0, 0))
+        if asked and k % 10 == 0:
+            station.put(station.sync(0.01 * k))
+    said = station.turn()
+    assert ticks[1] >= 1.5  # the first has none before it, and is not put off
+    assert len(ticks) <= 6
+    if asked:
+        assert sum(m.get_type() == "TIMESYNC" for m in said) == 20
+
+
+def test_a_link_that_is_always_behind_does_not_keep_it_from_thinking(station, monkeypatch):
+    station.identify()
+    station.wire.waiting = lambda: 1_000_000
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event.t_s) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    now = [100.0]
+    monkeypatch.setattr(loop_module, "wall_s", lambda: now[0])
+    for k in range(100):
+        now[0] += 0.1
+        station.put(mavlink.MAVLink_attitude_message(100 * k, 0, 0, 0, 0, 0, 0))
+        station.turn()
+    assert 10 <= len(ticks) <= 21
 
 
 def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehicles_system(
