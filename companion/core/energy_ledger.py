@@ -374,7 +374,7 @@ class EnergyLedger:
         if seen.remaining_is_timer:
             warnings.append("the autopilot's percentage counts time, not energy: not used")
         used = self._consumed()
-        if "power model" in used and counts.modelled_wh > 0.0:
+        if "power model" in used and counts.modelled_wh > _JUDGE_COUNTERS_WH:
             why = "counts less than the power model" if len(used) > 1 else "measures no consumption"
             warnings.append(f"the autopilot {why}: energy by the power model")
         lefts = {name: start_wh - wh for name, wh in used.items()}

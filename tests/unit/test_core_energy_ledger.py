@@ -134,6 +134,14 @@ def test_unknown_fields_are_never_integrated(unknown: float) -> None:
     assert any("measures no consumption" in w for w in left(book).warnings)
 
 
+def test_no_current_before_the_motors_turn_is_no_missing_sensor() -> None:
+    # ArduCopter's SITL, armed on the ground: 0 A and no consumption for a moment (flown).
+    book = ledger()
+    book.observe(rest(0.0, voltage_v=FULL_V))
+    fly(book, 1, 5, current_a=0.0, consumed_wh=0.0, consumed_mah=0.0, modelled_power_w=480.0)
+    assert left(book).warnings == ()
+
+
 def test_a_percentage_that_is_a_timer_is_no_source_and_is_said() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, remaining_frac=1.0, remaining_is_timer=True))
