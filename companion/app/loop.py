@@ -79,6 +79,7 @@ class Loop:
     _beat_s: float = -1e9
     _beat_wall_s: float = -1e9
     _ticked_wall_s: float = -1e9
+    _to_publish: dict[str, float] = field(default_factory=dict)
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
@@ -206,6 +207,7 @@ class Loop:
         t_s = self.clock.t_s
         self._ticked_s = t_s
         self._ticked_wall_s = wall_s()
+        self._publish_next()
         self._give(self.autopilot.tick(t_s))
         self._give([Tick(t_s)])
         if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
@@ -258,7 +260,7 @@ class Loop:
                     text = action.text.encode()[:TEXT_BYTES]
                     self.send(mavlink.MAVLink_statustext_message(action.severity, text))
                 case Publish():
-                    self._publish(action)
+                    self._to_publish.update(action.values)
                 case Answer():
                     self._reply = action.reply
                 case PhaseChanged():
@@ -270,13 +272,15 @@ class Loop:
             if self.on_action is not None:
                 self.on_action(action)
 
-    def _publish(self, action: Publish) -> None:
-        for name, value in action.values.items():
-            self.send(
-                mavlink.MAVLink_named_value_float_message(
-                    self.clock.boot_ms, name.encode()[:10], value
-                )
-            )
+    def _publish_next(self) -> None:
+        """One named value a tick: of several at once PX4's log keeps the last (flown)."""
+        if not self._to_publish:
+            return
+        name = next(iter(self._to_publish))
+        value = self._to_publish.pop(name)
+        self.send(
+            mavlink.MAVLink_named_value_float_message(self.clock.boot_ms, name.encode()[:10], value)
+        )
 
     def _heartbeat(self) -> None:
         self._beat_wall_s = wall_s()

@@ -17,6 +17,7 @@ from companion.app import run as run_module
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.run import BROKEN, requirements
+from companion.core.actions import Publish
 from companion.core.flight_state import PilotOptions
 from companion.core.pilot import Pilot
 from companion.core.transitions import Phase
@@ -223,6 +224,20 @@ def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehic
     assert 9 <= len(beats) <= 13  # one more at each change of phase
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats} == {(7, 191)}
     assert {(m.type, m.autopilot) for m in beats} == {(18, 8)}
+
+
+def test_named_values_leave_one_a_tick_so_that_the_autopilots_log_keeps_them_all(station):
+    # PX4's ULog kept LW_ENERGY and LW_PSUCC, the last of each burst, and nothing else (flown).
+    station.identify()
+    wanted = {f"LW_{k}": float(k) for k in range(7)}
+    station.loop.carry_out([Publish(wanted)])
+    heard: list[list[Any]] = []
+    for k in range(1, 10):
+        station.put(station.sync(0.1 * k))
+        heard.append([m for m in station.turn() if m.get_type() == "NAMED_VALUE_FLOAT"])
+    assert max(len(said) for said in heard) == 1
+    told = {m.name: m.value for said in heard for m in said}
+    assert {name: told[name] for name in wanted} == wanted
 
 
 def test_safety_rule_1_beside_another_computer_it_stands_by_and_only_reports(station):
