@@ -46,14 +46,14 @@ BUNDLE_BYTES = 1400
 TEXT_BYTES = 50
 
 BEHIND = 40
-"""Arrivals that wait: with more we are late, and hear them all before we think and order again.
+"""Arrivals that wait: with more we are late, and hear them all before we decide and order again.
 An order given at a time that is long past counts its time-outs from there, and finds itself
 disobeyed by telemetry older than itself (flown: PX4 at four times real time on a busy machine).
 """
 
 BEHIND_LIMIT_S = 0.5
-"""Wall-clock time for which a tick may be put off: a link that always brings more than we can hear
-must not keep us from thinking.
+"""Wall-clock time for which a decision may be put off: a link that always brings more than we can
+hear must not keep us from deciding.
 """
 
 
@@ -78,7 +78,7 @@ class Loop:
     _synced_ns: int | None = None
     _beat_s: float = -1e9
     _beat_wall_s: float = -1e9
-    _ticked_wall_s: float = -1e9
+    _decided_wall_s: float = -1e9
     _to_publish: dict[str, float] = field(default_factory=dict)
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
@@ -181,7 +181,7 @@ class Loop:
             self._synced_ns = message.ts1
             self.clock.synchronise(message.ts1 / 1e9)
             self._synced_s = self.clock.t_s
-            if not self.clock.doubtful and not self._is_behind():
+            if not self.clock.doubtful:
                 self._tick()
         self._answer_timesync(message.ts1)
 
@@ -195,21 +195,24 @@ class Loop:
             return
         if self.clock.doubtful or not self.clock.known:
             return
-        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005 and not self._is_behind():
+        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
             self._tick()
 
     def _is_behind(self) -> bool:
-        """Tell whether to hear more before the next tick."""
+        """Tell whether to hear more before anything is decided."""
         late = self.link.waiting() > BEHIND
-        return late and wall_s() - self._ticked_wall_s < BEHIND_LIMIT_S
+        return late and wall_s() - self._decided_wall_s < BEHIND_LIMIT_S
 
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
-        self._ticked_wall_s = wall_s()
-        self._publish_next()
-        self._give(self.autopilot.tick(t_s))
-        self._give([Tick(t_s)])
+        if self._is_behind():
+            self._give([Tick(t_s, late=True)])
+        else:
+            self._decided_wall_s = wall_s()
+            self._publish_next()
+            self._give(self.autopilot.tick(t_s))
+            self._give([Tick(t_s)])
         if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
             self._beat_s = t_s
             self._heartbeat()
