@@ -38,7 +38,13 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "ne": NUMBER,
         "ee": NUMBER,
     },
-    "energy": {"t_s": NUMBER, "left_wh": NUMBER, "std_wh": NUMBER, "source": TEXT},
+    "energy": {
+        "t_s": NUMBER,
+        "left_wh": NUMBER,
+        "std_wh": NUMBER,
+        "source": TEXT,
+        "used_wh": NUMBER,
+    },
     "assessment": {
         "t_s": NUMBER,
         "p_home": NUMBER,

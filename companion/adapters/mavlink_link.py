@@ -34,6 +34,7 @@ class Link(Protocol):
 
     def receive(self, timeout_s: float) -> Incoming | None: ...
     def send(self, data: bytes) -> None: ...
+    def waiting(self) -> int: ...
     def answer_to(self, peer: Any) -> None: ...
     def close(self) -> None: ...
 
@@ -72,6 +73,10 @@ class _Reader:
             return self._queue.get(timeout=timeout_s)
         except queue.Empty:
             return None
+
+    def waiting(self) -> int:
+        """How many arrivals have not been received yet."""
+        return self._queue.qsize()
 
 
 class UdpLink(_Reader):

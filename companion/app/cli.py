@@ -50,6 +50,13 @@ Key = Annotated[
 System = Annotated[
     int | None, typer.Option(help="MAVLink system id of the vehicle; default: the first heard.")
 ]
+Here = Annotated[
+    bool,
+    typer.Option(
+        "--here",
+        help="Lay the flight's site about where the vehicle stands, instead of its depot.",
+    ),
+]
 RunDir = Annotated[Path, typer.Option(help="Where log, checkpoint and result go.")]
 SilenceLimit = Annotated[
     float, typer.Option(help="Give up after so many seconds without an autopilot.")
@@ -119,6 +126,7 @@ def run_command(
             " the old ones back after landing.",
         ),
     ] = False,
+    here: Here = False,
     gate: Annotated[
         Gate, typer.Option(help="off: never turns back; for comparison only.")
     ] = Gate.ON,
@@ -129,7 +137,9 @@ def run_command(
 ) -> None:
     """Fly the mission: plan, upload, wait for authorisation, deliver, come home."""
     del seed
-    pilot = PilotOptions(gate_on=gate is Gate.ON, configure=configure, authorise=authorise)
+    pilot = PilotOptions(
+        gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
+    )
     where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
     code, _ = _run(where.options(pilot), _show)
     raise typer.Exit(code)
@@ -144,11 +154,12 @@ def check(
     params: Params = None,
     signing_key: Key = None,
     system: System = None,
+    here: Here = False,
     silence_limit: SilenceLimit = 60.0,
 ) -> None:
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
     where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
-    code, pilot = _run(where.options(PilotOptions(check_only=True)), _show_check)
+    code, pilot = _run(where.options(PilotOptions(check_only=True, here=here)), _show_check)
     if pilot.phase is not Phase.GROUNDED:
         typer.echo("no answer from an autopilot" if code == NO_LINK else "the check was cut short")
         raise typer.Exit(code)

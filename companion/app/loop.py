@@ -45,6 +45,17 @@ BUNDLE_BYTES = 1400
 
 TEXT_BYTES = 50
 
+BEHIND = 40
+"""Arrivals that wait: with more we are late, and hear them all before we decide and order again.
+An order given at a time that is long past counts its time-outs from there, and finds itself
+disobeyed by telemetry older than itself (flown: PX4 at four times real time on a busy machine).
+"""
+
+BEHIND_LIMIT_S = 0.5
+"""Wall-clock time for which a decision may be put off: a link that always brings more than we can
+hear must not keep us from deciding.
+"""
+
 
 @dataclass(slots=True)
 class Loop:
@@ -67,6 +78,8 @@ class Loop:
     _synced_ns: int | None = None
     _beat_s: float = -1e9
     _beat_wall_s: float = -1e9
+    _decided_wall_s: float = -1e9
+    _to_publish: dict[str, float] = field(default_factory=dict)
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
@@ -185,11 +198,21 @@ class Loop:
         if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
             self._tick()
 
+    def _is_behind(self) -> bool:
+        """Tell whether to hear more before anything is decided."""
+        late = self.link.waiting() > BEHIND
+        return late and wall_s() - self._decided_wall_s < BEHIND_LIMIT_S
+
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
-        self._give(self.autopilot.tick(t_s))
-        self._give([Tick(t_s)])
+        if self._is_behind():
+            self._give([Tick(t_s, late=True)])
+        else:
+            self._decided_wall_s = wall_s()
+            self._publish_next()
+            self._give(self.autopilot.tick(t_s))
+            self._give([Tick(t_s)])
         if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
             self._beat_s = t_s
             self._heartbeat()
@@ -240,7 +263,7 @@ class Loop:
                     text = action.text.encode()[:TEXT_BYTES]
                     self.send(mavlink.MAVLink_statustext_message(action.severity, text))
                 case Publish():
-                    self._publish(action)
+                    self._to_publish.update(action.values)
                 case Answer():
                     self._reply = action.reply
                 case PhaseChanged():
@@ -252,13 +275,15 @@ class Loop:
             if self.on_action is not None:
                 self.on_action(action)
 
-    def _publish(self, action: Publish) -> None:
-        for name, value in action.values.items():
-            self.send(
-                mavlink.MAVLink_named_value_float_message(
-                    self.clock.boot_ms, name.encode()[:10], value
-                )
-            )
+    def _publish_next(self) -> None:
+        """One named value a tick: of several at once PX4's log keeps the last (flown)."""
+        if not self._to_publish:
+            return
+        name = next(iter(self._to_publish))
+        value = self._to_publish.pop(name)
+        self.send(
+            mavlink.MAVLink_named_value_float_message(self.clock.boot_ms, name.encode()[:10], value)
+        )
 
     def _heartbeat(self) -> None:
         self._beat_wall_s = wall_s()

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from companion.core.actions import (
     WindReport,
 )
 from companion.core.flight_plan import FlightPlan, plan_row
+from companion.core.preflight import Finding
 
 RESULT = "result.json"
 FORMAT = "companion-result/1"
@@ -110,7 +112,14 @@ class Recorder:
         self._rows[name].append(row)
         self._decisions.write(TOPIC[name], row)
 
-    def write_result(self, *, delivered: bool, flown: FlightPlan | None, phase: str) -> None:
+    def write_result(
+        self,
+        *,
+        delivered: bool,
+        flown: FlightPlan | None,
+        phase: str,
+        findings: Sequence[Finding] = (),
+    ) -> None:
         """Write `result.json`, whole or not at all, with the rows of the run that we go on from."""
         rows = {name: self._before.get(name, []) + rows for name, rows in self._rows.items()}
         done = self._finished
@@ -119,7 +128,10 @@ class Recorder:
             "outcome": done.outcome if done is not None else None,
             "reason": done.reason if done is not None else f"ended in phase {phase}",
             "delivered": delivered,
+            "home": done.home if done is not None else None,
+            "margin_wh": done.margin_wh if done is not None else None,
             "phase": phase,
+            "findings": [asdict(finding) for finding in findings],
             "plan": None if flown is None else plan_row(flown),
             **rows,
         }

@@ -129,7 +129,12 @@ def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
             signal.signal(number, handler)
     loop.flush()
     recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
-    recorder.write_result(delivered=pilot.air.delivered, flown=pilot.flown, phase=pilot.phase.value)
+    recorder.write_result(
+        delivered=pilot.air.delivered,
+        flown=pilot.flown,
+        phase=pilot.phase.value,
+        findings=pilot.ground.findings,
+    )
     loop.link.close()
     recorder.close()
     return code

@@ -185,12 +185,13 @@ class WindReport(Action):
 
 @dataclass(frozen=True, slots=True)
 class EnergyReport(Action):
-    """The energy left for the record."""
+    """The energy left, and that used since the start, for the record."""
 
     t_s: float
     left_wh: float
     std_wh: float
     source: str
+    used_wh: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +214,14 @@ class PhaseChanged(Action):
 
 @dataclass(frozen=True, slots=True)
 class Finished(Action):
-    """The mission is over: nothing more will be asked of the autopilot."""
+    """The mission is over: nothing more will be asked of the autopilot.
+
+    `home` and `margin_wh` (energy above the reserve) are as the companion saw them at the end;
+    `None` = it cannot tell.
+    """
 
     outcome: str
     delivered: bool
     reason: str
+    home: bool | None = None
+    margin_wh: float | None = None

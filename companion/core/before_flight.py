@@ -254,7 +254,9 @@ def _pack_trouble(pilot: Pilot) -> str:
 def _planned(pilot: Pilot, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
     now = pilot.now
     assert now.position is not None
-    site = site_map(pilot.flight, frame_of(pilot.flight, now.position), pilot.obstacles)
+    here = pilot.options.here
+    frame = frame_of(pilot.flight, now.position, here=here)
+    site = site_map(pilot.flight, frame, pilot.obstacles, here=here)
     reserve_frac = pilot.judge.limits.reserve_frac
     return make_plan(pilot.flight, site, pilot.planner, energy, reserve_frac)
 

@@ -57,7 +57,8 @@ class EnergyBelief:
     """Usable energy left (Wh, to the cut-off, reserve included), and how sure that is.
 
     `usable_full_wh` is what a full pack would give (the reserve is a share of it). `source` names
-    the source that rules; `warnings` are in words, empty when all is well.
+    the source that rules; `warnings` are in words, empty when all is well. `used_wh` is what has
+    been consumed since the start by the source that counts most.
     """
 
     t_s: float
@@ -66,6 +67,7 @@ class EnergyBelief:
     usable_full_wh: float
     source: str
     warnings: tuple[str, ...] = ()
+    used_wh: float = 0.0
 
 
 @dataclass(slots=True)
@@ -149,6 +151,7 @@ class EnergyLedger:
             counts.usable_full_wh,
             counts.source,
             tuple(counts.warnings),
+            max(self._consumed().values()),
         )
 
     def snapshot(self) -> dict[str, object]:
@@ -371,7 +374,7 @@ class EnergyLedger:
         if seen.remaining_is_timer:
             warnings.append("the autopilot's percentage counts time, not energy: not used")
         used = self._consumed()
-        if "power model" in used and counts.modelled_wh > 0.0:
+        if "power model" in used and counts.modelled_wh > _JUDGE_COUNTERS_WH:
             why = "counts less than the power model" if len(used) > 1 else "measures no consumption"
             warnings.append(f"the autopilot {why}: energy by the power model")
         lefts = {name: start_wh - wh for name, wh in used.items()}

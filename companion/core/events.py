@@ -47,7 +47,12 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Tick(Event):
-    """Time passed; every telemetry message up to `t_s` has been heard."""
+    """Time passed; every telemetry message up to `t_s` has been heard.
+
+    `late`: more waits to be heard. The estimators take the moment in; nothing is decided on it.
+    """
+
+    late: bool = False
 
 
 # --- telemetry ---------------------------------------------------------------------------------

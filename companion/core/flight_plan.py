@@ -109,36 +109,43 @@ def frame_at(depot: Place) -> LocalFrame:
     )
 
 
-def frame_of(flight: Flight, home: Position) -> LocalFrame:
+def frame_of(flight: Flight, home: Position, *, here: bool = False) -> LocalFrame:
     """The frame about the flight file's depot, or about where the vehicle stands.
 
-    Raises LeewayError when the vehicle does not stand at the depot.
+    The latter where the file names no depot, and with `here`. Raises LeewayError when the vehicle
+    does not stand at the depot.
     """
     depot = flight.site.depot
-    here = LocalFrame(math.radians(home.lat_deg), math.radians(home.lon_deg), home.alt_amsl_m)
-    if depot is None:
-        return here
+    if depot is None or here:
+        return LocalFrame(math.radians(home.lat_deg), math.radians(home.lon_deg), home.alt_amsl_m)
     frame = frame_at(depot)
     away_m = horizontal_m(ned_of(frame, home), (0.0, 0.0, 0.0))
     if away_m > DEPOT_RADIUS_M:
         raise LeewayError(
             f"site.depot: the vehicle stands {away_m:.0f} m from it,"
-            f" expected at most {DEPOT_RADIUS_M:.0f} m"
+            f" expected at most {DEPOT_RADIUS_M:.0f} m (--here lays the site about the vehicle)"
         )
     return frame
 
 
-def site_map(flight: Flight, frame: LocalFrame, obstacles: dict[str, Any] | None) -> SiteMap:
-    """The site in a frame; `obstacles` is the GeoJSON document that the flight file names."""
-    found = obstacles_from_geojson(frame, obstacles) if obstacles is not None else ()
+def site_map(
+    flight: Flight, frame: LocalFrame, obstacles: dict[str, Any] | None, *, here: bool = False
+) -> SiteMap:
+    """The site in a frame; `obstacles` is the GeoJSON document that the flight file names.
+
+    `here`: everything lies about the frame's origin as the file has it about its depot.
+    """
+    depot = flight.site.depot
+    drawn = frame_at(depot) if here and depot is not None else frame
+    found = obstacles_from_geojson(drawn, obstacles) if obstacles is not None else ()
     rally = tuple(
-        (place.name or f"rally {number}", place_ned(frame, place))
+        (place.name or f"rally {number}", place_ned(drawn, place))
         for number, place in enumerate(flight.site.rally)
     )
     return SiteMap(
         frame,
         (0.0, 0.0, 0.0),
-        place_ned(frame, flight.site.customer),
+        place_ned(drawn, flight.site.customer),
         rally,
         ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M),
     )

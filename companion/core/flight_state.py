@@ -11,12 +11,16 @@ from companion.core.release import ReleaseWatch
 
 @dataclass(frozen=True, slots=True)
 class PilotOptions:
-    """How this run is to be flown. `authorise` counts once and never after a restart."""
+    """How this run is to be flown. `authorise` counts once and never after a restart.
+
+    `here`: the site lies about where the vehicle stands, not about the flight file's depot.
+    """
 
     gate_on: bool = True
     configure: bool = False
     authorise: bool = False
     check_only: bool = False
+    here: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,7 +188,7 @@ class Pilot:
     def _hear(self, event: Event) -> None:
         match event:
             case Tick():
-                self._tick()
+                self._tick(late=event.late)
             case VehicleState() | ModeNow() if self.now.state is not None:
                 self._hear_state(self.now.state)
             case MissionProgress():
@@ -229,11 +229,13 @@ class Pilot:
             case _:
                 return
 
-    def _tick(self) -> None:
+    def _tick(self, *, late: bool) -> None:
         if self.flavour is None:
             return
         for words in self.judge.observe(self.now, self.flavour):
             self.do(Note(words))
+        if late:
+            return
         if self.phase is Phase.RECOGNISE:
             recognising.tick(self)
         else:
@@ -354,11 +356,13 @@ class Pilot:
         """Ask for a checkpoint of the present state."""
         reports.save(self, routine=routine)
 
-    def finish(self, outcome: str, reason: str) -> None:
+    def finish(
+        self, outcome: str, reason: str, *, home: bool, margin_wh: float | None = None
+    ) -> None:
         """End the mission."""
         self.outcome = outcome
         self.decide("finished", f"{outcome}: {reason}")
-        self.do(Finished(outcome, self.air.delivered, reason))
+        self.do(Finished(outcome, self.air.delivered, reason, home, margin_wh))
 
     @property
     def outward(self) -> bool:

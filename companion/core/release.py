@@ -5,9 +5,10 @@ with the mean after it. At constant geometry hover power goes with mass to the p
 linearised thrust command with mass (Leishman, Principles of Helicopter Aerodynamics, 2.2).
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
-from statistics import fmean
+from statistics import fmean, pvariance
 
 BEFORE_S = 3.0
 SPOOL_S = 0.7
@@ -15,6 +16,15 @@ AFTER_S = 2.4
 LEAST_SAMPLES = 3
 SHARE, SECOND_SHARE = 0.65, 0.35
 """The first measure has to fall by this share of what is expected; the second must not deny it."""
+
+SIGMAS = 2.0
+INDEPENDENT = 3
+"""Gusts move a hover for about a second: a window of BEFORE_S or AFTER_S holds so many looks."""
+
+THRUST_RESOLUTION = 0.01
+"""VFR_HUD tells the throttle in whole per cent: a light parcel (2 % of the mass, flown on PX4's SIH
+without any parcel) is one step of it, which it also takes by itself.
+"""
 
 
 @dataclass(slots=True)
@@ -27,10 +37,12 @@ class _Window:
         if not self.samples or t_s > self.samples[-1][0]:
             self.samples.append((t_s, value))
 
-    def mean(self, from_s: float, to_s: float) -> float | None:
-        """Mean over a span; `None` with too few samples."""
+    def mean(self, from_s: float, to_s: float) -> tuple[float, float] | None:
+        """Mean over a span, and the variance of that mean; `None` with too few samples."""
         chosen = [value for t_s, value in self.samples if from_s <= t_s <= to_s]
-        return fmean(chosen) if len(chosen) >= LEAST_SAMPLES else None
+        if len(chosen) < LEAST_SAMPLES:
+            return None
+        return fmean(chosen), pvariance(chosen) / INDEPENDENT
 
 
 @dataclass(slots=True)
@@ -67,16 +79,19 @@ class ReleaseWatch:
         if t_s < self.begun_s + SPOOL_S + AFTER_S - 0.05:
             return None
         found = ""
-        for window, expected, words in (
-            (self._power, self.power_frac, "hover power"),
-            (self._thrust, self.thrust_frac, "hover thrust"),
+        for window, expected, resolution, words in (
+            (self._power, self.power_frac, 0.0, "hover power"),
+            (self._thrust, self.thrust_frac, THRUST_RESOLUTION, "hover thrust"),
         ):
-            before = window.mean(self.begun_s - BEFORE_S, self.begun_s)
-            after = window.mean(start_s, t_s)
-            if before is None or after is None or before <= 0.0 or expected <= 0.0:
+            loaded = window.mean(self.begun_s - BEFORE_S, self.begun_s)
+            empty = window.mean(start_s, t_s)
+            if loaded is None or empty is None or loaded[0] <= 0.0 or expected <= 0.0:
                 continue
-            drop = 1.0 - after / before
+            drop = 1.0 - empty[0] / loaded[0]
             if drop < (SECOND_SHARE if found else SHARE) * expected:
                 return None
-            found = found or f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+            noise = resolution + SIGMAS * math.sqrt(loaded[1] + empty[1])
+            if loaded[0] - empty[0] > noise:  # else it tells nothing, either way
+                told = f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+                found = found or told
         return found or None

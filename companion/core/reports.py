@@ -43,7 +43,8 @@ def report(pilot: Pilot) -> None:
             values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
         if energy is not None:
             values["LW_ENERGY"] = energy.mean_wh
-            pilot.do(EnergyReport(t_s, energy.mean_wh, energy.std_wh, energy.source))
+            told = (energy.mean_wh, energy.std_wh, energy.source, energy.used_wh)
+            pilot.do(EnergyReport(t_s, *told))
         if seen is not None and t_s - seen.t_s <= 2.5:
             values |= {
                 "LW_MARGIN": seen.margin_wh,

@@ -101,7 +101,7 @@ def conclude(pilot: Pilot, why: str) -> None:
     """The mission is over: the outcome by our own record."""
     air, flown = pilot.air, pilot.flown
     if not air.flying or flown is None:
-        pilot.finish("ABRT", why or "never took off")
+        pilot.finish("ABRT", why or "never took off", home=True)
         return
     position = pilot.now.position
     home, where = False, "position unknown"
@@ -117,6 +117,7 @@ def conclude(pilot: Pilot, why: str) -> None:
         home = away_m <= HOME_RADIUS_M and high_m < CRASH_HEIGHT_M
         where = f"{away_m:.0f} m from {name}"
     energy = air.energy_landed or pilot.judge.energy
+    margin_wh = None
     if energy is not None:
         margin_wh = energy.mean_wh - pilot.judge.limits.reserve_frac * energy.usable_full_wh
         where += f", {margin_wh:.1f} Wh above the reserve"
@@ -127,4 +128,4 @@ def conclude(pilot: Pilot, why: str) -> None:
         (False, True): "ABRT",
         (False, False): "FAIL",
     }[air.delivered, home]
-    pilot.finish(outcome, where)
+    pilot.finish(outcome, where, home=home, margin_wh=margin_wh)

@@ -56,9 +56,13 @@ def fly(
         ),
     ] = None,
     autopilot: Annotated[
-        AutopilotChoice, typer.Option(help="Flavour of the vehicles; mixed takes turns.")
-    ] = AutopilotChoice.px4,
-    seed: Annotated[int, typer.Option(min=0, help="Winds, gusts and sensor errors follow it.")] = 1,
+        AutopilotChoice | None,
+        typer.Option(help="Flavour of the vehicles; mixed takes turns. Default: px4."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Winds, gusts and sensor errors follow it. Default: 1."),
+    ] = None,
     wind_log: Annotated[
         Path | None,
         typer.Option(
@@ -69,7 +73,28 @@ def fly(
     gate: Annotated[
         Switch, typer.Option(help="off: never turns back, to see what the gate is worth.")
     ] = Switch.on,
-    vehicles: Annotated[int, typer.Option(min=1, max=100, help="How many fly at once.")] = 1,
+    vehicles: Annotated[
+        int | None, typer.Option(min=1, max=100, help="How many fly at once. Default: 1.")
+    ] = None,
+    link: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Fly somebody else's vehicle, on udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT"
+            " or serial:DEVICE:BAUD; once for each. It takes off as soon as it is ready."
+        ),
+    ] = None,
+    configure: Annotated[
+        bool,
+        typer.Option(
+            "--configure",
+            help="With --link: set the autopilot parameters that `companion check` finds missing,"
+            " and put the old ones back after landing.",
+        ),
+    ] = False,
+    here: Annotated[
+        bool,
+        typer.Option("--here", help="With --link: lay the site about where the vehicle stands."),
+    ] = False,
     speedup: Annotated[
         float | None,
         typer.Option(min=0.01, help="Hold this multiple of real time; default: all it can."),
@@ -82,33 +107,62 @@ def fly(
 ) -> None:
     """Fly a mission to its end: simulated vehicles, a companion process for each, one table.
 
-    Vehicle and companion know each other only by MAVLink over UDP on loopback. The run folder
-    holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl), companion.log and
-    flight.png. Exit code 0 whatever the outcome; 2 for a mistake in the input.
+    Vehicle and companion know each other only by MAVLink over UDP on loopback, or over --link. The
+    run folder holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl),
+    companion.log and flight.png. Exit code 0 whatever the outcome; 2 for a mistake in the input.
     """
     from sim_bridge.app.fly import FlyOptions
     from sim_bridge.app.fly import fly as fly_now
-    from sim_bridge.app.report import LiveView, results_table
+    from sim_bridge.app.foreign import ForeignOptions, fly_foreign
+    from sim_bridge.app.report import LiveView, grounded_words, results_table
 
     console = Console()
-    options = FlyOptions(
-        flight_file=flight or _default_flight(wind_log),
-        autopilot=autopilot.value,
-        seed=seed,
-        wind_log=wind_log,
-        gate=gate is Switch.on,
-        vehicles=vehicles,
-        speedup=speedup,
-        run_root=runs,
-        picture=picture,
-    )
-    with LiveView(console=console) as view:
-        result = fly_now(options, view)
-    console.print(results_table(result, gate=options.gate))
+    file = flight or _default_flight(wind_log)
+    gate_on = gate is Switch.on
+    if link:
+        simulators = {
+            "--autopilot": autopilot,
+            "--seed": seed,
+            "--wind-log": wind_log,
+            "--vehicles": vehicles,
+            "--speedup": speedup,
+        }
+        _refuse_with_link([name for name, value in simulators.items() if value is not None])
+        foreign = ForeignOptions(file, tuple(link), gate_on, configure, here, runs)
+        with LiveView(console=console) as view:
+            result = fly_foreign(foreign, view.show)
+    else:
+        if configure or here:
+            name = "--configure" if configure else "--here"
+            raise LeewayError(f"{name}: for vehicles of somebody else's, with --link")
+        options = FlyOptions(
+            flight_file=file,
+            autopilot=autopilot.value if autopilot else "px4",
+            seed=1 if seed is None else seed,
+            wind_log=wind_log,
+            gate=gate_on,
+            vehicles=vehicles or 1,
+            speedup=speedup,
+            run_root=runs,
+            picture=picture,
+        )
+        with LiveView(console=console) as view:
+            result = fly_now(options, view)
+    console.print(results_table(result, gate=gate_on))
     for row in result["flights"]:
+        for words in grounded_words(row):
+            console.print(words, highlight=False, soft_wrap=True)
         console.print(f"run folder: {row['run']}", highlight=False)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _refuse_with_link(given: list[str]) -> None:
+    if given:
+        raise LeewayError(
+            f"{', '.join(given)}: for simulated vehicles; with --link the vehicle, its air and its"
+            " clock are somebody else's"
+        )
 
 
 @app.command()

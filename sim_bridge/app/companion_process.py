@@ -1,5 +1,6 @@
 """A `companion run` process beside a simulated vehicle: started, killed, restarted, ended."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -52,6 +53,12 @@ class CompanionProcess:
         """Its exit code once it has ended."""
         return None if self._process is None else self._process.poll()
 
+    def wait(self, limit_s: float) -> None:
+        """Wait for its end, no longer than `limit_s`."""
+        if self._process is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(limit_s)
+
     def kill(self) -> None:
         """SIGKILL, as a companion computer that loses its power."""
         if self._process is not None:
@@ -77,6 +84,14 @@ class CompanionProcess:
             return json.loads(path.read_text())
         except json.JSONDecodeError:
             return {}
+
+    @property
+    def phase(self) -> str:
+        """The phase that it last said it is in, empty before the first."""
+        path = self.run_dir / "companion.out"
+        text = path.read_text(errors="replace") if path.exists() else ""
+        changes = [line for line in text.splitlines() if " -> " in line]
+        return changes[-1].rsplit(" -> ", 1)[1] if changes else ""
 
     def last_words(self, lines: int = 5) -> str:
         """The end of what it printed, for an error message."""

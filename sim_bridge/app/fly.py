@@ -5,7 +5,6 @@ import math
 import os
 import shutil
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +41,7 @@ from sim_bridge.app.faults import FaultPlan
 from sim_bridge.app.judge import Verdict, judge
 from sim_bridge.app.operator import Operator
 from sim_bridge.app.picture import draw_flight
+from sim_bridge.app.run_folder import new_run_dir, saved_on_interrupt
 from sim_bridge.app.scenario import read_faults, read_wind
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
@@ -114,7 +114,9 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
         flight, options.flight_file, np.random.default_rng(wind_seed), options.wind_log
     )
     faults = read_faults(flight, options.flight_file)
-    run_dir = _new_run_dir(options, flight)
+    gate = "" if options.gate else "-gate-off"
+    stem = f"{flight.name}-{options.autopilot}-seed{options.seed}{gate}"
+    run_dir = new_run_dir(options.run_root, stem)
     with contextlib.ExitStack() as stack:
         endpoints = stack.enter_context(EndpointSet(["udpin:127.0.0.1:0"] * options.vehicles))
         crafts: list[Craft] = []
@@ -125,7 +127,7 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
             crafts.append(craft)
             stack.callback(craft.companion.end)
         plan = FaultPlan(faults)
-        with _saved_on_interrupt(run_dir):
+        with saved_on_interrupt(run_dir):
             _run(options, crafts, endpoints, plan, progress)
         for craft in crafts:
             craft.companion.end()
@@ -134,26 +136,6 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
     return result
-
-
-@contextlib.contextmanager
-def _saved_on_interrupt(run_dir: Path) -> Iterator[None]:
-    try:
-        yield
-    except (KeyboardInterrupt, SystemExit):
-        (run_dir / "INTERRUPTED").write_text("stopped by a signal before the flight's end\n")
-        raise
-
-
-def _new_run_dir(options: FlyOptions, flight: Flight) -> Path:
-    gate = "" if options.gate else "-gate-off"
-    stem = f"{flight.name}-{options.autopilot}-seed{options.seed}{gate}"
-    for attempt in range(1, 10_000):
-        run_dir = options.run_root / (stem if attempt == 1 else f"{stem}-{attempt}")
-        with contextlib.suppress(FileExistsError):
-            run_dir.mkdir(parents=True)
-            return run_dir
-    raise LeewayError(f"{options.run_root}: no free name like {stem}-N")
 
 
 def _flavour_of(options: FlyOptions, index: int) -> str:
@@ -366,6 +348,7 @@ def _row(
     return {
         "vehicle": f"{craft.flight.vehicle.airframe}-{craft.number}",
         "autopilot": craft.flavour,
+        "judged_by": "truth",
         "charge_frac": round(craft.charge_frac, 3),
         "outcome": verdict.outcome,
         "delivered": verdict.delivered,

@@ -1,6 +1,7 @@
 """What a person sees of a flight: one live line a vehicle, then the table."""
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,18 @@ from sim_bridge.app.fly import Progress
 REFRESH_WALL_S = 0.25
 LINE_EVERY_S = 30.0
 ROUTINE = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One vehicle as the live view shows it; `away_m` from where it started."""
+
+    label: str
+    phase: str
+    away_m: float
+    up_m: float
+    named: Mapping[str, float]
+    said: Sequence[tuple[float, str]]
 
 
 @dataclass(slots=True)
@@ -42,41 +55,57 @@ class LiveView(Progress):
 
     def update(self, crafts: list[Craft], t_s: float) -> None:
         """Show where everybody is; called ten times a simulated second."""
+        if wall_s() >= self._next_wall_s:
+            self.show([_shown(craft) for craft in crafts], t_s)
+
+    def show(self, vehicles: list[Shown], t_s: float) -> None:
+        """Show these, `t_s` into the flights."""
         now = wall_s()
         if now < self._next_wall_s:
             return
         self._next_wall_s = now + REFRESH_WALL_S
         pace = t_s / max(now - self._started_wall_s, 1e-6)
         if self._live is not None:
-            self._live.update(_live_table(crafts, t_s, pace))
+            self._live.update(_live_table(vehicles, t_s, pace))
         elif t_s >= self._next_line_s:
             self._next_line_s = t_s + LINE_EVERY_S
-            for craft in crafts:
-                self.console.print(_line(craft, t_s), highlight=False)
+            for vehicle in vehicles:
+                self.console.print(_line(vehicle, t_s), highlight=False)
 
 
-def _live_table(crafts: list[Craft], t_s: float, pace: float) -> Table:
+def _shown(craft: Craft) -> Shown:
+    row = craft.record.rows[-1] if craft.record.rows else (0.0,) * 13
+    return Shown(
+        label=f"{craft.number} {craft.flavour}",
+        phase=craft.phase,
+        away_m=math.hypot(row[1], row[2]),
+        up_m=-row[3],
+        named=craft.operator.named,
+        said=craft.operator.said,
+    )
+
+
+def _live_table(vehicles: list[Shown], t_s: float, pace: float) -> Table:
     table = Table(title=f"{t_s:.0f} s of flight time at {pace:.0f} x real time", box=None)
     for name in ("vehicle", "phase", "from depot", "height", "wind", "margin", "P(home)", "says"):
         table.add_column(name, justify="left" if name in ("vehicle", "phase", "says") else "right")
-    for craft in crafts:
-        table.add_row(*_cells(craft))
+    for vehicle in vehicles:
+        table.add_row(*_cells(vehicle))
     return table
 
 
-def _cells(craft: Craft) -> list[str]:
-    named, said = craft.operator.named, craft.operator.said
-    row = craft.record.rows[-1] if craft.record.rows else (0.0,) * 13
+def _cells(vehicle: Shown) -> list[str]:
+    named, said = vehicle.named, vehicle.said
     wind = "-"
     if "LW_WINDN" in named and "LW_WINDE" in named:
         north, east = named["LW_WINDN"], named["LW_WINDE"]
         from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
         wind = f"{math.hypot(north, east):.1f} m/s from {from_deg:03.0f}"
     return [
-        f"{craft.number} {craft.flavour}",
-        craft.phase,
-        f"{math.hypot(row[1], row[2]):.0f} m",
-        f"{-row[3]:.0f} m",
+        vehicle.label,
+        vehicle.phase,
+        f"{vehicle.away_m:.0f} m",
+        f"{vehicle.up_m:.0f} m",
         wind,
         f"{named['LW_MARGIN']:+.1f} Wh" if "LW_MARGIN" in named else "-",
         f"{named['LW_PHOME']:.3f}" if "LW_PHOME" in named else "-",
@@ -84,9 +113,9 @@ def _cells(craft: Craft) -> list[str]:
     ]
 
 
-def _line(craft: Craft, t_s: float) -> str:
+def _line(vehicle: Shown, t_s: float) -> str:
     names = ("", "", "out ", "up ", "wind ", "margin ", "P(home) ", "")
-    cells = [n + c for n, c in zip(names, _cells(craft), strict=True) if c]
+    cells = [n + c for n, c in zip(names, _cells(vehicle), strict=True) if c]
     return f"t={t_s:5.0f} s  " + ", ".join(cells)
 
 
@@ -107,8 +136,11 @@ def slim_table(title: str, *columns: tuple[str, JustifyMethod]) -> Table:
 
 def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
     """The flights of a run: a table of figures, and below it what each decided."""
+    title = "gate on" if gate else "GATE OFF: it flies on whatever the budget says"
+    if any(row["judged_by"] == "companion" for row in result["flights"]):
+        title += "\nby the companion's own record; - is what only the truth could tell"
     table = slim_table(
-        "gate on" if gate else "GATE OFF: it flies on whatever the budget says",
+        title,
         ("\nvehicle", "left"),
         ("\nend", "left"),
         ("used\nWh", "right"),
@@ -124,18 +156,30 @@ def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
         number = row["vehicle"].rpartition("-")[2]
         table.add_row(
             f"{number} {row['autopilot']}",
-            row["outcome"],
-            f"{row['energy_used_wh']:.1f}",
-            f"{row['margin_wh']:+.1f}",
-            f"{row['flight_time_s']:.0f}",
+            row["outcome"] or "-",
+            _number(row["energy_used_wh"], 1),
+            _number(row["margin_wh"], 1, sign="+"),
+            _number(row["flight_time_s"], 0),
             _number(row["wind_rmse_mps"], 2),
             _number(row["wind_nees"], 2),
             _number(row["p_home_min"], 3),
-            f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f}",
+            _clairvoyant(row),
         )
         words = ", ".join(_decision_words(row["decisions"])) or "nothing"
         decided.append(Text(f"{number} decided: {words}"))
     return Group(table, "", *decided)
+
+
+def grounded_words(row: dict[str, Any]) -> list[str]:
+    """What kept a vehicle of somebody else's on the ground, and what would help."""
+    if row["judged_by"] != "companion" or row["flight_time_s"] != 0.0:
+        return []
+    findings = row["findings"]
+    words = [f"{'MISSING' if f['blocks'] else 'off    '}  {f['words']}" for f in findings]
+    words.append(f"no take-off: {row['reason']}")
+    if any(f["blocks"] for f in findings):
+        words.append("--configure sets these and puts the old values back after landing")
+    return words
 
 
 def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:
@@ -152,5 +196,11 @@ def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:
     return words
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _clairvoyant(row: dict[str, Any]) -> str:
+    if row["clairvoyant"] is None:
+        return "-"
+    return f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f}"
+
+
+def _number(value: float | None, digits: int, sign: str = "") -> str:
+    return "-" if value is None else f"{value:{sign}.{digits}f}"

@@ -54,6 +54,9 @@ class Tape:
     def send(self, data: bytes) -> None:
         self.sent.append(data)
 
+    def waiting(self) -> int:
+        return 0
+
     def answer_to(self, peer: Any) -> None:
         return
 

@@ -12,10 +12,12 @@ import pytest
 from companion.adapters.files import digest_of, read_airframe, read_flight
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Incoming
+from companion.app import loop as loop_module
 from companion.app import run as run_module
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.run import BROKEN, requirements
+from companion.core.actions import Publish
 from companion.core.flight_state import PilotOptions
 from companion.core.pilot import Pilot
 from companion.core.transitions import Phase
@@ -32,12 +34,16 @@ class WireTap:
     def __init__(self) -> None:
         self.incoming: deque[bytes] = deque()
         self.sent: list[bytes] = []
+        self.tells_waiting = False
 
     def receive(self, timeout_s: float) -> Incoming | None:
         return Incoming(self.incoming.popleft(), ("here", 1)) if self.incoming else None
 
     def send(self, data: bytes) -> None:
         self.sent.append(data)
+
+    def waiting(self) -> int:
+        return len(self.incoming) if self.tells_waiting else 0
 
     def answer_to(self, peer: Any) -> None:
         return
@@ -164,6 +170,50 @@ def test_without_timesync_telemetry_itself_ticks_about_ten_times_a_second(statio
     assert ticks == sorted(ticks)
 
 
+@pytest.mark.parametrize("asked", [False, True])
+def test_when_late_it_hears_everything_before_it_decides_and_orders_again(station, asked):
+    # A busy computer: two seconds of telemetry wait. An order given at their beginning would count
+    # its time-outs from there, and be found disobeyed by telemetry older than itself.
+    station.identify()
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    station.wire.tells_waiting = True
+    for k in range(200):
+        station.put(mavlink.MAVLink_attitude_message(10 * k, 0, 0, 0, 0, 0, 0))
+        if asked and k % 10 == 0:
+            station.put(station.sync(0.01 * k))
+    said = station.turn()
+    decided = [tick.t_s for tick in ticks if not tick.late]
+    assert decided[1] >= 1.5  # the first has none before it, and is not put off
+    assert len(decided) <= 6
+    assert len(ticks) >= 19  # the estimators miss nothing
+    if asked:
+        assert sum(m.get_type() == "TIMESYNC" for m in said) == 20
+
+
+def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station, monkeypatch):
+    station.identify()
+    station.wire.waiting = lambda: 1_000_000
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    now = [100.0]
+    monkeypatch.setattr(loop_module, "wall_s", lambda: now[0])
+    for k in range(100):
+        now[0] += 0.1
+        station.put(mavlink.MAVLink_attitude_message(100 * k, 0, 0, 0, 0, 0, 0))
+        station.turn()
+    assert len(ticks) == 100
+    assert 10 <= sum(not tick.late for tick in ticks) <= 21
+
+
 def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehicles_system(
     tmp_path,
 ):
@@ -177,6 +227,20 @@ def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehic
     assert 9 <= len(beats) <= 13  # one more at each change of phase
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats} == {(7, 191)}
     assert {(m.type, m.autopilot) for m in beats} == {(18, 8)}
+
+
+def test_named_values_leave_one_a_tick_so_that_the_autopilots_log_keeps_them_all(station):
+    # PX4's ULog kept LW_ENERGY and LW_PSUCC, the last of each burst, and nothing else (flown).
+    station.identify()
+    wanted = {f"LW_{k}": float(k) for k in range(7)}
+    station.loop.carry_out([Publish(wanted)])
+    heard: list[list[Any]] = []
+    for k in range(1, 10):
+        station.put(station.sync(0.1 * k))
+        heard.append([m for m in station.turn() if m.get_type() == "NAMED_VALUE_FLOAT"])
+    assert max(len(said) for said in heard) == 1
+    told = {m.name: m.value for said in heard for m in said}
+    assert {name: told[name] for name in wanted} == wanted
 
 
 def test_safety_rule_1_beside_another_computer_it_stands_by_and_only_reports(station):

@@ -116,7 +116,8 @@ def test_the_decision_log_opens_with_the_librarys_own_reader_and_fits_its_schema
     row = {"t_s": 1.5, "kind": "go", "reason": "open", "p_home": None, "p_home_now": None,
            "p_success": None, "margin_wh": 3.0}  # fmt: skip
     log.write("decision", row)
-    log.write("energy", {"t_s": 2.0, "left_wh": 80.0, "std_wh": 2.0, "source": "current"})
+    energy = {"t_s": 2.0, "left_wh": 80.0, "std_wh": 2.0, "source": "current", "used_wh": 9.0}
+    log.write("energy", energy)
     log.close()
     with path.open("rb") as file:
         found = [
@@ -126,7 +127,7 @@ def test_the_decision_log_opens_with_the_librarys_own_reader_and_fits_its_schema
         ]
     assert [(topic, data) for topic, data, _, _ in found] == [
         ("/decision", row),
-        ("/energy", {"t_s": 2.0, "left_wh": 80.0, "std_wh": 2.0, "source": "current"}),
+        ("/energy", energy),
     ]
     assert found[0][2] == 1_500_000_000
     for topic, data, _, schema in found:

@@ -74,6 +74,15 @@ def test_volts_times_amperes_are_integrated() -> None:
     assert left(book).warnings == ()
 
 
+def test_what_was_used_is_told_apart_from_what_a_pessimistic_percentage_leaves() -> None:
+    book = ledger()
+    book.observe(rest(0.0, voltage_v=FULL_V, remaining_frac=0.9))
+    assert left(book).used_wh == 0.0
+    fly(book, 1, 60, voltage_v=VOLTS, current_a=AMPS, remaining_frac=0.9)
+    assert left(book).used_wh == pytest.approx(MINUTE_WH, abs=0.3)
+    assert left(book).mean_wh == pytest.approx(0.9 * FULL_WH)
+
+
 def test_the_autopilots_counters_count_from_where_they_stood() -> None:
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V, consumed_wh=31.0, consumed_mah=1300.0))
@@ -123,6 +132,14 @@ def test_unknown_fields_are_never_integrated(unknown: float) -> None:
     assert left(book).mean_wh == pytest.approx(FULL_WH - 8.0, abs=0.2)
     assert "power model" in left(book).source
     assert any("measures no consumption" in w for w in left(book).warnings)
+
+
+def test_no_current_before_the_motors_turn_is_no_missing_sensor() -> None:
+    # ArduCopter's SITL, armed on the ground: 0 A and no consumption for a moment (flown).
+    book = ledger()
+    book.observe(rest(0.0, voltage_v=FULL_V))
+    fly(book, 1, 5, current_a=0.0, consumed_wh=0.0, consumed_mah=0.0, modelled_power_w=480.0)
+    assert left(book).warnings == ()
 
 
 def test_a_percentage_that_is_a_timer_is_no_source_and_is_said() -> None:

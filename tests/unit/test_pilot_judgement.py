@@ -115,6 +115,25 @@ def test_safety_rule_5_without_a_current_sensor_the_thrust_command_tells():
     assert "hover thrust fell by 15 %" in evidence
 
 
+@pytest.mark.parametrize(("after", "delivered"), [(0.49, False), (0.48, True)])
+def test_safety_rule_5_one_step_of_the_throttles_whole_per_cents_is_no_proof(after, delivered):
+    # A parcel of 2 to 4 % of the mass: 0.50 to 0.49 is 2 %, and every hover does that by itself.
+    watch = ReleaseWatch(power_frac=0.03, thrust_frac=0.02 if after == 0.49 else 0.04)
+    for k in range(140):
+        watch.observe(0.1 * k, None, 0.50 if k < 100 else after)
+        if k == 100:
+            watch.begin(10.0)
+    assert (watch.evidence(13.9) is not None) == delivered
+
+
+def test_safety_rule_5_a_fall_within_the_gusts_is_no_proof():
+    watch = ReleaseWatch(power_frac=0.05, thrust_frac=0.0)
+    hover(watch, 0.0, 10.0, 470.0, 60.0)
+    watch.begin(10.0)
+    hover(watch, 10.0, 14.0, 445.0, 60.0)  # 5 % less, in power that swings by 13 %
+    assert watch.evidence(14.0) is None
+
+
 def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_gripper():
     watch = ReleaseWatch(power_frac=0.28, thrust_frac=0.2)
     watch.begin(10.0)

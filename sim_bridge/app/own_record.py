@@ -1,0 +1,94 @@
+"""The verdict on a flight of somebody else's vehicle, by the companion's own record.
+
+Nobody knows the truth there: what only the truth could tell (wind error, what knowing the wind
+would have allowed) is None.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+WIND_WARM_UP_S = 30.0  # as the wind error of simulated flights: after the first 30 s of flight
+DECISION_KEYS = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
+
+
+def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -> dict[str, Any]:
+    """A row as in the evaluation's section 8, from a companion's `result.json` ({}: none).
+
+    Beside its keys: `energy_predicted_wh`, what the gate's first look in the air said that the
+    whole flight would take, and `wind_std_mps`, the estimate's own standard deviation.
+    """
+    decisions = result.get("decisions", [])
+    took_off_s = _when(decisions, "take_off")
+    landed_s = _when(decisions, "landed")
+    energy = result.get("energy", [])
+    assessments = [a for a in result.get("assessments", []) if a.get("p_home") is not None]
+    return {
+        "vehicle": vehicle,
+        "autopilot": autopilot,
+        "judged_by": "companion",
+        "charge_frac": None,
+        "outcome": result.get("outcome"),
+        "delivered": result.get("delivered"),
+        "home": result.get("home"),
+        "energy_used_wh": _rounded(_used_wh(energy, landed_s)),
+        "energy_predicted_wh": _rounded(_predicted_wh(energy, assessments)),
+        "margin_wh": _rounded(result.get("margin_wh")),
+        "flight_time_s": _flight_time_s(took_off_s, landed_s),
+        "wind_rmse_mps": None,
+        "wind_nees": None,
+        "wind_std_mps": _wind_std_mps(result.get("wind", []), took_off_s, landed_s),
+        "p_home_min": min((a["p_home"] for a in assessments), default=None),
+        "clairvoyant": None,
+        "clairvoyant_margin_wh": None,
+        "findings": result.get("findings", []),
+        "reason": result.get("reason"),
+        "decisions": [{key: d.get(key) for key in DECISION_KEYS} for d in decisions],
+        "run": run,
+    }
+
+
+def _when(decisions: Sequence[dict[str, Any]], kind: str) -> float | None:
+    times = [d["t_s"] for d in decisions if d["kind"] == kind]
+    return times[-1] if times else None
+
+
+def _used_wh(energy: Sequence[dict[str, Any]], t_s: float | None) -> float | None:
+    """Energy used since power-up, by the last report up to `t_s`."""
+    if t_s is None:
+        return None
+    return next((row["used_wh"] for row in reversed(energy) if row["t_s"] <= t_s), None)
+
+
+def _predicted_wh(
+    energy: Sequence[dict[str, Any]], assessments: Sequence[dict[str, Any]]
+) -> float | None:
+    """What the first look in the air said is needed, and what had been used by then."""
+    if not assessments:
+        return None
+    first = assessments[0]
+    used_wh = _used_wh(energy, first["t_s"])
+    return None if used_wh is None else first["energy_need_wh"] + used_wh
+
+
+def _flight_time_s(took_off_s: float | None, landed_s: float | None) -> float | None:
+    if took_off_s is None:
+        return 0.0
+    return None if landed_s is None else round(landed_s - took_off_s, 2)
+
+
+def _wind_std_mps(
+    wind: Sequence[dict[str, Any]], took_off_s: float | None, landed_s: float | None
+) -> float | None:
+    """Root mean square of the estimate's stated error (both axes), as the wind error is taken."""
+    if took_off_s is None:
+        return None
+    last_s = math.inf if landed_s is None else landed_s
+    rows = [row for row in wind if took_off_s + WIND_WARM_UP_S <= row["t_s"] <= last_s]
+    if not rows:
+        return None
+    return round(math.sqrt(sum(row["nn"] + row["ee"] for row in rows) / len(rows)), 4)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

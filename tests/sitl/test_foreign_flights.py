@@ -1,0 +1,191 @@
+"""`fly --link`: our companion on vehicles that are served by somebody else, as over any link.
+
+The served vehicle is our own simulated one, so that truth is there to hold the companion's own
+record against; `fly_foreign` knows nothing of it but the link.
+"""
+
+import io
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from rich.console import Console
+
+from companion.core.errors import LeewayError
+from sim_bridge.app import cli
+from sim_bridge.app.foreign import ForeignOptions, fly_foreign
+from sim_bridge.app.report import grounded_words, results_table
+from sim_bridge.app.serve import Home, Host, Served, stand_up
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.wind_field import SteadyWind, WindField
+
+pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
+
+PARAMS = Path(__file__).parents[2] / "params"
+ROUTE = {"customer": {"name": "customer", "east_m": -110.0, "north_m": -20.0}}
+DEPOT = {"lat_deg": 55.47, "lon_deg": 8.45, "alt_amsl_m": 12.0}
+ELSEWHERE = Home(lat_deg=47.397742, lon_deg=8.545594, alt_amsl_m=489.4)
+PAYLOAD_KG = 0.5
+SPEEDUP = 3.0
+
+
+def flight_file(folder: Path, **changes: Any) -> Path:
+    table = {
+        "format": "flight/1",
+        "name": "guest",
+        "site": {"depot": DEPOT} | ROUTE,
+        "vehicle": {"airframe": "m100", "payload_kg": PAYLOAD_KG},
+        "mission": {"cruise_height_m": 20.0, "leg_length_m": 60.0, "time_limit_s": 600.0},
+    } | changes
+    path = folder / "guest.toml"
+    path.write_bytes(msgspec.toml.encode(table))
+    return path
+
+
+def stood(flavour: Flavour, home: Home | None = None) -> Served:
+    wind = WindField(SteadyWind(4.0, 70.0))
+    return stand_up(
+        flavour,
+        load_airframe(PARAMS / "truth" / "m100.toml"),
+        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml"),
+        home=home or Home(),
+        wind=wind,
+        payload_kg=PAYLOAD_KG,
+    )
+
+
+def fly(
+    served: Served, endpoint: str, link: str, folder: Path, file: Path, **options: bool
+) -> dict[str, Any]:
+    """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken)."""
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(served, onboard=[endpoint])
+        links = (link.replace("PORT", url.rsplit(":", 1)[1]),)
+        with host.running():
+            result = fly_foreign(
+                ForeignOptions(file, links, run_root=folder / "runs", **options),
+                lambda vehicles, t_s: None,
+            )
+    (row,) = result["flights"]
+    return row
+
+
+def settings(served: Served) -> dict[str, float]:
+    params = served.autopilot.params
+    return {name: params[name] for i in range(len(params)) if (name := params.name_at(i))}
+
+
+def away_m(served: Served) -> float:
+    north, east, _ = served.truth.pos_ned_m
+    return math.hypot(north, east)
+
+
+@pytest.mark.parametrize(
+    ("flavour", "endpoint", "link"),
+    [
+        (Flavour.PX4, "udpin::0", "udpout:127.0.0.1:PORT"),
+        (Flavour.ARDUPILOT, "tcpin::0", "tcp:127.0.0.1:PORT"),
+    ],
+)
+def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they_were(
+    tmp_path, flavour, endpoint, link
+):
+    served = stood(flavour)
+    before = settings(served)
+    row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), configure=True)
+    assert row["outcome"] == "SUC"
+    assert row["judged_by"] == "companion"
+    assert row["autopilot"] == flavour.value
+    truth = served.truth
+    assert not truth.parcel_aboard
+    assert not truth.airborne
+    assert away_m(served) < 12.0
+    assert {n: v for n, v in settings(served).items() if before[n] != v} == {}
+    # The companion's count ends as it sees the landing; battery sensors are good to a few per cent.
+    assert row["energy_used_wh"] == pytest.approx(truth.energy_used_wh, rel=0.1)
+    assert row["energy_predicted_wh"] == pytest.approx(row["energy_used_wh"], rel=0.3)
+    assert row["wind_rmse_mps"] is None
+    assert row["clairvoyant"] is None
+
+
+def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_path):
+    served = stood(Flavour.ARDUPILOT)
+    before = settings(served)
+    link = "udpout:127.0.0.1:PORT"
+    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
+    assert settings(served) == before
+    assert row["flight_time_s"] == 0.0
+    assert away_m(served) < 1.0
+    assert {f["name"] for f in row["findings"] if f["blocks"]} >= {"AUTO_OPTIONS", "GRIP_ENABLE"}
+    said = "\n".join(grounded_words(row))
+    assert "MISSING  arming in AUTO" in said
+    assert "--configure" in said
+
+
+def test_a_site_elsewhere_is_refused_and_with_here_it_lies_about_the_vehicle(tmp_path):
+    served = stood(Flavour.PX4, ELSEWHERE)
+    file = flight_file(tmp_path)
+    link = "udpout:127.0.0.1:PORT"
+    row = fly(served, "udpin::0", link, tmp_path, file, configure=True)
+    assert row["outcome"] == "ABRT"
+    assert "the vehicle stands" in row["reason"]
+    assert "--here" in row["reason"]
+    served = stood(Flavour.PX4, ELSEWHERE)
+    row = fly(served, "udpin::0", link, tmp_path, file, configure=True, here=True)
+    assert row["outcome"] == "SUC"
+    assert not served.truth.parcel_aboard
+    assert away_m(served) < 12.0
+    ends = [d["reason"] for d in row["decisions"] if d["kind"] == "planned"]
+    assert len(ends) == 1
+
+
+def test_the_table_shows_what_only_the_truth_could_tell_as_a_dash(tmp_path):
+    served = stood(Flavour.PX4)
+    link = "udpout:127.0.0.1:PORT"
+    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
+    told = io.StringIO()
+    Console(file=told, width=100).print(results_table({"flights": [row]}, gate=True))
+    assert "companion's own record" in told.getvalue()
+    line = next(line for line in told.getvalue().splitlines() if line.startswith("1 px4"))
+    # vehicle, end, used, margin, time, wind RMSE, NEES, least P(home), clairvoyant: it never left
+    assert line.split() == ["1", "px4", "ABRT", "-", "-", "0", "-", "-", "-", "-"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--link", "udpin:127.0.0.1:14599", "--seed", "3"], "--seed"),
+        (["--link", "udpin:127.0.0.1:14599", "--wind-log", "w.csv"], "--wind-log"),
+        (["--link", "udpin:127.0.0.1:14599", "--speedup", "4"], "--speedup"),
+        (["--link", "udpin:127.0.0.1:14599", "--vehicles", "2"], "--vehicles"),
+        (["--link", "udpin:127.0.0.1:14599", "--autopilot", "px4"], "--autopilot"),
+        (["--configure"], "--configure: for vehicles of somebody else's"),
+        (["--here"], "--here: for vehicles of somebody else's"),
+        (["--link", "carrier-pigeon"], "carrier-pigeon"),
+        (["--link", "tcp:127.0.0.1:5760", "--link", "tcp:127.0.0.1:5760"], "named twice"),
+        (["--link", "tcp:127.0.0.1:5760", "--link", "tcp:127.0.0.1:5761"], "several --link"),
+    ],
+)
+def test_what_makes_no_sense_with_a_link_is_refused_in_one_line(
+    tmp_path, monkeypatch, capsys, arguments, words
+):
+    file = flight_file(tmp_path)
+    runs = ["--runs", str(tmp_path / "runs")]
+    monkeypatch.setattr(sys, "argv", ["sim-bridge", "fly", str(file), *runs, *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_faults_of_the_simulated_world_are_refused(tmp_path):
+    file = flight_file(tmp_path, faults=[{"kind": "gnss_lost", "at_s": 10.0}])
+    with pytest.raises(LeewayError, match=r"guest.toml: \[\[faults\]\]"):
+        fly_foreign(ForeignOptions(file, ("tcp:127.0.0.1:5760",)), lambda vehicles, t_s: None)
