@@ -23,6 +23,11 @@ def home_with_reserve(flown) -> bool:
     return flown.row["home"] and flown.row["margin_wh"] >= 0.0
 
 
+def gate_closed_and_home(flown) -> bool:
+    closed = {"turn_back", "divert"} & set(flown.kinds)
+    return bool(closed) and flown.row["home"] and flown.row["margin_wh"] >= 0.0
+
+
 def wind_known(flown) -> bool:
     rmse, nees = flown.row["wind_rmse_mps"], flown.row["wind_nees"]
     return rmse is not None and rmse < 1.0 and nees < 6.0
@@ -112,8 +117,31 @@ def taken_over(phase: str, at_s: float) -> Case:
 THIN = {"vehicle": {"charge_frac": 0.28}}  # enough to fly it, not to keep the reserve
 LOW = {"vehicle": {"charge_frac": 0.18}}
 
+# A headwind home that gains 3.5 m/s in two minutes: the most that the recordings show is 2.7 to
+# 3.6 (99 of 100 cases, evaluation.md section 6). Without the gate it ends under the reserve.
+GROWING = {
+    "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
+    "vehicle": {"charge_frac": 0.5},
+    "wind": {
+        "kind": "points",
+        "points": [
+            {"t_s": 0.0, "speed_mps": 6.0, "from_deg": 80.0},
+            {"t_s": 70.0, "speed_mps": 6.0, "from_deg": 80.0},
+            {"t_s": 190.0, "speed_mps": 9.5, "from_deg": 80.0},
+        ],
+        "turbulence": "dryden",
+    },
+}
+
 CASES = [
     Case("a parcel is delivered and the vehicle comes home", delivered_and_home, {}, LOW),
+    Case(
+        "a growing headwind closes the gate, and the vehicle lands with its reserve",
+        gate_closed_and_home,
+        GROWING,
+        GROWING,
+        canary_gate=False,
+    ),
     Case(
         "the wind is known within its stated error",
         wind_known,
