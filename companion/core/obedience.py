@@ -39,7 +39,7 @@ class JumpWatch:
 
     def look(self, mission: DeadMansMission, index: int | None, t_s: float) -> Verdict:
         """Judge by the item that the autopilot says it flies."""
-        if index is not None and (index == self.index or mission.follows(self.index, index)):
+        if index is not None and self._shows(mission, index):
             return Verdict.CONFIRMED
         if not self.refused and t_s - self.ordered_s < CONFIRM_S:
             return Verdict.WAITING
@@ -49,6 +49,17 @@ class JumpWatch:
         self.refused = False
         self.ordered_s = t_s
         return Verdict.ASK_AGAIN
+
+    def _shows(self, mission: DeadMansMission, index: int) -> bool:
+        """Tell whether this item shows that the jump was obeyed.
+
+        The way home follows every outbound waypoint: there it may just as well be where the
+        vehicle was before a jump outward (flown: MISSION_CURRENT has no time).
+        """
+        if index == self.index:
+            return True
+        same = mission.part_at(index) is mission.part_at(self.index)
+        return mission.follows(self.index, index) and (self.purpose is Purpose.HOME or same)
 
 
 @dataclass(slots=True)

@@ -107,29 +107,38 @@ def table1(
 
 
 @app.command()
-def table2(out: Out = OUT, trials: Annotated[int, typer.Option(help="trials")] = 10) -> None:
+def table2(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    trials: Annotated[int, typer.Option(help="trials")] = 10,
+) -> None:
     """Table 2: what BER's parts are worth, as far as they are built."""
     from sim_bridge.experiments import table2 as experiment
 
-    found: dict = {variant: [] for variant in experiment.BUILT}
-    with _bar() as bar:
-        shown = bar.add_task("Table 2", total=trials * len(found))
-        for variant, measured in found.items():
-            for trial in range(trials):
-                measured.append(experiment.fly_trial(trial, variant))
-                bar.advance(shown)
+    work = experiment.trials_of(trials)
+    kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
+    measured = _journaled("Table 2", work, experiment.fly_trial, jobs, kept)
+    found = experiment.by_variant(work, measured)
     _finish(experiment.sheet(found), out, "table2")
     experiment.draw(found, out / "table2.png")
+    kept.remove()
 
 
 @app.command()
-def lambda_sweep(out: Out = OUT, graphs: Annotated[int, typer.Option(help="graphs")] = 100) -> None:
+def lambda_sweep(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    graphs: Annotated[int, typer.Option(help="graphs")] = 100,
+) -> None:
     """Outcomes against the risk weight lambda and the battery."""
     from sim_bridge.experiments import lambda_sweep as experiment
 
-    points = experiment.sweep(graphs)
+    work = experiment.jobs_of(graphs)
+    kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.Part])
+    points = experiment.points_of(_journaled("lambda sweep", work, experiment.fly, jobs, kept))
     _finish(experiment.sheet(points), out, "lambda_sweep")
     experiment.draw(points, out / "lambda_sweep.png")
+    kept.remove()
 
 
 @app.command()
@@ -152,6 +161,7 @@ def energy_speed(
 @app.command()
 def towns(
     out: Out = OUT,
+    jobs: Jobs = 0,
     rounds: Annotated[int, typer.Option(help="rounds")] = 10,
     towns: Annotated[int, typer.Option(help="towns a round")] = 10,
     budget_wh: Annotated[float, typer.Option(help="B")] = 50.0,
@@ -161,10 +171,14 @@ def towns(
     from sim_bridge.experiments import urban_table
     from sim_bridge.experiments.urban_scene import TownParams, generate_town
 
-    found = urban_table.fly_towns(rounds, towns, 60, budget_wh, max_loss)
+    work = [urban_table.TownJob(t, budget_wh, max_loss) for t in range(rounds * towns)]
+    kept = Journal(out / "towns.partial", digest_of(work), dict[str, list[float]])
+    flown = _journaled("towns", work, urban_table.fly_town, jobs, kept)
+    found = urban_table.by_planner(flown, rounds)
     _finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
     town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
     urban_table.draw_town(town, out / "towns.png")
+    kept.remove()
 
 
 @app.command()

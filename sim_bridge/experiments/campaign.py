@@ -142,7 +142,6 @@ class Workbench:
         """`graph` stands in for the scenario's own where obstacles bend the wind."""
         self.scenario, self.params = scenario, params
         self.graph: EnergyGraph = build_energy_graph(scenario) if graph is None else graph
-        self.note = ""
         self._planners: dict[str, Planner] = {}
         self.chain: WindChain | None = None
         self.sight: Sight | None = None
@@ -232,13 +231,7 @@ class Workbench:
 
     def ber_on(self, chain: WindChain, sight: Sight) -> Planner:
         """BER as it plans when it believes in this chain, seen like this."""
-        policy = self.policy(chain, sight)
-        if policy.stays:
-            self.note = (
-                f"{self.scenario.name}: ber stays at the depot: no flight keeps P(loss) within"
-                f" {self.params.max_loss:g}"
-            )
-        return Ber(policy, sight, self.graph)
+        return Ber(self.policy(chain, sight), sight, self.graph)
 
     def policy(self, chain: WindChain, sight: Sight) -> ValuePolicy:
         """The tuned policy for this sight of the chain."""
@@ -262,7 +255,7 @@ class Workbench:
 
 def run_task(scenario: Scenario, params: CampaignParams, task: Task, bench: Workbench) -> Done:
     """Fly the task's blocks."""
-    tallies = []
+    tallies: list[Tally] = []
     decision_us: list[float] = []
     for block in range(task.first_block, task.first_block + task.blocks):
         winds = bench.winds(block)
@@ -272,7 +265,13 @@ def run_task(scenario: Scenario, params: CampaignParams, task: Task, bench: Work
         tallies.append(tally(flown, scenario.budget_wh))
         if task.timed and block == task.first_block:
             decision_us = time_decisions(bench, task.planner, winds, coins)
-    return Done(tallies, decision_us, bench.note if task.planner == "ber" else "")
+    note = ""
+    if task.planner == "ber" and all(t.decisions == t.outcomes[Outcome.ABRT] for t in tallies):
+        note = (
+            f"{scenario.name}: ber stays at the depot: no flight keeps P(loss) within"
+            f" {params.max_loss:g}"
+        )
+    return Done(tallies, decision_us, note)
 
 
 def tally(flown: Flown, budget_wh: float) -> Tally:

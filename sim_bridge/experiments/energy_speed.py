@@ -142,5 +142,5 @@ def draw(found: list[Curve], path: Path) -> None:
             axis.set_ylabel("Wh/km over ground")
     axes[0][0].legend()
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from companion.core.mission_model import ChainWinds, Outcome, fly_missions
+from companion.core.scenario import Scenario
 from sim_bridge.experiments.campaign import CampaignParams, Workbench
 from sim_bridge.experiments.report import Sheet, interval95_text
 from sim_bridge.experiments.scenario_generator import GeneratorParams, scenario_set
@@ -28,24 +30,56 @@ class Point:
     loss: np.ndarray
 
 
-def sweep(graphs: int = 100, missions: int = 60, classes: int = 8) -> list[Point]:
-    """Every planner, lambda and budget on the same graphs and winds."""
-    points: dict[tuple[str, float, float], list[np.ndarray]] = {}
-    for scenario in scenario_set(graphs, GeneratorParams(budget_wh=max(BUDGETS_WH)), SWEEP_SEED):
-        for risk_weight in LAMBDAS:
-            params = CampaignParams(
-                missions=missions, wind_classes=classes, risk_weight=risk_weight
-            )
-            bench = Workbench(scenario, params)
-            winds = bench.winds(0)
-            assert isinstance(winds, ChainWinds)
-            for planner in PLANNERS:
-                for budget in BUDGETS_WH:
-                    winds.restart()
-                    decider = bench.with_budget(budget).build(planner).begin(np.zeros(missions))
-                    flown = fly_missions(bench.graph, budget, winds, decider)
-                    shares = 100.0 * np.bincount(flown.outcome, minlength=4) / missions
-                    points.setdefault((planner, risk_weight, budget), []).append(shares)
+@dataclass(frozen=True)
+class SweepJob:
+    """One graph under every planner, lambda and battery."""
+
+    scenario: Scenario
+    missions: int = 60
+    classes: int = 8
+
+
+class Part(msgspec.Struct, frozen=True):
+    """SUC, DEL, FAIL, ABRT in percent of one planner at one lambda and battery on one graph."""
+
+    planner: str
+    risk_weight: float
+    budget_wh: float
+    shares: list[float]
+
+
+def jobs_of(graphs: int) -> list[SweepJob]:
+    """The graphs of the sweep."""
+    params = GeneratorParams(budget_wh=max(BUDGETS_WH))
+    return [SweepJob(scenario) for scenario in scenario_set(graphs, params, SWEEP_SEED)]
+
+
+def fly(job: SweepJob) -> list[Part]:
+    """Every planner, lambda and battery on the same winds."""
+    parts = []
+    for risk_weight in LAMBDAS:
+        params = CampaignParams(
+            missions=job.missions, wind_classes=job.classes, risk_weight=risk_weight
+        )
+        bench = Workbench(job.scenario, params)
+        winds = bench.winds(0)
+        assert isinstance(winds, ChainWinds)
+        for planner in PLANNERS:
+            for budget in BUDGETS_WH:
+                winds.restart()
+                decider = bench.with_budget(budget).build(planner).begin(np.zeros(job.missions))
+                flown = fly_missions(bench.graph, budget, winds, decider)
+                shares = 100.0 * np.bincount(flown.outcome, minlength=4) / job.missions
+                parts.append(Part(planner, risk_weight, budget, shares.tolist()))
+    return parts
+
+
+def points_of(found: list[list[Part]]) -> list[Point]:
+    """The shares of all graphs, planner by planner."""
+    grouped: dict[tuple[str, float, float], list[list[float]]] = {}
+    for part in (part for parts in found for part in parts):
+        key = (part.planner, part.risk_weight, part.budget_wh)
+        grouped.setdefault(key, []).append(part.shares)
     return [
         Point(
             planner,
@@ -55,7 +89,7 @@ def sweep(graphs: int = 100, missions: int = 60, classes: int = 8) -> list[Point
             abort=np.array(shares)[:, Outcome.ABRT],
             loss=np.array(shares)[:, [Outcome.DEL, Outcome.FAIL]].sum(axis=1),
         )
-        for (planner, risk_weight, budget), shares in points.items()
+        for (planner, risk_weight, budget), shares in grouped.items()
     ]
 
 
@@ -99,5 +133,5 @@ def draw(points: list[Point], path: Path) -> None:
         axis.set_xlabel("battery, Wh")
     axes[0].legend()
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
     plt.close(figure)

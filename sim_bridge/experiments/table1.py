@@ -275,5 +275,5 @@ def draw(cells: dict[Cell, Shares], title: str, path: Path) -> None:
     axes[0].set_ylabel("share of missions, %")
     figure.suptitle(f"{title}: success (green, paper's x), loss (red), safe abort (grey)")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
     plt.close(figure)

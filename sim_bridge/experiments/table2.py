@@ -54,8 +54,7 @@ PAPER = {
 BUILT = ("BER (full)", "without budget gate", "without wind", "without risk")
 
 
-@dataclass(frozen=True)
-class Measured:
+class Measured(msgspec.Struct, frozen=True):
     """One trial of one variant: the paper's seven columns."""
 
     success: float
@@ -142,8 +141,22 @@ def planner_of(variant: str, bench: Workbench) -> Planner:
     return bench.ber_on(chain, bench.sight)
 
 
-def fly_trial(trial: int, variant: str) -> Measured:
+@dataclass(frozen=True)
+class Trial:
+    """One trial of one variant."""
+
+    number: int
+    variant: str
+
+
+def trials_of(trials: int) -> list[Trial]:
+    """Every variant that is built, on the same graphs, customers and winds."""
+    return [Trial(number, variant) for number in range(trials) for variant in BUILT]
+
+
+def fly_trial(asked: Trial) -> Measured:
     """All customers of one trial."""
+    trial, variant = asked.number, asked.variant
     random = np.random.default_rng([TABLE2_SEED, trial])
     base = random_scenario(f"trial-{trial}", SETTING, random)
     others = [v for v in range(SETTING.vertices) if v != base.depot]
@@ -186,9 +199,12 @@ def fly_trial(trial: int, variant: str) -> Measured:
     )
 
 
-def table(trials: int = TRIALS) -> dict[str, list[Measured]]:
-    """Every variant that is built, trial by trial, on the same winds."""
-    return {variant: [fly_trial(t, variant) for t in range(trials)] for variant in BUILT}
+def by_variant(trials: list[Trial], measured: list[Measured]) -> dict[str, list[Measured]]:
+    """The trials of each variant."""
+    found: dict[str, list[Measured]] = {variant: [] for variant in BUILT}
+    for trial, one in zip(trials, measured, strict=True):
+        found[trial.variant].append(one)
+    return found
 
 
 def sheet(found: dict[str, list[Measured]]) -> Sheet:
@@ -229,5 +245,5 @@ def draw(found: dict[str, list[Measured]], path: Path) -> None:
     axis.set_xticks(range(len(found)), list(found), rotation=15, fontsize=8)
     axis.set_ylabel("success, loss, abort, %")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -184,6 +184,18 @@ def test_ber_says_so_when_it_stays():
     assert "stays at the depot" in said[0]
 
 
+def test_ber_says_so_when_no_flight_keeps_the_bound_in_a_recording():
+    from msgspec.structs import replace
+
+    gale = LogWind(t_s=[0.0, 900.0], wind_en_mps=[(14.0, 3.0), (14.0, 3.0)], start_s=(0.0, 100.0))
+    scenario = replace(scenario_set(1, SMALL, 25)[0], wind=gale)
+    params = CampaignParams(missions=20, max_loss=0.0, log_levels=30)
+    said = []
+    rows = run([scenario], ["ber"], params, InProcess([scenario], params), say=said.append)
+    assert rows[0].ABRT == 20
+    assert said == [f"{scenario.name}: ber stays at the depot: no flight keeps P(loss) within 0"]
+
+
 def test_recorded_winds_are_flown_by_every_planner():
     from msgspec.structs import replace
 

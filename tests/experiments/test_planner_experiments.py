@@ -11,7 +11,14 @@ import pytest
 
 from companion.adapters.files import read_airframe
 from companion.core.errors import LeewayError
-from sim_bridge.experiments import energy_speed, frontier_check, planner_bench, table1, table2
+from sim_bridge.experiments import (
+    energy_speed,
+    frontier_check,
+    lambda_sweep,
+    planner_bench,
+    table1,
+    table2,
+)
 from sim_bridge.experiments.journal import Journal, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet, interval95, mean_std
 from sim_bridge.experiments.scenario_generator import GeneratorParams, scenario_set
@@ -102,6 +109,16 @@ def test_table_2_says_not_built_where_nothing_is_built():
     assert set(rows["without LLM"][1:8]) == {"not built"}
     assert rows["without risk"][1] == "90.0 ± 0.0"
     assert all(len(row) == 9 for row in sheet.rows)
+
+
+def test_the_sweep_over_lambda_has_every_cell_and_shares_that_sum_up():
+    scenario = scenario_set(1, GeneratorParams(vertices=10), 3)[0]
+    parts = lambda_sweep.fly(lambda_sweep.SweepJob(scenario, missions=5))
+    points = lambda_sweep.points_of([parts, parts])
+    cells = len(lambda_sweep.PLANNERS) * len(lambda_sweep.LAMBDAS) * len(lambda_sweep.BUDGETS_WH)
+    assert len(lambda_sweep.sheet(points).rows) == cells
+    for point in points:
+        assert point.success + point.abort + point.loss == pytest.approx([100.0, 100.0])
 
 
 def test_a_wind_log_points_to_where_the_air_moves(tmp_path):

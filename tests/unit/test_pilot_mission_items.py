@@ -20,6 +20,7 @@ from companion.core.mission_items import (
     build_dead_mans_mission,
     differences,
 )
+from companion.core.obedience import JumpWatch, Purpose, Verdict
 
 
 def mission(legs: int = 3, rallies: int = 2, entries: list[int] | None = None) -> DeadMansMission:
@@ -113,6 +114,20 @@ def test_the_mission_follows_itself_but_not_a_hand_that_moves_it():
     assert not flight.follows(first, second)
     assert not flight.follows(flight.settle, first)
     assert not flight.follows(flight.returning[0], flight.deliver)
+
+
+def test_an_item_of_the_way_home_shows_no_jump_outward_though_it_follows_one():
+    # Flown on ArduCopter: sent onward again from the way home, the item that it still told was
+    # taken for the jump's own outcome, and the flight for one that had gone home by itself.
+    flight = mission()
+    out, home = flight.outbound[1], flight.entry_of_outbound[1]
+    assert flight.follows(out, home)
+    onward = JumpWatch(out, Purpose.ONWARD, 0.0)
+    assert onward.look(flight, home, 0.1) is Verdict.WAITING
+    assert onward.look(flight, out, 0.2) is Verdict.CONFIRMED
+    assert onward.look(flight, out + 1, 0.2) is Verdict.CONFIRMED
+    back = JumpWatch(home, Purpose.HOME, 0.0)
+    assert back.look(flight, home + 1, 0.1) is Verdict.CONFIRMED
 
 
 def test_the_spot_of_an_item_without_a_place_is_where_the_mission_flies_next():

@@ -51,7 +51,17 @@ BROKEN = [
     ({"airspeed_mps": 0.0}, "airspeed_mps"),
     ({"power_w": {"loaded": 1.0}}, "power_w"),
     ({"power_w": {"loaded": 1.0, "empty": 0.0}}, "power_w.empty"),
+    ({"power_w": {"loaded": NAN, "empty": 1.0}}, "power_w.loaded"),
+    ({"power_w": {"loaded": 1.0, "empty": 1.0, "hover": 1.0}}, "hover"),
+    ({"airspeed_mps": NAN}, "airspeed_mps"),
     ({"wind": {"kind": "gale"}}, "wind.kind"),
+    ({"wind": {**CHAIN, "gusts": 3}}, "gusts"),
+    ({"wind": {**CHAIN, "rate_per_s": [[NAN]]}}, "wind.rate_per_s[0][0]"),
+    ({"wind": {**CHAIN, "rate_per_s": []}}, "wind.rate_per_s"),
+    ({"wind": {**CHAIN, "initial": [NAN]}}, "wind.initial[0]"),
+    ({"wind": {**LOG, "t_s": [0, NAN]}}, "wind.t_s[1]"),
+    ({"wind": {**LOG, "wind_en_mps": [[1, 2], [NAN, 3]]}}, "wind.wind_en_mps[1][0]"),
+    ({"wind": {**LOG, "t_s": [], "wind_en_mps": []}}, "wind.t_s"),
     ({"wind": {**CHAIN, "rate_per_s": [[0.1]]}}, "wind.rate_per_s[0]"),
     ({"wind": {**CHAIN, "rate_per_s": [[0, 0]]}}, "wind.rate_per_s[0]"),
     ({"wind": {**CHAIN, "initial": [0.9]}}, "wind.initial"),
@@ -63,6 +73,12 @@ BROKEN = [
     ({"wind": {**LOG, "start_s": [0, 5]}}, "wind.start_s"),
     ({"wind": {**LOG, "start_s": [1, 0]}}, "wind.start_s"),
 ]
+
+
+@pytest.mark.parametrize("key", GOOD)
+def test_a_scenario_without_one_of_its_keys_is_refused_by_its_name(key):
+    with pytest.raises(LeewayError, match=key):
+        parse_scenario(json.dumps({k: v for k, v in GOOD.items() if k != key}))
 
 
 @pytest.mark.parametrize(("change", "place"), BROKEN)
