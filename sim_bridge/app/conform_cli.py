@@ -1,9 +1,10 @@
 """`sim-bridge conform`: what a vehicle does, and whether it does as a real autopilot does."""
 
 import sys
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import typer
 from rich.console import Console
@@ -28,7 +29,7 @@ from sim_bridge.conform.reference import (
     write_result,
 )
 from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.suite import Row, Vehicle, identify, run_suite, select
+from sim_bridge.conform.suite import Observer, Row, Vehicle, identify, run_suite, select
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
@@ -202,7 +203,7 @@ def _run(
     client = Client(open_link(url))
     try:
         with _View(console, len(behaviours), reference) as view:
-            result = _ask(client, behaviours, view, may_force=may_force)
+            result = ask(client, behaviours, view, may_force=may_force)
     finally:
         client.close()
     if json_out is not None:
@@ -220,7 +221,13 @@ def _name(vehicle: Vehicle) -> str:
     return f"{vehicle.autopilot} {vehicle.firmware} {vehicle.hash}".strip()
 
 
-def _ask(client: Client, behaviours: list[Behaviour], view: _View, *, may_force: bool) -> Result:
+class View(Observer, Protocol):
+    """Whoever watches, and is told what is under way besides."""
+
+    def says(self, words: str) -> None: ...
+
+
+def ask(client: Client, behaviours: Sequence[Behaviour], view: View, *, may_force: bool) -> Result:
     """Run the behaviours and leave the vehicle as it was found, whatever happens."""
     view.says("waiting for a HEARTBEAT")
     try:

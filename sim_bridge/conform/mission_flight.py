@@ -17,6 +17,7 @@ from sim_bridge.conform.subject import HEIGHT_M, Subject
 
 _AWAY_M = 300.0
 _SLOW_MPS = 1.0
+_TRIGGER = mavlink.MAV_CMD_DO_TRIGGER_CONTROL
 _ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
@@ -220,8 +221,7 @@ class _Flight:
     disarm_after_s: float
     mode_at_end: str
     reached_repeats: int
-    asked_of_companions: str
-    was_complete: bool
+    asks_companions: Seen
 
 
 def _whole_flight(s: Subject) -> _Flight:
@@ -263,9 +263,24 @@ def _fly_whole(s: Subject) -> _Flight:
         max(off_s - down_s, 0.0),
         s.mode,
         sum(m.seq == first for m in reached),
-        ", ".join(str(number) for number in sorted(own)) or "none",
-        any(m.seq == land_seq - 1 for m in reached),
+        Seen(_TRIGGER in own, _numbers(own)),
     )
+
+
+def _numbers(commands: set[int]) -> str:
+    return ", ".join(str(number) for number in sorted(commands)) or "none"
+
+
+def _asked_in_air(s: Subject) -> str:
+    """What a companion is told to do when the mission mode is left in the air."""
+    fly_straight(s)
+    s.client.beat(s.client.companion)
+    s.client.collect(1.0)
+    s.client.forget()
+    s.enter(s.dialect.hold)
+    s.client.collect(3.0)
+    commands = {m.command for m in s.client.heard if m.get_type() == "COMMAND_LONG"}
+    return _numbers(commands)
 
 
 def _start(s: Subject) -> str:
@@ -443,9 +458,15 @@ BEHAVIOURS = (
         within=3.0,
     ),
     Behaviour(
-        "foreign/asked_of_companions",
-        "Commands sent to a companion during a mission",
-        _field("asked_of_companions"),
+        "foreign/asked_in_air",
+        "Commands sent to a companion when a mission is left in the air",
+        _asked_in_air,
+        Where.AIR,
+    ),
+    Behaviour(
+        "foreign/asks_companions",
+        "A companion is told to rest its camera by the end of a mission",
+        _field("asks_companions"),
         Where.FLIGHT,
     ),
     Behaviour(

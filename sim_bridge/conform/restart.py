@@ -1,6 +1,7 @@
 """Reboots: what is kept, how long arming takes, and wind once drag fusion is configured."""
 
 import math
+import statistics
 from typing import cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -11,6 +12,7 @@ from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.mission import waypoint
 from sim_bridge.conform.subject import Subject
 
+_LEAN_RAD = math.radians(0.4)
 _PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 _DRAG = {
     "ardupilot": {"EK3_DRAG_BCOEF_X": 60.0, "EK3_DRAG_BCOEF_Y": 60.0, "EK3_DRAG_MCOEF": 0.2},
@@ -82,6 +84,7 @@ def _drag_fusion(s: Subject) -> Seen:
         s.stream(name, 2.0)
         s.client.collect(30.0)
         message = s.client.hear(name, 3.0)
+        lean = _lean(s)
     finally:
         s.land()
         s.restore()
@@ -89,10 +92,23 @@ def _drag_fusion(s: Subject) -> Seen:
     if message is None:
         return Seen("never sent")
     if s.is_px4:
-        told = math.hypot(message.wind_x, message.wind_y)
-        return Seen("estimated", f"{told:.1f} m/s; var_vert {message.var_vert:g}")
-    word = "no estimate" if message.speed == 0.0 else "estimated"
-    return Seen(word, f"{message.speed:.1f} m/s from {message.direction:.0f} deg")
+        north, east = message.wind_x, message.wind_y
+    else:
+        from_rad = math.radians(message.direction)
+        north, east = message.speed * math.cos(from_rad), message.speed * math.sin(from_rad)
+    note = f"{math.hypot(north, east):.1f} m/s, {math.degrees(math.atan2(east, north)):.0f} deg"
+    if math.hypot(north, east) < 0.5 or math.hypot(*lean) < _LEAN_RAD:
+        return Seen("told, too little to have a direction", note)
+    into = north * lean[0] + east * lean[1]
+    return Seen("told: where it blows from" if into > 0.0 else "told: where it blows to", note)
+
+
+def _lean(s: Subject) -> tuple[float, float]:
+    """Mean lean in the hover, north and east: a multirotor leans into the wind."""
+    heard = s.client.collect(6.0, "ATTITUDE")
+    norths = [-m.pitch * math.cos(m.yaw) - m.roll * math.sin(m.yaw) for m in heard]
+    easts = [-m.pitch * math.sin(m.yaw) + m.roll * math.cos(m.yaw) for m in heard]
+    return statistics.fmean(norths), statistics.fmean(easts)
 
 
 BEHAVIOURS = (

@@ -150,7 +150,8 @@ class Subject:
     def home_amsl_m(self) -> float:
         """Altitude of the ground at home, as the vehicle has it now: estimates drift."""
         self._home()
-        here = position_in(self.client.latest["GLOBAL_POSITION_INT"])
+        latest = self.client.latest.get("GLOBAL_POSITION_INT")
+        here = self.position(_READY_S) if latest is None else position_in(latest)
         return here.amsl_m - here.rel_m
 
     # --- seeing -------------------------------------------------------------------------------
@@ -334,12 +335,22 @@ class Subject:
             self.arm()
         else:
             self.enter("GUIDED")
-            self.arm()
-            answer = client.command(takeoff, 0, 0, 0, 0, 0, 0, asked_m)
+            answer = self._take_off_armed(asked_m)
         if not client.until(lambda: self._rel_m() > height_m - 1.5, 40.0):
             raise CannotSee(f"it did not climb: {answer}; {'; '.join(client.texts()[-3:])}")
         client.collect(3.0)
         self.climbed = (asked_m, self.position())
+
+    def _take_off_armed(self, asked_m: float) -> str:
+        """Soon after a boot arming works some seconds before taking off does."""
+        end_s = self.client.t_s + 15.0
+        while True:
+            self.arm()
+            command = mavlink.MAV_CMD_NAV_TAKEOFF
+            answer = self.client.command(command, 0, 0, 0, 0, 0, 0, asked_m)
+            if answer == "ACCEPTED" or self.client.t_s > end_s:
+                return answer
+            self.client.collect(1.0)
 
     def _rel_m(self) -> float:
         message = self.client.latest.get("GLOBAL_POSITION_INT")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from sim_bridge.app import conform_cli
 from sim_bridge.app.cli import app
 from sim_bridge.app.serve import Home, Host, Served
 from sim_bridge.autopilot.autopilot import Autopilot
@@ -22,8 +23,7 @@ from sim_bridge.conform import reference
 from sim_bridge.conform.behaviour import Behaviour
 from sim_bridge.conform.client import Client
 from sim_bridge.conform.reference import Verdict
-from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.suite import CATALOGUE, Row, identify, run_suite, select
+from sim_bridge.conform.suite import CATALOGUE, Row, select
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
@@ -38,6 +38,8 @@ RECEIVER = {  # SIH has none; ArduPilot's SITL has one, its throttle down, its s
     Flavour.PX4: None,
     Flavour.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
 }
+TIME_OUT = {Flavour.PX4: "COM_OF_LOSS_T", Flavour.ARDUPILOT: "GUID_TIMEOUT"}
+TIME_OUTS_S = {Flavour.PX4: 1.0, Flavour.ARDUPILOT: 3.0}  # their defaults
 SENSING = {Flavour.PX4: BatterySensing.SIH_TIMER, Flavour.ARDUPILOT: BatterySensing.POWER_MODULE}
 WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
 
@@ -65,6 +67,9 @@ class InProcess:
 
 class Watcher:
     """Prints what pytest shows for a run that failed."""
+
+    def says(self, words: str) -> None:
+        pass
 
     def begins(self, behaviour: Behaviour) -> None:
         pass
@@ -96,14 +101,7 @@ def stood(flavour: Flavour) -> Served:
 
 def ask(served: Served, behaviours: Sequence[Behaviour]) -> reference.Result:
     """What a vehicle answers; it is left as it was found."""
-    client = Client(InProcess(served))
-    subject = Subject(client, may_force=True)
-    vehicle = identify(subject)
-    try:
-        rows = run_suite(subject, behaviours, Watcher())
-    finally:
-        subject.clean_up()
-    return reference.as_result(vehicle, rows)
+    return conform_cli.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 
 
 def recorded(flavour: Flavour) -> reference.Result:
@@ -146,6 +144,34 @@ def test_a_known_difference_is_one(flavour: Flavour) -> None:
         pytest.skip("no difference is known")
     verdicts = judged(flavour, ask(stood(flavour), select(reasons, reboots=True)))
     assert {name: verdicts[name] for name in reasons} == dict.fromkeys(reasons, Verdict.EXPLAINED)
+
+
+class Impatient(Watcher):
+    """Presses Ctrl-C when a behaviour begins, with the vehicle in the air."""
+
+    def __init__(self, at: str) -> None:
+        self._at = at
+
+    def begins(self, behaviour: Behaviour) -> None:
+        if behaviour.name == self._at:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.sitl
+@BOTH
+def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: Flavour) -> None:
+    served = stood(flavour)
+    chosen = select(("guided/velocity_stops", "speed/ground", "speed/air"), reboots=False)
+    client = Client(InProcess(served))
+    with pytest.raises(KeyboardInterrupt):
+        conform_cli.ask(client, chosen, Impatient("speed/air"), may_force=True)
+    autopilot = served.autopilot
+    assert not autopilot.is_armed
+    assert not served.truth.airborne
+    assert not autopilot.store.mission[1:]
+    assert autopilot.params[TIME_OUT[flavour]] == TIME_OUTS_S[flavour]
+    link = autopilot.radio.links[0]
+    assert (link.interval_of("RC_CHANNELS"), link.interval_of("HEARTBEAT")) == (None, 1.0)
 
 
 @pytest.mark.sitl
