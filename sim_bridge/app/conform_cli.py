@@ -186,7 +186,7 @@ def _list(behaviours: list[Behaviour]) -> None:
 def _compare(a: Path, b: Path, flavour: As | None) -> None:
     left, right = read_result(a), read_result(b)
     reasons = read_differences(reference_folder(), (flavour or left.vehicle.autopilot))
-    names = (f"{a.stem} ({left.vehicle.firmware})", f"{b.stem} ({right.vehicle.firmware})")
+    names = (f"{a.stem} ({_name(left.vehicle)})", f"{b.stem} ({_name(right.vehicle)})")
     print(matrix(left, right, reasons, names), end="")
     print(tally(judge_all(right, left, reasons).values()), file=sys.stderr)
 

@@ -79,7 +79,7 @@ class Px4:
 
     autopilot_id = 12
     firmware_version = 0x01120000
-    firmware_hash = b"83c4f4e5"
+    firmware_hash = bytes(3) + bytes.fromhex("83c4f4e580")[::-1]  # backwards, as PX4 sends it
     capabilities = 1 | 4 | 8 | 16 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
     commands = COMMANDS
     streams = telemetry.STREAMS

@@ -40,6 +40,7 @@ CATALOGUE: tuple[Behaviour, ...] = (
 BY_NAME = {behaviour.name: behaviour for behaviour in CATALOGUE}
 _ORDER = tuple(Where)
 _LIMIT_S = 300.0
+_COMMIT_DIGITS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,7 @@ def identify(subject: Subject) -> Vehicle:
     custom = bytes(version.flight_custom_version)
     # PX4 sends the commit's bytes backwards, ArduPilot its first characters
     commit = bytes(reversed(custom)).hex() if subject.is_px4 else custom.decode("ascii", "replace")
-    return Vehicle(subject.dialect.name, firmware, commit.rstrip("\0"))
+    return Vehicle(subject.dialect.name, firmware, commit.rstrip("\0")[:_COMMIT_DIGITS])
 
 
 def run_suite(subject: Subject, behaviours: Sequence[Behaviour], observer: Observer) -> list[Row]:
