@@ -88,13 +88,25 @@ def _landed(pilot: Pilot) -> None:
         air.landed_s = now.t_s
         air.energy_landed = pilot.judge.energy  # before our own settings move the percentage
         pilot.decide("landed", "on the ground")
-        ours = pilot.phase in FLIGHT_PHASES
-        if ours and ground.settings_before and now.state is not None and not now.state.armed:
-            pilot.do(Configure(dict(ground.settings_before)))
-            ground.giving_up = "landed"
+        if ground.settings_before:
+            _put_settings_back(pilot)
     restored = ground.giving_up != "landed" or not ground.settings_before
     if restored or now.t_s - air.landed_s > RESTORE_LIMIT_S:
         pilot.fire(Trigger.LANDED, "landed")
+
+
+def _put_settings_back(pilot: Pilot) -> None:
+    """Give the autopilot its own settings, or say which ones it does not get, and why."""
+    ground, state = pilot.ground, pilot.now.state
+    armed = state is None or state.armed
+    if pilot.phase in FLIGHT_PHASES and not armed:
+        pilot.do(Configure(dict(ground.settings_before)))
+        ground.giving_up = "landed"
+        return
+    why = "still armed" if armed else "another hand has the vehicle"
+    pilot.say(Severity.WARNING, f"settings not put back: {why}")
+    before = ", ".join(f"{name} {value:g}" for name, value in ground.settings_before.items())
+    pilot.do(Note(f"settings before the flight, to be put back by hand: {before}"))
 
 
 def conclude(pilot: Pilot, why: str) -> None:

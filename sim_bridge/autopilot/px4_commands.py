@@ -155,7 +155,7 @@ def _reboot(ap: "Autopilot", command: Command) -> Result:
     if command.param1 not in (1.0, 3.0):
         return Result.DENIED if command.param1 != 0.0 else Result.ACCEPTED
     if ap.is_armed:
-        return Result.TEMPORARILY_REJECTED
+        return Result.DENIED
     ap.radio.acknowledge(command, Result.ACCEPTED)
     ap.reboot()
     return Result.ACCEPTED

@@ -28,6 +28,7 @@ from companion.core.actions import (
     Disarm,
     Finished,
     JumpTo,
+    Note,
     Order,
     Publish,
     ReadMissionBack,
@@ -161,6 +162,7 @@ class World:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mode: Mode = Mode.HOLD
     armed: bool = False
+    disarms: bool = True
     items: tuple[MissionItem, ...] = ()
     index: int = 0
     waited: float = 0.0
@@ -210,7 +212,7 @@ class World:
             case Arm():
                 self.armed = True
             case Disarm():
-                self.armed = False
+                self.armed = self.armed and not self.disarms
             case JumpTo() if self.obeys_jumps:
                 self.index, self.waited = order.index, 0.0
             case SetGroundSpeed():
@@ -257,7 +259,7 @@ class World:
             self.velocity = (*self.velocity[:2], -climb / dt_s)
         if away < 2.0 and abs(self.height - item.spot.height_rel_m) < 0.3:
             if item.kind is ItemKind.LAND:
-                self.armed = False
+                self.armed = not self.disarms
                 return
             self.waited += dt_s
             hold = item.value if item.kind in (ItemKind.LOITER_TIME, ItemKind.WAYPOINT) else 0.0
@@ -395,6 +397,28 @@ def test_settings_are_configured_before_the_flight_and_put_back_after_landing():
     assert w.values["LOW_ACT"] == 2.0
     w.to_the_end()
     assert w.values["LOW_ACT"] == 0.0
+
+
+def test_settings_that_stay_because_another_hand_has_the_vehicle_are_named():
+    w = world()
+    w.until(Phase.OUTBOUND)
+    w.mode = Mode.RTL
+    w.tell(ev.VehicleState(w.t_s, Mode.RTL, "RTL", w.armed))
+    w.mode = Mode.MISSION  # it flies home by itself, under somebody else's authority
+    w.to_the_end()
+    assert w.values["LOW_ACT"] == 2.0
+    assert "settings not put back: another hand has the vehicle" in w.said
+    notes = [a.text for _, a in w.log if isinstance(a, Note)]
+    assert any("put back by hand: LOW_ACT 0" in text for text in notes)
+
+
+def test_settings_stay_while_the_autopilot_never_notices_its_landing():
+    w = world()
+    w.disarms = False  # measured on ArduCopter in 8 m/s of uniform wind
+    w.to_the_end()
+    assert w.armed
+    assert w.values["LOW_ACT"] == 2.0
+    assert "settings not put back: still armed" in w.said
 
 
 # --- safety rule 1: authority --------------------------------------------------------------------
