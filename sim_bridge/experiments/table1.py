@@ -77,7 +77,7 @@ class Table1Params:
 
 
 GUSTY_PARAMS = Table1Params(
-    generator=GeneratorParams(rose=GUSTY, sides_m=((240.0, 0.4), (340.0, 0.6))),
+    generator=GeneratorParams(rose=GUSTY, sides_m=((290.0, 0.4), (400.0, 0.6))),
     max_losses=("paper", 0.01),
 )
 

@@ -20,6 +20,7 @@ from companion.core.energy_graph import EnergyGraph
 from companion.core.mission_model import ChainWinds, Outcome, fly_missions
 from companion.core.planners.interface import Decider, Look, Planner
 from companion.core.scenario import Scenario
+from companion.core.tuning import TuningParams
 from companion.core.wind_chain import Sight, WindChain
 from sim_bridge.experiments.campaign import CampaignParams, Workbench
 from sim_bridge.experiments.report import Sheet, mean_std
@@ -167,7 +168,8 @@ def fly_trial(asked: Trial) -> Measured:
         seed=TABLE2_SEED,
         wind_classes=8,
         max_loss=max_loss,
-        levels=200,
+        levels=140,
+        tuning=TuningParams(fewest_missions=5_000, most_missions=5_000),
     )
     outcomes, energy, margin, time, turn = [], [], [], [], []
     for customer in customers:

@@ -14,7 +14,7 @@ from sim_bridge.experiments.urban_scene import Town, TownParams, generate_town
 
 PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber")
 TOWN_SEED = 3
-TUNING_MISSIONS = 10_000
+TUNING_MISSIONS = 5_000
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ def fly_town(job: TownJob) -> dict[str, list[float]]:
         missions=job.missions,
         seed=TOWN_SEED,
         wind_classes=8,
-        levels=200,
+        levels=140,
         max_loss=job.max_loss,
-        tuning=TuningParams(most_missions=TUNING_MISSIONS),
+        tuning=TuningParams(fewest_missions=TUNING_MISSIONS, most_missions=TUNING_MISSIONS),
     )
     bench = Workbench(town.scenario, params, town.graph)
     winds = bench.winds(0)
