@@ -110,8 +110,9 @@ class Craft:
         What it says to the operator is delivered here. A silent link still carries TIMESYNC: it
         is what time stands still for, not what the vehicle says.
         """
-        out = [*self._said_to_companion(), *self._refusals] if self.link_up else []
+        said = [*self._said_to_companion(), *self._refusals]
         self._refusals = []
+        out = said if self.link_up else []
         if self.bad_link is not None and self.link_up:
             out = self.bad_link.spoil(out, self.autopilot.time_boot_ms)
         else:
