@@ -13,7 +13,7 @@ from sim_bridge.app.scenario import Fault
 
 JUMPS = frozenset({("MISSION_SET_CURRENT", 0), ("COMMAND_LONG", 224)})
 ARMING = frozenset({("COMMAND_LONG", 400)})
-ATTITUDE_WRONG_RAD = math.radians(6.0)
+ATTITUDE_WRONG_RAD = math.radians(12.0)
 
 
 @dataclass(slots=True)
