@@ -270,9 +270,11 @@ class Gate:
         total = np.zeros(used.size)
         for point in range(1, table.stages):
             then = table.predicted(point)
-            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * then.on_wh)
-            left = budget.left_wh - used * (1.0 + drawn)
-            promised = then.on_wh + np.hypot(then.on_at_quantile_wh - then.on_wh, spread)
+            need = budget.scale * then.on_wh
+            worse = budget.scale * then.on_at_quantile_wh - need
+            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
+            left = budget.left_wh - used * drawn
+            promised = need + np.hypot(worse, spread)
             # Short of the promise it turns, unless turning (loaded, perhaps) is the dearer way.
             goes_on = (left >= promised) | (then.turning_wh > then.on_wh)
             turning = flying & ~goes_on
