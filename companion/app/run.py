@@ -14,6 +14,7 @@ from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
+from companion.app.table_worker import TableWorker
 from companion.core.actions import Action, Say, Severity
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
@@ -83,6 +84,7 @@ def run(
         silence_limit_s=options.silence_limit_s,
     )
     loop.on_action = on_action
+    loop.tables = TableWorker()
     recorder.note(pilot.now.t_s, f"mission {flight.name}, airframe {airframe.name}")
     if trouble:
         recorder.note(pilot.now.t_s, trouble)
@@ -135,6 +137,8 @@ def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
         phase=pilot.phase.value,
         findings=pilot.ground.findings,
     )
+    if loop.tables is not None:
+        loop.tables.stop()
     loop.link.close()
     recorder.close()
     return code

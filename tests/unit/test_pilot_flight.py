@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -49,7 +50,9 @@ from companion.core.kept import Kept
 from companion.core.mission_items import ItemKind, MissionItem, differences
 from companion.core.pilot import Pilot
 from companion.core.preflight import Finding, Requirement
+from companion.core.remaining import OnTheWay
 from companion.core.transitions import COMMANDING_PHASES, Phase
+from companion.core.value_gate import Reading
 from companion.core.wind_estimator import WindBelief
 
 DEPOT = (55.47, 8.45, 12.0)
@@ -92,6 +95,9 @@ class ScriptedJudge:
     t_s: float = 0.0
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
+    table: Any = None
+    p_home_by_table: float = 0.999
+    tables_asked: list[OnTheWay] = field(default_factory=list)
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -122,6 +128,14 @@ class ScriptedJudge:
             self.t_s, p_home, 0.999, 0.9, 20.0, closed, self.best_landing, None, 80.0, 60.0,
             CLOSED if closed else "open",
         )  # fmt: skip
+
+    def reading(self, at: OnTheWay) -> Reading | None:
+        home = self.p_home_by_table
+        return None if self.table is None else Reading(home, home, 1.0, False)
+
+    def table_request(self, plan: Any, at: OnTheWay, *, on_ground: bool = False) -> Any:
+        self.tables_asked.append(at)
+        return SimpleNamespace(plan=plan, on_ground=on_ground) if self.known else None
 
     def ground_speed_mps(self, here: Any, to: Any) -> float:
         return 10.0 + self.wind_ne[0]

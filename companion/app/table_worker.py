@@ -1,0 +1,116 @@
+"""Value tables made in a process of their own, and handed over at a time that is known before.
+
+A process for each table: its memory goes with it, and numpy's sweep, which keeps Python's lock most
+of the time, does not hold up the loop. It is this module, run: request in, table out, as pickles.
+"""
+
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from companion.adapters.clock import wall_s
+from companion.core.actions import MakeTable
+from companion.core.events import TableMade
+from companion.core.value_gate import TableRequest, ValueTable, make_table
+
+COMMAND = (sys.executable, "-m", "companion.app.table_worker")
+
+NICE = 5
+"""The worker yields to the loop, to MAVLink and to whatever else flies."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    process: "subprocess.Popen[bytes]"
+    asked_s: float
+    due_s: float
+    given_up_wall_s: float
+
+
+class TableWorker:
+    """Works on one request at a time; a new one puts an end to the old."""
+
+    def __init__(self, command: tuple[str, ...] = COMMAND) -> None:
+        self._command = command
+        self._work: _Work | None = None
+
+    def order(self, action: MakeTable, t_s: float) -> None:
+        """Start on a table."""
+        self.stop()
+        process = subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        self._work = _Work(process, t_s, t_s + action.allowed_s, wall_s() + action.allowed_s)
+        assert process.stdin is not None
+        try:
+            process.stdin.write(pickle.dumps(action.request))
+            process.stdin.close()
+        except OSError:
+            return  # it has died: `due` says so at its time
+
+    def due(self, t_s: float) -> TableMade | None:
+        """The answer, once its time has come by the autopilot's clock.
+
+        In simulation faster than real time the worker is waited for then, as long by the wall
+        clock; beside a real vehicle that time has passed as well, and nothing waits.
+        """
+        work = self._work
+        if work is None or work.asked_s <= t_s < work.due_s:
+            return None
+        if t_s < work.asked_s:
+            made: ValueTable | str = "the autopilot's clock went back"
+        else:
+            made = _answer(work.process, max(0.0, work.given_up_wall_s - wall_s()))
+        self.stop()
+        return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
+
+    def stop(self) -> None:
+        """End the worker, whatever it is doing."""
+        work, self._work = self._work, None
+        if work is not None:
+            work.process.kill()
+            work.process.wait()
+            for pipe in (work.process.stdin, work.process.stdout):
+                if pipe is not None:
+                    pipe.close()
+
+
+def _answer(process: "subprocess.Popen[bytes]", patience_s: float) -> ValueTable | str:
+    """What the worker made, waited for so long, or why there is none."""
+    assert process.stdout is not None
+    pipe, until_s, parts = process.stdout.fileno(), wall_s() + patience_s, list[bytes]()
+    while select.select([pipe], [], [], max(0.0, until_s - wall_s()))[0]:
+        part = os.read(pipe, 1 << 20)
+        if not part:
+            break
+        parts.append(part)
+    else:
+        return "the worker took too long"
+    try:
+        made = pickle.loads(b"".join(parts))
+    except (EOFError, pickle.UnpicklingError):
+        return "the worker died"
+    return made if isinstance(made, ValueTable | str) else "the worker talks nonsense"
+
+
+def answer_to(request: TableRequest) -> ValueTable | str:
+    """One table, or the words for why there is none."""
+    try:
+        return make_table(request)
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def main() -> None:
+    """The worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the companion's to handle
+    os.nice(NICE)
+    sys.stdout.buffer.write(pickle.dumps(answer_to(pickle.load(sys.stdin.buffer)), protocol=5))
+
+
+if __name__ == "__main__":
+    main()
