@@ -28,13 +28,18 @@ class _Work:
     process: "subprocess.Popen[bytes]"
     asked_s: float
     due_s: float
-    given_up_wall_s: float
+
+
+LOCKSTEP_WAIT_S = 15.0
+"""Less than what a simulated world waits for its companions."""
 
 
 class TableWorker:
     """Works on one request at a time; a new one puts an end to the old."""
 
-    def __init__(self, command: tuple[str, ...] = COMMAND) -> None:
+    def __init__(self, wait_s: float = 0.0, command: tuple[str, ...] = COMMAND) -> None:
+        """`wait_s`: how long a late answer is waited for (wall clock), with the loop at a stand."""
+        self._wait_s = wait_s
         self._command = command
         self._work: _Work | None = None
 
@@ -44,7 +49,7 @@ class TableWorker:
         process = subprocess.Popen(
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
-        self._work = _Work(process, t_s, t_s + action.allowed_s, wall_s() + action.allowed_s)
+        self._work = _Work(process, t_s, t_s + action.allowed_s)
         assert process.stdin is not None
         try:
             process.stdin.write(pickle.dumps(action.request))
@@ -53,18 +58,14 @@ class TableWorker:
             return  # it has died: `due` says so at its time
 
     def due(self, t_s: float) -> TableMade | None:
-        """The answer, once its time has come by the autopilot's clock.
-
-        In simulation faster than real time the worker is waited for then, as long by the wall
-        clock; beside a real vehicle that time has passed as well, and nothing waits.
-        """
+        """The answer, once its time has come by the autopilot's clock."""
         work = self._work
         if work is None or work.asked_s <= t_s < work.due_s:
             return None
         if t_s < work.asked_s:
             made: ValueTable | str = "the autopilot's clock went back"
         else:
-            made = _answer(work.process, max(0.0, work.given_up_wall_s - wall_s()))
+            made = _answer(work.process, self._wait_s)
         self.stop()
         return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
 
