@@ -20,7 +20,7 @@ from companion.core.value_gate import TableRequest, ValueTable, make_table
 COMMAND = (sys.executable, "-m", "companion.app.table_worker")
 
 NICE = 5
-"""The worker yields to the loop, to MAVLink and to whatever else flies."""
+"""The worker yields to the loop, to MAVLink and to whatever else flies; not where they wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,9 @@ class TableWorker:
     def order(self, action: MakeTable, t_s: float) -> None:
         """Start on a table."""
         self.stop()
+        nice = NICE if self._wait_s == 0.0 else 0
         process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            (*self._command, str(nice)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         self._work = _Work(process, t_s, t_s + action.allowed_s)
         assert process.stdin is not None
@@ -109,7 +110,7 @@ def answer_to(request: TableRequest) -> ValueTable | str:
 def main() -> None:
     """The worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the companion's to handle
-    os.nice(NICE)
+    os.nice(int(sys.argv[1]))
     sys.stdout.buffer.write(pickle.dumps(answer_to(pickle.load(sys.stdin.buffer)), protocol=5))
 
 
