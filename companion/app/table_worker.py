@@ -2,6 +2,7 @@
 
 A process for each table: its memory goes with it, and numpy's sweep, which keeps Python's lock most
 of the time, does not hold up the loop. It is this module, run: request in, table out, as pickles.
+The next one is started beforehand, because its imports take longer than a table.
 """
 
 import os
@@ -40,16 +41,14 @@ class TableWorker:
     def __init__(self, wait_s: float = 0.0, command: tuple[str, ...] = COMMAND) -> None:
         """`wait_s`: how long a late answer is waited for (wall clock), with the loop at a stand."""
         self._wait_s = wait_s
-        self._command = command
+        self._command = (*command, str(NICE if wait_s == 0.0 else 0))
         self._work: _Work | None = None
+        self._next: subprocess.Popen[bytes] | None = self._started()
 
     def order(self, action: MakeTable, t_s: float) -> None:
         """Start on a table."""
-        self.stop()
-        nice = NICE if self._wait_s == 0.0 else 0
-        process = subprocess.Popen(
-            (*self._command, str(nice)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
+        self._drop()
+        process, self._next = self._next or self._started(), None
         self._work = _Work(process, t_s, t_s + action.allowed_s)
         assert process.stdin is not None
         try:
@@ -67,18 +66,34 @@ class TableWorker:
             made: ValueTable | str = "the autopilot's clock went back"
         else:
             made = _answer(work.process, self._wait_s)
-        self.stop()
+        self._drop()
+        self._next = self._started()
         return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
 
     def stop(self) -> None:
-        """End the worker, whatever it is doing."""
+        """End the workers, whatever they are doing."""
+        self._drop()
+        if self._next is not None:
+            _end(self._next)
+            self._next = None
+
+    def _drop(self) -> None:
         work, self._work = self._work, None
         if work is not None:
-            work.process.kill()
-            work.process.wait()
-            for pipe in (work.process.stdin, work.process.stdout):
-                if pipe is not None:
-                    pipe.close()
+            _end(work.process)
+
+    def _started(self) -> "subprocess.Popen[bytes]":
+        return subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
 
 
 def _answer(process: "subprocess.Popen[bytes]", patience_s: float) -> ValueTable | str:
