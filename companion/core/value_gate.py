@@ -140,8 +140,9 @@ class ValueTable:
         )
         tables = (self.on[before], self.at[after], self.turn_home[before], self.turn_home[after])
         behind, ahead, near, far = (
-            share @ np.tensordot(weights[i], table[rows[i][:, None], states], 1)
+            share @ (weights[i] @ found.reshape(len(found), -1)).reshape(found.shape[1:])
             for i, table in enumerate(tables)
+            for found in (table[rows[i][:, None], states],)
         )
         success, home = (left * behind + (1.0 - left) * ahead).tolist()
         turning = float(left * near + (1.0 - left) * far)

@@ -70,10 +70,10 @@ def axis_shares(
     Three points of a Gauss rule per axis (0 and +-sqrt(3) std, 2/3 and 1/6), each shared between
     its two neighbours; their product is `wind_chain.lattice_belief` spread by the belief's error.
     """
-    points = np.asarray(wind_en_mps)[:, None] + np.asarray(std_en_mps)[:, None] * _GAUSS_POINTS
+    points = wind_en_mps[:, None] + std_en_mps[:, None] * _GAUSS_POINTS
     steps = round(process.reach_mps / process.spacing_mps)
-    place = (points - np.asarray(process.mean_en_mps)[:, None]) / process.spacing_mps
-    place = np.clip(place, -steps, steps)
+    place = (points - np.array(process.mean_en_mps)[:, None]) / process.spacing_mps
+    place = np.minimum(np.maximum(place, -steps), steps)
     gap = np.abs(place[:, :, None] - np.arange(-steps, steps + 1))
     shares = _GAUSS_WEIGHTS @ np.maximum(0.0, 1.0 - gap)
     return shares[0], shares[1]
