@@ -214,9 +214,15 @@ class Judgement:
         self._accepted_loss = None
 
     def _value_in_force(self, ahead: Ahead) -> Reading | None:
-        """What the table says, where its policy loses no more than is accepted."""
+        """What the table says, where its policy loses no more than is accepted.
+
+        One that was made before any wind was known accepts the loss over all winds that may come:
+        it does not close the gate in the wind that came.
+        """
         value = None if ahead.at is None else self.reading(ahead.at)
-        return value if value is not None and value.keeps(self.limits.max_loss) else None
+        if value is None or self.table is None or not value.keeps(self.limits.max_loss):
+            return None
+        return None if value.turn_back and not self.table.wind_known else value
 
     def reading(self, at: OnTheWay) -> Reading | None:
         """What the value table says; `None` without one that is made for this load and wind."""
