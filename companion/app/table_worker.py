@@ -11,7 +11,7 @@ import select
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion.adapters.clock import wall_s
 from companion.core.actions import MakeTable
@@ -29,6 +29,7 @@ class _Work:
     process: "subprocess.Popen[bytes]"
     asked_s: float
     due_s: float
+    said: list[bytes] = field(default_factory=list)
 
 
 LOCKSTEP_WAIT_S = 15.0
@@ -58,14 +59,17 @@ class TableWorker:
             return  # it has died: `due` says so at its time
 
     def due(self, t_s: float) -> TableMade | None:
-        """The answer, once its time has come by the autopilot's clock."""
+        """The answer, once its time has come by the autopilot's clock; asked at every tick."""
         work = self._work
-        if work is None or work.asked_s <= t_s < work.due_s:
+        if work is None:
+            return None
+        if work.asked_s <= t_s < work.due_s:
+            _listen(work, 0.0)  # a pipe holds less than a table
             return None
         if t_s < work.asked_s:
             made: ValueTable | str = "the autopilot's clock went back"
         else:
-            made = _answer(work.process, self._wait_s)
+            made = _answer(work, self._wait_s)
         self._drop()
         self._next = self._started()
         return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
@@ -96,19 +100,25 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
             pipe.close()
 
 
-def _answer(process: "subprocess.Popen[bytes]", patience_s: float) -> ValueTable | str:
-    """What the worker made, waited for so long, or why there is none."""
-    assert process.stdout is not None
-    pipe, until_s, parts = process.stdout.fileno(), wall_s() + patience_s, list[bytes]()
+def _listen(work: _Work, patience_s: float) -> bool:
+    """Take what the worker says, waiting so long; tells whether it has ended."""
+    if work.said and not work.said[-1]:
+        return True
+    assert work.process.stdout is not None
+    pipe, until_s = work.process.stdout.fileno(), wall_s() + patience_s
     while select.select([pipe], [], [], max(0.0, until_s - wall_s()))[0]:
-        part = os.read(pipe, 1 << 20)
-        if not part:
-            break
-        parts.append(part)
-    else:
+        work.said.append(os.read(pipe, 1 << 20))
+        if not work.said[-1]:
+            return True
+    return False
+
+
+def _answer(work: _Work, patience_s: float) -> ValueTable | str:
+    """What the worker made, waited for so long, or why there is none."""
+    if not _listen(work, patience_s):
         return "the worker took too long"
     try:
-        made = pickle.loads(b"".join(parts))
+        made = pickle.loads(b"".join(work.said))
     except (EOFError, pickle.UnpicklingError):
         return "the worker died"
     return made if isinstance(made, ValueTable | str) else "the worker talks nonsense"

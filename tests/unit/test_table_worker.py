@@ -1,6 +1,7 @@
 """The worker process: the same table as made at home, at its time; dead or hung, nothing waits."""
 
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -70,6 +71,25 @@ def test_the_workers_table_is_the_one_that_would_be_made_here() -> None:
     assert made.table.read(OnTheWay(0, 0.5), REQUEST.belief) == here.read(
         OnTheWay(0, 0.5), REQUEST.belief
     )
+
+
+def test_beside_a_real_vehicle_a_table_larger_than_a_pipe_arrives_without_a_wait() -> None:
+    worker = TableWorker(0.0)
+    worker.order(MakeTable(REQUEST, 1e6), 100.0)
+    t_s, until_s = 100.0, wall_s() + 120.0
+    while wall_s() < until_s and worker._work is not None and not _ended(worker._work.said):
+        t_s += 0.1
+        assert worker.due(t_s) is None
+        time.sleep(0.02)
+    made = worker.due(100.0 + 1e6)
+    worker.stop()
+    assert made is not None
+    assert made.table is not None, made.trouble
+    assert made.table.size_bytes > 1 << 16  # what a pipe holds
+
+
+def _ended(said: list[bytes]) -> bool:
+    return bool(said) and not said[-1]
 
 
 def test_a_worker_that_hangs_is_given_up_at_its_time() -> None:
