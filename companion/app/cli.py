@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -131,6 +131,14 @@ def run_command(
         Gate, typer.Option(help="off: never turns back; for comparison only.")
     ] = Gate.ON,
     silence_limit: SilenceLimit = 300.0,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep",
+            help="The autopilot is simulated and waits for us: wait for slow work in turn, so that"
+            " the same seed gives the same decisions. Never beside a real vehicle.",
+        ),
+    ] = False,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
@@ -141,7 +149,7 @@ def run_command(
         gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
     )
     where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
-    code, _ = _run(where.options(pilot), _show)
+    code, _ = _run(replace(where.options(pilot), lockstep=lockstep), _show)
     raise typer.Exit(code)
 
 

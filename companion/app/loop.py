@@ -15,11 +15,13 @@ from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.adapters.operator_port import OperatorPort
 from companion.app.recorder import Recorder
+from companion.app.table_worker import TableWorker
 from companion.core.actions import (
     Action,
     Answer,
     DropOrders,
     Finished,
+    MakeTable,
     Order,
     PhaseChanged,
     Publish,
@@ -72,6 +74,8 @@ class Loop:
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
+    tables: TableWorker | None = None
+    """None: no value table is ever made, and the return budget alone decides."""
     _system_known: bool = False
     _ticked_s: float = -1e9
     _synced_s: float = -1e9
@@ -212,6 +216,9 @@ class Loop:
             self._decided_wall_s = wall_s()
             self._publish_next()
             self._give(self.autopilot.tick(t_s))
+            table = self.tables.due(t_s) if self.tables is not None else None
+            if table is not None:
+                self._give([table])
             self._give([Tick(t_s)])
         if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
             self._beat_s = t_s
@@ -262,6 +269,8 @@ class Loop:
                 case Say():
                     text = action.text.encode()[:TEXT_BYTES]
                     self.send(mavlink.MAVLink_statustext_message(action.severity, text))
+                case MakeTable() if self.tables is not None:
+                    self.tables.order(action, t_s)
                 case Publish():
                     self._to_publish.update(action.values)
                 case Answer():

@@ -14,6 +14,7 @@ from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
+from companion.app.table_worker import LOCKSTEP_WAIT_S, TableWorker
 from companion.core.actions import Action, Say, Severity
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
@@ -40,6 +41,7 @@ class RunOptions:
     signing_key: Path | None = None
     system_id: int | None = None
     silence_limit_s: float = 300.0
+    lockstep: bool = False
     pilot: PilotOptions = field(default_factory=PilotOptions)
 
 
@@ -83,6 +85,7 @@ def run(
         silence_limit_s=options.silence_limit_s,
     )
     loop.on_action = on_action
+    loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
     recorder.note(pilot.now.t_s, f"mission {flight.name}, airframe {airframe.name}")
     if trouble:
         recorder.note(pilot.now.t_s, trouble)
@@ -135,6 +138,8 @@ def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
         phase=pilot.phase.value,
         findings=pilot.ground.findings,
     )
+    if loop.tables is not None:
+        loop.tables.stop()
     loop.link.close()
     recorder.close()
     return code

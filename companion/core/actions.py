@@ -5,6 +5,7 @@ from enum import Enum, IntEnum
 
 from companion.core.events import Mode
 from companion.core.mission_items import MissionItem
+from companion.core.value_gate import TableRequest
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +124,14 @@ class Note(Action):
 
 
 @dataclass(frozen=True, slots=True)
+class MakeTable(Action):
+    """Make a value table in a worker; `TableMade` is heard `allowed_s` from now, made or not."""
+
+    request: TableRequest
+    allowed_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Publish(Action):
     """Named numbers for any ground station (NAMED_VALUE_FLOAT); unknown ones are left out."""
 
@@ -154,6 +163,7 @@ class Assessed(Action):
     energy_left_wh: float
     energy_need_wh: float
     p_home_unattended: float | None = None
+    by_table: bool = False
 
 
 class Reply(Enum):

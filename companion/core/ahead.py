@@ -9,10 +9,11 @@ from itertools import pairwise
 
 from companion.core.geo import Ned, horizontal_m
 from companion.core.planner import Plan, RallyWay, unattended
-from companion.core.remaining import Ahead, Stage, WayHome
+from companion.core.remaining import Ahead, OnTheWay, Stage, WayHome
 from companion.core.route_energy import Leg, LegKind
 
 DEPOT = "depot"
+_BEYOND_FRAC = 1.1
 _OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
 
 
@@ -43,7 +44,11 @@ def ahead_outbound(
         stages.append(Stage(legs, ways_from_outbound(plan, index, payload_kg)))
         first, here = (), there
     stages.append(_delivery(plan, here, payload_kg, drop_height_m, drop_s))
-    return Ahead(_ways_now(plan, position_ned_m, start, next_index, payload_kg), tuple(stages))
+    return Ahead(
+        _ways_now(plan, position_ned_m, start, next_index, payload_kg),
+        tuple(stages),
+        at=_on_the_way(plan, start, next_index),
+    )
 
 
 def ahead_delivering(
@@ -99,6 +104,14 @@ def ways_from_outbound(plan: Plan, index: int, payload_kg: float) -> tuple[WayHo
     here, entry = plan.outbound_ned_m[index], plan.entry[index]
     ways = _ways_home(plan, here, entry, payload_kg)
     return (*ways, *_rally_ways(plan, here, index, None, entry, payload_kg))
+
+
+def _on_the_way(plan: Plan, here: Ned, leg: int) -> OnTheWay | None:
+    """How much of the leg is left; None for who is further from its end than its beginning is."""
+    depot, end = plan.depot_ned_m, plan.outbound_ned_m[leg]
+    begin = plan.outbound_ned_m[leg - 1] if leg > 0 else (depot[0], depot[1], end[2])
+    left_frac = horizontal_m(here, end) / max(horizontal_m(begin, end), _OVER_M)
+    return OnTheWay(leg, min(left_frac, 1.0)) if left_frac <= _BEYOND_FRAC else None
 
 
 def _ways_now(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.core.mission_items import MissionItem
+from companion.core.value_gate import ValueTable
 
 
 class Flavour(Enum):
@@ -312,6 +313,14 @@ class OtherComputer(Event):
 
     active: bool
     booting: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TableMade(Event):
+    """The value table that was asked for, or why there is none."""
+
+    table: ValueTable | None
+    trouble: str = ""
 
 
 @dataclass(frozen=True, slots=True)

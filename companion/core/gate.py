@@ -10,7 +10,7 @@ replay is exact), with the energy model's and the battery's own errors integrate
 wherever nothing depends on when they show themselves. A tail of 1 % is then a smooth number.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 __all__ = ["Ahead", "Assessment", "Gate", "GateParams", "Stage", "WayHome"]
 
 _BOLDNESS_STEPS = 5
+KEEPS_PROMISE = "flying on keeps the promise"
 _TIE = 0.002  # of probability: landing sites closer than this are ranked by their order
 
 
@@ -72,6 +73,8 @@ class Assessment:
     energy_left_wh: float
     energy_need_wh: float
     reason: str
+    by_table: bool = False
+    """P(home) and P(success) are the value table's (value_gate.py)."""
 
 
 class _Onward(TypedDict):
@@ -133,11 +136,14 @@ class Gate:
         energy: EnergyBelief,
         model: ModelError | None = None,
         accepted_loss: float | None = None,
+        *,
+        weighs_worth: bool = True,
     ) -> Assessment:
         """Judge the remaining mission under wind, its change, and the models' own errors.
 
         `model`: what was learned of the energy model in flight; without it, the airframe file's.
         `accepted_loss`: what this decision and later ones may risk; without it, `max_loss`.
+        `weighs_worth`: also turn back where the flight is not worth its energy (`min_success`).
         """
         accepted = self.params.max_loss if accepted_loss is None else accepted_loss
         if model is None:
@@ -167,7 +173,7 @@ class Gate:
                 reason="on the way home",
             )
         outbound = self._outbound(table, budget, 1.0 - accepted, p_now)
-        return Assessment(
+        seen = Assessment(
             t_s=wind.t_s,
             p_home_now=p_now,
             best_landing=landing,
@@ -176,6 +182,7 @@ class Gate:
             energy_need_wh=budget.scale * float(table.whole_wh().mean()),
             **outbound,
         )
+        return self._worth_it(seen, table, budget) if weighs_worth else seen
 
     def depart(
         self,
@@ -213,16 +220,13 @@ class Gate:
             p_further, further = self._best_further(table, budget)
             if p_further > p_on:
                 p_on, need = p_further, further
-        reason = "flying on keeps the promise"
+        reason = KEEPS_PROMISE
         turn_back = False
         if p_on < promise and p_now >= p_on - _TIE:
             turn_back = True
             reason = f"P(home) from the next point {p_on:.3f} is under {promise:.3f}"
         elif p_on < promise:
             reason = f"P(home) {p_on:.3f} is under {promise:.3f}, but turning here is no better"
-        elif (p_whole := float(budget.p_enough(table.whole_wh()).mean())) < self.params.min_success:
-            turn_back = True
-            reason = f"P(energy for the whole trip) {p_whole:.3f} is not worth the flight"
         return _Onward(
             p_home=p_now if turn_back else p_policy,
             p_success=0.0 if turn_back else p_success,
@@ -230,6 +234,14 @@ class Gate:
             turn_back=turn_back,
             reason=reason,
         )
+
+    def _worth_it(self, seen: Assessment, table: LegTable, budget: _Budget) -> Assessment:
+        """The same, turned back where a promise that is kept serves no delivery."""
+        p_whole = float(budget.p_enough(table.whole_wh()).mean())
+        if seen.reason != KEEPS_PROMISE or p_whole >= self.params.min_success:
+            return seen
+        reason = f"P(energy for the whole trip) {p_whole:.3f} is not worth the flight"
+        return turned_back(seen, reason)
 
     def _best_way(
         self, table: LegTable, budget: _Budget, point: int, before_wh: FloatArray
@@ -270,9 +282,11 @@ class Gate:
         total = np.zeros(used.size)
         for point in range(1, table.stages):
             then = table.predicted(point)
-            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * then.on_wh)
-            left = budget.left_wh - used * (1.0 + drawn)
-            promised = then.on_wh + np.hypot(then.on_at_quantile_wh - then.on_wh, spread)
+            need = budget.scale * then.on_wh
+            worse = budget.scale * then.on_at_quantile_wh - need
+            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
+            left = budget.left_wh - used * drawn
+            promised = need + np.hypot(worse, spread)
             # Short of the promise it turns, unless turning (loaded, perhaps) is the dearer way.
             goes_on = (left >= promised) | (then.turning_wh > then.on_wh)
             turning = flying & ~goes_on
@@ -287,6 +301,11 @@ class Gate:
         spent = total * drawn
         p_home = ndtr((budget.left_wh - spent) / max(budget.battery_std_wh, 1e-6))
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
+
+
+def turned_back(seen: Assessment, reason: str) -> Assessment:
+    """The same answer with the gate closed."""
+    return replace(seen, p_home=seen.p_home_now, p_success=0.0, turn_back=True, reason=reason)
 
 
 def _first_best(chances: list[float]) -> int:

@@ -1,15 +1,20 @@
 """What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from companion.core.airframe import Airframe
 from companion.core.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
 from companion.core.events import Flavour
 from companion.core.flight import Flight
-from companion.core.gate import Ahead, Assessment, Gate, GateParams
+from companion.core.flight_plan import DROP_S
+from companion.core.gate import Ahead, Assessment, Gate, GateParams, turned_back
 from companion.core.geo import Ned
+from companion.core.planner import Plan
 from companion.core.power_scale import PowerScale
+from companion.core.remaining import OnTheWay
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.situation import (
     AIRSPEED_MAX_AGE_S,
@@ -19,7 +24,9 @@ from companion.core.situation import (
     WIND_MAX_AGE_S,
     Situation,
 )
+from companion.core.value_gate import Belief, Reading, TableRequest, ValueTable
 from companion.core.wind_estimator import WindBelief, WindEstimator, WindObservation
+from companion.core.wind_lattice import HORIZONS_S, PRIOR_WIND, nearest_process
 from companion.core.wind_outlook import WindOutlook
 
 BATTERY_EVERY_S = 0.2
@@ -61,6 +68,7 @@ class Judgement:
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
+        self.table: ValueTable | None = None
         self._battery_s = -1e9
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
@@ -172,13 +180,23 @@ class Judgement:
         )
 
     def assess(self, ahead: Ahead) -> Assessment | None:
-        """Ask the gate; `None` while wind or energy are unknown."""
+        """Ask the gate, and the value table where it serves; `None` while wind or energy are
+        unknown.
+        """
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        return self._gate_for(energy).assess(
-            ahead, self.wind, self._outlook, energy, self._scale.error(), self._accepted_loss
+        value = self._value_in_force(ahead)
+        seen = self._gate_for(energy).assess(
+            ahead,
+            self.wind,
+            self._outlook,
+            energy,
+            self._scale.error(),
+            self._accepted_loss,
+            weighs_worth=value is None,
         )
+        return _with_value(seen, value)
 
     def depart(self, ahead: Ahead) -> Assessment | None:
         """Ask the gate for the whole mission, over the depot; settles what decisions may risk."""
@@ -188,12 +206,87 @@ class Judgement:
         self._accepted_loss, seen = self._gate_for(energy).depart(
             ahead, self.wind, self._outlook, energy, self._scale.error()
         )
-        return seen
+        return _with_value(seen, self._value_in_force(ahead))
 
     def limit(self, limits: Limits) -> None:
         """The operator accepts something else from now on."""
         self.limits = limits
         self._accepted_loss = None
+
+    def _value_in_force(self, ahead: Ahead) -> Reading | None:
+        """What the table says, where its policy loses no more than is accepted.
+
+        One that was made before any wind was known accepts the loss over all winds that may come:
+        it does not close the gate in the wind that came.
+        """
+        value = None if ahead.at is None else self.reading(ahead.at)
+        if value is None or self.table is None or not value.keeps(self.limits.max_loss):
+            return None
+        return None if value.turn_back and not self.table.wind_known else value
+
+    def reading(self, at: OnTheWay) -> Reading | None:
+        """What the value table says; `None` without one that is made for this load and wind."""
+        table, belief = self.table, self._belief()
+        if table is None or belief is None or self.wind is None or not self.wind.valid:
+            return None
+        accepted = table.max_loss == self.limits.max_loss
+        if not accepted or table.payload_kg != self.payload_kg:
+            return None
+        return table.read(at, belief) if table.covers(belief.wind_en_mps) else None
+
+    def table_request(
+        self, plan: Plan, at: OnTheWay, *, on_ground: bool = False
+    ) -> TableRequest | None:
+        """What a table would be made of now; on the ground, for being over the depot later."""
+        belief, mission = self._belief(), self._flight.mission
+        if belief is None:
+            return None
+        known = self.wind is not None and self.wind.valid and not on_ground
+        if on_ground:
+            belief = replace(belief, left_wh=belief.left_wh - self._take_off_wh(plan))
+        process = PRIOR_WIND
+        if known and self.wind is not None:
+            process = nearest_process(self._outlook.forecast(self.wind, HORIZONS_S))
+        return TableRequest(
+            airframe=self._airframe,
+            cruise_airspeed_mps=self.route_energy.cruise_airspeed_mps,
+            plan=plan,
+            payload_kg=self.payload_kg,
+            drop_height_m=mission.drop_height_m,
+            drop_s=DROP_S,
+            wind=process,
+            wind_known=known,
+            at=at,
+            belief=belief,
+            max_loss=self.limits.max_loss,
+        )
+
+    def _belief(self) -> Belief | None:
+        energy = self.energy
+        if energy is None:
+            return None
+        mean, std = (0.0, 0.0), (PRIOR_WIND.std_mps, PRIOR_WIND.std_mps)
+        if self.wind is not None and self.wind.valid:
+            north, east = (float(x) for x in self.wind.mean_to_ne_mps)
+            cov = self.wind.cov_ne_m2ps2
+            mean, std = (east, north), (float(cov[1, 1]) ** 0.5, float(cov[0, 0]) ** 0.5)
+        return Belief(
+            wind_en_mps=mean,
+            wind_std_en_mps=std,
+            left_wh=energy.mean_wh - self.limits.reserve_frac * energy.usable_full_wh,
+            battery_std_wh=energy.std_wh,
+            model=self._scale.error(),
+        )
+
+    def _take_off_wh(self, plan: Plan) -> float:
+        """Climb and settling over the depot in calm air."""
+        over = (plan.depot_ned_m[0], plan.depot_ned_m[1], plan.outbound_ned_m[0][2])
+        settle_s = self._flight.mission.wind_settle_s
+        legs = (
+            Leg(LegKind.CLIMB, plan.depot_ned_m, over, self.payload_kg),
+            Leg(LegKind.HOVER, over, over, self.payload_kg, settle_s),
+        )
+        return float(self.route_energy.costs(legs, np.zeros((1, 2))).energy_wh.sum())
 
     def _gate_for(self, energy: EnergyBelief) -> Gate:
         reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
@@ -237,6 +330,16 @@ class Judgement:
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
         self._accepted_loss = kept.accepted_loss
+
+
+def _with_value(seen: Assessment, value: Reading | None) -> Assessment:
+    """The gate's answer with the table's: it may close the gate too, and never opens it."""
+    if value is None or seen.turn_back:
+        return seen
+    if value.turn_back:
+        words = f"P(success) {value.p_success:.3f} is not worth P(home) {value.p_home:.3f}"
+        return turned_back(seen, words)
+    return replace(seen, p_home=value.p_home, p_success=value.p_success, by_table=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from companion.core import (
     progress,
     recognising,
     reports,
+    table_watch,
     touchdown,
     turning_back,
 )
@@ -58,6 +59,7 @@ from companion.core.events import (
     ParametersSet,
     ReleaseFeedback,
     StreamsAsked,
+    TableMade,
     Tick,
     VehicleState,
 )
@@ -119,6 +121,7 @@ class Pilot:
         self.flown: FlightPlan | None = None
         self.air = FlightState()
         self.ground = GroundWork()
+        self.tables = table_watch.TableWatch()
         self.assessment: Assessment | None = None
         self.outcome: str | None = None
         self.digest = digest
@@ -226,6 +229,8 @@ class Pilot:
                 before_flight.hear(self, event)
             case MissionReadBack():
                 recognising.read_back(self, event)
+            case TableMade():
+                table_watch.take(self, event)
             case _:
                 return
 
@@ -241,6 +246,7 @@ class Pilot:
         else:
             before_flight.tick(self)
             in_flight.tick(self)
+            table_watch.mind(self)
         reports.report(self)
 
     def _enter(self, left: Phase, why: str) -> None:

@@ -102,4 +102,5 @@ def _assessed(seen: Assessment) -> Assessed:
         seen.energy_left_wh,
         seen.energy_need_wh,
         seen.p_home_unattended,
+        seen.by_table,
     )

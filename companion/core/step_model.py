@@ -74,17 +74,31 @@ def build_step_model(
     """The model on a grid of `levels`; tables are kept in `dtype`."""
     duration = graph.duration_s(chain.states_en_mps)
     energy = np.stack([graph.energy_wh(chain.states_en_mps, load) for load in (False, True)])
-    cost, share = _on_grid(energy, budget_wh, levels, rounding)
+    return step_model_of(graph, chain, energy, duration, budget_wh, levels, rounding, dtype)
+
+
+def step_model_of(
+    graph: EnergyGraph,
+    chain: WindChain,
+    energy_wh: Floats,
+    duration_s: Floats,
+    budget_wh: float,
+    levels: int,
+    rounding: Rounding = Rounding.LINEAR,
+    dtype: type = np.float32,
+) -> StepModel:
+    """The same for edges with prices of their own: energy_wh (2, E, S), duration_s (E, S)."""
+    cost, share = _on_grid(energy_wh, budget_wh, levels, rounding)
     return StepModel(
         graph=graph,
         chain=chain,
         budget_wh=budget_wh,
         levels=levels,
         rounding=rounding,
-        energy_wh=energy,
+        energy_wh=energy_wh,
         cost_levels=cost,
         upper_share=share,
-        next_state=_next_state(chain, duration, dtype),
+        next_state=_next_state(chain, duration_s, dtype),
     )
 
 

@@ -445,3 +445,19 @@ def test_departure_never_accepts_more_than_the_bound_for_the_mission(left_wh: fl
     if accepted > 0.01:
         assert answer.p_home >= 0.99
         assert not answer.turn_back
+
+
+@pytest.mark.parametrize("spare_frac", [-0.2, 0.15, 0.3])
+def test_in_a_wind_that_stays_p_success_is_whether_the_energy_does_for_the_whole_trip(
+    spare_frac: float,
+) -> None:
+    # Closed form, from both sides: no policy delivers more often than the energy does, and no gate
+    # on the way asks for more than the promise on the whole of what the trip needs.
+    ahead, wind = mission(1500.0, 5), (0.0, -5.0)
+    legs = [leg for stage in ahead.stages for leg in stage.legs]
+    legs += ahead.stages[-1].ways_home[0].legs
+    need = float(ROUTE.costs(tuple(legs), np.array([wind])).energy_wh.sum())
+    answer = judge(ahead, 15.0 + (1.0 + spare_frac) * need, wind, StillWind())
+    sigmas = spare_frac * need / math.hypot(2.0, MODEL_STD * need)
+    assert answer.p_success <= norm.cdf(sigmas) + 0.01
+    assert answer.p_success >= norm.cdf(sigmas - norm.ppf(0.99)) - 0.01

@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -28,8 +29,10 @@ from companion.core.actions import (
     Disarm,
     Finished,
     JumpTo,
+    MakeTable,
     Note,
     Order,
+    PhaseChanged,
     Publish,
     ReadMissionBack,
     Release,
@@ -50,7 +53,9 @@ from companion.core.kept import Kept
 from companion.core.mission_items import ItemKind, MissionItem, differences
 from companion.core.pilot import Pilot
 from companion.core.preflight import Finding, Requirement
+from companion.core.remaining import OnTheWay
 from companion.core.transitions import COMMANDING_PHASES, Phase
+from companion.core.value_gate import Reading
 from companion.core.wind_estimator import WindBelief
 
 DEPOT = (55.47, 8.45, 12.0)
@@ -93,6 +98,9 @@ class ScriptedJudge:
     t_s: float = 0.0
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
+    table: Any = None
+    p_home_by_table: float = 0.999
+    tables_asked: list[OnTheWay] = field(default_factory=list)
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -123,6 +131,14 @@ class ScriptedJudge:
             self.t_s, p_home, 0.999, 0.9, 20.0, closed, self.best_landing, None, 80.0, 60.0,
             CLOSED if closed else "open",
         )  # fmt: skip
+
+    def reading(self, at: OnTheWay) -> Reading | None:
+        home = self.p_home_by_table
+        return None if self.table is None else Reading(home, home, 1.0, False)
+
+    def table_request(self, plan: Any, at: OnTheWay, *, on_ground: bool = False) -> Any:
+        self.tables_asked.append(at)
+        return SimpleNamespace(plan=plan, on_ground=on_ground) if self.known else None
 
     def ground_speed_mps(self, here: Any, to: Any) -> float:
         return 10.0 + self.wind_ne[0]
@@ -1073,3 +1089,81 @@ def test_the_same_events_give_the_same_actions():
         return w.log
 
     assert flight() == flight()
+
+
+# --- value tables --------------------------------------------------------------------------------
+
+
+def made_table(**changes: Any) -> Any:
+    known = {"wind_known": True, "made_for_en_mps": (0.0, 0.0), "payload_kg": 0.6, "max_loss": 0.01}
+    more = {"size_bytes": 3_000_000, "loss_weight": 8.0, "keeps_nothing": False}
+    return SimpleNamespace(**{**known, **more, **changes})
+
+
+def tables_asked(w: World) -> list[float]:
+    return [t for t, a in w.log if isinstance(a, MakeTable)]
+
+
+def test_a_table_is_asked_for_on_the_ground_and_again_when_the_wind_is_known():
+    w = world()
+    w.until(Phase.CLIMB)
+    assert len(tables_asked(w)) == 1
+    w.tell(ev.TableMade(w.t_s, made_table(wind_known=False)))
+    w.until(Phase.OUTBOUND).run(lambda w: len(tables_asked(w)) == 2, 3.0)
+    asked = tables_asked(w)
+    settled_s = next(t for t, a in w.log if isinstance(a, PhaseChanged) and a.now == "measure wind")
+    assert asked[1] >= settled_s + FLIGHT.mission.wind_settle_s - 0.2
+    w.tell(ev.TableMade(w.t_s, made_table()))
+    assert w.to_the_end().outcome == "SUC"
+    assert len(tables_asked(w)) == 2, "nothing had moved"
+
+
+@pytest.mark.parametrize(
+    "changes", [{"made_for_en_mps": (0.0, 2.5)}, {"payload_kg": 0.3}, {"max_loss": 0.05}]
+)
+def test_a_table_that_was_made_for_something_else_is_made_again(changes):
+    w = reach(Phase.OUTBOUND)
+    w.tell(ev.TableMade(w.t_s, made_table(**changes)))
+    before = len(tables_asked(w))
+    w.run(lambda w: len(tables_asked(w)) > before, 30.0)
+
+
+def test_a_table_whose_policy_loses_more_than_is_accepted_from_here_is_made_again():
+    w = reach(Phase.OUTBOUND)
+    w.judge.p_home_by_table = 0.9
+    w.tell(ev.TableMade(w.t_s, made_table()))
+    before = len(tables_asked(w))
+    w.run(lambda w: len(tables_asked(w)) > before, 30.0)
+
+
+def test_without_any_table_the_flight_goes_on_and_it_is_said_once():
+    w = world()
+    w.until(Phase.CLIMB)
+    for _ in range(6):
+        w.run(lambda w: w.pilot.tables.asked is not None or w.pilot.phase is Phase.RETURN)
+        w.tell(ev.TableMade(w.t_s, None, "the worker died"))
+    assert w.to_the_end().outcome == "SUC"
+    assert w.said.count("no value table") == 1
+    assert len(tables_asked(w)) == 3, "then it is left alone"
+
+
+def test_a_table_for_another_plan_is_not_used():
+    w = reach(Phase.OUTBOUND)
+    assert w.pilot.tables.asked is not None
+    w.pilot.tables.asked = SimpleNamespace(plan="another")  # type: ignore[assignment]
+    w.tell(ev.TableMade(w.t_s, made_table()))
+    assert w.judge.table is None
+
+
+def test_restarted_in_mid_air_it_flies_without_a_table_and_asks_for_a_new_one():
+    w, kept = interrupted(Phase.OUTBOUND)
+    again = restarted(w, kept)
+    assert again.judge.table is None
+    again.run(lambda w: len(tables_asked(w)) == 1, 30.0)
+    assert again.to_the_end().outcome == "SUC"
+
+
+def test_a_check_makes_no_table():
+    w = world(options=PilotOptions(check_only=True))
+    w.run(lambda w: any(isinstance(a, Finished) for _, a in w.log))
+    assert not tables_asked(w)

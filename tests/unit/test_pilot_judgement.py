@@ -2,14 +2,20 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from companion.adapters.files import read_airframe, read_flight
 from companion.core import events as ev
-from companion.core.judgement import Judgement
+from companion.core.ahead import ahead_outbound
+from companion.core.judgement import Judgement, Limits
+from companion.core.planner import Plan
 from companion.core.release import ReleaseWatch
+from companion.core.remaining import Ahead, OnTheWay
 from companion.core.route_energy import RouteEnergy
 from companion.core.situation import Situation
+from companion.core.value_gate import Belief, Reading
+from companion.core.wind_estimator import WindBelief
 
 FLIGHT = read_flight(Path(__file__).parents[2] / "params" / "flights" / "default.toml")
 AIRFRAME = read_airframe("m100")
@@ -140,3 +146,92 @@ def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_g
     assert watch.evidence(20.0) is None
     watch.feedback = True
     assert watch.evidence(20.0) == "the gripper says so"
+
+
+class ScriptedTable:
+    """A table that says what the test wants, made for the flight's own load and wind."""
+
+    payload_kg, max_loss = FLIGHT.vehicle.payload_kg, FLIGHT.mission.max_loss
+
+    def __init__(self, reading: Reading, *, wind_known: bool = True) -> None:
+        self.reading, self.wind_known, self.reaches = reading, wind_known, True
+
+    def covers(self, wind_en_mps: tuple[float, float]) -> bool:
+        return self.reaches
+
+    def read(self, at: OnTheWay, belief: Belief) -> Reading:
+        return self.reading
+
+
+def in_flight(resting_v: float) -> tuple[Judgement, Ahead]:
+    """A judgement that knows a wind and a battery, over the depot of the default flight."""
+    judge = judgement()
+    battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5)
+    judge.observe(standing(1.0, battery), ev.Flavour.PX4)
+    judge.wind = WindBelief(60.0, np.array([2.0, -3.0]), 0.2 * np.eye(2), ("test",), True)
+    depot, customer, level = (0.0, 0.0, 0.0), (0.0, -400.0, 0.0), -40.0
+    plan = Plan(
+        depot_ned_m=depot, customer_ned_m=customer,
+        outbound_ned_m=((0.0, -200.0, level), (0.0, -400.0, level)),
+        return_ned_m=((0.0, -200.0, level), (0.0, 0.0, level)),
+        entry=(1, 0), rally=(), home_ground_speed_mps=9.0,
+        energy_wh=0.0, time_s=0.0, route_std_wh=0.0,
+    )  # fmt: skip
+    return judge, ahead_outbound(plan, (0.0, 0.0, level), 0, judge.payload_kg, 6.0, 12.0)
+
+
+GOING = Reading(p_home=0.997, p_success=0.95, p_home_turning=1.0, turn_back=False)
+TURNING = Reading(p_home=0.997, p_success=0.01, p_home_turning=1.0, turn_back=True)
+
+
+def test_a_table_that_serves_says_p_home_and_p_success():
+    judge, ahead = in_flight(25.0)
+    plain = judge.assess(ahead)
+    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert plain is not None
+    assert seen is not None
+    assert not plain.by_table
+    assert (seen.by_table, seen.p_home, seen.p_success) == (True, 0.997, 0.95)
+    assert seen.margin_wh == plain.margin_wh
+
+
+def test_the_table_may_close_the_gate_and_says_why():
+    judge, ahead = in_flight(25.0)
+    judge.table = ScriptedTable(TURNING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert seen is not None
+    assert seen.turn_back
+    assert "not worth" in seen.reason
+
+
+def test_the_table_never_opens_a_gate_that_the_return_budget_closes():
+    judge, ahead = in_flight(22.0)
+    plain = judge.assess(ahead)
+    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert plain is not None
+    assert plain.turn_back, "the case is one that the budget closes"
+    assert seen == plain
+
+
+@pytest.mark.parametrize("spoilt", ["load", "loss", "lattice", "promise", "prior"])
+def test_a_stale_table_is_not_used(spoilt):
+    judge, ahead = in_flight(25.0)
+    table = ScriptedTable(TURNING if spoilt == "prior" else GOING, wind_known=spoilt != "prior")
+    judge.table = table  # type: ignore[assignment]
+    match spoilt:
+        case "load":
+            judge.payload_kg = 0.2
+        case "loss":
+            judge.limits = Limits(0.05, judge.limits.reserve_frac)
+        case "lattice":
+            table.reaches = False
+        case "promise":
+            table.reading = Reading(0.9, 0.9, 1.0, turn_back=False)
+        case "prior":
+            pass
+    seen = judge.assess(ahead)
+    assert seen is not None
+    assert not seen.by_table
+    assert not seen.turn_back
