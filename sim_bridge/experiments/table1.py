@@ -29,7 +29,7 @@ Shares = NDArray[np.float64]  # SUC, DEL, FAIL, ABRT in percent
 BUDGETS_WH = (100.0, 50.0)
 CLASSES = (4, 8)
 BASELINES = ("ser", "rer", "ger", "ber-paper")
-TABLE_SEED = 12  # not looked at when the settings were chosen; seed 1 was
+TABLE_SEED = 13  # not looked at when the settings were chosen; seeds 1 and 12 were
 
 # arXiv 2604.13441, Table 1: (classes, B) -> planner -> SUC, DEL, FAIL, ABRT.
 PAPER: dict[tuple[int, float], dict[str, tuple[float, float, float, float]]] = {
