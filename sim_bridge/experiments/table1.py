@@ -71,7 +71,7 @@ class Table1Params:
     seed: int = TABLE_SEED
     levels: int = 140
     risk_weight: float = 1.0
-    max_losses: tuple[float | str, ...] = (0.02, 0.005, "paper")
+    max_losses: tuple[float | str, ...] = (0.015, 0.005, "paper")
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
     tuning: TuningParams = TuningParams(fewest_missions=5_000, most_missions=5_000)  # noqa: RUF009
 
