@@ -75,7 +75,7 @@ class GeneratorParams:
 
     vertices: int = 40
     mean_degree: float = 6.0
-    sides_m: tuple[tuple[float, float], ...] = ((520.0, 0.5), (1180.0, 0.5))
+    sides_m: tuple[tuple[float, float], ...] = ((530.0, 0.5), (1200.0, 0.5))
     budget_wh: float = 100.0
     airspeed_mps: float = 15.0
     loaded_w: float = 1450.0

@@ -29,7 +29,7 @@ Shares = NDArray[np.float64]  # SUC, DEL, FAIL, ABRT in percent
 BUDGETS_WH = (100.0, 50.0)
 CLASSES = (4, 8)
 BASELINES = ("ser", "rer", "ger", "ber-paper")
-TABLE_SEED = 12  # not looked at when the settings were chosen; seed 1 was
+TABLE_SEED = 13  # not looked at when the settings were chosen; seeds 1 and 12 were
 
 # arXiv 2604.13441, Table 1: (classes, B) -> planner -> SUC, DEL, FAIL, ABRT.
 PAPER: dict[tuple[int, float], dict[str, tuple[float, float, float, float]]] = {
@@ -71,7 +71,7 @@ class Table1Params:
     seed: int = TABLE_SEED
     levels: int = 140
     risk_weight: float = 1.0
-    max_losses: tuple[float | str, ...] = (0.02, 0.005, "paper")
+    max_losses: tuple[float | str, ...] = (0.015, 0.005, "paper")
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
     tuning: TuningParams = TuningParams(fewest_missions=5_000, most_missions=5_000)  # noqa: RUF009
 
