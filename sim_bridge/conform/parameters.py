@@ -1,5 +1,7 @@
 """Parameters on the wire."""
 
+from collections.abc import Callable
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform.behaviour import Behaviour, Seen
@@ -72,7 +74,7 @@ def _wrong_type(s: Subject) -> str:
     message = _integer(s)
     name = message.param_id
     before = s.from_wire(message.param_value, message.param_type)
-    s._originals.setdefault(name, (message.param_value, message.param_type))
+    s.keep(message)
     answer = s.write_raw(name, before + 1.0, _FLOAT)
     after = s.parameter(name)
     s.restore()
@@ -90,7 +92,7 @@ def _unknown_set(s: Subject) -> str:
     return _what_came(s, lambda: s.write_raw(_NOBODYS, 1.0, _FLOAT))
 
 
-def _what_came(s: Subject, ask) -> str:
+def _what_came(s: Subject, ask: Callable[[], Message | None]) -> str:
     s.client.forget()
     if ask() is not None:
         return "answered"

@@ -129,12 +129,8 @@ def _shown(behaviour: Behaviour, answer: Answer | None) -> str:
         return "not run"
     if answer.value is None:
         return "not seen"
-    value = (
-        {True: "yes", False: "no"}.get(answer.value)
-        if answer.value in (True, False) and isinstance(answer.value, bool)
-        else None
-    )
-    return f"{value or answer.value} {behaviour.unit}".strip()
+    value = ("yes" if answer.value else "no") if isinstance(answer.value, bool) else answer.value
+    return f"{value} {behaviour.unit}".strip()
 
 
 def _cell(text: str) -> str:

@@ -211,11 +211,15 @@ class Subject:
         before = self.read_raw(name)
         if before is None:
             raise CannotSee(f"there is no parameter {name}")
-        self._originals.setdefault(name, (before.param_value, before.param_type))
+        self.keep(before)
         wire = self.to_wire(value, before.param_type)
         after = self.write_raw(name, wire, before.param_type)
         if after is None or self.from_wire(after.param_value, after.param_type) != _float32(value):
             raise CannotSee(f"{name} does not take {value}")
+
+    def keep(self, message: Message) -> None:
+        """Note a parameter's PARAM_VALUE, for `restore`."""
+        self._originals.setdefault(message.param_id, (message.param_value, message.param_type))
 
     def to_wire(self, value: float, kind: int) -> float:
         """PX4 puts an integer's bytes into the float."""

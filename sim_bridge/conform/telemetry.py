@@ -193,7 +193,8 @@ def _heartbeat_lag(s: Subject) -> Seen:
     return Seen(round(max(lags), 2), "of " + ", ".join(f"{lag:.2f}" for lag in lags))
 
 
-def _high_latency(s: Subject, field: str) -> float:
+def high_latency(s: Subject, field: str) -> float:
+    """A field of HIGH_LATENCY2, by whichever way it is sent."""
     s.client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id("HIGH_LATENCY2"))
     message = s.client.hear("HIGH_LATENCY2", 2.0)
     if message is None:
@@ -206,7 +207,7 @@ def _high_latency(s: Subject, field: str) -> float:
 
 
 def _high_latency_mode(s: Subject) -> str:
-    packed = int(_high_latency(s, "custom_mode"))
+    packed = int(high_latency(s, "custom_mode"))
     custom = s.client.latest["HEARTBEAT"].custom_mode
     if packed == custom & 0xFFFF:
         return "HEARTBEAT's"

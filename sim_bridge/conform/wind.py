@@ -7,7 +7,7 @@ from sim_bridge.conform.behaviour import Behaviour, Seen, Where
 from sim_bridge.conform.client import Message
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.telemetry import _high_latency
+from sim_bridge.conform.telemetry import high_latency
 
 _AS_GROUND_MPS = 0.4
 
@@ -84,7 +84,7 @@ def _high_latency_airspeed(s: Subject) -> Seen:
     s.go_to(45.0, 0.0, 20.0)
     s.client.command_int(192, -1.0, 1.0, 0.0, math.nan, place=_there(s, -45.0), frame=0)
     s.client.collect(4.0)
-    value = _high_latency(s, "airspeed")
+    value = high_latency(s, "airspeed")
     return Seen("0" if value == 0 else "told", f"{value * 0.2:.1f} m/s")
 
 
@@ -93,7 +93,7 @@ def _there(s: Subject, north_m: float) -> tuple[float, float, float]:
 
 
 def _high_latency_wind(s: Subject) -> Seen:
-    value = _high_latency(s, "windspeed")
+    value = high_latency(s, "windspeed")
     return Seen("0" if value == 0 else "told", f"{value * 0.2:.1f} m/s")
 
 
