@@ -18,7 +18,6 @@ from mcap.writer import CompressionType, Writer
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
 MAYBE = {"type": ["number", "null"]}
-FLAG = {"type": "boolean"}
 
 SCHEMAS: dict[str, dict[str, Any]] = {
     "decision": {

@@ -22,8 +22,6 @@ AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 SIGNING_EPOCH_US = 1_420_070_400_000_000
 """2015-01-01, where MAVLink's signing clock starts."""
 
-LARGEST_FRAME = 280
-
 
 _Message: Any = mavlink.MAVLink_message
 

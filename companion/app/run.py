@@ -85,7 +85,8 @@ def run(
         silence_limit_s=options.silence_limit_s,
     )
     loop.on_action = on_action
-    loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
+    if not options.pilot.check_only:
+        loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
     recorder.note(pilot.now.t_s, f"mission {flight.name}, airframe {airframe.name}")
     if trouble:
         recorder.note(pilot.now.t_s, trouble)

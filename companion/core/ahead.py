@@ -7,14 +7,13 @@ else along the return branch to the waypoint from which it is.
 
 from itertools import pairwise
 
-from companion.core.geo import Ned, horizontal_m
+from companion.core.geo import Ned, horizontal_m, over
 from companion.core.planner import Plan, RallyWay, unattended
 from companion.core.remaining import Ahead, OnTheWay, Stage, WayHome
-from companion.core.route_energy import Leg, LegKind
+from companion.core.route_energy import OVER_M, Leg, LegKind, cruise_legs
 
 DEPOT = "depot"
 _BEYOND_FRAC = 1.1
-_OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
 
 
 def ahead_outbound(
@@ -40,7 +39,7 @@ def ahead_outbound(
     here = start
     for index in range(next_index, len(plan.outbound_ned_m)):
         there = plan.outbound_ned_m[index]
-        legs = (*first, *_cruise(here, there, payload_kg))
+        legs = (*first, *cruise_legs(here, there, payload_kg))
         stages.append(Stage(legs, ways_from_outbound(plan, index, payload_kg)))
         first, here = (), there
     stages.append(_delivery(plan, here, payload_kg, drop_height_m, drop_s))
@@ -59,8 +58,7 @@ def ahead_delivering(
     drop_s: float,
 ) -> Ahead:
     """At the customer, parcel still aboard: descend, drop, climb, return."""
-    over = plan.outbound_ned_m[-1]
-    rise = _rise(position_ned_m, over, payload_kg)
+    rise = _rise(position_ned_m, plan.outbound_ned_m[-1], payload_kg)
     last = len(plan.outbound_ned_m) - 1
     now = tuple(_after(rise, way) for way in ways_from_outbound(plan, last, payload_kg))
     return Ahead(now, (_delivery(plan, position_ned_m, payload_kg, drop_height_m, drop_s),))
@@ -82,8 +80,8 @@ def ahead_returning(
         landing = rally_name if ground is not None and rally_name is not None else DEPOT
         ground = ground or plan.depot_ned_m
         # A descent drifts little: land from straight above, cruising what is left sideways.
-        over = (ground[0], ground[1], position_ned_m[2])
-        legs = (*_cruise(position_ned_m, over, payload_kg), _land(over, ground, payload_kg))
+        above = over(ground, position_ned_m)
+        legs = (*cruise_legs(position_ned_m, above, payload_kg), _land(above, ground, payload_kg))
         return Ahead((_way(landing, legs, plan.home_ground_speed_mps),), (), delivered)
     start = _at_cruise(plan, position_ned_m)
     rise = _rise(position_ned_m, start, payload_kg)
@@ -109,8 +107,8 @@ def ways_from_outbound(plan: Plan, index: int, payload_kg: float) -> tuple[WayHo
 def _on_the_way(plan: Plan, here: Ned, leg: int) -> OnTheWay | None:
     """How much of the leg is left; None for who is further from its end than its beginning is."""
     depot, end = plan.depot_ned_m, plan.outbound_ned_m[leg]
-    begin = plan.outbound_ned_m[leg - 1] if leg > 0 else (depot[0], depot[1], end[2])
-    left_frac = horizontal_m(here, end) / max(horizontal_m(begin, end), _OVER_M)
+    begin = plan.outbound_ned_m[leg - 1] if leg > 0 else over(depot, end)
+    left_frac = horizontal_m(here, end) / max(horizontal_m(begin, end), OVER_M)
     return OnTheWay(leg, min(left_frac, 1.0)) if left_frac <= _BEYOND_FRAC else None
 
 
@@ -120,13 +118,13 @@ def _ways_now(
     """Turning round in the leg to `next_index`, back where it came from."""
     rise = _rise(position, start, payload_kg)
     if next_index == 0:
-        over = (plan.depot_ned_m[0], plan.depot_ned_m[1], start[2])
-        if horizontal_m(position, over) <= _OVER_M:  # still over the depot: straight down
-            legs = (_land((over[0], over[1], position[2]), plan.depot_ned_m, payload_kg),)
+        above = over(plan.depot_ned_m, start)
+        if horizontal_m(position, above) <= OVER_M:  # still over the depot: straight down
+            legs = (_land(over(above, position), plan.depot_ned_m, payload_kg),)
             return (_way(DEPOT, legs, plan.home_ground_speed_mps),)
         legs = (
-            *_cruise(start, over, payload_kg),
-            _land(over, plan.depot_ned_m, payload_kg),
+            *cruise_legs(start, above, payload_kg),
+            _land(above, plan.depot_ned_m, payload_kg),
         )
         ways: tuple[WayHome, ...] = (_way(DEPOT, legs, plan.home_ground_speed_mps),)
         ways = (*ways, *_rally_ways(plan, start, None, None, None, payload_kg))
@@ -139,7 +137,7 @@ def _ways_now(
 
 def _ways_home(plan: Plan, here: Ned, entry: int, payload_kg: float) -> tuple[WayHome, ...]:
     points = (here, *plan.return_ned_m[entry:])
-    legs = [leg for a, b in pairwise(points) for leg in _cruise(a, b, payload_kg)]
+    legs = [leg for a, b in pairwise(points) for leg in cruise_legs(a, b, payload_kg)]
     legs.append(_land(points[-1], plan.depot_ned_m, payload_kg))
     return (_way(DEPOT, tuple(legs), plan.home_ground_speed_mps),)
 
@@ -171,8 +169,8 @@ def _shortest_via(plan: Plan, here: Ned, entry: int, rally: RallyWay) -> tuple[N
         for index in rally.from_return
         if index >= entry
     ]
-    over = (rally.ground_ned_m[0], rally.ground_ned_m[1], here[2])
-    return min(paths, key=lambda path: _length_m((*path, over)), default=())
+    above = over(rally.ground_ned_m, here)
+    return min(paths, key=lambda path: _length_m((*path, above)), default=())
 
 
 def _length_m(path: tuple[Ned, ...]) -> float:
@@ -182,22 +180,22 @@ def _length_m(path: tuple[Ned, ...]) -> float:
 def _rally_way(
     plan: Plan, path: tuple[Ned, ...], name: str, ground: Ned, payload_kg: float
 ) -> WayHome:
-    over = (ground[0], ground[1], path[-1][2])
-    legs = [leg for a, b in pairwise((*path, over)) for leg in _cruise(a, b, payload_kg)]
-    return _way(name, (*legs, _land(over, ground, payload_kg)), plan.home_ground_speed_mps)
+    above = over(ground, path[-1])
+    legs = [leg for a, b in pairwise((*path, above)) for leg in cruise_legs(a, b, payload_kg)]
+    return _way(name, (*legs, _land(above, ground, payload_kg)), plan.home_ground_speed_mps)
 
 
 def _delivery(
     plan: Plan, start: Ned, payload_kg: float, drop_height_m: float, drop_s: float
 ) -> Stage:
-    over = plan.outbound_ned_m[-1]
-    drop = (over[0], over[1], plan.customer_ned_m[2] - drop_height_m)
-    down = (over[0], over[1], min(start[2], drop[2]))
+    above = plan.outbound_ned_m[-1]
+    drop = (above[0], above[1], plan.customer_ned_m[2] - drop_height_m)
+    down = (above[0], above[1], min(start[2], drop[2]))
     legs = (
         Leg(LegKind.DESCEND, down, drop, payload_kg),
         Leg(LegKind.HOVER, drop, drop, payload_kg, drop_s),
     )
-    climb = (Leg(LegKind.CLIMB, drop, over, 0.0),)
+    climb = (Leg(LegKind.CLIMB, drop, above, 0.0),)
     last = len(plan.outbound_ned_m) - 1
     ways = tuple(_after(climb, way) for way in ways_from_outbound(plan, last, 0.0))
     return Stage(legs, ways, delivers=True)
@@ -218,16 +216,10 @@ def _at_cruise(plan: Plan, position: Ned) -> Ned:
 
 
 def _rise(position: Ned, to: Ned, payload_kg: float) -> tuple[Leg, ...]:
-    if position[2] - to[2] <= _OVER_M:
+    if position[2] - to[2] <= OVER_M:
         return ()
     return (Leg(LegKind.CLIMB, position, to, payload_kg),)
 
 
-def _cruise(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
-    if horizontal_m(a, b) <= _OVER_M:
-        return ()
-    return (Leg(LegKind.CRUISE, a, b, payload_kg),)
-
-
-def _land(over: Ned, ground: Ned, payload_kg: float) -> Leg:
-    return Leg(LegKind.LAND, over, ground, payload_kg)
+def _land(above: Ned, ground: Ned, payload_kg: float) -> Leg:
+    return Leg(LegKind.LAND, above, ground, payload_kg)

@@ -4,10 +4,9 @@ Adapters make these from MAVLink and stamp them with the autopilot's clock (`t_s
 Mission indices are flavour-free (0 is the first item that we uploaded). Unknown is `None`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
-from companion.core.mission_items import MissionItem
 from companion.core.value_gate import ValueTable
 
 
@@ -347,10 +346,3 @@ class ClockLeapt(Event):
     """The autopilot's clock leapt ahead by `ahead_s` between two messages."""
 
     ahead_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class ItemsAboard(Event):
-    """The mission that was downloaded, as flavour-free items (for the log)."""
-
-    items: tuple[MissionItem, ...] = field(default=())

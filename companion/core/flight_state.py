@@ -83,5 +83,4 @@ class GroundWork:
     plan_refused: str = ""
     giving_up: str = ""
     giving_up_s: float = 0.0
-    authorised_by: str = ""
     said: str = ""

@@ -191,6 +191,8 @@ class Gate:
         outlook: WindOutlook,
         energy: EnergyBelief,
         model: ModelError | None = None,
+        *,
+        weighs_worth: bool = True,
     ) -> tuple[float, Assessment]:
         """(accepted loss, assessment): how much risk later decisions of this mission may take.
 
@@ -200,13 +202,16 @@ class Gate:
         share is taken with which the policy, flown through every sampled wind, loses no more than
         `max_loss`; never more than `boldest` times it.
         """
-        plain = self.assess(ahead, wind, outlook, energy, model)
-        for times in np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)[:-1]:
+        accepted, seen = self.params.max_loss, None
+        for times in np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS):
             accepted = float(times) * self.params.max_loss
-            bold = self.assess(ahead, wind, outlook, energy, model, accepted)
-            if not bold.turn_back and bold.p_home >= 1.0 - self.params.max_loss:
-                return accepted, bold
-        return self.params.max_loss, plain
+            seen = self.assess(
+                ahead, wind, outlook, energy, model, accepted, weighs_worth=weighs_worth
+            )
+            if not seen.turn_back and seen.p_home >= 1.0 - self.params.max_loss:
+                break
+        assert seen is not None
+        return accepted, seen
 
     def _outbound(
         self, table: LegTable, budget: _Budget, promise: float, p_now: float

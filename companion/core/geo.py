@@ -183,6 +183,11 @@ def course_rad(a_ned_m: Ned, b_ned_m: Ned) -> float:
     return float(np.arctan2(b_ned_m[1] - a_ned_m[1], b_ned_m[0] - a_ned_m[0]))
 
 
+def over(ground_ned_m: Ned, level: Ned) -> Ned:
+    """The point above a ground point, as high as another point."""
+    return ground_ned_m[0], ground_ned_m[1], level[2]
+
+
 def horizontal_m(a_ned_m: Ned, b_ned_m: Ned) -> float:
     """Horizontal distance."""
     return float(np.hypot(b_ned_m[0] - a_ned_m[0], b_ned_m[1] - a_ned_m[1]))

@@ -7,9 +7,8 @@ from itertools import pairwise
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
+from companion.core.energy_graph import EnergyGraph
 from companion.core.errors import LeewayError
 from companion.core.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_m
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
@@ -32,7 +31,7 @@ class SiteMap:
 
 @dataclass(frozen=True, slots=True)
 class WaypointGraph:
-    """Vertices (n, 3) NED at cruise height; directed edges as index arrays.
+    """Vertices (n, 3) NED at cruise height; directed edges as index arrays, by (tail, head).
 
     `depot`, `customer` and `rally` are vertex indices (rally in the site's order).
     """
@@ -70,62 +69,37 @@ class WaypointGraph:
             graph.add_edge(int(a), int(b), length_m=float(length))
         return graph
 
-    def shortest(self, edge_cost: FloatArray, start: int, goal: int) -> list[int] | None:
-        """Vertices of the cheapest path (costs >= 0, infinite where closed), or None."""
-        count = len(self.vertices_ned_m)
-        open_edges = np.isfinite(edge_cost)
-        # Dijkstra on a sparse matrix reads an explicit zero as no edge.
-        cost = np.maximum(edge_cost[open_edges], 1e-12)
-        matrix = csr_array(
-            (cost, (self.tail[open_edges], self.head[open_edges])), shape=(count, count)
+    def energy_graph(self, route_energy: RouteEnergy, payload_kg: float) -> EnergyGraph:
+        """The same graph as the planners have it."""
+        return EnergyGraph(
+            vertices_m=self.vertices_ned_m[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0]),
+            tail=self.tail,
+            head=self.head,
+            depot=self.depot,
+            target=self.customer,
+            airspeed_mps=route_energy.cruise_airspeed_mps,
+            power_w=(route_energy.hover_power_w(payload_kg), route_energy.hover_power_w(0.0)),
         )
-        distance, before = dijkstra(matrix, indices=start, return_predecessors=True)
-        if not math.isfinite(distance[goal]):
-            return None
-        path = [goal]
-        while path[-1] != start:
-            path.append(int(before[path[-1]]))
-        return path[::-1]
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeCosts:
-    """Per edge: `EnergyCost` (Wh, infinite where infeasible), `Unc` (Wh, one standard deviation),
-    and the synthetic length `L_SE` (m).
-    """
-
-    energy_wh: FloatArray
-    unc_wh: FloatArray
-    synthetic_m: FloatArray
-
-    def surrogate_wh(self, risk_weight: float) -> FloatArray:
-        """`c = EnergyCost + lambda Unc` (arXiv 2604.13441, IV-B)."""
-        return self.energy_wh + risk_weight * self.unc_wh
-
-
-def edge_costs(
+def surrogate_wh(
     graph: WaypointGraph,
     route_energy: RouteEnergy,
     payload_kg: float,
     wind_to_ne_mps: FloatArray,
     cov_ne_m2ps2: FloatArray,
     risk_weight: float,
-) -> EdgeCosts:
-    """What every edge costs under one wind belief.
-
-    `L_SE = L_geo + lambda L_wind` with `L_wind = max(0, E(w) / E(calm) - 1) L_geo`.
+) -> FloatArray:
+    """`c = EnergyCost + lambda Unc` (arXiv 2604.13441, IV-B) of every edge by the airframe's own
+    energy model, under one wind belief; infinite where infeasible; shape (E,).
     """
-    legs = route_energy.compile(graph.legs(payload_kg))
-    winds = np.array([wind_to_ne_mps, [0.0, 0.0]])
-    costs = route_energy.costs(legs, winds)
+    edges = graph.legs(payload_kg)
+    legs = route_energy.compile(edges, (None,) * len(edges))  # no edge comes after another here
+    costs = route_energy.costs(legs, wind_to_ne_mps[None, :])
     gradient = route_energy.gradient_wh_per_mps(legs, wind_to_ne_mps)
     variance = np.einsum("ei,ij,ej->e", gradient, cov_ne_m2ps2, gradient)
     energy = np.where(costs.feasible[0], costs.energy_wh[0], np.inf)
-    length = graph.length_m()
-    excess = np.maximum(energy / costs.energy_wh[1] - 1.0, 0.0)
-    return EdgeCosts(
-        energy, np.sqrt(np.maximum(variance, 0.0)), length * (1.0 + risk_weight * excess)
-    )
+    return energy + risk_weight * np.sqrt(np.maximum(variance, 0.0))
 
 
 def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> WaypointGraph:
@@ -181,7 +155,7 @@ def _cut_into_legs(
         chain.append(b)
         for tail, head in pairwise(chain):
             edges += [(tail, head), (head, tail)]
-    ends = np.array(edges, np.int64).reshape(-1, 2)
+    ends = np.array(sorted(edges), np.int64).reshape(-1, 2)
     return WaypointGraph(
         vertices_ned_m=np.array(vertices),
         tail=ends[:, 0],

@@ -203,10 +203,16 @@ class Judgement:
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
+        value = self._value_in_force(ahead)
         self._accepted_loss, seen = self._gate_for(energy).depart(
-            ahead, self.wind, self._outlook, energy, self._scale.error()
+            ahead,
+            self.wind,
+            self._outlook,
+            energy,
+            self._scale.error(),
+            weighs_worth=value is None,
         )
-        return _with_value(seen, self._value_in_force(ahead))
+        return _with_value(seen, value)
 
     def limit(self, limits: Limits) -> None:
         """The operator accepts something else from now on."""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.energy_graph import EnergyGraph
-from companion.core.geo import Ned, horizontal_m
+from companion.core.geo import Ned, over
 from companion.core.planner import Plan
-from companion.core.route_energy import Leg, LegKind, RouteEnergy
+from companion.core.route_energy import Leg, LegKind, RouteEnergy, cruise_legs
 from companion.core.step_model import Rounding, StepModel, step_model_of
 from companion.core.wind_chain import WindChain
 
@@ -25,7 +25,6 @@ Floats = NDArray[np.float64]
 
 HOME, ACCOUNT, OVER_DEPOT = 0, 1, 2
 ACCOUNT_STDS = 3.5  # the die's reach: the rest, 0.02 % on either side, counts as its last faces
-_OVER_M = 1.0  # what is nearer is not flown to
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,6 @@ class MissionGraph:
     vertices_ned_m: tuple[Ned, ...]
     outbound: tuple[int, ...]
     drop: int
-    returning: tuple[int, ...]
 
     @property
     def decision_points(self) -> tuple[int, ...]:
@@ -92,11 +90,10 @@ class _Builder:
         self._out = tuple(range(OVER_DEPOT + 1, OVER_DEPOT + 1 + count))
         self._drop = OVER_DEPOT + 1 + count
         self._back = tuple(range(self._drop + 1, self._drop + 1 + len(plan.return_ned_m)))
-        over = plan.outbound_ned_m[-1]
-        self._low = (over[0], over[1], plan.customer_ned_m[2] - drop_height_m)
+        last = plan.outbound_ned_m[-1]
+        self._low = (last[0], last[1], plan.customer_ned_m[2] - drop_height_m)
         self._drop_s = drop_s
-        level = plan.outbound_ned_m[0][2]
-        self._start = (plan.depot_ned_m[0], plan.depot_ned_m[1], level)
+        self._start = over(plan.depot_ned_m, plan.outbound_ned_m[0])
 
     def graph(self) -> MissionGraph:
         plan = self._plan
@@ -116,7 +113,6 @@ class _Builder:
             ),
             outbound=self._out,
             drop=self._drop,
-            returning=self._back,
         )
 
     def _outward(self) -> list[Edge]:
@@ -146,12 +142,12 @@ class _Builder:
 
     def _delivery(self) -> list[Edge]:
         """Down and the drop, loaded; up again and home, empty."""
-        over, low, last = self._plan.outbound_ned_m[-1], self._low, self._out[-1]
+        above, low, last = self._plan.outbound_ned_m[-1], self._low, self._out[-1]
         down = (
-            Leg(LegKind.DESCEND, over, low, self._parcel),
+            Leg(LegKind.DESCEND, above, low, self._parcel),
             Leg(LegKind.HOVER, low, low, self._parcel, self._drop_s),
         )
-        up = Leg(LegKind.CLIMB, low, over, 0.0)
+        up = Leg(LegKind.CLIMB, low, above, 0.0)
         return [
             Edge(last, self._drop, False, down),
             Edge(self._drop, last, True, (up,), down[-1]),
@@ -176,17 +172,15 @@ class _Builder:
         return edges
 
     def _cruise(self, a: Ned, b: Ned, empty: bool) -> tuple[Leg, ...]:
-        if horizontal_m(a, b) <= _OVER_M:
-            return ()
-        return (Leg(LegKind.CRUISE, a, b, 0.0 if empty else self._parcel),)
+        return cruise_legs(a, b, 0.0 if empty else self._parcel)
 
     def _to_rally(self, here: Ned, ground: Ned, empty: bool) -> tuple[Leg, ...]:
-        over = (ground[0], ground[1], here[2])
-        land = Leg(LegKind.LAND, over, ground, 0.0 if empty else self._parcel)
-        return (*self._cruise(here, over, empty), land)
+        above = over(ground, here)
+        land = Leg(LegKind.LAND, above, ground, 0.0 if empty else self._parcel)
+        return (*self._cruise(here, above, empty), land)
 
-    def _land(self, over: Ned, empty: bool) -> Leg:
-        return Leg(LegKind.LAND, over, self._plan.depot_ned_m, 0.0 if empty else self._parcel)
+    def _land(self, above: Ned, empty: bool) -> Leg:
+        return Leg(LegKind.LAND, above, self._plan.depot_ned_m, 0.0 if empty else self._parcel)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
-"""Row 6, first form: BER behind a small protocol. Route out, route back, checked by ReturnOK.
+"""Row 6 on board: the mission's way out and back by the surrogate cost, checked by ReturnOK.
 
-The value policy of the full BER comes with its own issue, behind the same protocol.
+The route search is the planners' own (`planners/routes.py`), over the site's graph with the
+airframe's energy model. Whether to fly on along it is the gate's question, and the value table's
+(`value_gate.py`), whose solver is that of `planners/ber.py`.
 """
 
 import math
@@ -12,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.energy_ledger import EnergyBelief
-from companion.core.geo import Ned, ObstacleMap, horizontal_m
-from companion.core.graph import SiteMap, WaypointGraph, build_graph, edge_costs
+from companion.core.geo import Ned, ObstacleMap, horizontal_m, over
+from companion.core.graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.planners.routes import RouteFinder, path_to
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_outlook import WindForecast
 
@@ -133,8 +136,9 @@ class BerPlanner:
         start: int,
         goal: int,
     ) -> list[int] | None:
-        costs = edge_costs(graph, self.route_energy, payload_kg, wind, cov, self.risk_weight)
-        return graph.shortest(costs.surrogate_wh(self.risk_weight), start, goal)
+        costs = surrogate_wh(graph, self.route_energy, payload_kg, wind, cov, self.risk_weight)
+        planned = graph.energy_graph(self.route_energy, payload_kg)
+        return path_to(planned, RouteFinder(planned).to(goal, costs[:, None]), start)
 
     def _checked(
         self,
@@ -248,11 +252,6 @@ def legs_out(request: PlanRequest, points: list[Ned]) -> tuple[Leg, ...]:
         Leg(LegKind.DESCEND, over, drop, parcel),
         Leg(LegKind.HOVER, drop, drop, parcel, request.drop_s),
     )
-
-
-def over(ground_ned_m: Ned, level: Ned) -> Ned:
-    """The point above a ground point, as high as another point."""
-    return ground_ned_m[0], ground_ned_m[1], level[2]
 
 
 def legs_back(

@@ -24,6 +24,7 @@ _Priced = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
 
 LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
+OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
 _WIND_STEP_MPS = 0.25  # for gradients
 _TABLES = 64  # cruise tables kept, of 0.1 MB each; the oldest goes
 
@@ -52,6 +53,13 @@ class Leg:
     duration_s: float = 0.0
     airspeed_mps: float | None = None
     ground_speed_mps: float | None = None
+
+
+def cruise_legs(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
+    """The cruise between two points; none where they are nearer than `OVER_M`."""
+    if horizontal_m(a, b) <= OVER_M:
+        return ()
+    return (Leg(LegKind.CRUISE, a, b, payload_kg),)
 
 
 @dataclass(frozen=True, slots=True)

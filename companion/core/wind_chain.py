@@ -88,12 +88,6 @@ class WindChain:
             log_weight = log_weight + log_mean - np.log(n + 1)
         return rows[back]
 
-    def energy_moments(self, row: Floats, energy_wh: Floats) -> tuple[Floats, Floats]:
-        """Mean and std of `energy_wh` (..., S) under the state probabilities `row` (..., S)."""
-        mean = np.sum(row * energy_wh, axis=-1)
-        second = np.sum(row * energy_wh**2, axis=-1)
-        return mean, np.sqrt(np.maximum(second - mean**2, 0.0))
-
 
 def _as_probabilities(rows: Floats) -> Floats:
     rows = np.maximum(rows, 0.0)

@@ -41,7 +41,6 @@ class LiveView(Progress):
     _next_wall_s: float = 0.0
     _next_line_s: float = 0.0
     _started_wall_s: float = field(default_factory=wall_s)
-    _said: dict[int, int] = field(default_factory=dict)
 
     def __enter__(self) -> "LiveView":
         if self.console.is_terminal:

@@ -73,11 +73,6 @@ class MissionProtocol:
         self._upload = None
         self._download = None
 
-    @property
-    def is_receiving(self) -> bool:
-        """Whether an upload is under way."""
-        return self._upload is not None
-
     # --- messages -----------------------------------------------------------------------------
 
     def count(self, link_id: int, message: Message) -> None:

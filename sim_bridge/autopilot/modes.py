@@ -111,11 +111,6 @@ def ardupilot_base_mode(mode: Mode, armed: bool) -> int:
     return int(flags | ModeFlag.ARMED if armed else flags)
 
 
-def px4_pair(mode: Mode) -> tuple[int, int]:
-    """Main and sub mode of PX4."""
-    return _PX4_PAIR_OF[mode]
-
-
 def px4_custom_mode(mode: Mode) -> int:
     """HEARTBEAT.custom_mode of PX4: sub mode in the top byte, main mode in the one below."""
     main, sub = _PX4_PAIR_OF[mode]

@@ -87,7 +87,6 @@ ARDUPILOT = Dialect(
     float_parameter="GUID_TIMEOUT",
 )
 _BY_NUMBER = {mavlink.MAV_AUTOPILOT_PX4: PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT}
-DIALECTS = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 def dialect_of(autopilot: int) -> Dialect:

@@ -28,7 +28,6 @@ from sim_bridge.experiments.scenario_generator import GeneratorParams, WindRose,
 
 CUSTOMERS = 20
 MISSIONS_PER_CUSTOMER = 10
-TRIALS = 10
 TABLE2_SEED = 5
 MAX_LOSS = 0.02
 

@@ -91,10 +91,6 @@ class RotorSet:
         self._tip_speed_unit = 1.0 / math.sqrt(self._disk_density * params.thrust_coeff)
         self._profile_unit = self._disk_density * params.solidity * params.profile_drag_coeff / 8.0
 
-    def hover_inflow_mps(self, thrust_n: float) -> float:
-        """v_h = sqrt(T / (2 rho A)) (Leishman eq. 2.15)."""
-        return math.sqrt(thrust_n / (2.0 * self._disk_density))
-
     def parts(self, thrust_n: float, airspeed_mps: float, useful_w: float) -> RotorPowerParts:
         """Shaft power by cause for a thrust, the speed through the air, and F.v (signed)."""
         if thrust_n < _NO_THRUST_N:

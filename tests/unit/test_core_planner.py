@@ -15,8 +15,9 @@ from companion.core.airframe import airframe_from_dict
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.geo import LocalFrame, Obstacle, ObstacleMap, horizontal_m
-from companion.core.graph import SiteMap, build_graph, edge_costs
+from companion.core.graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
 from companion.core.planner import BerPlanner, NoRoute, Plan, PlanRequest
+from companion.core.planners.routes import RouteFinder, path_to
 from companion.core.route_energy import LegKind, RouteEnergy
 from companion.core.wind_outlook import WindForecast
 
@@ -62,10 +63,25 @@ def test_the_graph_is_directed_both_ways_and_connected() -> None:
     assert all(graph.has_edge(b, a) for a, b in graph.edges)
 
 
+def shortest(graph: WaypointGraph) -> list[int] | None:
+    planned = graph.energy_graph(ROUTE, 0.0)
+    routes = RouteFinder(planned).to(graph.customer, graph.length_m()[:, None])
+    return path_to(planned, routes, graph.depot)
+
+
+def test_the_planners_graph_is_the_sites() -> None:
+    graph = build_graph(site(WALL, SHED), 40.0, 150.0)
+    planned = graph.energy_graph(ROUTE, 0.5)
+    np.testing.assert_allclose(planned.length_m, graph.length_m())
+    first = planned.vertices_m[0]
+    north, east, down = graph.point(0)
+    assert tuple(first) == (east, north, -down)
+    assert (np.diff(graph.tail) >= 0).all()  # what EnergyGraph's slices rest on
+
+
 def test_the_shortest_path_is_networkxs() -> None:
     graph = build_graph(site(WALL, SHED), 40.0, 150.0)
-    length = graph.length_m()
-    path = graph.shortest(length, graph.depot, graph.customer)
+    path = shortest(graph)
     assert path is not None
     oracle = nx.shortest_path_length(
         graph.to_networkx(), graph.depot, graph.customer, weight="length_m"
@@ -78,7 +94,7 @@ def test_the_shortest_path_is_networkxs() -> None:
 
 def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
     graph = build_graph(site(SHED), 40.0, 150.0)
-    path = graph.shortest(graph.length_m(), graph.depot, graph.customer)
+    path = shortest(graph)
     assert path is not None
     assert all(abs(graph.point(v)[0]) < 1e-9 for v in path)
 
@@ -88,21 +104,21 @@ def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
         build_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0, 150.0)
 
 
-def test_edge_costs_are_their_definitions() -> None:
+def test_the_surrogate_cost_is_energy_and_its_uncertainty() -> None:
     graph = build_graph(site(), 40.0, 150.0)
     wind, cov = np.array([0.0, -6.0]), np.diag([0.5, 0.7])
-    costs = edge_costs(graph, ROUTE, 0.0, wind, cov, 2.0)
-    legs = graph.legs(0.0)
-    calm = ROUTE.costs(legs, np.zeros((1, 2))).energy_wh[0]
-    windy = ROUTE.costs(legs, wind[None, :]).energy_wh[0]
-    np.testing.assert_allclose(costs.energy_wh, windy)
-    # evaluation.md 2: L_wind = max(0, E(w) / E(calm) - 1) L_geo, never negative.
-    expected = graph.length_m() * (1.0 + 2.0 * np.maximum(windy / calm - 1.0, 0.0))
-    np.testing.assert_allclose(costs.synthetic_m, expected)
-    assert (costs.synthetic_m >= graph.length_m() - 1e-9).all()
-    np.testing.assert_allclose(costs.surrogate_wh(2.0), windy + 2.0 * costs.unc_wh)
-    one = ROUTE.route_std_wh((legs[0],), wind, cov)
-    assert costs.unc_wh[0] == pytest.approx(one)
+    costs = surrogate_wh(graph, ROUTE, 0.0, wind, cov, 2.0)
+    for leg, cost in zip(graph.legs(0.0), costs, strict=True):
+        energy = ROUTE.costs((leg,), wind[None, :]).energy_wh[0, 0]
+        assert cost == pytest.approx(energy + 2.0 * ROUTE.route_std_wh((leg,), wind, cov))
+
+
+def test_no_path_leads_over_a_closed_edge() -> None:
+    graph = build_graph(site(), 40.0, 150.0)
+    planned = graph.energy_graph(ROUTE, 0.0)
+    cost = np.where(graph.head == graph.customer, np.inf, 1.0)
+    routes = RouteFinder(planned).to(graph.customer, cost[:, None])
+    assert path_to(planned, routes, graph.depot) is None
 
 
 def planned(where: SiteMap, **changes: object) -> Plan:

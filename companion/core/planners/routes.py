@@ -98,3 +98,13 @@ class RouteFinder:
         best = np.take_along_axis(slots, place, axis=1)
         reachable = np.isfinite(np.min(costs, axis=1))
         return np.where(reachable, best, NOWHERE)
+
+
+def path_to(graph: EnergyGraph, routes: Routes, start: int) -> list[int] | None:
+    """Vertices from `start` to the goal of the first column; None where it needs a closed edge."""
+    if not routes.cost_wh[start, 0] < INFEASIBLE_WH:
+        return None
+    path = [start]
+    while routes.cost_wh[path[-1], 0] > 0.0:
+        path.append(int(graph.head[routes.next_edge[path[-1], 0]]))
+    return path
