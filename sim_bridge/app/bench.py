@@ -10,6 +10,7 @@ import shutil
 import statistics
 import subprocess
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,10 @@ from sim_bridge.app.report import slim_table
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
-REAL_TIME_SECONDS_S = 90.0
+REAL_TIME_SECONDS_S = 600.0  # a whole flight: it ends before
 SOLO_SECONDS_S = 300.0
 WARM_UP_S = 5.0
+MEMORY_EVERY_S = 1.0
 
 
 @dataclass(slots=True)
@@ -43,6 +45,9 @@ class _Meter(Progress):
     exchanges_s: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
     rss_mb: float = 0.0
+    together_mb: float = 0.0
+    """The companion and its table worker, most at any moment; shared pages counted once."""
+    _looked_t_s: float = 0.0
     _cpu_at_start_s: float = 0.0
     _process: psutil.Process | None = None
 
@@ -55,10 +60,22 @@ class _Meter(Progress):
             self._process = psutil.Process(pid) if pid else None
             self._cpu_at_start_s = self._cpu()
         self.ended_wall_s, self.ended_t_s = now, t_s
-        if t_s >= self.until_s:
+        if t_s - self._looked_t_s >= MEMORY_EVERY_S:
+            self._looked_t_s = t_s
+            self._look()
+
+    def _look(self) -> None:
+        """CPU and memory so far; what cannot be read any more keeps its last figure."""
+        if self._process is None:
+            return
+        with suppress(psutil.Error):
             self.cpu_s = self._cpu() - self._cpu_at_start_s
-            if self._process is not None and self._process.is_running():
-                self.rss_mb = self._process.memory_info().rss / 1e6
+            self.rss_mb = max(self.rss_mb, self._process.memory_info().rss / 1e6)
+            family = [self._process, *self._process.children()]
+            shares = [p.memory_full_info() for p in family]
+            # PSS is Linux's; elsewhere what is the process's own.
+            together = sum(getattr(share, "pss", share.uss) for share in shares)
+            self.together_mb = max(self.together_mb, together / 1e6)
 
     def exchanged(self, wall_s: float) -> None:
         self.exchanges_s.append(wall_s)
@@ -67,10 +84,11 @@ class _Meter(Progress):
         return t_s < self.until_s
 
     def _cpu(self) -> float:
-        if self._process is None or not self._process.is_running():
+        """Seconds of CPU of the companion so far; it never falls, also when it has ended."""
+        if self._process is None:
             return 0.0
         times = self._process.cpu_times()
-        return times.user + times.system
+        return max(times.user + times.system, self._cpu_at_start_s + self.cpu_s)
 
     @property
     def wall(self) -> float:
@@ -110,6 +128,8 @@ def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[st
         loads = [100.0 * m.cpu_s / m.wall for m in meters]
         rows.append((f"companion at real time, {flavour}", loads, "%", "< 15"))
         rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
+        together = [m.together_mb for m in meters]
+        rows.append(("  with its table worker, at most", together, "MB", "< 250"))
         rows.append(
             ("  telemetry to command p99", [m.exchange_p99_ms for m in meters], "ms", "< 100")
         )

@@ -101,7 +101,9 @@ def table1(
     work = jobs_of(params, wind)
     kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
     cells = cells_of(_journaled(title, work, fly, jobs, kept), params)
-    _finish(sheet(title, cells, NOTE.format(graphs=graphs), params), out, stem)
+    _finish(
+        sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
+    )
     draw(cells, title, out / f"{stem}.png")
     kept.remove()
 
