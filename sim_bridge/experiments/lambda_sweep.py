@@ -132,6 +132,7 @@ def draw(points: list[Point], path: Path) -> None:
         axis.set_title(f"{what}, %")
         axis.set_xlabel("battery, Wh")
     axes[0].legend()
+    figure.suptitle("BER as published: outcomes against battery, for the weight lambda of risk")
     figure.tight_layout()
     figure.savefig(path, dpi=80)
     plt.close(figure)

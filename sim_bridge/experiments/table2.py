@@ -240,11 +240,14 @@ def draw(found: dict[str, list[Measured]], path: Path) -> None:
     figure, axis = plt.subplots(figsize=(7, 4))
     for i, trials in enumerate(found.values()):
         mean = np.mean([m.columns() for m in trials], axis=0)
-        axis.bar(i, mean[0], color="tab:green")
-        axis.bar(i, mean[2], bottom=mean[0], color="tab:red")
-        axis.bar(i, mean[1], bottom=mean[0] + mean[2], color="lightgrey")
+        names = ("home and delivered", "lost", "home, not delivered") if i == 0 else (None,) * 3
+        axis.bar(i, mean[0], color="tab:green", label=names[0])
+        axis.bar(i, mean[2], bottom=mean[0], color="tab:red", label=names[1])
+        axis.bar(i, mean[1], bottom=mean[0] + mean[2], color="lightgrey", label=names[2])
     axis.set_xticks(range(len(found)), list(found), rotation=15, fontsize=8)
-    axis.set_ylabel("success, loss, abort, %")
+    axis.set_ylabel("share of missions, %")
+    axis.set_ylim(0, 125)
+    axis.legend(ncols=3, fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=80)
     plt.close(figure)

@@ -90,6 +90,8 @@ def draw_town(town: Town, path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
     from matplotlib.patches import Rectangle
 
     figure, axis = plt.subplots(figsize=(8, 7))
@@ -100,14 +102,19 @@ def draw_town(town: Town, path: Path) -> None:
         )
     graph, factor = town.graph, town.graph.wind_factor
     assert factor is not None
-    colours = plt.get_cmap("coolwarm")
+    shade = ScalarMappable(Normalize(0.4, 1.4), "coolwarm")
     for e in range(graph.edge_count):
         ends = graph.vertices_m[[graph.tail[e], graph.head[e]], :2]
-        axis.plot(*ends.T, color=colours((factor[e, 0] - 0.4) / 1.0), lw=2)
+        axis.plot(*ends.T, color=shade.to_rgba(factor[e, 0]), lw=2)
     for vertex, label in ((graph.depot, "depot"), (graph.target, "customer")):
-        axis.annotate(label, (graph.vertices_m[vertex, 0], graph.vertices_m[vertex, 1]))
+        place = (float(graph.vertices_m[vertex, 0]), float(graph.vertices_m[vertex, 1]))
+        axis.plot(*place, "ko")
+        axis.annotate(label, place, xytext=(5, 5), textcoords="offset points", weight="bold")
     axis.set_aspect("equal")
-    axis.set_title("Town: edges by what is left of a wind that blows to the east")
+    figure.colorbar(shade, ax=axis, label="wind on the edge / free wind, blowing to the east")
+    axis.set_xlabel("east, m")
+    axis.set_ylabel("north, m")
+    axis.set_title("A generated town: buildings (darker is higher), the graph flown over it")
     figure.tight_layout()
     figure.savefig(path, dpi=80)
     plt.close(figure)
