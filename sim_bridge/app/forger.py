@@ -6,11 +6,10 @@ the autopilot, as the companion, to return to launch and to clear the mission.
 
 from dataclasses import dataclass, field
 
+from sim_bridge.app.operator import MAV_CMD_DO_SET_MODE, RTL_PARAMS, command_long
 from sim_bridge.autopilot.codec import Encoder, Message
 
-MAV_CMD_DO_SET_MODE = 176
 RTL_CUSTOM_MODE = {"px4": 4 << 16 | 5 << 24, "ardupilot": 6}
-RTL_PARAMS = {"px4": (1.0, 4.0, 5.0), "ardupilot": (1.0, 6.0, 0.0)}
 MAV_AUTOPILOT = {"px4": 12, "ardupilot": 3}
 
 
@@ -40,21 +39,7 @@ class Forger:
 
     def to_autopilot(self) -> list[bytes]:
         """Frames in the companion's name."""
-        one, two, three = RTL_PARAMS[self.flavour]
-        order = Message(
-            "COMMAND_LONG",
-            target_system=self.system,
-            target_component=1,
-            command=MAV_CMD_DO_SET_MODE,
-            confirmation=0,
-            param1=one,
-            param2=two,
-            param3=three,
-            param4=0.0,
-            param5=0.0,
-            param6=0.0,
-            param7=0.0,
-        )
+        order = command_long(self.system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[self.flavour])
         clear = Message("MISSION_CLEAR_ALL", target_system=self.system, target_component=1)
         return [self._frame(191, order), self._frame(191, clear)]
 

@@ -9,6 +9,7 @@ GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
 COMPANION_COMPONENT = 191
 MAV_CMD_MISSION_START = 300
 MAV_CMD_DO_SET_MODE = 176
+RTL_PARAMS = {"px4": (1.0, 4.0, 5.0), "ardupilot": (1.0, 6.0, 0.0)}
 ASK_AGAIN_S = 2.0
 SEVERITY_NOTICE = 5
 
@@ -35,7 +36,8 @@ class Operator:
             out.append(self._encoder.encode(_heartbeat()))
         if self.authorises and not self.accepted and t_s >= self._next_ask_s:
             self._next_ask_s = t_s + ASK_AGAIN_S
-            out.append(self._encoder.encode(self._command(MAV_CMD_MISSION_START)))
+            start = command_long(self.vehicle_system, COMPANION_COMPONENT, MAV_CMD_MISSION_START)
+            out.append(self._encoder.encode(start))
         return out
 
     def receive(self, t_s: float, datagram: bytes) -> None:
@@ -51,31 +53,21 @@ class Operator:
 
     def mode_change(self, flavour: str) -> list[bytes]:
         """Order the autopilot to return to launch, behind the companion's back."""
-        mode = (1.0, 6.0, 0.0) if flavour == "ardupilot" else (1.0, 4.0, 5.0)
-        return [self._encoder.encode(self._command(MAV_CMD_DO_SET_MODE, *mode, component=1))]
+        order = command_long(self.vehicle_system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[flavour])
+        return [self._encoder.encode(order)]
 
-    def _command(
-        self,
-        command: int,
-        param1: float = 0.0,
-        param2: float = 0.0,
-        param3: float = 0.0,
-        component: int = COMPANION_COMPONENT,
-    ) -> Message:
-        return Message(
-            "COMMAND_LONG",
-            target_system=self.vehicle_system,
-            target_component=component,
-            command=command,
-            confirmation=0,
-            param1=param1,
-            param2=param2,
-            param3=param3,
-            param4=0.0,
-            param5=0.0,
-            param6=0.0,
-            param7=0.0,
-        )
+
+def command_long(system: int, component: int, command: int, *params: float) -> Message:
+    """COMMAND_LONG to one component; parameters that are not given are 0."""
+    given = {f"param{i + 1}": value for i, value in enumerate(params)}
+    return Message(
+        "COMMAND_LONG",
+        target_system=system,
+        target_component=component,
+        command=command,
+        confirmation=0,
+        **({f"param{i}": 0.0 for i in range(1, 8)} | given),
+    )
 
 
 def _heartbeat() -> Message:

@@ -74,22 +74,18 @@ def _reposition_without_flag(s: Subject) -> str:
 
 
 def _velocity(s: Subject, north_mps: float) -> None:
+    _local_setpoint(s, _VELOCITY_ONLY, vx=north_mps)
+
+
+def _local_setpoint(s: Subject, type_mask: int, **told: float) -> None:
+    """One set-point in LOCAL_NED; what is not told is 0."""
+    fields = ("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
     s.client.send(
         "SET_POSITION_TARGET_LOCAL_NED",
         time_boot_ms=0,
         coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
-        type_mask=_VELOCITY_ONLY,
-        x=0.0,
-        y=0.0,
-        z=0.0,
-        vx=north_mps,
-        vy=0.0,
-        vz=0.0,
-        afx=0.0,
-        afy=0.0,
-        afz=0.0,
-        yaw=0.0,
-        yaw_rate=0.0,
+        type_mask=type_mask,
+        **(dict.fromkeys(fields, 0.0) | told),
     )
 
 
@@ -167,23 +163,7 @@ def _position_setpoint(s: Subject) -> Seen:
     """LOCAL_NED 15 m north of the origin and 20 m above it."""
     start_s, asked = s.client.t_s, s.mode == s.dialect.guided
     while s.client.t_s < start_s + 14.0:
-        s.client.send(
-            "SET_POSITION_TARGET_LOCAL_NED",
-            time_boot_ms=0,
-            coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
-            type_mask=_POSITION_ONLY,
-            x=15.0,
-            y=0.0,
-            z=-HEIGHT_M,
-            vx=0.0,
-            vy=0.0,
-            vz=0.0,
-            afx=0.0,
-            afy=0.0,
-            afz=0.0,
-            yaw=0.0,
-            yaw_rate=0.0,
-        )
+        _local_setpoint(s, _POSITION_ONLY, x=15.0, z=-HEIGHT_M)
         s.client.collect(0.2)
         if not asked and s.client.t_s - start_s > 1.0:
             asked = True
