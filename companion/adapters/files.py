@@ -12,6 +12,7 @@ from companion.core.errors import LeewayError
 from companion.core.flight import Flight, Place
 from companion.core.flight_plan import frame_at, site_map
 from companion.core.geo import Obstacle
+from companion.core.wind_process import WindProcessParams, wind_process_from_dict
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,13 +31,14 @@ def params_dir(explicit: Path | None = None) -> Path:
 
 def read_airframe(name: str, params: Path | None = None) -> Airframe:
     """Read an airframe by its name (params/airframes/NAME.toml) or by a file's path."""
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = params_dir(params) / "airframes" / f"{name}.toml"
-    if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.toml"))) or "none"
-        raise LeewayError(f"{path}: no such airframe; there are: {known}")
+    path = _params_file(name, "airframes", "airframe", params)
     return airframe_from_dict(_read_toml(path), str(path))
+
+
+def read_wind_process(name: str, params: Path | None = None) -> WindProcessParams:
+    """Read how wind changes, by its name (params/wind/NAME.toml) or by a file's path."""
+    path = _params_file(name, "wind", "wind process", params)
+    return wind_process_from_dict(_read_toml(path), str(path))
 
 
 def read_flight(path: Path) -> Flight:
@@ -63,10 +65,21 @@ def read_obstacles(flight: Flight, flight_file: Path, depot: Place) -> tuple[Obs
     return site_map(flight, frame_at(depot), document).obstacles.obstacles
 
 
-def digest_of(flight_file: Path, airframe: Airframe) -> str:
-    """Tell a flight and an airframe apart from others: a checkpoint belongs to one."""
-    raw = flight_file.read_bytes() + msgspec.json.encode(airframe)
+def digest_of(flight_file: Path, airframe: Airframe, wind_process: WindProcessParams) -> str:
+    """Tell a flight, an airframe and a wind process from others: a checkpoint belongs to one."""
+    raw = flight_file.read_bytes() + msgspec.json.encode([airframe, wind_process])
     return hashlib.sha256(raw).hexdigest()[:16]
+
+
+def _params_file(name: str, folder: str, noun: str, params: Path | None) -> Path:
+    """FOLDER/NAME.toml of the params folder, or the path where one is given."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = params_dir(params) / folder / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.toml"))) or "none"
+        raise LeewayError(f"{path}: no such {noun}; there are: {known}")
+    return path
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

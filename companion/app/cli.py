@@ -41,6 +41,13 @@ AirframeName = Annotated[
     str | None,
     typer.Option(help="An airframe in params/airframes, or a .toml file; default: the flight's."),
 ]
+WindProcess = Annotated[
+    str | None,
+    typer.Option(
+        help="How wind changes at the site: a name in params/wind, or a .toml file from"
+        " `companion fit-wind`; default: the flight's mission.wind_process."
+    ),
+]
 Params = Annotated[
     Path | None, typer.Option(help="Params folder; default: the repository's or the package's.")
 ]
@@ -70,6 +77,7 @@ class _Where:
     link: str
     mission: Path
     airframe: str | None
+    wind_process: str | None
     run_dir: Path
     params: Path | None
     signing_key: Path | None
@@ -86,6 +94,7 @@ class _Where:
         return RunOptions(
             link=self.link,
             airframe=airframe,
+            wind_process=self.wind_process,
             mission=self.mission,
             run_dir=self.run_dir,
             params=self.params,
@@ -108,6 +117,7 @@ def run_command(
     link: LinkUrl,
     mission: Mission,
     airframe: AirframeName = None,
+    wind_process: WindProcess = None,
     run_dir: RunDir = Path("logs/companion"),
     params: Params = None,
     signing_key: Key = None,
@@ -148,7 +158,9 @@ def run_command(
     pilot = PilotOptions(
         gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
     )
-    where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
+    where = _Where(
+        link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
+    )
     code, _ = _run(replace(where.options(pilot), lockstep=lockstep), _show)
     raise typer.Exit(code)
 
@@ -158,6 +170,7 @@ def check(
     link: LinkUrl,
     mission: Mission,
     airframe: AirframeName = None,
+    wind_process: WindProcess = None,
     run_dir: RunDir = Path("logs/companion-check"),
     params: Params = None,
     signing_key: Key = None,
@@ -166,7 +179,9 @@ def check(
     silence_limit: SilenceLimit = 60.0,
 ) -> None:
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
-    where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
+    where = _Where(
+        link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
+    )
     code, pilot = _run(where.options(PilotOptions(check_only=True, here=here)), _show_check)
     if pilot.phase is not Phase.GROUNDED:
         typer.echo("no answer from an autopilot" if code == NO_LINK else "the check was cut short")

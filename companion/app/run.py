@@ -8,7 +8,13 @@ from types import FrameType
 
 from companion.adapters.ardupilot import ArduPilot
 from companion.adapters.checkpoint import read_checkpoint
-from companion.adapters.files import digest_of, read_airframe, read_flight, read_obstacle_document
+from companion.adapters.files import (
+    digest_of,
+    read_airframe,
+    read_flight,
+    read_obstacle_document,
+    read_wind_process,
+)
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
@@ -37,6 +43,7 @@ class RunOptions:
     airframe: str
     mission: Path
     run_dir: Path
+    wind_process: str | None = None
     params: Path | None = None
     signing_key: Path | None = None
     system_id: int | None = None
@@ -54,13 +61,17 @@ def run(
     """
     flight = read_flight(options.mission)
     airframe = read_airframe(options.airframe, options.params)
+    wind_process = read_wind_process(
+        options.wind_process or flight.mission.wind_process, options.params
+    )
     obstacles = read_obstacle_document(flight, options.mission)
     key = read_signing_key(options.signing_key) if options.signing_key is not None else None
-    digest = digest_of(options.mission, airframe)
+    digest = digest_of(options.mission, airframe, wind_process)
     kept, trouble = _kept(options, digest)
     pilot = Pilot(
         flight,
         airframe,
+        wind_process,
         obstacles=obstacles,
         requirements=requirements,
         digest=digest,
@@ -87,7 +98,10 @@ def run(
     loop.on_action = on_action
     if not options.pilot.check_only:
         loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
-    recorder.note(pilot.now.t_s, f"mission {flight.name}, airframe {airframe.name}")
+    recorder.note(
+        pilot.now.t_s,
+        f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}",
+    )
     if trouble:
         recorder.note(pilot.now.t_s, trouble)
     if not options.pilot.gate_on:

@@ -121,7 +121,10 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the operator asks, and the risk that they accept. Heights are above the depot."""
+    """What the operator asks, and the risk that they accept. Heights are above the depot.
+
+    `wind_process` names how wind changes at the site: a file of params/wind, or a path.
+    """
 
     max_loss: float = 0.01
     reserve_frac: float = 0.15
@@ -131,6 +134,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     wind_settle_s: float = 10.0
     time_limit_s: float = 1800.0
     cruise_airspeed_mps: float | None = None
+    wind_process: str = "coast"
 
     def __post_init__(self) -> None:
         check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)

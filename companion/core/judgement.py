@@ -26,8 +26,9 @@ from companion.core.situation import (
 )
 from companion.core.value_gate import Belief, Reading, TableRequest, ValueTable
 from companion.core.wind_estimator import WindBelief, WindEstimator, WindObservation
-from companion.core.wind_lattice import HORIZONS_S, PRIOR_WIND, nearest_process
+from companion.core.wind_lattice import HORIZONS_S, nearest_process, prior_wind
 from companion.core.wind_outlook import WindOutlook
+from companion.core.wind_process import WindProcessParams
 
 BATTERY_EVERY_S = 0.2
 STEADY_HEIGHT_M = 10.0
@@ -48,14 +49,21 @@ class Limits:
 class Judgement:
     """Holds the estimators and the gate of one vehicle."""
 
-    def __init__(self, flight: Flight, airframe: Airframe, route_energy: RouteEnergy) -> None:
+    def __init__(
+        self,
+        flight: Flight,
+        airframe: Airframe,
+        route_energy: RouteEnergy,
+        wind_process: WindProcessParams,
+    ) -> None:
         self._flight = flight
         self._airframe = airframe
         self.route_energy = route_energy
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = WindEstimator(airframe)
-        self._outlook = WindOutlook()
+        self._outlook = WindOutlook(wind_process)
+        self._prior_wind = prior_wind(wind_process)
         self._ledger = EnergyLedger(
             airframe,
             expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
@@ -250,7 +258,7 @@ class Judgement:
         known = self.wind is not None and self.wind.valid and not on_ground
         if on_ground:
             belief = replace(belief, left_wh=belief.left_wh - self._take_off_wh(plan))
-        process = PRIOR_WIND
+        process = self._prior_wind
         if known and self.wind is not None:
             process = nearest_process(self._outlook.forecast(self.wind, HORIZONS_S))
         return TableRequest(
@@ -271,7 +279,7 @@ class Judgement:
         energy = self.energy
         if energy is None:
             return None
-        mean, std = (0.0, 0.0), (PRIOR_WIND.std_mps, PRIOR_WIND.std_mps)
+        mean, std = (0.0, 0.0), (self._prior_wind.std_mps,) * 2
         if self.wind is not None and self.wind.valid:
             north, east = (float(x) for x in self.wind.mean_to_ne_mps)
             cov = self.wind.cov_ne_m2ps2

@@ -80,6 +80,7 @@ from companion.core.transitions import (
     Trigger,
     next_phase,
 )
+from companion.core.wind_process import WindProcessParams
 
 LULL_S = 3.0
 """A gap of the autopilot's time up to this is a lull; a longer one means reading all again."""
@@ -97,6 +98,7 @@ class Pilot:
         self,
         flight: Flight,
         airframe: Airframe,
+        wind_process: WindProcessParams,
         *,
         obstacles: dict[str, Any] | None,
         requirements: Requirements,
@@ -111,7 +113,7 @@ class Pilot:
         self.options = options or PilotOptions()
         route_energy = RouteEnergy(airframe, cruise_airspeed_mps=flight.mission.cruise_airspeed_mps)
         self.planner = BerPlanner(route_energy)
-        self.judge = Judgement(flight, airframe, route_energy)
+        self.judge = Judgement(flight, airframe, route_energy, wind_process)
         self.now = Situation()
         self.authority = Authority()
         self.phase = Phase.IDENTIFY

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.wind_chain import OrnsteinUhlenbeckWind
-from companion.core.wind_outlook import WindForecast
+from companion.core.wind_outlook import LEG_S, WindForecast
+from companion.core.wind_process import WindProcessParams
 
 Floats = NDArray[np.float64]
 
@@ -16,12 +17,24 @@ LEAST_STD_MPS = 0.6
 HORIZONS_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0])
 _TIME_CONSTANTS_S = np.geomspace(40.0, 6000.0, 26)
 
-# Any wind up to a gale; its change within minutes is that of the outlook (wind_outlook.py): half
-# the mean squared change after 300 s is 1.3 m^2/s^2 here, 1.8 there, whose fastest part is a leg's
-# own gusts.
-PRIOR_WIND = OrnsteinUhlenbeckWind(
-    std_mps=4.0, time_constant_s=3600.0, spacing_mps=12.0 / STEPS, reach_mps=12.0
-)
+_PRIOR_STD_MPS = 4.0  # per axis: any wind up to a gale
+_PRIOR_LAG_S = 300.0  # about half of a mission: where the prior's change is the process's
+
+
+def prior_wind(process: WindProcessParams) -> OrnsteinUhlenbeckWind:
+    """Any wind, that changes within minutes as the process does: before a wind is known.
+
+    One Ornstein-Uhlenbeck process whose mean squared change after `_PRIOR_LAG_S`,
+    `2 std^2 (1 - exp(-lag/T))`, is that of the fitted one at its reference wind.
+    """
+    change = float(process.mean_squared_change_m2ps2(np.array([_PRIOR_LAG_S]), LEG_S)[0])
+    share = min(change / (2.0 * _PRIOR_STD_MPS**2), 0.9)
+    return OrnsteinUhlenbeckWind(
+        std_mps=_PRIOR_STD_MPS,
+        time_constant_s=-_PRIOR_LAG_S / math.log1p(-share),
+        spacing_mps=_PRIOR_STD_MPS * REACH_STDS / STEPS,
+        reach_mps=_PRIOR_STD_MPS * REACH_STDS,
+    )
 
 
 def nearest_process(forecast: WindForecast) -> OrnsteinUhlenbeckWind:

@@ -1,20 +1,9 @@
 """How the wind may move from now on, over minutes.
 
-Each axis of the wind is a level plus three Ornstein-Uhlenbeck processes, `dx = -x/T dt + noise`,
-with stationary variance v. Fitted to the variogram of 10 s means of a coastal recording
-(shared/data/wind/coast_2023_1hz.csv, mean wind 8.6 m/s; half the mean squared change, m^2/s^2):
-
-| lag s | recording | v = 1.0, 0.6, 1.5 at T = 15, 150, 1500 s |
-| --- | --- | --- |
-| 20 | 0.81 | 0.83 |
-| 120 | 1.52 | 1.45 |
-| 300 | 1.79 | 1.79 |
-| 600 | 2.18 | 2.08 |
-| 1200 | 2.45 | 2.43 |
-
-which also gives evaluation.md section 6: a forecast from the last 30 s errs by 1.2 m/s, one that
-also uses the last 300 s by 0.7 to 1.0. A small Kalman filter over the four parts takes the place
-of running averages over 30 and 300 s: it weighs the history as the process itself would have it.
+The process that the outlook rests on comes from a file (`wind_process.py`, params/wind): on each
+axis a level plus a few Ornstein-Uhlenbeck processes. A small Kalman filter over these parts takes
+the place of running averages over 30 and 300 s (evaluation.md, section 6): it weighs the history
+as the process itself would have it.
 """
 
 import math
@@ -26,25 +15,21 @@ from numpy.typing import NDArray
 
 from companion.core.errors import LeewayError
 from companion.core.wind_estimator import WindBelief
+from companion.core.wind_process import WindProcessParams, averaged_share, speed_mps
 
 FloatArray = NDArray[np.float64]
 
 SNAPSHOT_FORMAT = "wind-outlook/1"
 
-_MEMORY_S = np.array([15.0, 150.0, 1500.0, math.inf])
-_VARIANCE_M2PS2 = np.array([1.0, 0.6, 1.5, 100.0])  # the level: any wind
-_REFERENCE_WIND_MPS = 8.6
-_LEAST_SCALE, _MOST_SCALE = 0.75, 1.8  # of standard deviations, with the wind's own speed
-# What a leg meets of the fastest part is an average over about a minute: 2 T / 60 s of it.
-_FAST_AVERAGED_FRAC = 0.4
+LEG_S = 60.0
+"""What a leg meets of gusts is an average over about a minute."""
+
 _OBSERVE_EVERY_S = 5.0
-# The part of the belief's variance that is noise, new each time; the rest stays (trim, drag gain).
-_NOISE_M2PS2 = 0.4**2
 
 
 @dataclass(frozen=True, slots=True)
 class WindForecast:
-    """Joint Gaussian of the wind (about a minute's mean) at `horizon_s` (n,) from now.
+    """Joint law of the wind (about a minute's mean) at `horizon_s` (n,) from now.
 
     `mean_to_ne_mps` (n, 2); `walk_cov_m2ps2` (n, n) is how the wind itself may move, the same on
     both axes and independent; `error_cov_m2ps2` (2, 2) is the estimate's own lasting error, the
@@ -75,10 +60,15 @@ class WindForecast:
 class WindOutlook:
     """Follows the belief over the flight and forecasts the wind; one per vehicle."""
 
-    def __init__(self) -> None:
+    def __init__(self, process: WindProcessParams) -> None:
+        self._process = process
+        # The last part is the level: it keeps what it is.
+        self._memory_s = np.array([*process.memory_s, math.inf])
+        self._variance = np.array([*process.variance_m2ps2, process.level_std_mps**2])
+        self._noise_m2ps2 = process.seen_noise_std_mps**2
         self._t_s: float | None = None
-        self._parts = np.zeros((4, 2))
-        self._cov = np.diag(_VARIANCE_M2PS2)
+        self._parts = np.zeros((self._memory_s.size, 2))
+        self._cov = np.diag(self._variance)
 
     def observe(self, belief: WindBelief) -> None:
         """Take a belief (any rate; thinned inside). Invalid ones are ignored."""
@@ -88,14 +78,19 @@ class WindOutlook:
             self._parts, self._cov = self._taken(belief)
             self._t_s = belief.t_s
 
-    def forecast(self, belief: WindBelief, horizon_s: FloatArray) -> WindForecast:
-        """The wind at each horizon (>= 0), given the belief now and the history observed."""
+    def forecast(
+        self, belief: WindBelief, horizon_s: FloatArray, averaged_s: float = LEG_S
+    ) -> WindForecast:
+        """The wind at each horizon (>= 0), given the belief now and the history observed.
+
+        `averaged_s`: what is asked at a horizon is the mean over about so long.
+        """
         parts, cov = self._taken(belief)
-        scale = _scale(belief)
-        decay = np.exp(-horizon_s[:, None] / _MEMORY_S)
+        scale = self._scale(belief)
+        decay = np.exp(-horizon_s[:, None] / self._memory_s)
         mean = decay @ parts
-        walk = (decay @ cov @ decay.T) + self._fresh(horizon_s, scale)
-        noise = min(_NOISE_M2PS2, float(np.linalg.eigvalsh(belief.cov_ne_m2ps2)[0]))
+        walk = (decay @ cov @ decay.T) + self._fresh(horizon_s, scale, averaged_s)
+        noise = min(self._noise_m2ps2, float(np.linalg.eigvalsh(belief.cov_ne_m2ps2)[0]))
         error = belief.cov_ne_m2ps2 - noise * np.eye(2)
         return WindForecast(horizon_s, mean, walk, error)
 
@@ -118,48 +113,45 @@ class WindOutlook:
             cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
         except (KeyError, ValueError, msgspec.ValidationError) as error:
             raise LeewayError(f"checkpoint: {error}") from error
-        shaped = parts.shape == (4, 2) and cov.shape == (4, 4)
+        count = self._memory_s.size
+        shaped = parts.shape == (count, 2) and cov.shape == (count, count)
         if not shaped or not np.isfinite([*parts.ravel(), *cov.ravel()]).all():
-            raise LeewayError("checkpoint: expected 4 parts of the wind and their covariance")
+            raise LeewayError(f"checkpoint: expected {count} parts of the wind and covariance")
         self._t_s, self._parts, self._cov = t_s, parts, cov
 
     def _taken(self, belief: WindBelief) -> tuple[FloatArray, FloatArray]:
         """The parts and their covariance after this belief, without keeping them."""
         parts, cov = self._parts, self._cov
-        scale = _scale(belief)
+        variance = self._variance.copy()
+        variance[:-1] *= self._scale(belief)
         if self._t_s is None:
-            cov = np.diag(_VARIANCE_M2PS2 * np.array([scale, scale, scale, 1.0]))
+            cov = np.diag(variance)
         else:
             waited_s = max(belief.t_s - self._t_s, 0.0)
-            decay = np.exp(-waited_s / _MEMORY_S)
+            decay = np.exp(-waited_s / self._memory_s)
             parts = decay[:, None] * parts
-            added = scale * _VARIANCE_M2PS2 * (1.0 - decay**2)
-            cov = decay[:, None] * cov * decay + np.diag(np.where(decay < 1.0, added, 0.0))
+            cov = decay[:, None] * cov * decay + np.diag(variance * (1.0 - decay**2))
         if belief.valid:
             gain = cov.sum(axis=1)
-            total = float(gain.sum()) + _NOISE_M2PS2
+            total = float(gain.sum()) + self._noise_m2ps2
             parts = parts + np.outer(gain / total, belief.mean_to_ne_mps - parts.sum(axis=0))
             cov = cov - np.outer(gain, gain) / total
         return parts, cov
 
-    @staticmethod
-    def _fresh(horizon_s: FloatArray, scale: float) -> FloatArray:
+    def _fresh(self, horizon_s: FloatArray, scale: float, averaged_s: float) -> FloatArray:
         """Covariance between horizons of what the processes add after now."""
         earlier = np.minimum.outer(horizon_s, horizon_s)
-        later = np.maximum.outer(horizon_s, horizon_s)
+        apart = np.abs(np.subtract.outer(horizon_s, horizon_s))
+        memories = self._memory_s[:-1]
+        shares = scale * self._variance[:-1] * averaged_share(memories, averaged_s)
         total = np.zeros_like(earlier)
-        for memory_s, variance, share in zip(
-            _MEMORY_S[:3], _VARIANCE_M2PS2[:3], (_FAST_AVERAGED_FRAC, 1.0, 1.0), strict=True
-        ):
-            grown = 1.0 - np.exp(-2.0 * earlier / memory_s)
-            total += share * scale * variance * grown * np.exp(-(later - earlier) / memory_s)
+        for memory_s, variance in zip(memories, shares, strict=True):
+            total += variance * -np.expm1(-2.0 * earlier / memory_s) * np.exp(-apart / memory_s)
         return total
 
-
-def _scale(belief: WindBelief) -> float:
-    """Variance here over variance at the reference wind."""
-    speed = math.hypot(float(belief.mean_to_ne_mps[0]), float(belief.mean_to_ne_mps[1]))
-    return min(max(speed / _REFERENCE_WIND_MPS, _LEAST_SCALE), _MOST_SCALE) ** 2
+    def _scale(self, belief: WindBelief) -> float:
+        """Variance here over variance at the reference wind."""
+        return self._process.variance_scale(speed_mps(belief.mean_to_ne_mps))
 
 
 def _root(cov: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ from companion.core.planner import BerPlanner, NoRoute
 from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
+from companion.core.wind_process import WindProcessParams, wind_process_from_dict
 from ground_station.adapters.files import params_dir, read_json, read_toml
 
 app = typer.Typer(
@@ -66,7 +67,7 @@ def estimate(
     angle = math.radians(wind_from)
     to_ne = np.array([-wind_speed * math.cos(angle), -wind_speed * math.sin(angle)])
     belief = WindBelief(0.0, to_ne, wind_std**2 * np.eye(2), ("forecast",), True)
-    outlook = WindOutlook()
+    outlook = WindOutlook(_read_wind_process(loaded.mission.wind_process))
     outlook.observe(belief)
     reserve_wh = loaded.mission.reserve_frac * energy.usable_full_wh
     gate = Gate(route_energy, GateParams(max_loss=loaded.mission.max_loss, reserve_wh=reserve_wh))
@@ -94,6 +95,13 @@ def _read_flight(path: Path) -> Flight:
 def _read_airframe(name: str) -> Airframe:
     path = params_dir() / "airframes" / f"{name}.toml"
     return airframe_from_dict(read_toml(path), str(path))
+
+
+def _read_wind_process(name: str) -> WindProcessParams:
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = params_dir() / "wind" / f"{name}.toml"
+    return wind_process_from_dict(read_toml(path), str(path))
 
 
 def _energy(

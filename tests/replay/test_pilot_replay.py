@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.files import digest_of, params_dir, read_airframe, read_flight
+from companion.adapters.files import (
+    digest_of,
+    params_dir,
+    read_airframe,
+    read_flight,
+    read_wind_process,
+)
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Incoming
 from companion.app.loop import Loop
@@ -72,10 +78,11 @@ class Ears:
         folder.mkdir()
         path.write_text(FLIGHT_TOML)
         flight, airframe = read_flight(path), read_airframe("m100")
+        wind_process = read_wind_process("coast")
         self.tape, self.decisions, self.said = Tape(), [], []
         self.pilot = Pilot(
-            flight, airframe, obstacles=None, requirements=requirements,
-            digest=digest_of(path, airframe),
+            flight, airframe, wind_process, obstacles=None, requirements=requirements,
+            digest=digest_of(path, airframe, wind_process),
             options=PilotOptions(configure=True, authorise=True),
         )  # fmt: skip
         self.recorder = Recorder(folder)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from companion.adapters.files import digest_of, read_airframe, read_flight
+from companion.adapters.files import digest_of, read_airframe, read_flight, read_wind_process
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Incoming
 from companion.app import loop as loop_module
@@ -57,14 +57,16 @@ class Station:
 
     def __init__(self, folder: Path, system: int = 1) -> None:
         flight, airframe = read_flight(FLIGHT), read_airframe("m100")
+        wind_process = read_wind_process("coast")
         self.wire = WireTap()
         self.recorder = Recorder(folder)
         self.pilot = Pilot(
             flight,
             airframe,
+            wind_process,
             obstacles=None,
             requirements=requirements,
-            digest=digest_of(FLIGHT, airframe),
+            digest=digest_of(FLIGHT, airframe, wind_process),
             options=PilotOptions(),
         )
         self.loop = Loop.wire(

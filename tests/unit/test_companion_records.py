@@ -22,6 +22,7 @@ from companion.adapters.files import (
     read_airframe,
     read_flight,
     read_obstacle_document,
+    read_wind_process,
 )
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.tlog import Tlog
@@ -258,7 +259,15 @@ def test_a_digest_tells_flights_and_airframes_apart(tmp_path):
     one.write_text("a")
     two.write_text("b")
     m100, octo = read_airframe("m100"), read_airframe("octo8")
-    assert len({digest_of(one, m100), digest_of(two, m100), digest_of(one, octo)}) == 3
+    coast = read_wind_process("coast")
+    calmer = msgspec.structs.replace(coast, variance_m2ps2=(0.1, 0.1, 0.1))
+    digests = {
+        digest_of(one, m100, coast),
+        digest_of(two, m100, coast),
+        digest_of(one, octo, coast),
+        digest_of(one, m100, calmer),
+    }
+    assert len(digests) == 4
 
 
 # --- command line --------------------------------------------------------------------------------

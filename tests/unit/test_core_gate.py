@@ -15,10 +15,14 @@ from companion.core.gate import Ahead, Assessment, Gate, GateParams, Stage, WayH
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindForecast, WindOutlook
+from companion.core.wind_process import wind_process_from_dict
 
 ROOT = Path(__file__).parents[2]
 M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
 ROUTE = RouteEnergy(M100)
+WIND_PROCESS = wind_process_from_dict(
+    tomllib.loads((ROOT / "params/wind/coast.toml").read_text()), "coast"
+)
 MODEL_STD = M100.power_rotor.model_std_frac
 PARCEL = 0.6
 UP = -40.0
@@ -38,7 +42,7 @@ def believed(north: float, east: float, std: float = 0.5, t_s: float = 300.0) ->
 
 
 def followed(north: float, east: float) -> WindOutlook:
-    outlook = WindOutlook()
+    outlook = WindOutlook(WIND_PROCESS)
     for t in range(0, 300, 5):
         outlook.observe(believed(north, east, t_s=float(t)))
     return outlook
@@ -107,7 +111,7 @@ def test_in_a_wind_that_stays_p_home_is_the_normal_distributions(sigmas: float) 
     wind = (0.0, -7.0)
     need = need_wh(RETURN.ways_home_now[0], wind)
     spread = math.hypot(2.0, MODEL_STD * need)
-    answer = judge(RETURN, need + 15.0 + sigmas * spread, wind, StillWind())
+    answer = judge(RETURN, need + 15.0 + sigmas * spread, wind, StillWind(WIND_PROCESS))
     assert answer.p_home == pytest.approx(norm.cdf(sigmas), abs=1e-3)
     assert answer.p_home_now == answer.p_home == answer.p_success
     # The margin is 0 where the promise of 0.99 is just kept.
@@ -248,7 +252,7 @@ def test_safety_rule_6_without_further_commands_it_is_predicted_at_the_speed_abo
     way = RETURN.ways_home_now[0]
     fixed = float(ROUTE.costs(way.unattended_legs, np.array([wind])).energy_wh.sum())
     spread = math.hypot(2.0, MODEL_STD * fixed)
-    answer = judge(RETURN, fixed + 15.0 + spread, wind, StillWind())
+    answer = judge(RETURN, fixed + 15.0 + spread, wind, StillWind(WIND_PROCESS))
     assert answer.p_home_unattended == pytest.approx(norm.cdf(1.0), abs=2e-3)
     silent = Ahead((WayHome("depot", way.legs),), (), delivered=True)
     assert judge(silent, 60.0).p_home_unattended is None
@@ -259,7 +263,7 @@ def test_outbound_a_dead_companion_flies_on_to_the_next_point_first() -> None:
     ahead = mission(1800.0, 6, 3)
     legs = (*ahead.stages[0].legs, *ahead.stages[0].ways_home[0].unattended_legs)
     need = float(ROUTE.costs(legs, np.array([wind])).energy_wh.sum())
-    answer = judge(ahead, need + 15.0, wind, StillWind(), min_success=0.0)
+    answer = judge(ahead, need + 15.0, wind, StillWind(WIND_PROCESS), min_success=0.0)
     assert answer.p_home_unattended == pytest.approx(0.5, abs=0.08)
 
 
@@ -341,7 +345,7 @@ class ToyEyes:
 
     def __init__(self, rng: np.random.Generator, wind: np.ndarray) -> None:
         self.rng, self.wind, self.bias = rng, wind, 0.3 * rng.standard_normal(2)
-        self.outlook = WindOutlook()
+        self.outlook = WindOutlook(WIND_PROCESS)
 
     def look(self, t_s: float) -> WindBelief:
         mean = self.wind[int(t_s) - 9 : int(t_s) + 1].mean(axis=0)
@@ -457,7 +461,7 @@ def test_in_a_wind_that_stays_p_success_is_whether_the_energy_does_for_the_whole
     legs = [leg for stage in ahead.stages for leg in stage.legs]
     legs += ahead.stages[-1].ways_home[0].legs
     need = float(ROUTE.costs(tuple(legs), np.array([wind])).energy_wh.sum())
-    answer = judge(ahead, 15.0 + (1.0 + spare_frac) * need, wind, StillWind())
+    answer = judge(ahead, 15.0 + (1.0 + spare_frac) * need, wind, StillWind(WIND_PROCESS))
     sigmas = spare_frac * need / math.hypot(2.0, MODEL_STD * need)
     assert answer.p_success <= norm.cdf(sigmas) + 0.01
     assert answer.p_success >= norm.cdf(sigmas - norm.ppf(0.99)) - 0.01

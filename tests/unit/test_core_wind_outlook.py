@@ -10,9 +10,22 @@ import pytest
 from companion.core.errors import LeewayError
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
+from companion.core.wind_process import WindProcessParams
 
 ROOT = Path(__file__).parents[2]
 COAST = ROOT.parent / "shared" / "data" / "wind" / "coast_2023_1hz.csv"
+# The process that was first fitted by hand; the tests below hold for any.
+PROCESS = WindProcessParams(
+    format="wind-process/1",
+    name="by hand",
+    memory_s=(15.0, 150.0, 1500.0),
+    variance_m2ps2=(1.0, 0.6, 1.5),
+    reference_wind_mps=8.6,
+    least_scale=0.75,
+    most_scale=1.8,
+    level_std_mps=10.0,
+    seen_noise_std_mps=0.4,
+)
 HORIZONS = np.array([0.0, 30.0, 120.0, 300.0, 600.0, 1200.0])
 
 
@@ -22,7 +35,7 @@ def belief(t_s: float, north: float, east: float, std: float = 0.5) -> WindBelie
 
 
 def followed(north: float, east: float, seconds: int = 300) -> WindOutlook:
-    outlook = WindOutlook()
+    outlook = WindOutlook(PROCESS)
     for t in range(0, seconds + 1, 5):
         outlook.observe(belief(float(t), north, east))
     return outlook
@@ -81,7 +94,7 @@ def test_the_weights_are_the_best_linear_predictor_of_the_process() -> None:
     seen = covariance(times, times) + 0.16 * np.eye(times.size)
     ahead = covariance(times[-1] + HORIZONS[1:], times)
     expected = ahead @ np.linalg.solve(seen, speeds)
-    outlook = WindOutlook()
+    outlook = WindOutlook(PROCESS)
     for t, speed in zip(times[:-1], speeds[:-1], strict=True):
         # The scale follows the speed seen, so hold it at 1: the other axis makes 8.6 of it.
         outlook.observe(_scaled(float(t), float(speed)))
@@ -94,7 +107,7 @@ def _scaled(t_s: float, east: float) -> WindBelief:
 
 
 def test_an_unknown_wind_is_ignored_and_forecast_as_unknown() -> None:
-    outlook = WindOutlook()
+    outlook = WindOutlook(PROCESS)
     nothing = WindBelief(5.0, np.zeros(2), 64.0 * np.eye(2), (), False)
     outlook.observe(nothing)
     forecast = outlook.forecast(nothing, HORIZONS)
@@ -103,7 +116,7 @@ def test_an_unknown_wind_is_ignored_and_forecast_as_unknown() -> None:
 
 def test_a_restart_keeps_the_history() -> None:
     outlook = followed(2.0, -5.0)
-    again = WindOutlook()
+    again = WindOutlook(PROCESS)
     again.restore(outlook.snapshot())
     now = belief(310.0, 1.0, -7.0)
     ours, theirs = outlook.forecast(now, HORIZONS), again.forecast(now, HORIZONS)
@@ -126,7 +139,7 @@ def test_the_stated_quantiles_cover_what_the_coast_recording_did() -> None:
     for ahead_s, worst_error in ((150, 1.05), (600, 1.05), (1200, 1.05)):
         normalised, errors = [], []
         for start in range(0, len(wind) - ahead_s - 310, 61):
-            outlook = WindOutlook()
+            outlook = WindOutlook(PROCESS)
             for t in range(start, start + 301, 5):
                 low = max(t - 9, 0)
                 seen = (total[t + 1] - total[low]) / (t + 1 - low) + rng.normal(0.0, 0.3, 2)

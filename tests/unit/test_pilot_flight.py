@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.adapters.files import read_airframe
+from companion.adapters.files import read_airframe, read_wind_process
 from companion.core import events as ev
 from companion.core import recognising
 from companion.core.actions import (
@@ -80,6 +80,7 @@ FLIGHT = msgspec.convert(
     Flight,
 )
 AIRFRAME = read_airframe("m100")
+WIND_PROCESS = read_wind_process("coast")
 CLOSED = "the return needs more than is left"
 
 
@@ -350,6 +351,7 @@ def world(
     pilot = Pilot(
         flight,
         AIRFRAME,
+        WIND_PROCESS,
         obstacles=None,
         requirements=one_requirement,
         digest="test",

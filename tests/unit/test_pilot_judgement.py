@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.files import read_airframe, read_flight
+from companion.adapters.files import read_airframe, read_flight, read_wind_process
 from companion.core import events as ev
 from companion.core.ahead import ahead_outbound
 from companion.core.judgement import Judgement, Limits
@@ -19,10 +19,11 @@ from companion.core.wind_estimator import WindBelief
 
 FLIGHT = read_flight(Path(__file__).parents[2] / "params" / "flights" / "default.toml")
 AIRFRAME = read_airframe("m100")
+WIND_PROCESS = read_wind_process("coast")
 
 
 def judgement() -> Judgement:
-    return Judgement(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME))
+    return Judgement(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
 
 
 def standing(t_s: float, *events: ev.Event, now: Situation | None = None) -> Situation:

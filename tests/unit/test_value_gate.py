@@ -24,10 +24,14 @@ from companion.core.wind_chain import OrnsteinUhlenbeckWind
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_lattice import HORIZONS_S, nearest_process
 from companion.core.wind_outlook import WindForecast, WindOutlook
+from companion.core.wind_process import wind_process_from_dict
 
 ROOT = Path(__file__).parents[2]
 M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
 ROUTE = RouteEnergy(M100)
+WIND_PROCESS = wind_process_from_dict(
+    tomllib.loads((ROOT / "params/wind/coast.toml").read_text()), "coast"
+)
 PARCEL, DROP_HEIGHT_M, DROP_S, UP = 0.6, 6.0, 12.0, -40.0
 SURE = ModelError(1.0, 0.0)
 
@@ -197,7 +201,7 @@ class OnlyThisProcess(WindOutlook):
     """A world in which the chain's own process is the wind."""
 
     def __init__(self, process: OrnsteinUhlenbeckWind) -> None:
-        super().__init__()
+        super().__init__(WIND_PROCESS)
         self.process = process
 
     def forecast(self, belief: WindBelief, horizon_s: np.ndarray) -> WindForecast:
@@ -271,7 +275,7 @@ def test_of_turning_here_they_agree_at_any_probability(
 
 
 def test_the_chain_keeps_the_mean_and_covariance_of_the_outlooks_forecast() -> None:
-    outlook = WindOutlook()
+    outlook = WindOutlook(WIND_PROCESS)
     for t in range(0, 300, 5):
         seen = WindBelief(float(t), np.array([3.0, -7.0]), 0.25 * np.eye(2), ("test",), True)
         outlook.observe(seen)
