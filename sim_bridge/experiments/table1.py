@@ -85,7 +85,7 @@ class Table1Params:
 GUSTY_PARAMS = Table1Params(
     generator=GeneratorParams(rose=GUSTY, sides_m=((290.0, 0.4), (400.0, 0.6))),
     max_losses=("paper", 0.01),
-    paper_share=1.5,  # on a fitting seed, 40 customers: 4 % over all where the paper loses 4.2 %
+    paper_share=1.35,  # on fitting seeds: 4 % over all where the paper loses 4.2 %
 )
 
 Cell = tuple[int, float, str]  # classes, budget, planner
