@@ -273,7 +273,7 @@ class Judgement:
         energy = self.energy
         if energy is None:
             return None
-        mean, std = (0.0, 0.0), (self._prior_wind.std_mps,) * 2
+        mean, std = (0.0, 0.0), (self._prior_wind.std_mps, self._prior_wind.std_mps)
         if self.wind is not None and self.wind.valid:
             north, east = (float(x) for x in self.wind.mean_to_ne_mps)
             cov = self.wind.cov_ne_m2ps2
