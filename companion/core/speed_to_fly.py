@@ -20,7 +20,7 @@ Flown = tuple[FloatArray, FloatArray]
 _SPEED_STEP_MPS = 0.25
 _WIND_STEP_MPS = 0.5
 _WIND_BEYOND_MPS = 6.0  # the table's reach beyond the fastest airspeed
-_TILT_AUTHORITY = 0.95  # share of the tilt-limited airspeed that may be planned with, for gusts
+_TILT_AUTHORITY = 0.97  # share of the tilt-limited airspeed that may be planned with, for gusts
 # Of the cruise airspeed. Below, tilt says too little of the wind; no airframe's least lies there.
 _SLOWEST_FRAC = 0.5
 
