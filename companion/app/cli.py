@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from companion.adapters.files import read_flight
+from companion.adapters.files import read_flight, read_wind_process
 from companion.app.check_report import report
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
@@ -189,6 +190,51 @@ def check(
     lines, ready = report(pilot)
     typer.echo("\n".join(lines))
     raise typer.Exit(DONE if ready else GROUNDED)
+
+
+@app.command(name="fit-wind")
+def fit_wind_command(
+    logs: Annotated[
+        list[Path], typer.Argument(help="Recordings: CSV of t_s, wind_speed_mps, wind_from_deg.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Write the process here, a wind-process/1 TOML file.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="The process's name; default: that of the file written.")
+    ] = None,
+    parts: Annotated[
+        int, typer.Option(min=2, max=3, help="Ornstein-Uhlenbeck processes on each axis.")
+    ] = 3,
+    beside: Annotated[
+        list[str] | None,
+        typer.Option(help="Also judge this process (a name in params/wind, or a file) as it is."),
+    ] = None,
+    params: Params = None,
+) -> None:
+    """Fit how wind changes to recordings, and judge it on wind that was held out.
+
+    Example: companion fit-wind site.csv --out params/wind/site.toml, then fly with
+    --wind-process site. Samples that cannot be right are left out and named by line.
+    """
+    from companion.app.fit_wind import fit_wind, read_recordings, show, write_process
+
+    console = Console(stderr=True)
+    try:
+        label = name or (out.stem if out is not None else "fitted")
+        others = tuple(read_wind_process(other, params) for other in beside or [])
+        if out is not None and not out.parent.is_dir():
+            raise LeewayError(f"{out.parent}: no such folder")
+        recordings = read_recordings(logs, lambda words: typer.echo(words, err=True))
+        found = fit_wind(recordings, label, parts, others, console)
+        show(found, Console())
+        if out is not None:
+            more = f" --parts {parts}" if parts != 3 else ""
+            command = f"companion fit-wind {' '.join(p.name for p in logs)}{more} --out {out.name}"
+            write_process(found, logs, command, out)
+            typer.echo(f"wrote {out}", err=True)
+    except LeewayError as error:
+        _mistake(error)
 
 
 @app.command()

@@ -11,6 +11,10 @@ import msgspec
 
 from companion.core.errors import LeewayError
 
+SpeedRule = Literal["least_energy", "cruise", "fastest"]
+"""Which airspeed is flown: of least energy per metre; the cruise airspeed, faster only where a
+headwind makes that cheaper; the fastest with which the mission still keeps its promise."""
+
 
 def check_range(key: str, value: float, low: float, high: float) -> None:
     """Raise LeewayError naming `key` when `value` is not a finite number in [low, high]."""
@@ -123,6 +127,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the operator asks, and the risk that they accept. Heights are above the depot.
 
+    `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
     `wind_process` names how wind changes at the site: a file of params/wind, or a path.
     """
 
@@ -134,6 +139,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     wind_settle_s: float = 10.0
     time_limit_s: float = 1800.0
     cruise_airspeed_mps: float | None = None
+    speed: SpeedRule | None = None
     wind_process: str = "coast"
 
     def __post_init__(self) -> None:
@@ -146,6 +152,13 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         check_range("mission.time_limit_s", self.time_limit_s, 10.0, 24 * 3600.0)
         if self.cruise_airspeed_mps is not None:
             check_range("mission.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
+
+    @property
+    def speed_rule(self) -> SpeedRule:
+        """The rule in force."""
+        if self.speed is not None:
+            return self.speed
+        return "least_energy" if self.cruise_airspeed_mps is None else "cruise"
 
 
 class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -2,14 +2,14 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
-from companion.core.wind_outlook import WindForecast
+from companion.core.wind_outlook import WindForecast, tail_scale
 
 FloatArray = NDArray[np.float64]
 
 _COMPONENTS = 5  # of the wind's walk, per axis: they hold over 99 % of its variance
-_DIMENSIONS = 2 * _COMPONENTS + 3
+_DIMENSIONS = 2 * _COMPONENTS + 4  # the model error, the walk, the lasting error, the scale
 
 
 class PathSampler:
@@ -23,7 +23,9 @@ class PathSampler:
         points = _evenly(count, _DIMENSIONS)
         self.count = count
         self._walk = points[:, 1 : 1 + 2 * _COMPONENTS].T.reshape(2, _COMPONENTS, count).copy()
-        self._error = points[:, -2:].T.copy()
+        self._error = points[:, -3:-1].T.copy()
+        self._scale = ndtr(points[:, -1])
+        self._tails: dict[float, FloatArray] = {}
         self.model_error: FloatArray = points[:, 0]
 
     def walk(self, forecast: WindForecast) -> FloatArray:
@@ -31,7 +33,16 @@ class PathSampler:
         values, vectors = np.linalg.eigh(forecast.walk_cov_m2ps2)
         kept = min(_COMPONENTS, values.size)
         root = vectors[:, ::-1][:, :kept] * np.sqrt(np.maximum(values[::-1][:kept], 0.0))
-        return forecast.mean_to_ne_mps.T[:, :, None] + root @ self._walk[:, :kept]
+        walk = root @ self._walk[:, :kept]
+        if forecast.tail_dof is not None:
+            walk *= self._tail(forecast.tail_dof)
+        return forecast.mean_to_ne_mps.T[:, :, None] + walk
+
+    def _tail(self, dof: float) -> FloatArray:
+        """Each path's own scale: the same path is wild, or calm, all along."""
+        if dof not in self._tails:
+            self._tails[dof] = tail_scale(dof, self._scale)
+        return self._tails[dof]
 
     def error(self, forecast: WindForecast) -> FloatArray:
         """The estimate's lasting error, (2, 1, count)."""

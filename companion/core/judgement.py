@@ -1,5 +1,6 @@
 """What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
 
+import math
 import re
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from companion.core.gate import Ahead, Assessment, Gate, GateParams, turned_back
 from companion.core.geo import Ned
 from companion.core.planner import Plan
 from companion.core.power_scale import PowerScale
-from companion.core.remaining import OnTheWay
+from companion.core.remaining import OnTheWay, hurried
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.situation import (
     AIRSPEED_MAX_AGE_S,
@@ -24,6 +25,7 @@ from companion.core.situation import (
     WIND_MAX_AGE_S,
     Situation,
 )
+from companion.core.speed_to_fly import fastest_airspeed_mps
 from companion.core.value_gate import Belief, Reading, TableRequest, ValueTable
 from companion.core.wind_estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind_lattice import HORIZONS_S, nearest_process, prior_wind
@@ -33,6 +35,12 @@ from companion.core.wind_process import WindProcessParams
 BATTERY_EVERY_S = 0.2
 STEADY_HEIGHT_M = 10.0
 """Above, measured power is held against the model's."""
+
+HURRY_EVERY_S = 20.0
+"""How often the fastest airspeed is looked for, where the operator asks for it."""
+
+HURRY_HALVINGS = 4
+"""To within a sixteenth of the airspeeds that there are."""
 
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
@@ -73,6 +81,8 @@ class Judgement:
         )
         self._scale = PowerScale(airframe.power_rotor.model_std_frac)
         self._accepted_loss: float | None = None
+        self.hurry_mps: float | None = None
+        self._hurried_s: float | None = None
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
@@ -204,7 +214,41 @@ class Judgement:
             self._accepted_loss,
             weighs_worth=value is None,
         )
-        return _with_value(seen, value)
+        answer = _with_value(seen, value)
+        if self.route_energy.speed_rule == "fastest":
+            self._hurry(ahead, answer, energy)
+        return answer
+
+    def _hurry(self, ahead: Ahead, seen: Assessment, energy: EnergyBelief) -> None:
+        """Find the fastest airspeed that the budget allows, by bisection, now and then.
+
+        The decisions themselves are taken with the speed of least energy: that one can still be
+        flown later, whatever was flown until then.
+        """
+        if self.wind is None or (
+            self._hurried_s is not None and 0.0 <= seen.t_s - self._hurried_s < HURRY_EVERY_S
+        ):
+            return
+        self._hurried_s = seen.t_s
+        slow, fast = 0.0, fastest_airspeed_mps(self._airframe, self.payload_kg)
+        for tried in [fast] + [math.nan] * HURRY_HALVINGS:
+            speed = 0.5 * (slow + fast) if math.isnan(tried) else tried
+            faster = self._gate_for(energy).assess(
+                hurried(ahead, speed),
+                self.wind,
+                self._outlook,
+                energy,
+                self._scale.error(),
+                self._accepted_loss,
+                weighs_worth=False,
+            )
+            if _as_good(faster, seen, self.limits.max_loss):
+                slow = speed
+            else:
+                fast = speed
+            if slow >= fast:
+                break
+        self.hurry_mps = slow if slow > self.route_energy.slowest_airspeed_mps else None
 
     def depart(self, ahead: Ahead) -> Assessment | None:
         """Ask the gate for the whole mission, over the depot; settles what decisions may risk."""
@@ -264,6 +308,7 @@ class Judgement:
         return TableRequest(
             airframe=self._airframe,
             cruise_airspeed_mps=self.route_energy.cruise_airspeed_mps,
+            speed_rule=self.route_energy.speed_rule,
             plan=plan,
             payload_kg=self.payload_kg,
             drop_height_m=mission.drop_height_m,
@@ -320,7 +365,8 @@ class Judgement:
         """Ground speed to command towards a point; `None` while the wind is unknown."""
         if self.wind is None or not self.wind.valid:
             return None
-        leg = Leg(LegKind.CRUISE, here_ned_m, to_ned_m, self.payload_kg)
+        hurry = self.hurry_mps
+        leg = Leg(LegKind.CRUISE, here_ned_m, to_ned_m, self.payload_kg, airspeed_mps=hurry)
         return self.route_energy.ground_speed_mps(leg, self.wind.mean_to_ne_mps)
 
     def snapshot(self) -> dict[str, object]:
@@ -345,6 +391,12 @@ class Judgement:
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
         self._accepted_loss = kept.accepted_loss
+
+
+def _as_good(faster: Assessment, seen: Assessment, max_loss: float) -> bool:
+    """Whether flying faster keeps the promise, and costs no more delivery than it may lose."""
+    kept = faster.p_home >= 1.0 - max_loss and faster.turn_back == seen.turn_back
+    return kept and faster.p_success >= seen.p_success - max_loss
 
 
 def _with_value(seen: Assessment, value: Reading | None) -> Assessment:

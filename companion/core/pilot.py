@@ -111,7 +111,7 @@ class Pilot:
         self.obstacles = obstacles
         self.requirements = requirements
         self.options = options or PilotOptions()
-        route_energy = RouteEnergy(airframe, cruise_airspeed_mps=flight.mission.cruise_airspeed_mps)
+        route_energy = RouteEnergy.for_mission(airframe, flight.mission)
         self.planner = BerPlanner(route_energy)
         self.judge = Judgement(flight, airframe, route_energy, wind_process)
         self.now = Situation()

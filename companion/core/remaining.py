@@ -1,8 +1,8 @@
 """What is left to fly, as the gate asks about it: stages between decision points, ways home."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from companion.core.route_energy import Leg
+from companion.core.route_energy import Leg, LegKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,3 +56,24 @@ class Ahead:
         ways = (self.ways_home_now, *(stage.ways_home for stage in self.stages))
         if not all(ways):
             raise ValueError("every decision point needs a way home")
+
+
+def hurried(ahead: Ahead, airspeed_mps: float) -> Ahead:
+    """The same mission with every commanded cruise leg flown at this airspeed or faster."""
+
+    def legs(of: tuple[Leg, ...]) -> tuple[Leg, ...]:
+        return tuple(
+            replace(leg, airspeed_mps=airspeed_mps)
+            if leg.kind is LegKind.CRUISE and leg.ground_speed_mps is None
+            else leg
+            for leg in of
+        )
+
+    def ways(of: tuple[WayHome, ...]) -> tuple[WayHome, ...]:
+        return tuple(replace(way, legs=legs(way.legs)) for way in of)
+
+    stages = tuple(
+        replace(stage, legs=legs(stage.legs), ways_home=ways(stage.ways_home))
+        for stage in ahead.stages
+    )
+    return replace(ahead, ways_home_now=ways(ahead.ways_home_now), stages=stages)

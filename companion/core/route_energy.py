@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.flight import Mission, SpeedRule
 from companion.core.geo import Ned, course_rad, horizontal_m, wrap_pi
 from companion.core.power import GRAVITY_MPS2
-from companion.core.speed_to_fly import CruiseTable, SteadyPower
+from companion.core.speed_to_fly import CruiseTable, SteadyPower, slowest_airspeed_mps
 
 FloatArray = NDArray[np.float64]
 _Priced = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
@@ -42,7 +43,7 @@ class LegKind(Enum):
 @dataclass(frozen=True, slots=True)
 class Leg:
     """One leg. `ground_speed_mps` None: the companion commands the wind triangle's speed for the
-    speed to fly, at least `airspeed_mps` (None: the mission's); a number: that ground speed, no
+    speed to fly, at least `airspeed_mps` (None: the rule's); a number: that ground speed, no
     further command arrives.
     """
 
@@ -111,12 +112,21 @@ class RouteEnergy:
         airframe: Airframe,
         air_density_kgpm3: float = 1.225,
         cruise_airspeed_mps: float | None = None,
+        speed_rule: SpeedRule = "least_energy",
     ) -> None:
         self.airframe = airframe
         self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
+        self.speed_rule: SpeedRule = speed_rule
+        self.slowest_airspeed_mps = slowest_airspeed_mps(speed_rule, self.cruise_airspeed_mps)
         self._density = air_density_kgpm3
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
+
+    @classmethod
+    def for_mission(cls, airframe: Airframe, mission: Mission) -> "RouteEnergy":
+        """With the speeds that the operator asks for."""
+        cruise = mission.cruise_airspeed_mps
+        return cls(airframe, cruise_airspeed_mps=cruise, speed_rule=mission.speed_rule)
 
     def compile(
         self, legs: tuple[Leg, ...], before: tuple[Leg | None, ...] | None = None
@@ -267,7 +277,7 @@ class RouteEnergy:
         return self._power[key]
 
     def _cruise_table(self, group: _Group) -> CruiseTable:
-        fixed, least = group.ground_speed_mps, group.airspeed_mps or self.cruise_airspeed_mps
+        fixed, least = group.ground_speed_mps, group.airspeed_mps or self.slowest_airspeed_mps
         speed = least if fixed is None else fixed
         key = (round(group.payload_kg * 1000.0), fixed is None, round(speed, 1))
         if key not in self._cruise:

@@ -1,7 +1,8 @@
 """The airspeed that costs least per metre over the ground, and what the autopilot makes of it.
 
-Row 21 in its first form: the mission's cruise airspeed, and faster where a headwind makes faster
-cheaper. Flying slower than the air that comes against it, a vehicle never comes home.
+Row 21. The operator chooses (`SpeedRule`): the least energy per metre; or the cruise airspeed, and
+faster only where a headwind makes faster cheaper; or the fastest that the return budget allows.
+Flying slower than the air that comes against it, a vehicle never comes home: no rule does.
 """
 
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.flight import SpeedRule
 from companion.core.power import max_airspeed_mps, multirotor_power_w
 
 FloatArray = NDArray[np.float64]
@@ -18,7 +20,19 @@ Flown = tuple[FloatArray, FloatArray]
 _SPEED_STEP_MPS = 0.25
 _WIND_STEP_MPS = 0.5
 _WIND_BEYOND_MPS = 6.0  # the table's reach beyond the fastest airspeed
-_TILT_AUTHORITY = 0.92  # share of the tilt-limited airspeed that may be planned with, for gusts
+_TILT_AUTHORITY = 0.97  # share of the tilt-limited airspeed that may be planned with, for gusts
+# Of the cruise airspeed. Below, tilt says too little of the wind; no airframe's least lies there.
+_SLOWEST_FRAC = 0.5
+
+
+def slowest_airspeed_mps(rule: SpeedRule, cruise_airspeed_mps: float) -> float:
+    """The least airspeed that a rule plans with; the speed to fly is the cheapest from there up."""
+    return cruise_airspeed_mps if rule == "cruise" else _SLOWEST_FRAC * cruise_airspeed_mps
+
+
+def fastest_airspeed_mps(airframe: Airframe, payload_kg: float) -> float:
+    """The fastest airspeed that is planned with: tilt-limited, with some authority for gusts."""
+    return _TILT_AUTHORITY * max_airspeed_mps(airframe, airframe.mass_kg(payload_kg))
 
 
 class SteadyPower:

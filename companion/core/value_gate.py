@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.flight import SpeedRule
 from companion.core.mission_graph import (
     ACCOUNT_STDS,
     MissionGraph,
@@ -62,6 +63,7 @@ class TableRequest:
 
     airframe: Airframe
     cruise_airspeed_mps: float
+    speed_rule: SpeedRule
     plan: Plan
     payload_kg: float
     drop_height_m: float
@@ -180,7 +182,11 @@ class ValueTable:
 
 def make_table(request: TableRequest) -> ValueTable:
     """Solve the mission's graph for what the operator accepts."""
-    route_energy = RouteEnergy(request.airframe, cruise_airspeed_mps=request.cruise_airspeed_mps)
+    route_energy = RouteEnergy(
+        request.airframe,
+        cruise_airspeed_mps=request.cruise_airspeed_mps,
+        speed_rule=request.speed_rule,
+    )
     chain = request.wind.chain()
     graph = build_mission_graph(
         request.plan, request.payload_kg, request.drop_height_m, request.drop_s

@@ -18,10 +18,15 @@ HORIZONS_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0]
 _TIME_CONSTANTS_S = np.geomspace(40.0, 6000.0, 26)
 
 _PRIOR_STD_MPS = 4.0  # per axis: any wind up to a gale
+_PRIOR_REACH_MPS = REACH_STDS * _PRIOR_STD_MPS
 _PRIOR_LAG_S = 300.0  # about half of a mission: where the prior's change is the process's
 
 
-def prior_wind(process: WindProcessParams) -> OrnsteinUhlenbeckWind:
+def prior_wind(
+    process: WindProcessParams,
+    spacing_mps: float = _PRIOR_REACH_MPS / STEPS,
+    reach_mps: float = _PRIOR_REACH_MPS,
+) -> OrnsteinUhlenbeckWind:
     """Any wind, that changes within minutes as the process does: before a wind is known.
 
     One Ornstein-Uhlenbeck process whose mean squared change after `_PRIOR_LAG_S`,
@@ -32,8 +37,8 @@ def prior_wind(process: WindProcessParams) -> OrnsteinUhlenbeckWind:
     return OrnsteinUhlenbeckWind(
         std_mps=_PRIOR_STD_MPS,
         time_constant_s=-_PRIOR_LAG_S / math.log1p(-share),
-        spacing_mps=_PRIOR_STD_MPS * REACH_STDS / STEPS,
-        reach_mps=_PRIOR_STD_MPS * REACH_STDS,
+        spacing_mps=spacing_mps,
+        reach_mps=reach_mps,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from companion.core.errors import LeewayError
 from companion.core.wind_estimator import WindBelief
@@ -33,13 +34,15 @@ class WindForecast:
 
     `mean_to_ne_mps` (n, 2); `walk_cov_m2ps2` (n, n) is how the wind itself may move, the same on
     both axes and independent; `error_cov_m2ps2` (2, 2) is the estimate's own lasting error, the
-    same at every horizon.
+    same at every horizon. With `tail_dof` the walk is Student's t of that covariance: one draw of
+    its scale for a whole path, as gusty hours are gusty throughout; None: Gaussian.
     """
 
     horizon_s: FloatArray
     mean_to_ne_mps: FloatArray
     walk_cov_m2ps2: FloatArray
     error_cov_m2ps2: FloatArray
+    tail_dof: float | None = None
 
     @property
     def cov_m2ps2(self) -> FloatArray:
@@ -53,6 +56,8 @@ class WindForecast:
         size = self.horizon_s.size
         walk = rng.standard_normal((count, size, 2))
         paths = np.einsum("ij,kjc->kic", _root(self.walk_cov_m2ps2), walk)
+        if self.tail_dof is not None:
+            paths *= tail_scale(self.tail_dof, rng.uniform(size=count))[:, None, None]
         error = rng.standard_normal((count, 1, 2)) @ _root(self.error_cov_m2ps2).T
         return self.mean_to_ne_mps + paths + error
 
@@ -92,7 +97,7 @@ class WindOutlook:
         walk = (decay @ cov @ decay.T) + self._fresh(horizon_s, scale, averaged_s)
         noise = min(self._noise_m2ps2, float(np.linalg.eigvalsh(belief.cov_ne_m2ps2)[0]))
         error = belief.cov_ne_m2ps2 - noise * np.eye(2)
-        return WindForecast(horizon_s, mean, walk, error)
+        return WindForecast(horizon_s, mean, walk, error, self._process.tail_dof)
 
     def snapshot(self) -> dict[str, object]:
         """What a checkpoint keeps (plain numbers and lists)."""
@@ -152,6 +157,14 @@ class WindOutlook:
     def _scale(self, belief: WindBelief) -> float:
         """Variance here over variance at the reference wind."""
         return self._process.variance_scale(speed_mps(belief.mean_to_ne_mps))
+
+
+def tail_scale(dof: float, uniform: FloatArray) -> FloatArray:
+    """Factors that make normal draws Student's t of the same variance; by quantiles in (0, 1).
+
+    t = z / sqrt(chi2 / dof) has variance dof / (dof - 2).
+    """
+    return np.sqrt((dof - 2.0) / chdtri(dof, uniform))
 
 
 def _root(cov: FloatArray) -> FloatArray:

@@ -63,7 +63,7 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         check_range("level_std_mps", self.level_std_mps, 1.0, 50.0)
         check_range("seen_noise_std_mps", self.seen_noise_std_mps, 0.01, 5.0)
         if self.tail_dof is not None:
-            check_range("tail_dof", self.tail_dof, 2.5, 1000.0)
+            check_range("tail_dof", self.tail_dof, 3.0, 1000.0)
 
     def variance_scale(self, wind_mps: float) -> float:
         """Variances at this mean wind over those at the reference wind."""
@@ -93,17 +93,6 @@ def wind_process_from_dict(table: dict[str, object], where: str) -> WindProcessP
         return msgspec.convert(table, WindProcessParams)
     except (msgspec.ValidationError, LeewayError) as error:
         raise LeewayError(f"{where}: {error}") from error
-
-
-def covariance_m2ps2(
-    memory_s: FloatArray, variance_m2ps2: FloatArray, t_s: FloatArray
-) -> FloatArray:
-    """Covariance of one axis between the times, without the level."""
-    lag = np.abs(np.subtract.outer(t_s, t_s))
-    total = np.zeros_like(lag)
-    for memory, variance in zip(memory_s, variance_m2ps2, strict=True):
-        total += variance * np.exp(-lag / memory)
-    return total
 
 
 def speed_mps(wind_ne_mps: FloatArray) -> float:

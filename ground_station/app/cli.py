@@ -58,7 +58,7 @@ def estimate(
     """Energy and promise of one delivery before anything flies; exit code 3: the gate says stay."""
     loaded = _read_flight(flight)
     airframe = _read_airframe(loaded.vehicle.airframe)
-    route_energy = RouteEnergy(airframe, cruise_airspeed_mps=loaded.mission.cruise_airspeed_mps)
+    route_energy = RouteEnergy.for_mission(airframe, loaded.mission)
     energy = _energy(loaded, airframe, route_energy, charge)
     depot = loaded.site.depot
     if depot is None:

@@ -161,6 +161,37 @@ def energy_speed(
 
 
 @app.command()
+def speed_to_fly(
+    out: Out = OUT,
+    airframe: Annotated[
+        list[str] | None, typer.Option(help="in params/airframes and params/truth; default: m100")
+    ] = None,
+) -> None:
+    """The speed to fly against the least true Wh/km by brute force, and the saving over cruise.
+
+    Example: sim-bridge speed-to-fly --airframe m100 --airframe octo8
+    """
+    from companion.adapters.files import params_dir, read_airframe
+    from sim_bridge.experiments import speed_to_fly as experiment
+    from sim_bridge.truth.errors import TruthError
+    from sim_bridge.truth.params import load_airframe
+
+    for name in airframe or ["m100"]:
+        try:
+            believed = read_airframe(name)
+            truth = load_airframe(params_dir() / "truth" / f"{believed.name}.toml")
+        except (LeewayError, TruthError) as error:
+            raise _refuse(LeewayError(str(error))) from None
+        with _bar() as bar:
+            shown = bar.add_task(name, total=len(experiment.LOADS_FRAC))
+            cells = experiment.envelope(believed, truth, lambda b=bar, t=shown: b.advance(t))
+        stem = f"speed_to_fly_{believed.name}"
+        _finish(experiment.sheet(cells, believed), out, stem)
+        experiment.write_cells(cells, out / f"{stem}_all.csv")
+        experiment.draw(believed, truth, out / f"{stem}.png")
+
+
+@app.command()
 def towns(
     out: Out = OUT,
     jobs: Jobs = 0,

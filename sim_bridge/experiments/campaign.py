@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.adapters.files import read_wind_process
 from companion.core.energy_graph import EnergyGraph, build_energy_graph, prune
 from companion.core.errors import LeewayError
 from companion.core.mission_model import ChainWinds, Flown, LogWinds, Outcome, Winds, fly_missions
@@ -33,12 +34,12 @@ from companion.core.tuning import PolicyTuner, TuningParams
 from companion.core.value_policy import PolicySearch, ValuePolicy
 from companion.core.value_table import solve_home
 from companion.core.wind_chain import (
-    OrnsteinUhlenbeckWind,
     Sight,
     WindChain,
     chain_from_scenario,
     sight_of,
 )
+from companion.core.wind_lattice import prior_wind
 
 PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber", "clairvoyant")
 BLOCK = 10_000  # missions that are flown together
@@ -148,7 +149,7 @@ class Workbench:
         if isinstance(scenario.wind, ChainWind):
             self.chain = chain_from_scenario(scenario.wind)
             self.sight = sight_of(self.chain, params.wind_classes)
-        self.process = OrnsteinUhlenbeckWind()
+        self.process = prior_wind(read_wind_process("coast"), spacing_mps=2.0)
         self.tuner: PolicyTuner | None = None
 
     def with_budget(self, budget_wh: float) -> "Workbench":

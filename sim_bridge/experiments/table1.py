@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.adapters.files import read_wind_process
 from companion.core.mission_model import ChainWinds, Winds, fly_missions
 from companion.core.planners.ber import Ber
 from companion.core.planners.ber_log import BerLog, LogPolicy, solve_log_policy
@@ -19,7 +20,7 @@ from companion.core.scenario import LogWind, Scenario
 from companion.core.step_model import build_step_model
 from companion.core.tuning import PolicyTuner, TuningParams
 from companion.core.value_policy import PolicySearch
-from companion.core.wind_chain import OrnsteinUhlenbeckWind
+from companion.core.wind_lattice import prior_wind
 from sim_bridge.experiments.campaign import CampaignParams, Workbench
 from sim_bridge.experiments.report import Sheet, interval95_text, mean_std
 from sim_bridge.experiments.scenario_generator import GUSTY, GeneratorParams, scenario_set
@@ -147,7 +148,7 @@ def fly_scenario(scenario: Scenario, params: Table1Params) -> dict[Cell, Shares]
 def fly_recorded(scenario: Scenario, wind: LogWind, params: Table1Params) -> dict[Cell, Shares]:
     """Every cell on one graph under a recording; BER's tables serve both budgets."""
     cells: dict[Cell, Shares] = {}
-    process = OrnsteinUhlenbeckWind(spacing_mps=2.5, reach_mps=10.0)
+    process = prior_wind(read_wind_process("coast"), spacing_mps=2.5, reach_mps=10.0)
     policy: LogPolicy | None = None
     for budget in BUDGETS_WH:
         budgeted = msgspec.structs.replace(scenario, budget_wh=budget, wind=wind)

@@ -71,19 +71,33 @@ def test_no_way_made_is_infeasible_and_dear_but_finite() -> None:
 
 
 def test_the_speed_to_fly_is_the_brute_force_best() -> None:
-    top = 0.92 * max_airspeed_mps(M100, M100.mass_kg(0.0))
-    airspeed = np.linspace(M100.speeds.cruise_airspeed_mps, top, 2000)
+    top = 0.97 * max_airspeed_mps(M100, M100.mass_kg(0.0))
+    airspeed = np.linspace(7.0, top, 4000)
     power = multirotor_power_w(M100, M100.mass_kg(0.0), airspeed)
-    for north, east in ((0.0, 0.0), (3.0, -8.0), (-6.0, -12.0), (5.0, 2.0)):
+    for north, east in ((0.0, 0.0), (3.0, -8.0), (-6.0, -12.0), (5.0, 2.0), (0.0, 6.0)):
         ground = np.sqrt(airspeed**2 - north**2) + east
-        best = float((power / ground).min()) * 900.0 / 3600.0
+        best = float((power / ground)[ground > 0.0].min()) * 900.0 / 3600.0
         energy, _, _ = one(cruise(HERE, EAST), north, east)
         assert energy == pytest.approx(best, rel=5e-3)
 
 
-def test_what_is_commanded_is_the_wind_triangles_ground_speed() -> None:
-    airspeed = M100.speeds.cruise_airspeed_mps  # in a tailwind nothing is won by flying faster
+def test_the_cruise_rule_never_flies_slower_than_cruise_and_least_energy_does() -> None:
+    at_cruise = RouteEnergy(M100, speed_rule="cruise")
+    tailwind = np.array([0.0, 6.0])
+    cruise_mps = M100.speeds.cruise_airspeed_mps
     leg = cruise(HERE, EAST)
+    assert at_cruise.ground_speed_mps(leg, tailwind) == pytest.approx(cruise_mps + 6.0, abs=0.02)
+    assert ROUTE.ground_speed_mps(leg, tailwind) < cruise_mps + 6.0 - 0.5
+    cheapest = ROUTE.costs((leg,), tailwind[None, :]).energy_wh
+    assert float(cheapest[0, 0]) < float(at_cruise.costs((leg,), tailwind[None, :]).energy_wh[0, 0])
+    faster = Leg(LegKind.CRUISE, HERE, EAST, 0.0, airspeed_mps=17.0)
+    hurried = ROUTE.ground_speed_mps(faster, np.zeros(2))
+    assert hurried == pytest.approx(17.0, abs=0.02)
+
+
+def test_what_is_commanded_is_the_wind_triangles_ground_speed() -> None:
+    airspeed = M100.speeds.cruise_airspeed_mps
+    leg = Leg(LegKind.CRUISE, HERE, EAST, 0.0, airspeed_mps=airspeed)
     expected = math.sqrt(airspeed**2 - 9.0) + 4.0
     assert ROUTE.ground_speed_mps(leg, np.array([3.0, 4.0])) == pytest.approx(expected, abs=0.02)
     assert ROUTE.ground_speed_mps(leg, np.array([0.0, 30.0])) == M100.speeds.max_ground_mps

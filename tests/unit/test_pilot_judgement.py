@@ -8,12 +8,14 @@ import pytest
 from companion.adapters.files import read_airframe, read_flight, read_wind_process
 from companion.core import events as ev
 from companion.core.ahead import ahead_outbound
+from companion.core.gate import Assessment
 from companion.core.judgement import Judgement, Limits
 from companion.core.planner import Plan
 from companion.core.release import ReleaseWatch
-from companion.core.remaining import Ahead, OnTheWay
+from companion.core.remaining import Ahead, OnTheWay, hurried
 from companion.core.route_energy import RouteEnergy
 from companion.core.situation import Situation
+from companion.core.speed_to_fly import fastest_airspeed_mps
 from companion.core.value_gate import Belief, Reading
 from companion.core.wind_estimator import WindBelief
 
@@ -236,3 +238,46 @@ def test_a_stale_table_is_not_used(spoilt):
     assert seen is not None
     assert not seen.by_table
     assert not seen.turn_back
+
+
+def fastest_in_flight(voltage_v: float) -> tuple[Judgement, Ahead]:
+    """The same mission by an operator who wants the fastest that the budget allows."""
+    judge, ahead = in_flight(voltage_v)
+    hasty = RouteEnergy(AIRFRAME, speed_rule="fastest")
+    judge.route_energy = hasty
+    return judge, ahead
+
+
+def test_the_fastest_that_the_budget_allows_is_less_with_less_in_the_battery():
+    speeds = []
+    for voltage_v in (25.6, 22.94, 22.6):  # plenty, close, too little to come home
+        judge, ahead = fastest_in_flight(voltage_v)
+        seen = judge.assess(ahead)
+        assert seen is not None
+        speeds.append(0.0 if judge.hurry_mps is None else judge.hurry_mps)
+    top = fastest_airspeed_mps(AIRFRAME, FLIGHT.vehicle.payload_kg)
+    assert speeds[0] == pytest.approx(top)
+    assert 14.0 < speeds[1] < top - 1.0
+    assert speeds[2] == 0.0
+
+
+def test_the_fastest_is_commanded_and_keeps_the_promise():
+    judge, ahead = fastest_in_flight(25.6)
+    slow = judge.ground_speed_mps((0.0, 0.0, -40.0), (0.0, -200.0, -40.0))
+    assert judge.assess(ahead) is not None
+    fast = judge.ground_speed_mps((0.0, 0.0, -40.0), (0.0, -200.0, -40.0))
+    assert slow is not None
+    assert fast is not None
+    assert fast > slow + 2.0
+    assert judge.hurry_mps is not None
+    unhurried = judgement_of(ahead, 25.6, None)
+    in_haste = judgement_of(ahead, 25.6, judge.hurry_mps)
+    assert in_haste.p_home >= 1.0 - FLIGHT.mission.max_loss
+    assert in_haste.energy_need_wh > unhurried.energy_need_wh
+
+
+def judgement_of(ahead: Ahead, voltage_v: float, airspeed_mps: float | None) -> Assessment:
+    judge, _ = in_flight(voltage_v)
+    seen = judge.assess(ahead if airspeed_mps is None else hurried(ahead, airspeed_mps))
+    assert seen is not None
+    return seen

@@ -22,6 +22,7 @@ M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").re
 REQUEST = TableRequest(
     airframe=M100,
     cruise_airspeed_mps=10.0,
+    speed_rule="cruise",
     plan=Plan(
         depot_ned_m=(0.0, 0.0, 0.0),
         customer_ned_m=(300.0, 0.0, 0.0),

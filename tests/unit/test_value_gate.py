@@ -66,6 +66,7 @@ def request(plan: Plan, wind: OrnsteinUhlenbeckWind, seen: Belief, **changes: ob
     made = TableRequest(
         airframe=M100,
         cruise_airspeed_mps=ROUTE.cruise_airspeed_mps,
+        speed_rule=ROUTE.speed_rule,
         plan=plan,
         payload_kg=PARCEL,
         drop_height_m=DROP_HEIGHT_M,
