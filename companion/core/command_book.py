@@ -1,7 +1,7 @@
 """Commands that a vehicle has taken: each is carried out once, and answered the same ever after.
 
 Written down before a command is carried out and again with its answer, so that a companion killed
-between the two does not carry it out a second time: it answers `interrupted`.
+between the two does not launch a second time: it answers `interrupted`.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from typing import Literal
 import msgspec
 
 from companion.core.errors import LeewayError
-from companion.core.messages import FINAL, Answered, Command, Recall
+from companion.core.messages import FINAL, Answered, Command, HandBack, Launch, Recall
 
 FRESH_S = 15.0
 """A command rests on a state no older, by the vehicle's own clock; states come every second."""
@@ -37,6 +37,12 @@ class BookKept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     ended: list[str] = []
 
 
+ONCE = (Launch, HandBack)
+"""What a companion that was killed while doing it must not do again; the rest, done twice, is the
+same as done once.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """An answer that needs nothing to be carried out."""
@@ -60,9 +66,9 @@ class CommandBook:
         known = self.entries.get(command.id)
         if known is not None:
             verdict = _again(known, digest_of(command))
-            # Coming home twice is coming home: a recall that was cut off is carried out after all.
             cut = verdict.answer in (Answered.INTERRUPTED, Answered.LATER)
-            return None if cut and isinstance(command.deed, Recall) else verdict
+            if not cut or isinstance(command.deed, ONCE):
+                return verdict
         if isinstance(command.deed, Recall):
             return None
         if command.life != life:
