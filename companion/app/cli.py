@@ -11,6 +11,7 @@ import typer
 
 from companion.adapters.files import read_flight
 from companion.app.check_report import report
+from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.errors import LeewayError
@@ -68,7 +69,7 @@ class _Where:
     """What `run` and `check` are both told: which vehicle, which flight, which folders."""
 
     link: str
-    mission: Path
+    mission: Path | None
     airframe: str | None
     run_dir: Path
     params: Path | None
@@ -79,14 +80,16 @@ class _Where:
     def options(self, pilot: PilotOptions) -> RunOptions:
         """With the airframe from the flight file where none was named."""
         try:
-            airframe = self.airframe or read_flight(self.mission).vehicle.airframe
+            airframe = self.airframe
+            if airframe is None and self.mission is not None:
+                airframe = read_flight(self.mission).vehicle.airframe
         except LeewayError as error:
             _mistake(error)
             raise
         return RunOptions(
             link=self.link,
-            airframe=airframe,
-            mission=self.mission,
+            airframe=airframe or "",
+            mission=self.mission or Path(),
             run_dir=self.run_dir,
             params=self.params,
             signing_key=self.signing_key,
@@ -106,7 +109,10 @@ class Gate(StrEnum):
 @app.command(name="run", epilog=EXIT_CODES)
 def run_command(
     link: LinkUrl,
-    mission: Mission,
+    mission: Annotated[
+        Path | None,
+        typer.Option(help="The flight, a flight/1 TOML file; with --fleet the desk assigns one."),
+    ] = None,
     airframe: AirframeName = None,
     run_dir: RunDir = Path("logs/companion"),
     params: Params = None,
@@ -139,17 +145,46 @@ def run_command(
             " the same seed gives the same decisions. Never beside a real vehicle.",
         ),
     ] = False,
+    fleet: Annotated[
+        str | None,
+        typer.Option(
+            help="Serve the dispatcher's desk of this fleet over zenoh: without --mission fly what"
+            " it assigns, one after another (docs/dispatch.md)."
+        ),
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="This vehicle's name in the fleet, for example d1.")
+    ] = None,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(help="zenoh's configuration (JSON5); default: a peer, found by multicast."),
+    ] = None,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
 ) -> None:
-    """Fly the mission: plan, upload, wait for authorisation, deliver, come home."""
+    """Fly the mission: plan, upload, wait for authorisation, deliver, come home.
+
+    In a fleet: companion run --link serial:/dev/serial0:921600 --airframe m100 --fleet harbour
+    --vehicle d1
+    """
     del seed
     pilot = PilotOptions(
         gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
     )
+    if (fleet is None) != (vehicle is None):
+        _mistake(LeewayError("--fleet and --vehicle: expected both or neither"))
+    if mission is None and (fleet is None or airframe is None):
+        _mistake(LeewayError("--mission: expected a file, or --fleet, --vehicle and --airframe"))
+    if mission is None and authorise:
+        _mistake(
+            LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
+        )
     where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
-    code, _ = _run(replace(where.options(pilot), lockstep=lockstep), _show)
+    options = replace(where.options(pilot), lockstep=lockstep)
+    if fleet is not None and vehicle is not None:
+        raise typer.Exit(_run_in_fleet(FleetOptions(fleet, vehicle, zenoh), options, mission))
+    code, _ = _run(options, _show)
     raise typer.Exit(code)
 
 
@@ -182,6 +217,16 @@ def transitions(
 ) -> None:
     """Print the mission's transition table."""
     typer.echo(as_mermaid() if mermaid else as_markdown())
+
+
+def _run_in_fleet(fleet: FleetOptions, options: RunOptions, mission: Path | None) -> int:
+    try:
+        if mission is not None:
+            return fly_one(fleet, options, _show)
+        return serve(fleet, options, say=typer.echo, on_action=_show)
+    except LeewayError as error:
+        _mistake(error)
+        raise
 
 
 def _run(options: RunOptions, show: Callable[[Action], None]) -> tuple[int, Pilot]:
