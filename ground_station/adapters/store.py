@@ -222,6 +222,27 @@ class Store:
             rows = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
         return [_command_row(row) for row in rows]
 
+    def give_up(self, command_id: str, reason: str) -> bool:
+        """Take a command out of the outbox; False where it has been answered."""
+        with self._database.write() as db:
+            done = db.execute(
+                sa.update(t.commands)
+                .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
+                .values(answer=Answered.REFUSED.value, reason=reason)
+            )
+        return done.rowcount == 1
+
+    def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
+        """The final answers of these commands, `None` while they wait."""
+        return {c.id: c.answer for c in self.commands() if c.id in command_ids}
+
+    def commands_of(self, assignment: str) -> list[CommandRow]:
+        """An assignment's commands, oldest first."""
+        query = sa.select(t.commands).where(t.commands.c.assignment == assignment)
+        with self._database.read() as db:
+            rows = db.execute(query.order_by(t.commands.c.n)).all()
+        return [_command_row(row) for row in rows]
+
     def tried(self, command_id: str, reason: str) -> None:
         """A command was sent and not answered for good; it stays in the outbox."""
         with self._database.write() as db:

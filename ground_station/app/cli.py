@@ -1,4 +1,4 @@
-"""`ground-station`: the dispatcher's commands. So far: what a flight would cost, and promise."""
+"""`ground-station`: the dispatcher's commands; here: what a flight would cost, and promise."""
 
 import math
 import sys
@@ -24,6 +24,7 @@ from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
 from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.app import dispatch_cli, order_cli
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -33,9 +34,8 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _desk() -> None:
-    """Keep `estimate` a subcommand."""
+app.add_typer(order_cli.app, name="order")
+app.add_typer(dispatch_cli.app)
 
 
 @app.command()
