@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from companion.adapters.files import read_flight
+from companion.adapters.zenoh_link import leave_process
 from companion.app.check_report import report
 from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
@@ -183,7 +184,7 @@ def run_command(
     where = _Where(link, mission, airframe, run_dir, params, signing_key, system, silence_limit)
     options = replace(where.options(pilot), lockstep=lockstep)
     if fleet is not None and vehicle is not None:
-        raise typer.Exit(_run_in_fleet(FleetOptions(fleet, vehicle, zenoh), options, mission))
+        leave_process(_run_in_fleet(FleetOptions(fleet, vehicle, zenoh), options, mission))
     code, _ = _run(options, _show)
     raise typer.Exit(code)
 

@@ -3,12 +3,14 @@
 zenoh's threads only put; the desk's one thread takes. Asking never blocks: answers come as `Heard`.
 """
 
+import os
 import queue
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import zenoh
 
@@ -76,6 +78,9 @@ Heard = Alive | StateHeard | EventsHeard | CommandAnswered | Nonsense
 class ZenohFleet:
     """The desk's end of one fleet."""
 
+    opened = 0
+    """Sessions that this process ever had (`leave_process`)."""
+
     def __init__(self, fleet: str, config: Path | None) -> None:
         """Join with this configuration file (JSON5), or as a peer found by multicast.
 
@@ -88,6 +93,7 @@ class ZenohFleet:
         try:
             settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
             self._session = zenoh.open(settings)
+            ZenohFleet.opened += 1
         except zenoh.ZError as error:
             raise LeewayError(f"{where}: {error}") from error
         liveliness = self._session.liveliness()
@@ -214,3 +220,15 @@ def monotonic_s() -> float:
 def epoch_us() -> int:
     """Microseconds since 1970, for stamps that people read."""
     return time.time_ns() // 1000
+
+
+def leave_process(code: int) -> NoReturn:
+    """End the process; past the interpreter's own shutdown where it was ever on zenoh.
+
+    Threads of zenoh's runtime may still want Python's lock then, which aborts the process.
+    """
+    if not ZenohFleet.opened:
+        sys.exit(code)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -24,6 +24,7 @@ from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
 from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.adapters.zenoh_fleet import leave_process
 from ground_station.app import dispatch_cli, order_cli
 
 app = typer.Typer(
@@ -157,7 +158,9 @@ def main() -> None:
         app()
     except LeewayError as error:
         print(f"ground-station: {error}", file=sys.stderr)
-        sys.exit(2)
+        leave_process(2)
+    except SystemExit as end:
+        leave_process(end.code if isinstance(end.code, int) else int(end.code is not None))
 
 
 if __name__ == "__main__":
