@@ -42,8 +42,9 @@ def read_wind_process(name: str, params: Path | None = None) -> WindProcessParam
 
 
 def read_flight(path: Path) -> Flight:
-    """Read a `flight/1` file."""
-    table = _read_toml(path)
+    """Read a `flight/1` file: TOML as people write it, or JSON as a dispatcher sends it."""
+    json_file = path.suffix == ".json"
+    table = json_object(_bytes_of(path), str(path)) if json_file else _read_toml(path)
     try:
         return msgspec.convert(table, Flight)
     except (msgspec.ValidationError, LeewayError) as error:

@@ -11,7 +11,9 @@ import typer
 from rich.console import Console
 
 from companion.adapters.files import read_flight, read_wind_process
+from companion.adapters.zenoh_link import leave_process
 from companion.app.check_report import report
+from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.errors import LeewayError
@@ -76,7 +78,7 @@ class _Where:
     """What `run` and `check` are both told: which vehicle, which flight, which folders."""
 
     link: str
-    mission: Path
+    mission: Path | None
     airframe: str | None
     wind_process: str | None
     run_dir: Path
@@ -88,15 +90,17 @@ class _Where:
     def options(self, pilot: PilotOptions) -> RunOptions:
         """With the airframe from the flight file where none was named."""
         try:
-            airframe = self.airframe or read_flight(self.mission).vehicle.airframe
+            airframe = self.airframe
+            if airframe is None and self.mission is not None:
+                airframe = read_flight(self.mission).vehicle.airframe
         except LeewayError as error:
             _mistake(error)
             raise
         return RunOptions(
             link=self.link,
-            airframe=airframe,
+            airframe=airframe or "",
             wind_process=self.wind_process,
-            mission=self.mission,
+            mission=self.mission or Path(),
             run_dir=self.run_dir,
             params=self.params,
             signing_key=self.signing_key,
@@ -116,7 +120,10 @@ class Gate(StrEnum):
 @app.command(name="run", epilog=EXIT_CODES)
 def run_command(
     link: LinkUrl,
-    mission: Mission,
+    mission: Annotated[
+        Path | None,
+        typer.Option(help="The flight, a flight/1 TOML file; with --fleet the desk assigns one."),
+    ] = None,
     airframe: AirframeName = None,
     wind_process: WindProcess = None,
     run_dir: RunDir = Path("logs/companion"),
@@ -150,19 +157,48 @@ def run_command(
             " the same seed gives the same decisions. Never beside a real vehicle.",
         ),
     ] = False,
+    fleet: Annotated[
+        str | None,
+        typer.Option(
+            help="Serve the dispatcher's desk of this fleet over zenoh: without --mission fly what"
+            " it assigns, one after another (docs/dispatch.md)."
+        ),
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="This vehicle's name in the fleet, for example d1.")
+    ] = None,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(help="zenoh's configuration (JSON5); default: a peer, found by multicast."),
+    ] = None,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
 ) -> None:
-    """Fly the mission: plan, upload, wait for authorisation, deliver, come home."""
+    """Fly the mission: plan, upload, wait for authorisation, deliver, come home.
+
+    In a fleet: companion run --link serial:/dev/serial0:921600 --airframe m100 --fleet harbour
+    --vehicle d1
+    """
     del seed
     pilot = PilotOptions(
         gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
     )
+    if (fleet is None) != (vehicle is None):
+        _mistake(LeewayError("--fleet and --vehicle: expected both or neither"))
+    if mission is None and (fleet is None or airframe is None):
+        _mistake(LeewayError("--mission: expected a file, or --fleet, --vehicle and --airframe"))
+    if mission is None and authorise:
+        _mistake(
+            LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
+        )
     where = _Where(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     )
-    code, _ = _run(replace(where.options(pilot), lockstep=lockstep), _show)
+    options = replace(where.options(pilot), lockstep=lockstep)
+    if fleet is not None and vehicle is not None:
+        leave_process(_run_in_fleet(FleetOptions(fleet, vehicle, zenoh), options, mission))
+    code, _ = _run(options, _show)
     raise typer.Exit(code)
 
 
@@ -243,6 +279,16 @@ def transitions(
 ) -> None:
     """Print the mission's transition table."""
     typer.echo(as_mermaid() if mermaid else as_markdown())
+
+
+def _run_in_fleet(fleet: FleetOptions, options: RunOptions, mission: Path | None) -> int:
+    try:
+        if mission is not None:
+            return fly_one(fleet, options, _show)
+        return serve(fleet, options, say=typer.echo, on_action=_show)
+    except LeewayError as error:
+        _mistake(error)
+        raise
 
 
 def _run(options: RunOptions, show: Callable[[Action], None]) -> tuple[int, Pilot]:

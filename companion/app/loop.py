@@ -14,6 +14,7 @@ from companion.adapters.clock import AutopilotClock, wall_s
 from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.adapters.operator_port import OperatorPort
+from companion.app.fleet_port import FleetPort, in_mission
 from companion.app.recorder import Recorder
 from companion.app.table_worker import TableWorker
 from companion.core.actions import (
@@ -76,6 +77,8 @@ class Loop:
     on_action: Callable[[Action], None] | None = None
     tables: TableWorker | None = None
     """None: no value table is ever made, and the return budget alone decides."""
+    port: FleetPort | None = None
+    """None: no dispatcher's desk; operators still speak MAVLink."""
     _system_known: bool = False
     _ticked_s: float = -1e9
     _synced_s: float = -1e9
@@ -145,7 +148,14 @@ class Loop:
                 self._message(message, incoming.peer)
                 if self.finished is not None:
                     break
+        if self.port is not None:
+            self._talk_to_desk(self.port)
         self.flush()
+
+    def _talk_to_desk(self, port: FleetPort) -> None:
+        if self.finished is None:
+            port.turn(in_mission(port, self.pilot, self.clock.t_s, self.ask))
+        port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:
         system = self.autopilot.system_id
@@ -261,6 +271,8 @@ class Loop:
         t_s = self.clock.t_s
         for action in actions:
             self.recorder.take(action, t_s)
+            if self.port is not None:
+                self.port.take(action)
             match action:
                 case Order():
                     self.autopilot.order(action, t_s)

@@ -18,6 +18,7 @@ from companion.adapters.files import (
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
+from companion.app.fleet_port import FleetPort
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.table_worker import LOCKSTEP_WAIT_S, TableWorker
@@ -53,9 +54,14 @@ class RunOptions:
 
 
 def run(
-    options: RunOptions, *, on_action: Callable[[Action], None] | None = None
+    options: RunOptions,
+    *,
+    on_action: Callable[[Action], None] | None = None,
+    port: FleetPort | None = None,
 ) -> tuple[int, Pilot]:
     """Fly (or check) until the mission, a signal or an error ends it; returns the exit code.
+
+    `port`: a dispatcher's desk that sees it, and may command what an operator may.
 
     Raises LeewayError for a mistake in the input, before anything is opened.
     """
@@ -96,6 +102,9 @@ def run(
         silence_limit_s=options.silence_limit_s,
     )
     loop.on_action = on_action
+    loop.port = port
+    if port is not None:
+        port.link.be_woken(link.wake)
     if not options.pilot.check_only:
         loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
     recorder.note(

@@ -1,4 +1,4 @@
-"""`ground-station`: the dispatcher's commands. So far: what a flight would cost, and promise."""
+"""`ground-station`: the dispatcher's commands; here: what a flight would cost, and promise."""
 
 import math
 import sys
@@ -25,6 +25,8 @@ from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
 from companion.core.wind_process import WindProcessParams, wind_process_from_dict
 from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.adapters.zenoh_fleet import leave_process
+from ground_station.app import dispatch_cli, order_cli
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -34,9 +36,8 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _desk() -> None:
-    """Keep `estimate` a subcommand."""
+app.add_typer(order_cli.app, name="order")
+app.add_typer(dispatch_cli.app)
 
 
 @app.command()
@@ -165,7 +166,9 @@ def main() -> None:
         app()
     except LeewayError as error:
         print(f"ground-station: {error}", file=sys.stderr)
-        sys.exit(2)
+        leave_process(2)
+    except SystemExit as end:
+        leave_process(end.code if isinstance(end.code, int) else int(end.code is not None))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,347 @@
+"""The vehicle's side of the dispatcher's desk: states and events out, commands in, each answered.
+
+It turns commands into the very events that an operator's MAVLink commands become
+(operator_port.py), so safety rule 1 is the pilot's and nobody else's.
+"""
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.adapters.clock import epoch_us, wall_s
+from companion.adapters.event_log import EventLog
+from companion.adapters.whole_file import read_whole, settle_folder, write_whole
+from companion.adapters.zenoh_link import Ask, Asked, ZenohLink
+from companion.core.actions import Action, Decision, Finished, PhaseChanged, Reply, Say, Severity
+from companion.core.airframe import Airframe
+from companion.core.command_book import CommandBook, Verdict, book_from_dict
+from companion.core.errors import LeewayError
+from companion.core.events import (
+    AbortOrdered,
+    Authorised,
+    ControlHandedBack,
+    ControlTaken,
+    Event,
+    LimitsChanged,
+)
+from companion.core.messages import (
+    Answered,
+    Assign,
+    Command,
+    EventKind,
+    FleetEvent,
+    HandBack,
+    HandsOff,
+    Launch,
+    Recall,
+    Refused,
+    Result,
+    SetLimits,
+    State,
+    Withdraw,
+    decode_command,
+    encode,
+)
+from companion.core.pilot import Pilot
+from companion.core.situation import Situation
+from companion.core.transitions import GROUND_PHASES, Phase
+
+STATE_S = 1.0
+BOOK, EVENTS, CURRENT = "commands.json", "events.jsonl", "current.json"
+STANDBY = "standby"
+ASSESSMENT_MAX_AGE_S = 2.5
+
+ANSWER = {
+    Reply.ACCEPTED: Answered.DONE,
+    Reply.LATER: Answered.LATER,
+    Reply.DENIED: Answered.REFUSED,
+}
+
+
+class Assigned(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The assignment aboard, as `current.json` keeps it through restarts."""
+
+    assignment: str
+    order: str
+
+
+@dataclass(slots=True)
+class FleetPort:
+    """One life of a companion in a fleet. `vehicle` and `airframe` are what it announces."""
+
+    vehicle: str
+    airframe_name: str
+    airframe: Airframe
+    folder: Path
+    link: ZenohLink
+    life: str
+    book: CommandBook
+    log: EventLog
+    current: Assigned | None
+    max_payload_kg: float
+    _born_s: float = field(default_factory=wall_s)
+    _told_s: float = -1e9
+    _told_phase: str = ""
+    _text: str = ""
+
+    @classmethod
+    def open(
+        cls,
+        vehicle: str,
+        airframe_name: str,
+        airframe: Airframe,
+        folder: Path,
+        link_of: Callable[[str], ZenohLink],
+    ) -> "FleetPort":
+        """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
+
+        Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
+        not take new ones.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = read_whole(folder / BOOK, "book of commands")
+        book = CommandBook() if kept is None else book_from_dict(kept, str(folder / BOOK))
+        table = read_whole(folder / CURRENT, "assignment")
+        life = secrets.token_hex(6)
+        return cls(
+            vehicle=vehicle,
+            airframe_name=airframe_name,
+            airframe=airframe,
+            folder=folder,
+            link=link_of(life),
+            life=life,
+            book=book,
+            log=EventLog(folder / EVENTS),
+            current=None if table is None else msgspec.convert(table, Assigned),
+            max_payload_kg=airframe.mass.max_payload_kg,
+        )
+
+    @property
+    def uptime_s(self) -> float:
+        """Seconds of this life."""
+        return wall_s() - self._born_s
+
+    # --- commands ------------------------------------------------------------------------------
+
+    def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
+        """Answer everything that was asked."""
+        for asked in self.link.asked():
+            match asked.ask:
+                case Ask.COMMAND:
+                    asked.answer([encode(self._answered(asked, carry_out))])
+                case Ask.EVENTS:
+                    asked.answer([encode(event) for event in self.log.after(asked.after)])
+                case Ask.TWIN:
+                    self._text = f"another life of {self.vehicle} is on the network"
+                    self.tell(EventKind.SAID, self._text)
+
+    def _answered(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> Result:
+        command = decode_command(asked.payload)
+        if isinstance(command, Refused):
+            return self._result("", Verdict(Answered.REFUSED, command.reason))
+        if command.vehicle != self.vehicle:
+            words = f"meant for {command.vehicle}, this is {self.vehicle}"
+            return self._result(command.id, Verdict(Answered.REFUSED, words))
+        verdict = self.book.look(command, self.life, self.uptime_s)
+        if verdict is None:
+            verdict = self._carry_out(command, carry_out)
+        return self._result(command.id, verdict)
+
+    def _carry_out(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
+        self.book.begin(command)
+        try:
+            self._save_book()
+        except OSError as error:
+            # What cannot be written down may be done twice; only coming home twice is harmless.
+            if not isinstance(command.deed, Recall):
+                self.book.end(command, Verdict(Answered.LATER))
+                return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
+        verdict = carry_out(command)
+        self.book.end(command, verdict)
+        try:
+            self._save_book()
+        except OSError as error:
+            self._text = f"book of commands not written: {error.strerror}"
+        said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
+        self.tell(EventKind.COMMAND, said.strip())
+        return verdict
+
+    def _save_book(self) -> None:
+        write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()))
+
+    def _result(self, id_: str, verdict: Verdict) -> Result:
+        return Result(
+            id=id_,
+            vehicle=self.vehicle,
+            life=self.life,
+            answer=verdict.answer,
+            reason=verdict.reason[:500],
+        )
+
+    # --- assignments ---------------------------------------------------------------------------
+
+    def folder_of(self, assignment: str) -> Path:
+        """Where an assignment's mission and record lie."""
+        return self.folder / f"assignment-{assignment}"
+
+    def take_aboard(self, assigned: Assigned) -> None:
+        """Keep an assignment through restarts."""
+        write_whole(self.folder / CURRENT, msgspec.to_builtins(assigned))
+        self.current = assigned
+
+    def put_ashore(self) -> None:
+        """The assignment is over; its end is written down first."""
+        if self.current is None:
+            return
+        self.book.close(self.current.assignment)
+        self._save_book()
+        (self.folder / CURRENT).unlink(missing_ok=True)
+        settle_folder(self.folder)
+        self.current = None
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def take(self, action: Action) -> None:
+        """Tell the desk what the mission does."""
+        match action:
+            case PhaseChanged():
+                self.tell(EventKind.PHASE, f"{action.before} -> {action.now}: {action.why}")
+            case Decision():
+                words = f"{action.kind}: {action.reason}"
+                promise = {"p_home": _share(action.p_home), "margin_wh": action.margin_wh}
+                self.tell(EventKind.DECISION, words, **promise)
+            case Say() if action.severity <= Severity.NOTICE:
+                self._text = action.text
+                self.tell(EventKind.SAID, action.text)
+            case Finished():
+                self.tell(
+                    EventKind.OUTCOME,
+                    action.reason,
+                    outcome=action.outcome,
+                    delivered=action.delivered,
+                    home=action.home,
+                    margin_wh=action.margin_wh,
+                )
+            case _:
+                return
+
+    def tell(self, kind: EventKind, text: str, **more: Any) -> None:
+        """Write an event down, then tell it."""
+        here = self.current
+        event = FleetEvent(
+            vehicle=self.vehicle,
+            log=self.log.log,
+            seq=self.log.last_seq + 1,
+            epoch_us=epoch_us(),
+            kind=kind,
+            text=text[:500],
+            assignment=here.assignment if here else None,
+            order=here.order if here else None,
+            **more,
+        )
+        self.link.publish_event(encode(self.log.append(event)))
+
+    def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
+        """Tell the state when it is due: once a second, and at once in a new phase."""
+        if phase == self._told_phase and wall_s() - self._told_s < STATE_S:
+            return
+        self._told_phase, self._told_s = phase, wall_s()
+        here, position = self.current, now.position
+        speed = None
+        if position is not None:
+            speed = (position.vel_n_mps**2 + position.vel_e_mps**2) ** 0.5
+        state = State(
+            vehicle=self.vehicle,
+            life=self.life,
+            uptime_s=self.uptime_s,
+            epoch_us=epoch_us(),
+            airframe=self.airframe_name,
+            max_payload_kg=self.max_payload_kg,
+            phase=phase,
+            log=self.log.log,
+            last_seq=self.log.last_seq,
+            assignment=here.assignment if here else None,
+            order=here.order if here else None,
+            armed=now.state.armed if now.state is not None else None,
+            lat_deg=position.lat_deg if position else None,
+            lon_deg=position.lon_deg if position else None,
+            height_rel_m=position.height_rel_m if position else None,
+            ground_speed_mps=speed,
+            voltage_v=now.battery.voltage_v if now.battery else None,
+            text=(self.log.trouble or self._text)[:500],
+            **(_promise(pilot) if pilot is not None else {}),
+        )
+        self.link.publish_state(encode(state))
+
+    def close(self) -> None:
+        """Leave the network and end the files."""
+        self.link.close()
+        self.log.close()
+
+
+def in_mission(
+    port: FleetPort, pilot: Pilot, t_s: float, ask: Callable[[Event], Reply]
+) -> Callable[[Command], Verdict]:
+    """How commands are carried out while a mission runs."""
+
+    def carry_out(command: Command) -> Verdict:
+        here = port.current.assignment if port.current is not None else None
+        deed, by = command.deed, command.by
+        if isinstance(deed, Assign):
+            if deed.assignment == here:
+                return Verdict(Answered.DONE, "aboard")
+            return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
+        if isinstance(deed, Launch | Withdraw) and deed.assignment != here:
+            return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
+        if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
+            return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
+        answer = ANSWER[ask(_event_of(deed, t_s, by))]
+        reason = f"phase {pilot.phase.value}"
+        if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
+            return Verdict(Answered.LATER, "no autopilot is heard yet")
+        return Verdict(answer, reason)
+
+    return carry_out
+
+
+def _event_of(deed: Any, t_s: float, by: str) -> Event:
+    match deed:
+        case Launch():
+            return Authorised(t_s, by)
+        case Recall() | Withdraw():
+            return AbortOrdered(t_s, by)
+        case HandsOff():
+            return ControlTaken(t_s, by)
+        case HandBack():
+            return ControlHandedBack(t_s, by)
+        case SetLimits():
+            return LimitsChanged(t_s, deed.max_loss, deed.reserve_frac)
+        case _:
+            raise LeewayError(f"{deed!r}: no order to a mission")
+
+
+def _promise(pilot: Pilot) -> dict[str, Any]:
+    """What the pilot believes, where it is fresh."""
+    seen, wind, energy = pilot.assessment, pilot.judge.wind, pilot.judge.energy
+    told: dict[str, Any] = {"delivered": pilot.air.delivered}
+    if energy is not None:
+        told["energy_left_wh"] = energy.mean_wh
+    if wind is not None and wind.valid:
+        told["wind_to_n_mps"], told["wind_to_e_mps"] = (float(x) for x in wind.mean_to_ne_mps)
+    if seen is not None and pilot.now.t_s - seen.t_s <= ASSESSMENT_MAX_AGE_S:
+        told["margin_wh"] = seen.margin_wh
+        for name in ("p_home", "p_home_now", "p_success"):
+            told[name] = _share(getattr(seen, name))
+    return told
+
+
+def _share(p: float | None) -> float | None:
+    return None if p is None else min(max(p, 0.0), 1.0)
+
+
+def _name_of(command: Command) -> str:
+    return f"{type(command.deed).__name__.lower()} ({command.id})"

@@ -1,0 +1,168 @@
+"""A vehicle between missions: it listens to its autopilot, tells the desk, and waits for work.
+
+Nothing is ordered here: the autopilot hears heartbeats of ours and the answers to its TIMESYNC, no
+more.
+"""
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import msgspec
+
+from companion.adapters.autopilot_port import AutopilotPort
+from companion.adapters.clock import AutopilotClock, wall_s
+from companion.adapters.files import read_flight, read_obstacle_document
+from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.mavlink_link import Link
+from companion.app.fleet_port import STANDBY, Assigned, FleetPort
+from companion.core.command_book import Verdict
+from companion.core.errors import LeewayError
+from companion.core.messages import Answered, Assign, Command, Launch, Recall, Withdraw
+from companion.core.situation import Situation
+
+WAIT_S = 0.1
+HEARTBEAT_S = 1.0
+MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
+
+
+class Standby:
+    """Waits on a link for an assignment; `wait` returns it, or `None` when told to stop."""
+
+    def __init__(
+        self, port: FleetPort, link: Link, codec: MavlinkCodec, system_id: int | None = None
+    ) -> None:
+        self._port = port
+        self._link = link
+        self._codec = codec
+        self._clock = AutopilotClock()
+        self._autopilot = AutopilotPort(self._send, self._clock, system_id)
+        self._now = Situation()
+        self._beat_s = -1e9
+        self._taken: Assigned | None = None
+
+    def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
+        """Until an assignment is aboard."""
+        self._port.link.be_woken(self._link.wake)
+        while self._taken is None and not stopped():
+            if wall_s() - self._beat_s >= HEARTBEAT_S:
+                self._beat_s = wall_s()
+                self._send(_heartbeat())
+            incoming = self._link.receive(WAIT_S)
+            for message in self._codec.parse(incoming.data) if incoming is not None else []:
+                self._hear(message, incoming.peer if incoming is not None else None)
+            self._port.turn(self._carry_out)
+            self._port.publish(STANDBY, self._now)
+        return self._taken
+
+    def _hear(self, message: Any, peer: Any) -> None:
+        if message.get_srcComponent() == AUTOPILOT:
+            self._link.answer_to(peer)
+            if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                self._clock.synchronise(message.ts1 / 1e9)
+                now_ns = max(1, round(self._clock.t_s * 1e9))
+                self._send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
+                return
+        if message.get_type() == "TIMESYNC":
+            self._autopilot.hear_time(message)
+            return
+        for event in self._autopilot.hear(message):
+            self._now.hear(event)
+        if self._autopilot.system_id is not None:
+            self._codec.be_system(self._autopilot.system_id)
+
+    def _send(self, message: Any) -> None:
+        self._link.send(self._codec.pack(message))
+
+    def _carry_out(self, command: Command) -> Verdict:
+        deed = command.deed
+        match deed:
+            case Assign():
+                return self._assign(deed)
+            case Withdraw():
+                self._port.book.close(deed.assignment)  # should it still be under way to us
+                return Verdict(Answered.DONE, "not aboard")
+            case Recall() if not self._now.armed:
+                return Verdict(Answered.DONE, "standing by on the ground")
+            case Launch():
+                return Verdict(Answered.REFUSED, "no such assignment aboard")
+            case _:
+                return Verdict(Answered.REFUSED, "standing by: no mission of ours")
+
+    def _assign(self, deed: Assign) -> Verdict:
+        if self._taken is not None:
+            return Verdict(Answered.LATER, f"taking {self._taken.assignment} aboard")
+        try:
+            write_mission(deed, self._port)
+        except LeewayError as error:
+            return Verdict(Answered.REFUSED, str(error))
+        except OSError as error:
+            return Verdict(Answered.LATER, f"cannot write the mission down: {error.strerror}")
+        self._taken = Assigned(assignment=deed.assignment, order=deed.order)
+        self._port.take_aboard(self._taken)
+        return Verdict(Answered.DONE, "aboard, to be planned")
+
+
+def write_mission(deed: Assign, port: FleetPort) -> Path:
+    """Put an assigned flight into its folder, once it is one that this vehicle may fly.
+
+    Raises LeewayError with what is wrong with it.
+    """
+    folder = port.folder_of(deed.assignment)
+    folder.mkdir(parents=True, exist_ok=True)
+    flight = dict(deed.flight)
+    site = dict(flight.get("site") or {})
+    if site.get("obstacles") is not None:
+        raise LeewayError("site.obstacles: expected none, the command carries them itself")
+    if deed.obstacles is not None:
+        (folder / OBSTACLES).write_text(json.dumps(deed.obstacles))
+        site["obstacles"] = OBSTACLES
+    flight["site"] = site
+    path = folder / MISSION
+    path.write_bytes(msgspec.json.encode(flight))
+    loaded = read_flight(path)
+    read_obstacle_document(loaded, path)
+    vehicle = loaded.vehicle
+    if vehicle.airframe != port.airframe_name:
+        raise LeewayError(f"vehicle.airframe {vehicle.airframe}: this is {port.airframe_name}")
+    if vehicle.payload_kg > port.max_payload_kg:
+        raise LeewayError(
+            f"vehicle.payload_kg = {vehicle.payload_kg:g}: at most {port.max_payload_kg:g}"
+        )
+    if loaded.site.depot is None:
+        raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
+    return path
+
+
+def _heartbeat() -> Any:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        mavlink.MAV_STATE_STANDBY,
+        3,
+    )
+
+
+class StopSignals:
+    """While in use, SIGINT and SIGTERM are noted instead of killing."""
+
+    def __init__(self) -> None:
+        self.seen: list[int] = []
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> "StopSignals":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.seen.append(number)
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,234 @@
+"""A fleet over zenoh, as the desk hears it: everything that arrives waits in one queue, decoded.
+
+zenoh's threads only put; the desk's one thread takes. Asking never blocks: answers come as `Heard`.
+"""
+
+import os
+import queue
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import zenoh
+
+from companion.core.errors import LeewayError
+from companion.core.messages import (
+    Command,
+    FleetEvent,
+    Refused,
+    Result,
+    State,
+    decode_event,
+    decode_result,
+    decode_state,
+    encode,
+)
+from companion.core.topics import VehicleKeys, life_of, vehicle_of
+
+WAITING = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """A life of a vehicle's companion came (`up`) or went."""
+
+    vehicle: str
+    life: str
+    up: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StateHeard:
+    """A vehicle told its state."""
+
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class EventsHeard:
+    """Events as they happened, or (`replayed`) all that were asked for, in order."""
+
+    vehicle: str
+    events: list[FleetEvent]
+    replayed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CommandAnswered:
+    """The answer to a command; `None`: nobody answered."""
+
+    command_id: str
+    result: Result | None
+
+
+@dataclass(frozen=True, slots=True)
+class Nonsense:
+    """Bytes that are no message of ours, and why."""
+
+    key: str
+    reason: str
+
+
+Heard = Alive | StateHeard | EventsHeard | CommandAnswered | Nonsense
+
+
+class ZenohFleet:
+    """The desk's end of one fleet."""
+
+    opened = 0
+    """Sessions that this process ever had (`leave_process`)."""
+
+    def __init__(self, fleet: str, config: Path | None) -> None:
+        """Join with this configuration file (JSON5), or as a peer found by multicast.
+
+        Raises LeewayError where the file is none, or the network refuses us.
+        """
+        self._keys = VehicleKeys(fleet, "*")
+        self._fleet = fleet
+        self._queue: queue.Queue[Heard] = queue.Queue(WAITING)
+        where = str(config) if config is not None else "zenoh"
+        try:
+            settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
+            self._session = zenoh.open(settings)
+            ZenohFleet.opened += 1
+        except zenoh.ZError as error:
+            raise LeewayError(f"{where}: {error}") from error
+        liveliness = self._session.liveliness()
+        self._held = (  # a declaration that nobody holds is undeclared
+            self._session.declare_subscriber(self._keys.state, self._hear_state),
+            self._session.declare_subscriber(self._keys.event, self._hear_event),
+            liveliness.declare_subscriber(self._keys.alive(), self._hear_alive, history=True),
+        )
+
+    def heard(self, wait_s: float) -> list[Heard]:
+        """What has arrived; waits so long for the first."""
+        found: list[Heard] = []
+        try:
+            found.append(self._queue.get(timeout=wait_s))
+            while True:
+                found.append(self._queue.get_nowait())
+        except queue.Empty:
+            return found
+
+    def ask_states(self, wait_s: float) -> None:
+        """Ask every vehicle for its newest state: the picture at once."""
+        self._session.get(self._keys.state, self._reply_state, timeout=wait_s)
+
+    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
+        """Ask a vehicle for the events that it keeps after this number."""
+        events: list[FleetEvent] = []
+
+        def take(reply: zenoh.Reply) -> None:
+            event = self._decoded(reply, vehicle, decode_event)
+            if isinstance(event, FleetEvent):
+                events.append(event)
+
+        def done() -> None:
+            events.sort(key=lambda event: event.seq)
+            if events:
+                self._queue.put(EventsHeard(vehicle, events, replayed=True))
+
+        selector = f"{VehicleKeys(self._fleet, vehicle).event}?after={after}"
+        self._session.get(
+            selector,
+            zenoh.handlers.Callback(take, done),
+            timeout=wait_s,
+            consolidation=zenoh.ConsolidationMode.NONE,  # every event has the same key
+        )
+
+    def send(self, command: Command, wait_s: float) -> None:
+        """Send a command; its answer, or that there was none, is heard."""
+        results: list[Result] = []
+
+        def take(reply: zenoh.Reply) -> None:
+            result = self._decoded(reply, command.vehicle, decode_result)
+            if isinstance(result, Result) and result.id == command.id:
+                results.append(result)
+
+        def done() -> None:
+            self._queue.put(CommandAnswered(command.id, results[0] if results else None))
+
+        key = VehicleKeys(self._fleet, command.vehicle).command
+        self._session.get(
+            key,
+            zenoh.handlers.Callback(take, done),
+            payload=encode(command),
+            timeout=wait_s,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            express=True,
+        )
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._session.close()
+
+    def _hear_alive(self, sample: zenoh.Sample) -> None:
+        seen = life_of(str(sample.key_expr))
+        if seen is not None:
+            self._queue.put(Alive(*seen, up=sample.kind == zenoh.SampleKind.PUT))
+
+    def _hear_state(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        state = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_state)
+        if isinstance(state, State):
+            self._queue.put(StateHeard(state))
+
+    def _hear_event(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        event = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_event)
+        if isinstance(event, FleetEvent):
+            self._queue.put(EventsHeard(event.vehicle, [event]))
+
+    def _reply_state(self, reply: zenoh.Reply) -> None:
+        sample = reply.ok
+        vehicle = vehicle_of(str(sample.key_expr)) if sample is not None else None
+        state = self._decoded(reply, vehicle, decode_state)
+        if isinstance(state, State):
+            self._queue.put(StateHeard(state))
+
+    def _decoded(
+        self, reply: zenoh.Reply, vehicle: str | None, decode: Callable[[bytes], Any]
+    ) -> Any:
+        sample = reply.ok
+        if sample is None:
+            return None
+        return self._decoded_from(str(sample.key_expr), sample.payload.to_bytes(), vehicle, decode)
+
+    def _decoded_from(
+        self, key: str, raw: bytes, vehicle: str | None, decode: Callable[[bytes], Any]
+    ) -> Any:
+        """A message that speaks for the vehicle whose key it came by; anything else is said."""
+        message = decode(raw)
+        if isinstance(message, Refused):
+            self._queue.put(Nonsense(key, message.reason))
+            return None
+        if message.vehicle != vehicle:
+            self._queue.put(Nonsense(key, f"speaks for {message.vehicle}"))
+            return None
+        return message
+
+
+def monotonic_s() -> float:
+    """The desk's clock for silences and waits: it never goes back."""
+    return time.monotonic()
+
+
+def epoch_us() -> int:
+    """Microseconds since 1970, for stamps that people read."""
+    return time.time_ns() // 1000
+
+
+def leave_process(code: int) -> NoReturn:
+    """End the process; past the interpreter's own shutdown where it was ever on zenoh.
+
+    Threads of zenoh's runtime may still want Python's lock then, which aborts the process.
+    """
+    if not ZenohFleet.opened:
+        sys.exit(code)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
