@@ -20,6 +20,7 @@ from companion.core.events import (
     Ground,
     GroundState,
     Home,
+    MissionProgress,
     Position,
     VehicleState,
 )
@@ -27,7 +28,7 @@ from companion.core.recorded_flight import MULTIROTOR, LogFinding, RecordedFligh
 
 WANTED = (
     "ATT", "XKF1", "XKF2", "XKF4", "NKF1", "POS", "GPS", "BAT", "CURR", "ARSP", "MODE", "ARM",
-    "EV", "ORGN", "PARM", "MSG", "VER",
+    "EV", "MISE", "ORGN", "PARM", "MSG", "VER",
 )  # fmt: skip
 LEAST_STEP_S = {
     "ATT": 0.045,
@@ -75,9 +76,9 @@ def read_dataflash(path: Path) -> RecordedFlight:
         reader.findings.append(LogFinding(reader.now, what, "what came before is used"))
     for line in list(dict.fromkeys(said.getvalue().splitlines()))[:5]:
         reader.findings.append(LogFinding("file", line.strip(), "whole messages are used"))
+    reader.finish()
     if not reader.events:
         raise LeewayError(f"{path}: none of ATT, XKF1, POS, BAT in this dataflash log")
-    reader.events.sort(key=lambda event: event.t_s)
     return RecordedFlight(
         source="dataflash",
         events=tuple(reader.events),
@@ -109,8 +110,8 @@ class _Reader:
         self._place: tuple[float, float, float, float, float] | None = None
         self._fused = False
         self._home_m: float | None = None
-        self._armed = False
-        self._mode = self._words.mode(0, 0)
+        self._states: list[tuple[float, bool | None, int | None]] = []
+        self._grounds: list[tuple[float, bool]] = []
 
     @property
     def now(self) -> str:
@@ -243,20 +244,39 @@ class _Reader:
                 home = (float(message.Lat), float(message.Lng), self._home_m)
                 self.events.append(Home(t_s, *home))
             return
-        if kind == "EV" and message.Id in (EV_LANDED, EV_NOT_LANDED):
-            landed = message.Id == EV_LANDED
-            ground = Ground.ON_GROUND if landed else Ground.IN_AIR
-            self.events.append(GroundState(t_s, ground))
-            return
-        if kind == "EV" and message.Id in (EV_ARMED, EV_DISARMED):
-            self._armed = message.Id == EV_ARMED
+        if kind == "MISE":  # items counted with home, as in CMD
+            index, total = int(message.CNum) - 1, int(message.CTot) - 1
+            self.events.append(MissionProgress(t_s, index if index >= 0 else None, total))
+        elif kind == "EV" and message.Id in (EV_LANDED, EV_NOT_LANDED):
+            self._grounds.append((t_s, message.Id == EV_LANDED))
+        elif kind == "EV" and message.Id in (EV_ARMED, EV_DISARMED):
+            self._states.append((t_s, message.Id == EV_ARMED, None))
         elif kind == "ARM":
-            self._armed = bool(message.ArmState)
+            self._states.append((t_s, bool(message.ArmState), None))
         elif kind == "MODE":
-            self._mode = self._words.mode(int(message.ModeNum), 0)
-        else:
+            self._states.append((t_s, None, int(message.ModeNum)))
+
+    def finish(self) -> None:
+        """Tell armed and landed from the start: the log says only when they change.
+
+        With LOG_DISARMED 0 it begins when the vehicle is armed already, and does not say so.
+        """
+        if not self.events:
             return
-        self.events.append(VehicleState(t_s, *self._mode, armed=self._armed))
+        start_s = min(event.t_s for event in self.events)
+        first = next((armed for _, armed, _ in self._states if armed is not None), None)
+        armed = self._values.get("LOG_DISARMED") == 0.0 if first is None else not first
+        mode = 0
+        for t_s, now_armed, now_mode in [(start_s, None, None), *self._states]:
+            armed = armed if now_armed is None else now_armed
+            mode = mode if now_mode is None else now_mode
+            self.events.append(VehicleState(t_s, *self._words.mode(mode, 0), armed=armed))
+        if self._grounds:
+            before = (start_s, not self._grounds[0][1])
+            for t_s, landed in (before, *self._grounds):
+                ground = Ground.ON_GROUND if landed else Ground.IN_AIR
+                self.events.append(GroundState(t_s, ground))
+        self.events.sort(key=lambda event: event.t_s)
 
 
 def _instance(message: Any) -> int:

@@ -22,6 +22,7 @@ from companion.core.events import (
     Ground,
     GroundState,
     Home,
+    MissionProgress,
     Mode,
     Position,
     VehicleState,
@@ -36,6 +37,7 @@ TOPICS = (
     "vehicle_local_position",
     "vehicle_global_position",
     "home_position",
+    "mission_result",
     "vehicle_status",
     "vehicle_land_detected",
     "vehicle_gps_position",
@@ -332,6 +334,14 @@ def _homes(rows: Rows) -> list[Event]:
     return [Home(*row) for row in columns if all(map(math.isfinite, row))]
 
 
+def _progress(rows: Rows) -> list[Event]:
+    return [
+        MissionProgress(t_s, int(index), int(total))
+        for t_s, index, total in _lists(rows["t_s"], rows["seq_current"], rows["seq_total"])
+        if total > 0
+    ]
+
+
 _TAKERS: dict[str, Callable[[Rows], list[Event]]] = {
     "vehicle_status": _states,
     "vehicle_land_detected": _grounds,
@@ -339,6 +349,7 @@ _TAKERS: dict[str, Callable[[Rows], list[Event]]] = {
     "battery_status": _batteries,
     "airspeed_validated": _airspeeds,
     "home_position": _homes,
+    "mission_result": _progress,
 }
 
 

@@ -82,6 +82,14 @@ class RecordedFlight:
         return any(isinstance(event, kind) for event in self.events)
 
     @property
+    def has_battery(self) -> bool:
+        """Tell whether the energy ledger has anything to begin with."""
+        return any(
+            isinstance(e, Battery) and (e.voltage_v is not None or e.remaining_frac is not None)
+            for e in self.events
+        )
+
+    @property
     def powered(self) -> bool:
         """Tell whether battery voltage and current are in the log together."""
         known = [e for e in self.events if isinstance(e, Battery)]
