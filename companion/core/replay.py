@@ -81,6 +81,8 @@ class ReplayResult:
     wind_cov_m2ps2: FloatArray
     in_air: NDArray[np.bool_]
     flown_s: FloatArray
+    max_loss: float
+    reserve_wh: float | None
     moments: list[Moment] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     notes: list[tuple[float, str]] = field(default_factory=list)
@@ -178,11 +180,17 @@ class _Replay:
             rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2),
             rows[:, 6] > 0.5,
             rows[:, 7],
+            self._judge.limits.max_loss,
+            self._reserve_wh(),
             self._moments,
             self._decisions,
             self._notes,
             self._findings,
         )
+
+    def _reserve_wh(self) -> float | None:
+        energy = self._judge.energy if self._gates else None
+        return None if energy is None else self._judge.limits.reserve_frac * energy.usable_full_wh
 
     # --- a tick --------------------------------------------------------------------------------
 
@@ -224,9 +232,8 @@ class _Replay:
             self._land(now)
 
     def _land(self, now: Situation) -> None:
-        energy = self._judge.energy if self._gates else None
-        if energy is not None:
-            reserve_wh = self._judge.limits.reserve_frac * energy.usable_full_wh
+        energy, reserve_wh = self._judge.energy, self._reserve_wh()
+        if energy is not None and reserve_wh is not None:
             left_wh = energy.mean_wh - reserve_wh
             where = "landed"
             if self._home is not None and now.position is not None:
@@ -357,7 +364,8 @@ class _Replay:
         route = self._route
         if self._diverted or not isinstance(route, Planned) or seen.best_landing == DEPOT:
             return
-        if route.stage != "return" and not (route.outward and self._closed):
+        homeward = route.stage in ("return", "divert")
+        if not homeward and not (route.outward and self._closed):
             return
         if not route.sees(seen.best_landing, here):
             return

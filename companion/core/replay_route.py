@@ -166,6 +166,7 @@ class Planned:
                 self._return_index = max(0, mission.returning.index(index) - 1)
             case Part.RALLY:
                 self.stage, self._rally = "divert", self._rally_at(index)
+                self._return_index = None
             case Part.RALLY_LAND:
                 self.stage, self._landing = "land", True
                 self._rally = self._rally_at(index) or self._rally

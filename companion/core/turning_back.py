@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from companion.core.actions import Severity
-from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.flight_plan import FlightPlan
+from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.gate import Ahead, Assessment
 from companion.core.geo import Ned, horizontal_m
 from companion.core.obedience import Purpose
