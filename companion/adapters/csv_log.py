@@ -198,9 +198,9 @@ def _events(rows: Columns, findings: list[LogFinding]) -> tuple[list[Event], boo
     angles = np.radians(np.stack([_column(rows, name) for name in ATTITUDE]))
     airspeed = _column(rows, "airspeed_mps")
     battery = np.stack([_column(rows, name) for name in BATTERY])
-    moves: NDArray[np.bool_] = np.isfinite(velocity).all(axis=0) & np.isfinite(place).all(axis=0)
-    leans: NDArray[np.bool_] = np.isfinite(angles).all(axis=0)
-    powered: NDArray[np.bool_] = np.isfinite(battery).any(axis=0)
+    moves = np.atleast_1d(np.isfinite(np.concatenate([velocity, place])).all(axis=0))
+    leans = np.atleast_1d(np.isfinite(angles).all(axis=0))
+    powered = np.atleast_1d(np.isfinite(battery).any(axis=0))
     events: list[Event] = []
     told_flying: bool | None = None
     for i, now_s in enumerate(t_s.tolist()):

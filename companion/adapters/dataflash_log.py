@@ -61,14 +61,11 @@ NAMES = {
 
 def read_dataflash(path: Path) -> RecordedFlight:
     """Read a .bin; LeewayError where nothing in it is a flight."""
-    from pymavlink.DFReader import DFReader_binary
-
     said = io.StringIO()
     reader = _Reader()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            log = DFReader_binary(str(path))
-            _run(log, reader)
+            _run(path, reader)
     except Exception as error:
         if not reader.events:
             raise LeewayError(f"{path}: DFReader cannot read this file: {error!r}") from error
@@ -89,9 +86,17 @@ def read_dataflash(path: Path) -> RecordedFlight:
     )
 
 
-def _run(log: Any, reader: "_Reader") -> None:
-    while (message := log.recv_match(type=list(WANTED), strict=True)) is not None:
-        reader.hear(message)
+def _run(path: Path, reader: "_Reader") -> None:
+    from pymavlink.DFReader import DFReader_binary
+
+    log: Any = DFReader_binary.__new__(DFReader_binary)  # so that a failed start is closed too
+    try:
+        log.__init__(str(path))
+        while (message := log.recv_match(type=list(WANTED), strict=True)) is not None:
+            reader.hear(message)
+    finally:
+        if hasattr(log, "filehandle"):
+            log.filehandle.close()  # its memory map goes with the object: views of it may be left
 
 
 class _Reader:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,12 @@ AIRFRAMES = {
 """CA_AIRFRAME, where MAV_TYPE is not in the log."""
 
 
+DATA = struct.Struct("<HBHQ")
+"""A data message: size, kind, subscription, and the time stamp that every topic begins with."""
+
+TAIL_BYTES, LOST_S, DAY_S = 4096, 2.0, 86_400.0
+
+
 def read_ulog(path: Path) -> RecordedFlight:
     """Read a .ulg; LeewayError where it is none, or pyulog is not installed."""
     log, findings = _opened(path)
@@ -142,8 +149,8 @@ def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
         ) from error
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(str(path), list(TOPICS))
+        with contextlib.redirect_stdout(said), path.open("rb") as file:
+            log = ULog(file, list(TOPICS))
     except Exception as error:
         raise LeewayError(f"{path}: pyulog cannot read this file: {error!r}") from error
     findings: list[LogFinding] = []
@@ -151,12 +158,39 @@ def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
         findings.append(LogFinding("file", line.strip(), "whole messages are used"))
     if log.file_corruption and not findings:
         findings.append(LogFinding("file", "damaged bytes", "whole messages are used"))
+    end_s, tail_s = log.last_timestamp / 1e6, _tail_s(path, log.start_timestamp / 1e6)
+    if tail_s is not None and tail_s > end_s + LOST_S:
+        what = f"damaged from here on; the file goes on to {tail_s:.1f} s"
+        findings.append(LogFinding(f"{end_s:.1f} s", what, "what came before is used"))
     if log.dropouts:
         lost_s = sum(drop.duration for drop in log.dropouts) / 1000.0
         first_s = log.dropouts[0].timestamp / 1e6
         what = f"{len(log.dropouts)} dropouts, {lost_s:.1f} s in all"
         findings.append(LogFinding(f"{first_s:.1f} s", what, "what was believed ages meanwhile"))
     return log, findings
+
+
+def _tail_s(path: Path, start_s: float) -> float | None:
+    """Time of the last data messages in the file, by their headers; `None` where none is whole.
+
+    pyulog ends without a word at a header whose size was damaged.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - TAIL_BYTES))
+        raw = file.read()
+    times: list[float] = []
+    for at in range(len(raw) - DATA.size):
+        size, kind, number, stamp_us = DATA.unpack_from(raw, at)
+        t_s = stamp_us / 1e6
+        if (
+            kind == ord("D")
+            and 10 <= size < 4096
+            and number < 1024
+            and 0.0 <= t_s - start_s < DAY_S
+        ):
+            times.append(t_s)
+    middle = sorted(times)[len(times) // 2] if times else None
+    return middle if len(times) >= 3 else None
 
 
 def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
