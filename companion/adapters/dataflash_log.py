@@ -28,7 +28,7 @@ from companion.core.recorded_flight import MULTIROTOR, LogFinding, RecordedFligh
 
 WANTED = (
     "ATT", "XKF1", "XKF2", "XKF4", "NKF1", "POS", "GPS", "BAT", "CURR", "ARSP", "MODE", "ARM",
-    "EV", "MISE", "ORGN", "PARM", "MSG", "VER",
+    "EV", "MISE", "ORGN", "MSG", "VER",
 )  # fmt: skip
 LEAST_STEP_S = {
     "ATT": 0.045,
@@ -92,7 +92,9 @@ def _run(path: Path, reader: "_Reader") -> None:
     log: Any = DFReader_binary.__new__(DFReader_binary)  # so that a failed start is closed too
     try:
         log.__init__(str(path))
-        while (message := log.recv_match(type=list(WANTED), strict=True)) is not None:
+        reader.learn(log.params)
+        wanted = reader.wanted()
+        while (message := log.recv_match(type=wanted, strict=True)) is not None:
             reader.hear(message)
     finally:
         if hasattr(log, "filehandle"):
@@ -126,8 +128,8 @@ class _Reader:
     def hear(self, message: Any) -> None:
         """Take one message."""
         kind = message.get_type()
-        if kind in ("PARM", "MSG", "VER"):
-            self._learn(kind, message)
+        if kind in ("MSG", "VER"):
+            self._identify(kind, message)
             return
         t_s = self._time(getattr(message, "TimeUS", None))
         if t_s is None or not self._due(kind, message, t_s):
@@ -177,10 +179,22 @@ class _Reader:
         self._heard_s[kind] = t_s
         return True
 
-    def _learn(self, kind: str, message: Any) -> None:
-        if kind == "PARM":
-            self._values[message.Name] = float(message.Value)
-        elif kind == "VER":
+    def learn(self, parameters: dict[str, float]) -> None:
+        """Take the parameters, which DFReader has read when it opened the log."""
+        self._values = {name: float(value) for name, value in parameters.items()}
+
+    def wanted(self) -> list[str]:
+        """Messages worth decoding: without those whose values are known to be no facts."""
+        idle = set() if self._fuses_drag() else {"XKF2"}
+        if not self._words.has_pitot(self._values):
+            idle.add("ARSP")
+        return [kind for kind in WANTED if kind not in idle]
+
+    def _fuses_drag(self) -> bool:
+        return bool(self._values.get("EK3_DRAG_BCOEF_X") or self._values.get("EK3_DRAG_BCOEF_Y"))
+
+    def _identify(self, kind: str, message: Any) -> None:
+        if kind == "VER":
             self.vehicle = BUILDS.get(getattr(message, "BU", -1), self.vehicle)
         else:
             text = str(message.Message)
@@ -212,8 +226,6 @@ class _Reader:
 
     def _wind(self, t_s: float, message: Any) -> None:
         """EKF3's wind states are real only with drag fusion; they say where the air moves to."""
-        if not (self._values.get("EK3_DRAG_BCOEF_X") or self._values.get("EK3_DRAG_BCOEF_Y")):
-            return
         north, east = float(message.VWN), float(message.VWE)
         if math.isfinite(north + east) and (north, east) != (0.0, 0.0):
             self.events.append(AutopilotWind(t_s, north, east))
@@ -236,10 +248,9 @@ class _Reader:
         )
 
     def _airspeed(self, t_s: float, message: Any) -> None:
-        """Take a sensor's reading; without ARSPD_TYPE there is none, whatever is logged."""
         speed = float(message.Airspeed)
         healthy = bool(getattr(message, "H", 1))
-        if self._words.has_pitot(self._values) and healthy and math.isfinite(speed):
+        if healthy and math.isfinite(speed):
             self.events.append(Airspeed(t_s, max(speed, 0.0)))
 
     def _hear_state(self, kind: str, message: Any, t_s: float) -> None:

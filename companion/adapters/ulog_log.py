@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.adapters.ulog_filter import wanted_part
 from companion.core.errors import LeewayError
 from companion.core.events import (
     Airspeed,
@@ -50,6 +51,7 @@ TOPICS = (
 LEAST_STEP_S = {
     "vehicle_attitude": 0.045,
     "vehicle_local_position": 0.09,
+    "vehicle_global_position": 0.09,
     "vehicle_gps_position": 0.19,
     "battery_status": 0.19,
     "airspeed_validated": 0.09,
@@ -104,6 +106,7 @@ DATA = struct.Struct("<HBHQ")
 """A data message: size, kind, subscription, and the time stamp that every topic begins with."""
 
 TAIL_BYTES, LOST_S, DAY_S = 4096, 2.0, 86_400.0
+ROUNDS = 8
 
 
 def read_ulog(path: Path) -> RecordedFlight:
@@ -117,7 +120,7 @@ def read_ulog(path: Path) -> RecordedFlight:
         values.get("CA_AIRFRAME", -1)
     )
     events: list[Event] = []
-    for rows in topics.get("vehicle_attitude", []):
+    for rows in topics.get("vehicle_attitude", [])[:1]:
         events += _attitudes(rows)
     events += _positions(topics, findings)
     for name, take in _TAKERS.items():
@@ -140,6 +143,21 @@ def read_ulog(path: Path) -> RecordedFlight:
     )
 
 
+class _Bounded(io.BytesIO):
+    """Bytes that end a reader which goes round in circles, as pyulog does on some damage."""
+
+    def __init__(self, raw: bytes) -> None:
+        super().__init__(raw)
+        self._left = ROUNDS * (len(raw) + 4096)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read, unless as much as several files were read already."""
+        self._left -= 1 + (size or 0)
+        if self._left < 0:
+            raise RuntimeError("its definitions are damaged")
+        return super().read(size)
+
+
 def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
     try:
         from pyulog import ULog
@@ -149,7 +167,9 @@ def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
         ) from error
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), path.open("rb") as file:
+        steps_s = {name: LEAST_STEP_S.get(name, 0.0) for name in TOPICS}
+        wanted = wanted_part(path.read_bytes(), steps_s)
+        with contextlib.redirect_stdout(said), _Bounded(wanted) as file:
             log = ULog(file, list(TOPICS))
     except Exception as error:
         raise LeewayError(f"{path}: pyulog cannot read this file: {error!r}") from error

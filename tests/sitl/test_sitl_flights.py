@@ -305,7 +305,7 @@ def _flown_once(fly_case, flavour, changes, *, gate):
 def test_a_replay_says_what_the_flight_said(fly_case):
     flown = _flown_once(fly_case, "px4", {}, gate=True)
     result = json.loads((flown.run_dir / "result.json").read_text())
-    flight = read_flight(flown.run_dir / "flight.toml")
+    flight = read_flight(flown.run_dir.parents[1] / "case.toml")
     terms = ReplayTerms(read_airframe("m100"), flight, planned=True, with_energy=True)
     wind = _table(result["wind"], "t_s", "n", "e")
     for name, allowed_mps in (("decisions.mcap", 0.02), ("stream.tlog", 0.3)):
