@@ -17,6 +17,7 @@ from companion.adapters.files import (
     read_airframe,
     read_flight,
     read_obstacle_document,
+    read_wind_process,
 )
 from companion.adapters.open_log import open_log
 from companion.adapters.replay_files import replay_record, write_record, write_wind
@@ -30,6 +31,7 @@ from companion.core.flight import Flight, Mission, Place, Site, Vehicle
 from companion.core.recorded_flight import RecordedFlight
 from companion.core.replay import ReplayTerms, replay
 from companion.core.replay_summary import wind_score, wind_summary
+from companion.core.wind_process import WindProcessParams
 
 UNKNOWN_AIRFRAME = "generic"
 STOPPED_BY_HAND = 130
@@ -52,6 +54,7 @@ class _Asked:
     max_loss: float | None
     reserve_frac: float | None
     every_s: float
+    wind_process: str | None
     params: Path | None
 
 
@@ -96,6 +99,13 @@ def replay_command(
         float | None,
         typer.Option(help="Share of the usable energy to land with; default: the flight's, 0.15."),
     ] = None,
+    wind_process: Annotated[
+        str | None,
+        typer.Option(
+            help="How the wind may change: a name in params/wind or a file, from `companion"
+            " fit-wind`; default: the flight's mission.wind_process."
+        ),
+    ] = None,
     every: Annotated[
         float, typer.Option(min=0.1, help="Ask the gate every so many seconds of the flight.")
     ] = 5.0,
@@ -109,7 +119,7 @@ def replay_command(
     changed. What is wrong with a log (cut off, gaps, jumps in time, NaN, units, another vehicle)
     is said with its place, and the log is used as far as it goes.
     """
-    asked = _Asked(log, airframe, flight, payload, max_loss, reserve, every, params)
+    asked = _Asked(log, airframe, flight, payload, max_loss, reserve, every, wind_process, params)
     try:
         _run(asked, out, json_out, picture)
     except LeewayError as error:
@@ -151,11 +161,18 @@ def _terms(asked: _Asked, log: RecordedFlight) -> ReplayTerms:
         airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
         obstacles = read_obstacle_document(flight, asked.flight)
         flight = _with_limits(asked, flight)
-        return ReplayTerms(airframe, flight, True, True, obstacles, asked.every_s)
+        return ReplayTerms(
+            airframe, flight, _process(asked, flight), True, True, obstacles, asked.every_s
+        )
     airframe = _airframe(asked)
     flight = _with_limits(asked, _unplanned(asked, airframe, log))
     known = asked.airframe is not None
-    return ReplayTerms(airframe, flight, False, known, None, asked.every_s)
+    process = _process(asked, flight)
+    return ReplayTerms(airframe, flight, process, False, known, None, asked.every_s)
+
+
+def _process(asked: _Asked, flight: Flight) -> WindProcessParams:
+    return read_wind_process(asked.wind_process or flight.mission.wind_process, asked.params)
 
 
 def _airframe(asked: _Asked) -> Airframe:

@@ -29,6 +29,7 @@ from companion.core.replay_route import Planned, Route, Unplanned
 from companion.core.route_energy import RouteEnergy
 from companion.core.situation import BATTERY_MAX_AGE_S, POSITION_MAX_AGE_S, Situation
 from companion.core.turning_back import beats_depot
+from companion.core.wind_process import WindProcessParams
 
 FloatArray = NDArray[np.float64]
 
@@ -50,6 +51,7 @@ class ReplayTerms:
 
     airframe: Airframe
     flight: Flight
+    wind_process: WindProcessParams
     planned: bool
     with_energy: bool
     obstacles: dict[str, object] | None = None
@@ -123,7 +125,9 @@ class _Replay:
         self._log, self._terms = log, terms
         speed = terms.flight.mission.cruise_airspeed_mps
         self._route_energy = RouteEnergy(terms.airframe, cruise_airspeed_mps=speed)
-        self._judge = Judgement(terms.flight, terms.airframe, self._route_energy)
+        self._judge = Judgement(
+            terms.flight, terms.airframe, self._route_energy, terms.wind_process
+        )
         self._route: Route | None = None
         self._home: LocalFrame | None = None
         self._gates = terms.with_energy and log.flies_by_tilt and log.has_battery
@@ -138,6 +142,7 @@ class _Replay:
         self._asked_s = -math.inf
         self._seen: Assessment | None = None
         self._pack_judged = False
+        self._another_mission = False
         self._wind: list[tuple[float, ...]] = []
         self._moments: list[Moment] = []
         self._decisions: list[Decision] = []
@@ -276,13 +281,7 @@ class _Replay:
                 what = f"the flight file's mission does not go: {flown.reason}"
                 self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
             else:
-                flight = self._terms.flight
-                self._route = Planned(
-                    flown,
-                    flight.mission.drop_height_m,
-                    self._route_energy,
-                    flight.vehicle.payload_kg,
-                )
+                self._route = Planned(flown, self._terms.flight, self._route_energy)
 
     def _plan(self, now: Situation) -> FlightPlan | NoRoute:
         flight = self._terms.flight
@@ -300,11 +299,21 @@ class _Replay:
             return None
         here = route.look(now)
         if isinstance(route, Planned):
+            self._mind_mission(now, route)
             self._mind_delivery(now, route)
             stage = route.step
             if stage != self._stage and here is not None:
                 self._stage_changed(now, here, stage)
         return here
+
+    def _mind_mission(self, now: Situation, route: Planned) -> None:
+        aboard = route.another_mission
+        if aboard is None or self._another_mission:
+            return
+        self._another_mission = True
+        what = f"the mission aboard has {aboard} items, the flight file's plan {route.items}"
+        said = "where it is on its way is told by its place"
+        self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
 
     def _mind_delivery(self, now: Situation, route: Planned) -> None:
         if route.delivered and self._judge.payload_kg > 0.0:

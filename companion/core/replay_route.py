@@ -4,6 +4,7 @@ import math
 from typing import Protocol
 
 from companion.core.ahead import DEPOT, ahead_delivering, ahead_outbound, ahead_returning
+from companion.core.flight import Flight
 from companion.core.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission_items import Part
@@ -19,7 +20,7 @@ GOES_ON_S = 30.0
 HOVERS_MPS = 1.0
 REACHED_M = 20.0
 LEFT_M = 30.0
-GIVES_UP_M = 60.0
+GIVES_UP_M = 100.0
 SINKS_M = 5.0
 TAKE_OFF = "take-off"
 
@@ -75,18 +76,20 @@ class Planned:
     log has it and it is our mission; else the way it has flown.
     """
 
-    def __init__(
-        self, flown: FlightPlan, drop_height_m: float, route_energy: RouteEnergy, payload_kg: float
-    ) -> None:
+    def __init__(self, flown: FlightPlan, flight: Flight, route_energy: RouteEnergy) -> None:
         self._flown = flown
-        self._drop_height_m = drop_height_m
-        self._drop = _Drop(route_energy, payload_kg)
+        self._drop_height_m = flight.mission.drop_height_m
+        self._settle_s = flight.mission.wind_settle_s
+        self._settled_s: float | None = None
+        self._now_s = 0.0
+        self._drop = _Drop(route_energy, flight.vehicle.payload_kg)
         self._leg = 0
         self._return_index: int | None = None
         self._nearest_m = math.inf
         self._landing = False
         self._rally: str | None = None
         self.delivered = ""
+        self.another_mission: int | None = None
         self.stage = "settle"
 
     @property
@@ -103,6 +106,7 @@ class Planned:
         """Take the moment in; returns where the vehicle is."""
         if now.position is None:
             return None
+        self._now_s = now.t_s
         here = self._flown.ned_of(now.position)
         before = self.stage
         if not self._by_progress(now):
@@ -117,7 +121,9 @@ class Planned:
         """What the plan still holds."""
         plan, drop_m = self._flown.plan, self._drop_height_m
         if self.stage == "settle":
-            return ahead_outbound(plan, here, 0, payload_kg, drop_m, DROP_S)
+            settled_s = 0.0 if self._settled_s is None else self._now_s - self._settled_s
+            left_s = max(0.0, self._settle_s - settled_s)
+            return ahead_outbound(plan, here, 0, payload_kg, drop_m, DROP_S, left_s)
         if self.stage == "outbound":
             return ahead_outbound(plan, here, self._leg, payload_kg, drop_m, DROP_S)
         if self.stage in ("deliver", "release") and not self.delivered:
@@ -125,6 +131,11 @@ class Planned:
         index = None if self._landing else self._nearest_return(here)
         delivered = bool(self.delivered)
         return ahead_returning(plan, here, index, payload_kg, delivered, self._rally)
+
+    @property
+    def items(self) -> int:
+        """How many items the plan's mission has."""
+        return len(self._flown.mission.items)
 
     def sees(self, rally: str, here: Ned) -> bool:
         """Tell whether the straight line to a rally point is clear."""
@@ -148,11 +159,14 @@ class Planned:
         if progress is None or progress.index is None:
             return False
         if progress.total is not None and progress.total != len(mission.items):
+            self.another_mission = progress.total
             return False
         index = progress.index
         match mission.part_at(index):
             case Part.TAKEOFF | Part.SETTLE:
                 self.stage = "settle"
+                if index >= mission.settle and self._settled_s is None:
+                    self._settled_s = now.t_s
             case Part.OUTBOUND:
                 self.stage = "outbound"
                 if index in mission.outbound:
@@ -189,11 +203,14 @@ class Planned:
         if self.stage == "settle" and horizontal_m(here, (0.0, 0.0, 0.0)) > REACHED_M:
             self.stage = "outbound"
         if self.stage == "outbound":
-            away_m = horizontal_m(here, points[self._leg])
+            away_m = horizontal_m(here, points[last])
             self._nearest_m = min(self._nearest_m, away_m)
-            if away_m < REACHED_M and self._leg < last:
-                self._leg, self._nearest_m = self._leg + 1, math.inf
-            elif away_m < REACHED_M and here[2] > points[last][2] + SINKS_M:
+            while self._leg < last and (
+                away_m < horizontal_m(points[self._leg], points[last])
+                or horizontal_m(here, points[self._leg]) < REACHED_M
+            ):
+                self._leg += 1
+            if away_m < REACHED_M and here[2] > points[last][2] + SINKS_M:
                 self.stage = "deliver"
             elif away_m > self._nearest_m + GIVES_UP_M:
                 self.stage = "return"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from companion.adapters.files import read_airframe
+from companion.adapters.files import read_airframe, read_wind_process
 from companion.adapters.open_log import open_log
 from companion.app.cli import app
 from companion.core.flight import Flight, Place, Site, Vehicle
@@ -33,7 +33,8 @@ def terms(*, with_energy=True, pitot=False):
     nowhere = Site(customer=Place(east_m=0.0, north_m=0.0))
     vehicle = Vehicle(airframe="m100", charge_frac=[0.05, 1.0], pitot=pitot, autopilot_wind=True)
     flight = Flight(format="flight/1", site=nowhere, vehicle=vehicle)
-    return ReplayTerms(read_airframe("m100"), flight, planned=False, with_energy=with_energy)
+    process = read_wind_process(flight.mission.wind_process)
+    return ReplayTerms(read_airframe("m100"), flight, process, False, with_energy)
 
 
 def read_wind(path):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from companion.adapters.files import read_airframe, read_flight
+from companion.adapters.files import read_airframe, read_flight, read_wind_process
 from companion.adapters.open_log import open_log
 from companion.core.replay import ReplayTerms, replay
 
@@ -306,7 +306,8 @@ def test_a_replay_says_what_the_flight_said(fly_case):
     flown = _flown_once(fly_case, "px4", {}, gate=True)
     result = json.loads((flown.run_dir / "result.json").read_text())
     flight = read_flight(flown.run_dir.parents[1] / "case.toml")
-    terms = ReplayTerms(read_airframe("m100"), flight, planned=True, with_energy=True)
+    process = read_wind_process(flight.mission.wind_process)
+    terms = ReplayTerms(read_airframe("m100"), flight, process, planned=True, with_energy=True)
     wind = _table(result["wind"], "t_s", "n", "e")
     for name, allowed_mps in (("decisions.mcap", 0.02), ("stream.tlog", 0.3)):
         seen = replay(
