@@ -1,4 +1,4 @@
-"""Decisions, beliefs and energy as MCAP with JSON schemas (Foxglove opens it).
+"""What was heard, believed and decided, as MCAP with JSON schemas (Foxglove opens it).
 
 Chunks are off and every message is handed to the system at once, so that after `kill -9` the file
 lacks only its index: readers that stream it, and `mcap recover`, get every message.
@@ -18,6 +18,8 @@ from mcap.writer import CompressionType, Writer
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
 MAYBE = {"type": ["number", "null"]}
+COUNT = {"type": ["integer", "null"]}
+FLAG = {"type": "boolean"}
 
 SCHEMAS: dict[str, dict[str, Any]] = {
     "decision": {
@@ -56,6 +58,46 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     },
     "phase": {"t_s": NUMBER, "before": TEXT, "now": TEXT, "why": TEXT},
     "said": {"t_s": NUMBER, "severity": NUMBER, "text": TEXT},
+    "heard_autopilot": {"t_s": NUMBER, "flavour": TEXT, "system_id": NUMBER},
+    "heard_state": {
+        "t_s": NUMBER,
+        "mode": TEXT,
+        "mode_name": TEXT,
+        "armed": FLAG,
+        "failsafe": FLAG,
+        "ready_state": FLAG,
+    },
+    "heard_ground": {"t_s": NUMBER, "ground": TEXT},
+    "heard_attitude": {"t_s": NUMBER, "roll_rad": NUMBER, "pitch_rad": NUMBER, "yaw_rad": NUMBER},
+    "heard_position": {
+        "t_s": NUMBER,
+        "lat_deg": NUMBER,
+        "lon_deg": NUMBER,
+        "alt_amsl_m": NUMBER,
+        "height_rel_m": NUMBER,
+        "vel_n_mps": NUMBER,
+        "vel_e_mps": NUMBER,
+        "vel_d_mps": NUMBER,
+    },
+    "heard_gnss": {"t_s": NUMBER, "usable": FLAG, "satellites": COUNT},
+    "heard_home": {"t_s": NUMBER, "lat_deg": NUMBER, "lon_deg": NUMBER, "alt_amsl_m": NUMBER},
+    "heard_battery": {
+        "t_s": NUMBER,
+        "voltage_v": MAYBE,
+        "current_a": MAYBE,
+        "consumed_ah": MAYBE,
+        "consumed_j": MAYBE,
+        "remaining_frac": MAYBE,
+        "temperature_c": MAYBE,
+    },
+    "heard_airspeed": {"t_s": NUMBER, "forward_mps": NUMBER, "is_magnitude": FLAG},
+    "heard_wind": {"t_s": NUMBER, "to_n_mps": NUMBER, "to_e_mps": NUMBER, "std_mps": MAYBE},
+    "heard_progress": {
+        "t_s": NUMBER,
+        "index": COUNT,
+        "total": COUNT,
+        "in_mission": {"type": ["boolean", "null"]},
+    },
 }
 
 

@@ -1,4 +1,4 @@
-"""`companion`: flies a delivery beside an autopilot, and checks beforehand that it can."""
+"""`companion`: flies a delivery beside an autopilot, checks beforehand that it can, and replays."""
 
 import sys
 from collections.abc import Callable
@@ -14,6 +14,8 @@ from companion.adapters.files import read_flight, read_wind_process
 from companion.adapters.zenoh_link import leave_process
 from companion.app.check_report import report
 from companion.app.fleet_run import FleetOptions, fly_one, serve
+from companion.app.replay_cli import EPILOG as REPLAY_EPILOG
+from companion.app.replay_cli import replay_command
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.errors import LeewayError
@@ -226,6 +228,9 @@ def check(
     lines, ready = report(pilot)
     typer.echo("\n".join(lines))
     raise typer.Exit(DONE if ready else GROUNDED)
+
+
+app.command(name="replay", epilog=REPLAY_EPILOG)(replay_command)
 
 
 @app.command(name="fit-wind")

@@ -220,6 +220,7 @@ class Loop:
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
+        self.recorder.heard(self.pilot.now, self.pilot.flavour, self.autopilot.system_id)
         if self._is_behind():
             self._give([Tick(t_s, late=True)])
         else:

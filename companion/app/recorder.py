@@ -10,6 +10,7 @@ from typing import Any
 
 from companion.adapters.checkpoint import write_checkpoint
 from companion.adapters.decision_log import DecisionLog, free_name, read_rows
+from companion.adapters.mcap_log import IDENTIFIED, HeardRows
 from companion.adapters.tlog import Tlog
 from companion.core.actions import (
     Action,
@@ -23,8 +24,10 @@ from companion.core.actions import (
     Say,
     WindReport,
 )
+from companion.core.events import Flavour
 from companion.core.flight_plan import FlightPlan, plan_row
 from companion.core.preflight import Finding
+from companion.core.situation import Situation
 
 RESULT = "result.json"
 FORMAT = "companion-result/1"
@@ -57,7 +60,18 @@ class Recorder:
         self.tlog = Tlog(run_dir / "stream.tlog")
         self._decisions = DecisionLog(free_name(run_dir / "decisions.mcap"))
         self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
+        self._heard = HeardRows()
+        self._flavour: Flavour | None = None
         self._finished: Finished | None = None
+
+    def heard(self, now: Situation, flavour: Flavour | None, system_id: int | None) -> None:
+        """Record what is new in the situation at a tick: `companion replay` starts from it."""
+        if flavour is not None and system_id is not None and flavour is not self._flavour:
+            self._flavour = flavour
+            row = {"t_s": now.t_s, "flavour": flavour.value, "system_id": system_id}
+            self._decisions.write(IDENTIFIED, row)
+        for topic, row in self._heard.new(now):
+            self._decisions.write(topic, row)
 
     def take(self, action: Action, t_s: float) -> None:
         """Record one action."""

@@ -152,9 +152,13 @@ class Throttle(Event):
 
 @dataclass(frozen=True, slots=True)
 class Airspeed(Event):
-    """A pitot's reading along the body's forward axis."""
+    """A pitot's reading along the body's forward axis.
+
+    `is_magnitude`: of an anemometer that turns into the wind; only recordings have such.
+    """
 
     forward_mps: float
+    is_magnitude: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,6 +110,15 @@ def _taken(pilot: Pilot, fresh: Assessment | None) -> Assessment | None:
     return fresh
 
 
+def moved_since(noted: Noted, fresh: Assessment, wind_ne_mps: tuple[float, float]) -> str:
+    """Say what has moved enough since the last decision to be worth another; `""`: nothing."""
+    margin_step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
+    if abs(fresh.margin_wh - noted.margin_wh) > margin_step_wh:
+        return f"margin moved by {fresh.margin_wh - noted.margin_wh:+.1f} Wh"
+    wind_moved_mps = math.dist(noted.wind_ne_mps, wind_ne_mps)
+    return f"wind moved by {wind_moved_mps:.1f} m/s" if wind_moved_mps > WIND_MOVED_MPS else ""
+
+
 def _note_move(pilot: Pilot, fresh: Assessment) -> None:
     """Record a re-decision when margin or wind have moved since the last one recorded."""
     noted, wind = pilot.noted, pilot.judge.wind
@@ -117,14 +126,9 @@ def _note_move(pilot: Pilot, fresh: Assessment) -> None:
         return
     wind_ne = (float(wind.mean_to_ne_mps[0]), float(wind.mean_to_ne_mps[1]))
     if noted is not None:
-        margin_step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
-        wind_moved_mps = math.dist(noted.wind_ne_mps, wind_ne)
-        if abs(fresh.margin_wh - noted.margin_wh) <= margin_step_wh:
-            if wind_moved_mps <= WIND_MOVED_MPS:
-                return
-            moved = f"wind moved by {wind_moved_mps:.1f} m/s"
-        else:
-            moved = f"margin moved by {fresh.margin_wh - noted.margin_wh:+.1f} Wh"
+        moved = moved_since(noted, fresh, wind_ne)
+        if not moved:
+            return
         if pilot.phase in FLIGHT_PHASES:
             pilot.decide("looked_again", f"{moved}: {fresh.reason}")
     pilot.noted = Noted(fresh.margin_wh, wind_ne)

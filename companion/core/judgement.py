@@ -191,6 +191,7 @@ class Judgement:
                 pitch_rad=attitude.pitch_rad if attitude else None,
                 yaw_rad=attitude.yaw_rad if attitude else None,
                 airspeed_mps=airspeed.forward_mps if airspeed and vehicle.pitot else None,
+                airspeed_is_magnitude=airspeed is not None and airspeed.is_magnitude,
                 autopilot_wind_to_ne_mps=(
                     (wind.to_n_mps, wind.to_e_mps) if wind and vehicle.autopilot_wind else None
                 ),

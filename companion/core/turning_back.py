@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from companion.core.actions import Severity
+from companion.core.flight_plan import FlightPlan
 from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
-from companion.core.gate import Ahead
+from companion.core.gate import Ahead, Assessment
 from companion.core.geo import Ned, horizontal_m
 from companion.core.obedience import Purpose
 from companion.core.progress import jump
@@ -117,20 +118,28 @@ def rally_instead(pilot: Pilot, here: Ned) -> str | None:
     flown, seen = pilot.flown, fresh_assessment(pilot)
     if flown is None or seen is None or seen.best_landing == DEPOT:
         return None
-    ground = next((r.ground_ned_m for r in flown.plan.rally if r.name == seen.best_landing), None)
-    over = flown.plan.outbound_ned_m[-1][2]
-    if ground is None or not flown.is_clear(here, (ground[0], ground[1], over)):
+    if not rally_in_sight(flown, seen.best_landing, here):
         return None
     ahead = what_is_ahead(pilot, here)
     depot_only = tuple(way for way in ahead.ways_home_now if way.landing == DEPOT)
     if not depot_only:
         return seen.best_landing
     depot = pilot.judge.assess(Ahead(depot_only, (), pilot.air.delivered))
-    if depot is None:
+    if depot is None or not beats_depot(seen, depot, pilot.judge.limits.max_loss):
         return None
-    needed = 1.0 - pilot.judge.limits.max_loss
-    worse = depot.p_home < needed and seen.p_home_now > depot.p_home + DIVERT_GAIN
-    return seen.best_landing if worse else None
+    return seen.best_landing
+
+
+def rally_in_sight(flown: FlightPlan, name: str, here: Ned) -> bool:
+    """Tell whether the straight line to a rally point is clear, at the height it is flown at."""
+    ground = next((r.ground_ned_m for r in flown.plan.rally if r.name == name), None)
+    over = flown.plan.outbound_ned_m[-1][2]
+    return ground is not None and flown.is_clear(here, (ground[0], ground[1], over))
+
+
+def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
+    """Tell whether another landing keeps a promise that the depot does not."""
+    return depot.p_home < 1.0 - max_loss and seen.p_home_now > depot.p_home + DIVERT_GAIN
 
 
 def divert(pilot: Pilot, rally: str, why: str) -> None:

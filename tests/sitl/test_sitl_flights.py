@@ -6,12 +6,17 @@ the same check must fail: a check that cannot fail shows nothing.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink import mavutil
+
+from companion.adapters.files import read_airframe, read_flight, read_wind_process
+from companion.adapters.open_log import open_log
+from companion.core.replay import ReplayTerms, replay
 
 pytestmark = pytest.mark.sitl
 
@@ -286,11 +291,46 @@ _WRONG_WORLDS: dict[str, Any] = {}
 @pytest.mark.parametrize("case", CANARIES, ids=lambda c: c.name.replace(" ", "_"))
 def test_the_check_fails_in_a_wrong_world(fly_case, case):
     flavour = "px4" if not case.canary else ("px4", "ardupilot")[CANARIES.index(case) % 2]
-    world = f"{flavour} {case.canary} {case.canary_gate}"
-    if world not in _WRONG_WORLDS:
-        _WRONG_WORLDS[world] = fly_case(flavour, case.canary, gate=case.canary_gate)
-    flown = _WRONG_WORLDS[world]
+    flown = _flown_once(fly_case, flavour, case.canary, gate=case.canary_gate)
     assert not case.check(flown), _story(flown)
+
+
+def _flown_once(fly_case, flavour, changes, *, gate):
+    world = f"{flavour} {changes} {gate}"
+    if world not in _WRONG_WORLDS:
+        _WRONG_WORLDS[world] = fly_case(flavour, changes, gate=gate)
+    return _WRONG_WORLDS[world]
+
+
+def test_a_replay_says_what_the_flight_said(fly_case):
+    flown = _flown_once(fly_case, "px4", {}, gate=True)
+    result = json.loads((flown.run_dir / "result.json").read_text())
+    flight = read_flight(flown.run_dir.parents[1] / "case.toml")
+    process = read_wind_process(flight.mission.wind_process)
+    terms = ReplayTerms(read_airframe("m100"), flight, process, planned=True, with_energy=True)
+    wind = _table(result["wind"], "t_s", "n", "e")
+    for name, allowed_mps in (("decisions.mcap", 0.02), ("stream.tlog", 0.3)):
+        seen = replay(
+            open_log(flown.run_dir / name), replace(terms, with_energy="tlog" not in name)
+        )
+        mine = [np.interp(wind[:, 0], seen.wind_t_s, axis) for axis in seen.wind_to_ne_mps.T]
+        assert np.hypot(mine[0] - wind[:, 1], mine[1] - wind[:, 2]).mean() < allowed_mps, name
+        if "tlog" in name:
+            continue
+        energy = _table(result["energy"], "t_s", "left_wh")
+        left = np.array([(m.t_s, m.energy_left_wh) for m in seen.moments if m.airborne])
+        flying = (energy[:, 0] > left[0, 0]) & (energy[:, 0] < left[-1, 0])
+        gap_wh = np.interp(energy[:, 0], *left.T) - energy[:, 1]
+        assert np.abs(gap_wh[flying]).max() < 1.0
+        for kind in ("go", "descend", "delivered", "release_unconfirmed", "turn_back", "divert"):
+            was = [d["t_s"] for d in result["decisions"] if d["kind"] == kind]
+            now = [d.t_s for d in seen.decisions if d.kind == kind]
+            assert len(now) == len(was), kind
+            assert np.allclose(now, was, atol=1.5), kind
+
+
+def _table(rows, *names):
+    return np.array([[row[name] for name in names] for row in rows])
 
 
 def test_every_check_has_a_canary():

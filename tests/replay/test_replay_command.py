@@ -1,0 +1,281 @@
+"""`companion replay`: the wind of a known world, when it would have turned back, what it writes."""
+
+import csv
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from companion.adapters.files import read_airframe, read_wind_process
+from companion.adapters.open_log import open_log
+from companion.app.cli import app
+from companion.core.flight import Flight, Place, Site, Vehicle
+from companion.core.replay import ReplayTerms, replay
+from companion.core.replay_summary import wind_score, wind_summary
+
+ROOT = Path(__file__).parents[2]
+ANEMOMETER = ROOT.parent / "shared/data/estimator/anemometer_uav_5hz.csv"
+HEADER = ["t_s", "wind_to_n_mps", "wind_to_e_mps", "std_n_mps", "std_e_mps"]
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["replay", *map(str, arguments)])
+
+
+def terms(*, with_energy=True, pitot=False):
+    nowhere = Site(customer=Place(east_m=0.0, north_m=0.0))
+    vehicle = Vehicle(airframe="m100", charge_frac=[0.05, 1.0], pitot=pitot, autopilot_wind=True)
+    flight = Flight(format="flight/1", site=nowhere, vehicle=vehicle)
+    process = read_wind_process(flight.mission.wind_process)
+    return ReplayTerms(read_airframe("m100"), flight, process, False, with_energy)
+
+
+def read_wind(path):
+    rows = list(csv.reader(path.read_text().splitlines()))
+    assert rows[0] == HEADER
+    return np.array(rows[1:], float)
+
+
+@pytest.mark.parametrize("kind", ["csv", "ulog", "dataflash", "tlog"])
+def test_the_wind_of_a_known_world_comes_out_of_every_format(make, world, tmp_path, kind):
+    if kind == "csv":
+        path = make.csv(tmp_path / "f.csv", make.csv_columns(world))
+    else:
+        path = getattr(make, kind)(tmp_path / "f", world)
+    assert run(path, "--airframe", "m100", "--out", tmp_path / "w.csv").exit_code == 0
+    rows = read_wind(tmp_path / "w.csv")
+    flown = rows[(rows[:, 0] > 60.0) & (rows[:, 0] < 140.0)]
+    assert len(flown) > 700
+    error = flown[:, 1:3] - np.array(
+        world.wind_to_ne_mps
+    )  # 5 m/s: no estimate at all would miss by it
+    assert np.hypot(*error.T).mean() < 0.8
+    assert ((error / flown[:, 3:5]) ** 2).sum(axis=1).mean() < 6.0
+
+
+def test_wind_csv_has_a_row_for_each_row_of_a_csv_log(make, world, tmp_path):
+    slow = world.rows(slice(0, None, 2))
+    path = make.csv(tmp_path / "f.csv", make.csv_columns(slow))
+    run(path, "--airframe", "m100", "--out", tmp_path / "w.csv")
+    rows = read_wind(tmp_path / "w.csv")
+    later = slow.t_s[slow.t_s >= rows[0, 0]]
+    assert set(np.round(later, 6)) <= set(np.round(rows[:, 0], 6))
+    assert (np.diff(rows[:, 0]) > 0.0).all()
+
+
+def draining(make, world, capacity_ah):
+    """The flight with a battery whose resting voltage falls to 3.5 V a cell over `capacity_ah`."""
+    columns = make.csv_columns(world) | make.battery_columns(world)
+    used = columns["consumed_mah"] / (1000.0 * capacity_ah)
+    columns["voltage_v"] = 6.0 * (4.2 - 0.6 * used) - np.where(world.flying, 0.9, 0.0)
+    return columns
+
+
+def decisions(make, tmp_path, columns):
+    return replay(open_log(make.csv(tmp_path / "d.csv", columns)), terms()).decisions
+
+
+def test_flying_away_with_the_wind_it_says_turn_back_while_home_is_still_in_reach(make, tmp_path):
+    away = make.straight_out((-7.0, 0.0), 12.0, 300.0)  # the way back is 7 m/s of head wind
+    said = decisions(make, tmp_path, make.csv_columns(away) | make.battery_columns(away))
+    turns = [d for d in said if d.kind == "turn_back"]
+    assert len(turns) == 1
+    assert turns[0].p_home_now is not None
+    assert turns[0].p_home_now > 0.97
+    assert 60.0 < turns[0].t_s < 300.0
+
+
+def test_with_the_wind_ahead_it_may_fly_farther_than_with_it_behind(make, tmp_path):
+    away = make.straight_out((7.0, 0.0), 12.0, 300.0)  # the world above has turned back by then
+    columns = make.csv_columns(away) | make.battery_columns(away)
+    assert "turn_back" not in [d.kind for d in decisions(make, tmp_path, columns)]
+
+
+def test_a_square_near_home_with_a_full_battery_is_never_turned_back(make, world, tmp_path):
+    said = decisions(make, tmp_path, draining(make, world, 5.7))
+    kinds = [d.kind for d in said]
+    assert "turn_back" not in kinds
+    assert kinds[0] == "take_off"
+    assert kinds[-1] == "landed"
+
+
+# --- what a log lacks ---------------------------------------------------------------------------
+
+
+def findings(log, asked=None):
+    return "\n".join(map(str, replay(log, asked or terms()).findings))
+
+
+def test_without_a_battery_only_the_wind_is_said(make, world, tmp_path):
+    log = open_log(make.ulog(tmp_path / "a.ulg", replace(world, powered=False)))
+    result = replay(log, terms())
+    assert any("no battery" in str(f) for f in result.findings)
+    assert not result.decisions
+    assert wind_summary(result) is not None
+
+
+def test_another_pack_than_the_airframes_is_not_judged(make, world, tmp_path):
+    columns = make.csv_columns(world) | make.battery_columns(world)
+    columns["voltage_v"] = columns["voltage_v"] / 2.0
+    result = replay(open_log(make.csv(tmp_path / "p.csv", columns)), terms())
+    assert any("does not fit a pack of 6 cells" in str(f) for f in result.findings)
+    assert all(m.seen is None for m in result.moments)
+
+
+def test_without_attitude_or_on_another_vehicle_no_wind_is_made_up(make, world, tmp_path):
+    columns = make.csv_columns(world)
+    for name in ("roll_deg", "pitch_deg", "yaw_deg", "airspeed_mps"):
+        del columns[name]
+    blind = replay(open_log(make.csv(tmp_path / "b.csv", columns)), terms())
+    assert blind.wind_t_s.size == 0
+    plane = open_log(make.ulog(tmp_path / "a.ulg", world, {"MAV_TYPE": 1}))
+    assert "fixed wing, multirotor expected" in findings(plane)
+    assert replay(plane, terms()).wind_t_s.size == 0
+
+
+def test_a_log_that_ends_in_the_air_says_so(make, world, tmp_path):
+    cut = world.rows(world.t_s < 100.0)
+    columns = make.csv_columns(cut) | make.battery_columns(cut)
+    log = open_log(make.csv(tmp_path / "e.csv", columns))
+    assert "99.9 s: the log ends in the air" in findings(log)
+
+
+def test_the_wind_ages_in_a_gap_and_is_found_again(make, world, tmp_path):
+    gapped = world.rows((world.t_s < 70.0) | (world.t_s > 100.0))
+    log = open_log(make.csv(tmp_path / "g.csv", make.csv_columns(gapped)))
+    result = replay(log, terms(with_energy=False))
+    std = np.sqrt(result.wind_cov_m2ps2[:, 0, 0])
+    before, after = (int(np.searchsorted(result.wind_t_s, t_s)) for t_s in (69.5, 99.5))
+    assert std[after] > 1.5 * std[before]
+    last = result.wind_to_ne_mps[(result.wind_t_s > 115.0) & (result.wind_t_s < 140.0)]
+    assert np.hypot(*(last - np.array(world.wind_to_ne_mps)).T).mean() < 1.0
+
+
+# --- what it writes -----------------------------------------------------------------------------
+
+
+def test_the_record_holds_what_its_page_says(make, world, tmp_path):
+    path = make.csv(tmp_path / "f.csv", make.csv_columns(world) | make.battery_columns(world))
+    done = run(path, "--airframe", "m100", "--json", tmp_path / "r.json", "--every", "10")
+    assert done.exit_code == 0, done.output
+    record = json.loads((tmp_path / "r.json").read_text())
+    page = (ROOT / "docs/replay.md").read_text()
+    assert record["format"] == "replay/1"
+    for key in record:
+        assert f"`{key}`" in page, key
+    assert set(record["decisions"][0]) == {
+        "t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason",
+    }  # fmt: skip
+    for key in record["timeline"][0]:
+        assert f"`{key}`" in page, key
+    times = [row["t_s"] for row in record["timeline"]]
+    assert np.median(np.diff(times)) == pytest.approx(10.0)
+    assert (
+        record["energy"]["used_wh"] > 40.0
+    )  # 20 A at 23 V for 145 s are 19 Wh; the model says more
+
+
+def test_a_picture_is_drawn_of_wind_alone_and_of_everything(make, world, tmp_path):
+    bare = make.csv(tmp_path / "bare.csv", make.csv_columns(world))
+    full = make.csv(tmp_path / "f.csv", make.csv_columns(world) | make.battery_columns(world))
+    sizes = []
+    for path in (bare, full):
+        picture = tmp_path / f"{path.stem}.png"
+        done = run(path, "--airframe", "m100", "--picture", picture)
+        assert done.exit_code == 0, done.output
+        head = picture.read_bytes()[:24]
+        assert head[:8] == b"\x89PNG\r\n\x1a\n"
+        sizes.append(int.from_bytes(head[20:24], "big"))
+    assert sizes[1] > 1.3 * sizes[0]  # energy and promise below the wind
+
+
+def test_without_matplotlib_a_picture_is_refused_before_the_work(monkeypatch, tmp_path):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    done = run(tmp_path / "none.csv", "--picture", tmp_path / "p.png")
+    assert done.exit_code == 2
+    assert "pip install 'leeway[replay]'" in done.output
+
+
+def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp_path):
+    path = make.ulog(tmp_path / "a.ulg", world.rows(slice(0, 5)))
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    done = run(path)
+    assert done.exit_code == 2
+    assert "pip install 'leeway[replay]'" in done.output
+
+
+def test_flying_imports_nothing_that_draws_or_reads_logs_of_others():
+    code = (
+        "import sys, companion.app.cli\n"
+        "print([n for n in ('matplotlib', 'pyulog', 'pymavlink.DFReader') if n in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["no.ulg"], "No such file"),
+        (["LOG", "--airframe", "zeppelin"], "no such airframe; there are"),
+        (["LOG", "--max-loss", "2"], "mission.max_loss"),
+        (["LOG", "--flight", "none.toml"], "none.toml"),
+        (["LOG", "--airframe", "m100", "--out", "LOG/w.csv"], "w.csv"),
+    ],
+)
+def test_a_mistake_in_the_input_says_what_was_expected(make, world, tmp_path, arguments, words):
+    path = make.csv(tmp_path / "f.csv", make.csv_columns(world.rows(slice(0, 150))))
+    done = run(*(a.replace("LOG", str(path)) for a in arguments))
+    assert done.exit_code == 2
+    assert words in done.output
+    assert not list(tmp_path.glob("*.new"))
+
+
+# --- against a reference ------------------------------------------------------------------------
+
+
+def test_the_score_is_the_error_of_what_is_written(make, world, tmp_path):
+    rng = np.random.default_rng(2)
+    truth = np.array(world.wind_to_ne_mps) + rng.standard_normal((world.t_s.size, 2))
+    columns = make.csv_columns(world)
+    columns |= {"wind_to_n_ref_mps": truth[:, 0], "wind_to_e_ref_mps": truth[:, 1]}
+    log = open_log(make.csv(tmp_path / "r.csv", columns))
+    result = replay(log, terms(with_energy=False))
+    assert log.reference is not None
+    score = wind_score(result, log.reference)
+    assert score is not None
+    inside = (world.t_s >= score.from_s - 1e-6) & (world.t_s <= score.to_s + 1e-6)
+    assert abs(score.from_s - 38.0) < 3.0  # 30 s after take-off at 8 s
+    assert abs(score.to_s - 153.0) < 4.0
+    at = np.searchsorted(result.wind_t_s, world.t_s[inside] + 1e-6) - 1
+    error = result.wind_to_ne_mps[at] - truth[inside]
+    assert score.rmse_mps == pytest.approx(math.sqrt((error**2).sum(axis=1).mean()), rel=1e-9)
+    spread = truth[inside] - truth[inside].mean(axis=0)
+    assert score.constant_rmse_mps == pytest.approx(math.sqrt((spread**2).sum(axis=1).mean()))
+    nees = [e @ np.linalg.inv(result.wind_cov_m2ps2[i]) @ e for e, i in zip(error, at, strict=True)]
+    assert score.nees == pytest.approx(np.mean(nees), rel=1e-6)
+
+
+@pytest.mark.skipif(not ANEMOMETER.is_file(), reason=f"{ANEMOMETER} is not there")
+def test_the_anemometer_flight_goes_through_whole(tmp_path):
+    done = run(ANEMOMETER, "--out", tmp_path / "w.csv", "--json", tmp_path / "r.json")
+    assert done.exit_code == 0, done.output
+    record = json.loads((tmp_path / "r.json").read_text())
+    rows = read_wind(tmp_path / "w.csv")
+    table = np.genfromtxt(ANEMOMETER, delimiter=",", names=True)
+    # shared/data/README.md: on the ground for the first 280 s; its height column rises at 268 s.
+    assert 264.0 < record["reference"]["from_s"] - 30.0 < 275.0
+    flown = table["t_s"] > 300.0
+    at = {round(t_s, 6): i for i, t_s in enumerate(rows[:, 0])}
+    mine = rows[[at[round(t_s, 6)] for t_s in table["t_s"][flown]], 1:3]
+    truth = np.stack([table["wind_to_n_ref_mps"], table["wind_to_e_ref_mps"]], axis=1)[flown]
+    rmse = math.sqrt(((mine - truth) ** 2).sum(axis=1).mean())
+    assert record["reference"]["rmse_mps"] == pytest.approx(rmse, abs=0.05)
+    assert record["reference"]["constant_rmse_mps"] == pytest.approx(1.16, abs=0.02)
