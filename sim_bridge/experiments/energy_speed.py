@@ -134,12 +134,13 @@ def draw(found: list[Curve], path: Path) -> None:
             for c in found:
                 if c.model == model and c.payload_kg == payload:
                     axis.plot(c.airspeed_mps, c.wh_per_km, label=c.wind)
-                    axis.plot(*c.best, "ko", markersize=3)
+                    axis.plot(*c.best, "ko", markersize=4)
             lowest = min(c.best[1] for c in found if c.model == model)
             axis.set_ylim(0.0, 8.0 * lowest)
             axis.set_title(f"{model}, {payload:g} kg")
             axis.set_xlabel("airspeed, m/s")
             axis.set_ylabel("Wh/km over ground")
+    axes[0][0].plot([], [], "ko", markersize=4, label="speed to fly")
     axes[0][0].legend()
     figure.tight_layout()
     figure.savefig(path, dpi=80)
