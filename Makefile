@@ -37,8 +37,8 @@ $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo "installing leeway[sim,test] into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e '.[sim,test]'
+	@echo "installing leeway[sim,ground,test] into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e '.[sim,ground,test]'
 	@touch $@ $(VENV)/.sim
 
 clean:  ## remove the virtual environment and caches

@@ -24,6 +24,7 @@ from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
 from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.app.benchmark_cli import benchmark
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -33,9 +34,7 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _desk() -> None:
-    """Keep `estimate` a subcommand."""
+app.add_typer(benchmark, name="benchmark")
 
 
 @app.command()
