@@ -1,8 +1,9 @@
 """Sorties priced by the energy model that the vehicles fly with, under a believed wind.
 
-Each leg is charged its mean and `sigmas` times its own standard deviation from the wind's error. One
-wind error moves both legs, and the deviation of a sum is at most the sum of the deviations: what
-fits here keeps the accepted loss. Energy stands as seconds of hover without a parcel in that wind.
+Each leg is charged its mean and `sigmas` times its own standard deviation from the wind's error.
+One wind error moves both legs, and the deviation of a sum is at most the sum of the deviations:
+what fits here keeps the accepted loss. Energy stands as seconds of hover without a parcel in that
+wind.
 """
 
 from collections.abc import Sequence

@@ -87,6 +87,23 @@ def reverse_stops(plan, place, first, last):
 
 
 @compiled
+def reverse_day(plan, place):
+    """Drive the whole tour, and fly every sortie, the other way round."""
+    end = plan.shape[1] - 1
+    first, last = 1, place[end] - 1
+    while first < last:
+        plan[ROUTE, first], plan[ROUTE, last] = plan[ROUTE, last], plan[ROUTE, first]
+        first += 1
+        last -= 1
+    for customer in range(1, end):
+        launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
+        if launch != NOWHERE:
+            plan[LAUNCH, customer] = 0 if meet == end else meet
+            plan[MEET, customer] = end if launch == 0 else launch
+    index_route(plan, place)
+
+
+@compiled
 def exchange(plan, place, one, other):
     """Two customers take each other's part in the plan, stops with all that hangs on them."""
     for customer in range(1, plan.shape[1] - 1):

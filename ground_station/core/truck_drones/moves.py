@@ -5,6 +5,7 @@ from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import (
     exchange,
     insert_stop,
+    reverse_day,
     reverse_stops,
     take_out,
     turn_sorties_forward,
@@ -207,6 +208,9 @@ def shift_stops(t, plan, place, chance):
 def any_move(t, plan, place, chance):
     """One of the moves, by the shares that served best (docs/truck-and-drones.md)."""
     drawn = uniform(chance)
+    if drawn < 0.002:
+        reverse_day(plan, place)
+        return True
     if drawn < 0.35:
         return relocate(t, plan, place, chance)
     if drawn < 0.60:

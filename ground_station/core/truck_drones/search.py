@@ -17,8 +17,8 @@ from ground_station.core.truck_drones.tables import Plan, tables_of, work_for
 class SearchParams:
     """Temperatures in shares of the first plan's time a node; a round cools from hot to cold."""
 
-    hot_legs: float = 1.0
-    cold_legs: float = 0.01
+    hot_legs: float = 0.4
+    cold_legs: float = 0.04
     trials_per_customer: int = 40_000
     """In one round, where nobody says otherwise."""
     step_trials: int = 20_000
