@@ -1,17 +1,30 @@
 """The truck-and-drone planner against published optima and a checker of its own."""
 
 import copy
+import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from companion.core.errors import LeewayError
 from ground_station.adapters.mfstsp_files import read_problem, read_published, read_vehicles
-from ground_station.app.mfstsp_bench import BenchParams, BenchRow, RowJournal, solve_row
+from ground_station.app.benchmark_cli import benchmark
+from ground_station.app.mfstsp_bench import (
+    BenchParams,
+    BenchRow,
+    RowJournal,
+    checked_problem,
+    rows_to_plan,
+    settings_of,
+    solve_row,
+)
+from ground_station.core.mfstsp import mfstsp_problem
 from ground_station.core.schedule_check import faults_of, sortie_window_s
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
@@ -61,8 +74,6 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, dict[str, Any
 
 
 def checked(folder: Path, vehicles: str, drones: int) -> Any:
-    from ground_station.app.mfstsp_bench import checked_problem
-
     fleet = read_vehicles(folder.parent / f"tbl_vehicles_{vehicles}.csv")
     return checked_problem(read_problem(folder), fleet.drones[0], fleet.deliver_s, drones)
 
@@ -76,8 +87,6 @@ def test_takeoff_and_landing_take_what_the_published_rules_say(tmp_path: Path):
 
 
 def test_sortie_times_and_endurance_agree_with_the_checkers_own_sums(tmp_path: Path):
-    from ground_station.core.mfstsp import mfstsp_problem
-
     folder = problem_folder(tmp_path)
     fleet = read_vehicles(folder.parent / "tbl_vehicles_101.csv")
     problem = mfstsp_problem(read_problem(folder), fleet.drones[0], 2, fleet.deliver_s)
@@ -172,8 +181,6 @@ def test_the_checker_finds_what_is_wrong_with_a_spoilt_row(
 def test_the_checker_refuses_a_parcel_too_heavy_and_a_battery_too_small(
     solved: tuple[Any, dict[str, Any]],
 ):
-    from dataclasses import replace
-
     problem, row = solved
     flown = row["sorties"][0]["customer"]
     heavy = [100.0 if node == flown else lb for node, lb in enumerate(problem.parcels_lb)]
@@ -281,6 +288,27 @@ def test_a_journal_gives_back_whole_rows_of_the_same_settings_only(tmp_path: Pat
         file.write(b'[3,{"makespan_s":')  # the power failed here
     assert RowJournal(out, "these").read() == {0: {"makespan_s": 1.5}, 2: {"makespan_s": 2.5}}
     assert RowJournal(out, "others").read() == {}
+
+
+def test_the_command_writes_the_rows_of_the_contract_and_takes_up_what_was_done(tmp_path: Path):
+    """evaluation.md, section 11."""
+    problem_folder(tmp_path)
+    out = tmp_path / "out.json"
+    asked = ["mfstsp", str(tmp_path), "--vehicles", "101", "--drones", "1,2", "--seconds", "0.1"]
+    rows = rows_to_plan([tmp_path / "p1"], ["101"], [1, 2])
+    done = solve_row(rows[0], BenchParams(0.1, 0)) | {"seconds": 77.0}
+    RowJournal(out, settings_of(rows, BenchParams(0.1, 0))).start({0: done})
+    result = CliRunner().invoke(benchmark, [*asked, "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    written = json.loads(out.read_text())["rows"]
+    assert [row["drones"] for row in written] == [1, 2]
+    assert written[0]["seconds"] == 77.0  # taken from the journal, not planned again
+    assert not (tmp_path / "out.json.journal").exists()
+    keys = "problem vehicles drones makespan_s seconds truck_route sorties driver truck"
+    assert set(written[1]) == set(keys.split())
+    assert set(written[1]["sorties"][0]) == {"drone", "launch", "customer", "rendezvous"}
+    assert set(written[1]["driver"][0]) == {"what", "node", "drone", "start_s", "end_s"}
+    assert set(written[1]["truck"][0]) == {"node", "arrive_s", "depart_s"}
 
 
 @pytest.mark.parametrize(
