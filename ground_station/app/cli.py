@@ -27,6 +27,7 @@ from companion.core.wind_process import WindProcessParams, wind_process_from_dic
 from ground_station.adapters.files import params_dir, read_json, read_toml
 from ground_station.adapters.zenoh_fleet import leave_process
 from ground_station.app import dispatch_cli, order_cli
+from ground_station.app.benchmark_cli import benchmark
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -38,6 +39,7 @@ app = typer.Typer(
 
 app.add_typer(order_cli.app, name="order")
 app.add_typer(dispatch_cli.app)
+app.add_typer(benchmark, name="benchmark")
 
 
 @app.command()

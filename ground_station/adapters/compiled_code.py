@@ -1,0 +1,43 @@
+"""Where machine code is kept between runs: a folder of the user's for each state of the sources."""
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+import numba
+from numba.core import config
+
+import ground_station.core
+
+KEPT_STATES = 4
+
+
+def keep_compiled_code() -> bool:
+    """Keep what the planner compiles; call before its first import. False: compiled for the first
+    time, which takes some ten seconds of one core."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leeway"
+    folder = root / f"truck_drones-{_digest()}"
+    known = folder.is_dir()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.touch()
+        _forget_old(root)
+    except OSError:
+        return False  # a read-only home: compiled in each process
+    config.CACHE_DIR = str(folder)  # pyright: ignore[reportAttributeAccessIssue]
+    return known
+
+
+def _digest() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for package in ground_station.core.__path__:
+        for path in sorted(Path(package, "truck_drones").glob("*.py")):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _forget_old(root: Path) -> None:
+    states = sorted(root.glob("truck_drones-*"), key=lambda path: path.stat().st_mtime)
+    for path in states[:-KEPT_STATES]:
+        shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,222 @@
+"""Small random changes of a plan: what the search tries. False: nothing was changed."""
+
+from ground_station.core.truck_drones.chance import below, uniform
+from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.edits import (
+    exchange,
+    insert_stop,
+    reverse_day,
+    reverse_stops,
+    take_out,
+    turn_sorties_forward,
+)
+from ground_station.core.truck_drones.tables import (
+    AT_ONCE,
+    KIND,
+    LATE,
+    LAUNCH,
+    MEET,
+    NOWHERE,
+    ORDER,
+    ROUTE,
+)
+
+TRIES = 8
+REACH = 4
+"""How many places from the nearest stop a sortie may be launched or met, at first."""
+
+
+@compiled
+def near_node(t, node, chance):
+    """A node near this one, nearer ones more often."""
+    near = t.near
+    drawn = uniform(chance)
+    return near[node, int(drawn * drawn * near.shape[1])]
+
+
+@compiled
+def near_place(t, place, node, chance):
+    """Where on the route a stop near this node is."""
+    for _ in range(TRIES):
+        at = place[near_node(t, node, chance)]
+        if at >= 0:
+            return at
+    return below(chance, place[len(place) - 1] + 1)
+
+
+@compiled
+def any_flown(plan, chance):
+    """A customer served by a drone, or NOWHERE."""
+    customers = plan.shape[1] - 2
+    start = below(chance, customers)
+    for step in range(customers):
+        customer = 1 + (start + step) % customers
+        if plan[LAUNCH, customer] != NOWHERE:
+            return customer
+    return NOWHERE
+
+
+@compiled
+def any_kind(t, customer, chance):
+    """A kind of drone that can serve this customer, or NOWHERE."""
+    can = t.drone_can
+    start = below(chance, can.shape[0])
+    for step in range(can.shape[0]):
+        kind = (start + step) % can.shape[0]
+        if can[kind, customer]:
+            return kind
+    return NOWHERE
+
+
+@compiled
+def put_on_truck(t, plan, place, customer, chance):
+    """Serve a customer by the truck, beside a stop near it."""
+    if not t.truck_can[customer]:
+        return False
+    at = near_place(t, place, customer, chance) + below(chance, 2)
+    insert_stop(plan, place, customer, max(1, min(at, place[plan.shape[1] - 1])))
+    return True
+
+
+@compiled
+def put_on_drone(t, plan, place, customer, chance):
+    """Serve a customer by a drone, launched and met about a stop near it."""
+    kind = any_kind(t, customer, chance)
+    if kind == NOWHERE:
+        return False
+    last = place[plan.shape[1] - 1]
+    at = near_place(t, place, customer, chance)
+    drawn, also = uniform(chance), uniform(chance)
+    launch = max(0, at - int(drawn * drawn * REACH))
+    meet = min(last, at + int(also * also * REACH))
+    if launch == meet:
+        if meet < last and (launch == 0 or below(chance, 2) == 0):
+            meet += 1
+        else:
+            launch -= 1
+    plan[LAUNCH, customer] = plan[ROUTE, launch]
+    plan[MEET, customer] = plan[ROUTE, meet]
+    plan[KIND, customer] = kind
+    plan[ORDER, customer] = below(chance, 4) if below(chance, 4) == 0 else 0
+    return True
+
+
+@compiled
+def relocate(t, plan, place, chance):
+    """Serve one customer elsewhere, by truck or drone."""
+    customer = 1 + below(chance, plan.shape[1] - 2)
+    take_out(plan, place, customer, chance)
+    if below(chance, 2) == 0 and put_on_drone(t, plan, place, customer, chance):
+        return True
+    return put_on_truck(t, plan, place, customer, chance)
+
+
+@compiled
+def retime(t, plan, place, chance):
+    """Launch or meet one drone a stop or two earlier or later, or in another order at its stops, or
+    fly another kind."""
+    customer = any_flown(plan, chance)
+    if customer == NOWHERE:
+        return False
+    what = below(chance, 5)
+    if what == 4:
+        plan[ORDER, customer] ^= AT_ONCE if below(chance, 2) == 0 else LATE
+        return True
+    by = 1 + below(chance, 2)
+    if below(chance, 2) == 0:
+        by = -by
+    launch, meet = place[plan[LAUNCH, customer]], place[plan[MEET, customer]]
+    if what != 1:
+        launch += by
+    if what != 0:
+        meet += by
+    if what == 3:
+        plan[KIND, customer] = any_kind(t, customer, chance)
+    if launch < 0 or meet > place[plan.shape[1] - 1] or launch >= meet:
+        return False
+    plan[LAUNCH, customer] = plan[ROUTE, launch]
+    plan[MEET, customer] = plan[ROUTE, meet]
+    return True
+
+
+@compiled
+def _fits(t, plan, place, customer, role):
+    """May this customer be served as that other one is?"""
+    if place[role] >= 0:
+        return t.truck_can[customer]
+    return t.drone_can[plan[KIND, role], customer]
+
+
+@compiled
+def trade(t, plan, place, chance):
+    """Two customers near one another take each other's part."""
+    end = plan.shape[1] - 1
+    one = 1 + below(chance, end - 1)
+    other = near_node(t, one, chance)
+    if other == 0 or other == end:
+        return False
+    if not (_fits(t, plan, place, one, other) and _fits(t, plan, place, other, one)):
+        return False
+    exchange(plan, place, one, other)
+    return True
+
+
+@compiled
+def turn_round(t, plan, place, chance):
+    """Drive a part of the route the other way round (2-opt), beginning beside a near stop."""
+    last = place[plan.shape[1] - 1]
+    one = below(chance, last)
+    other = near_place(t, place, plan[ROUTE, one], chance)
+    first, final = min(one, other) + 1, max(one, other)
+    if final >= last:
+        final = last - 1
+    if first >= final:
+        return False
+    reverse_stops(plan, place, first, final)
+    return True
+
+
+@compiled
+def shift_stops(t, plan, place, chance):
+    """Drive one to three stops in a row at another time, beside a near stop (Or-opt)."""
+    last = place[plan.shape[1] - 1]
+    if last < 4:
+        return False
+    length = 1 + below(chance, 3)
+    first = 1 + below(chance, last - 1)
+    final = min(first + length - 1, last - 1)
+    to = near_place(t, place, plan[ROUTE, first], chance)
+    if first - 1 <= to <= final:
+        return False
+    back = below(chance, 2) == 0
+    if to > final:  # the stops between move ahead: three reversals make a rotation
+        if not back:
+            reverse_stops(plan, place, first, final)
+        final_to = min(to, last - 1)
+        reverse_stops(plan, place, first, final_to)
+        reverse_stops(plan, place, first, first + final_to - final - 1)
+    else:
+        if not back:
+            reverse_stops(plan, place, first, final)
+        reverse_stops(plan, place, to + 1, final)
+        reverse_stops(plan, place, to + 1 + final - first + 1, final)
+    turn_sorties_forward(plan, place)
+    return True
+
+
+@compiled
+def any_move(t, plan, place, chance):
+    """One of the moves, by the shares that served best (docs/truck-and-drones.md)."""
+    drawn = uniform(chance)
+    if drawn < 0.002:
+        reverse_day(plan, place)
+        return True
+    if drawn < 0.35:
+        return relocate(t, plan, place, chance)
+    if drawn < 0.60:
+        return retime(t, plan, place, chance)
+    if drawn < 0.75:
+        return trade(t, plan, place, chance)
+    if drawn < 0.85:
+        return turn_round(t, plan, place, chance)
+    return shift_stops(t, plan, place, chance)

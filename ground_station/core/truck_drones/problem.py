@@ -1,0 +1,105 @@
+"""One truck, its drones and their customers, as times and energies; tables tell who flies how.
+
+Nodes are numbered: 0 the depot (or where the truck stands now), 1 to c the customers, c + 1 the
+depot again at the end. Sorties are priced by two legs, out with the parcel and back without, so
+that any energy model fits, also one in which wind makes the way back another than the way out.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.errors import LeewayError
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Legs:
+    """What one kind of drone needs from node to node, as (c + 2) x (c + 2) tables.
+
+    `out_*[i, j]` is launched at i, the customer j served; `back_*[j, k]` from there to above k and
+    down. Energy stands as the seconds of hover that it would pay for, for what is left of
+    `endurance_hover_s` can be spent hovering until the driver is free. NaN nowhere; inf: cannot.
+    """
+
+    out_s: Floats
+    back_s: Floats
+    out_hover_s: Floats
+    back_hover_s: Floats
+    endurance_hover_s: float
+
+
+class SortieModel(Protocol):
+    """An energy model as the day's planner needs it."""
+
+    def legs(self, drone_kind: int) -> Legs:
+        """Times and energies of this kind of drone between all nodes."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DroneKind:
+    """Drones that are alike: `count` of them, and the driver's time for one of them."""
+
+    count: int
+    launch_s: float
+    recover_s: float
+    can_serve: Flags
+    """By node: parcel light enough, service of a kind that a drone can give."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruckAndDrones:
+    """The whole problem. `travel_s` is directed; `deliver_s` is 0 where nobody is served."""
+
+    travel_s: Floats
+    deliver_s: Floats
+    kinds: tuple[DroneKind, ...]
+    legs: tuple[Legs, ...]
+    truck_can_serve: Flags
+    """By node; a customer that no road reaches must be served by a drone."""
+
+    def __post_init__(self) -> None:
+        nodes = self.nodes
+        if self.travel_s.shape != (nodes, nodes) or nodes < 2:
+            raise LeewayError(f"travel_s: is {self.travel_s.shape}, expected n x n with n >= 2")
+        if len(self.kinds) != len(self.legs) or not self.kinds:
+            raise LeewayError(f"kinds: {len(self.kinds)}, legs: {len(self.legs)}; one of each")
+        for name, by_node in (
+            ("deliver_s", self.deliver_s),
+            ("truck_can_serve", self.truck_can_serve),
+            *(("can_serve", kind.can_serve) for kind in self.kinds),
+        ):
+            if by_node.shape != (nodes,):
+                raise LeewayError(f"{name}: is {by_node.shape}, expected one for each of {nodes}")
+
+    @property
+    def nodes(self) -> int:
+        """Customers and two for the depot."""
+        return len(self.travel_s)
+
+    @property
+    def customers(self) -> int:
+        """Nodes but the depot and its copy."""
+        return self.nodes - 2
+
+    @property
+    def end(self) -> int:
+        """The depot's copy, where the tour ends."""
+        return self.nodes - 1
+
+    def unreachable(self) -> list[int]:
+        """Customers that neither the truck nor any drone can serve, from anywhere."""
+        return [j for j in range(1, self.end) if not self.truck_can_serve[j] and not self._flies(j)]
+
+    def _flies(self, customer: int) -> bool:
+        return any(
+            bool(kind.can_serve[customer])
+            and legs.out_hover_s[:, customer].min() + legs.back_hover_s[customer].min()
+            <= legs.endurance_hover_s
+            for kind, legs in zip(self.kinds, self.legs, strict=True)
+        )

@@ -1,0 +1,265 @@
+"""When everything happens in a plan: truck, driver and drones, in one pass along the route.
+
+At a node the driver takes, of what can be done now, a recovery that cannot wait for a launch; else
+the launch that is met again first; else a recovery; else the truck's own delivery; else a launch
+that is marked LATE; and waits where nothing can be done, or nothing that ends before a drone comes
+that is marked AT_ONCE. A drone that would hover too long before it is met is launched later by as
+much (which costs nothing where the truck waits on the way), and the pass goes on from there: with
+the order of launches and recoveries thus given, these are the earliest times.
+"""
+
+import math
+
+from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.tables import (
+    ARRIVE,
+    AT_ONCE,
+    DELIVERED,
+    DEPART,
+    FIRST_LAUNCH,
+    FIRST_MEET,
+    FLY,
+    KIND,
+    LATE,
+    LAUNCH,
+    LAUNCHED,
+    MEET,
+    MET,
+    NEXT_LAUNCH,
+    NEXT_MEET,
+    NOWHERE,
+    ORDER,
+    PENDING,
+    PLACE,
+    PUSHES,
+    RELEASE,
+    ROUTE,
+    SPARE,
+    WORK_AFTER,
+)
+
+EPSILON_S = 1e-7
+MOST_PUSHES = 3
+"""How often one launch is put off before the plan counts as impossible."""
+
+IMPOSSIBLE = math.inf
+
+
+@compiled
+def _index_sorties(t, plan, whole, times_s):
+    """Sorties by node, and their flight and spare times; False where one cannot be."""
+    launch_s, recover_s, out_s, back_s = t.launch_s, t.recover_s, t.out_s, t.back_s
+    out_hover_s, back_hover_s, endurance_s = t.out_hover_s, t.back_hover_s, t.endurance_hover_s
+    for customer in range(1, plan.shape[1] - 1):
+        launch = plan[LAUNCH, customer]
+        if launch == NOWHERE:
+            continue
+        meet, kind = plan[MEET, customer], plan[KIND, customer]
+        if whole[PLACE, launch] < 0 or whole[PLACE, meet] <= whole[PLACE, launch]:
+            return False
+        spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
+            kind, customer, meet
+        ]
+        if not spare_s >= 0.0:
+            return False
+        times_s[SPARE, customer] = spare_s
+        times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, meet]
+        times_s[RELEASE, customer] = 0.0
+        whole[PUSHES, customer] = 0
+        whole[NEXT_LAUNCH, customer] = whole[FIRST_LAUNCH, launch]
+        whole[FIRST_LAUNCH, launch] = customer
+        whole[NEXT_MEET, customer] = whole[FIRST_MEET, meet]
+        whole[FIRST_MEET, meet] = customer
+        times_s[WORK_AFTER, whole[PLACE, launch]] += launch_s[kind]
+        times_s[WORK_AFTER, whole[PLACE, meet]] += recover_s[kind]
+    return True
+
+
+@compiled
+def index_plan(t, plan, whole, times_s):
+    """Places, sorties by node, sum of work; the number of places, or 0 where a sortie cannot be."""
+    travel_s, deliver_s = t.travel_s, t.deliver_s
+    end = plan.shape[1] - 1
+    for node in range(end + 1):
+        whole[PLACE, node] = NOWHERE
+        whole[FIRST_LAUNCH, node] = NOWHERE
+        whole[FIRST_MEET, node] = NOWHERE
+    at = 0
+    while True:
+        node = plan[ROUTE, at]
+        whole[PLACE, node] = at
+        times_s[WORK_AFTER, at] = deliver_s[node]
+        if node == end:
+            break
+        at += 1
+    if not _index_sorties(t, plan, whole, times_s):
+        return 0
+    for before in range(at - 1, -1, -1):
+        hop_s = travel_s[plan[ROUTE, before], plan[ROUTE, before + 1]]
+        times_s[WORK_AFTER, before] += times_s[WORK_AFTER, before + 1] + hop_s
+    return at + 1
+
+
+@compiled
+def _mark_pending(whole, node):
+    """All sorties of this node are still to be launched (1) and met (2) here."""
+    customer = whole[FIRST_LAUNCH, node]
+    while customer >= 0:
+        whole[PENDING, customer] = 1
+        customer = whole[NEXT_LAUNCH, customer]
+    customer = whole[FIRST_MEET, node]
+    while customer >= 0:
+        whole[PENDING, customer] = 2
+        customer = whole[NEXT_MEET, customer]
+
+
+@compiled
+def _put_off(plan, whole, times_s, launch_s, customer, met_s):
+    """Launch this drone later, so that met at `met_s` it has not hovered too long; may we?"""
+    whole[PUSHES, customer] += 1
+    if whole[PUSHES, customer] > MOST_PUSHES:
+        return False
+    launched_s = met_s - times_s[FLY, customer] - times_s[SPARE, customer]
+    times_s[RELEASE, customer] = launched_s - launch_s[plan[KIND, customer]]
+    return True
+
+
+@compiled
+def _launch_before(plan, whole, times_s, one, other):
+    """Is this launch done before that one? LATE ones last, then by place and time of meeting."""
+    late = (plan[ORDER, one] & LATE) - (plan[ORDER, other] & LATE)
+    if late != 0:
+        return late < 0
+    sooner = whole[PLACE, plan[MEET, one]] - whole[PLACE, plan[MEET, other]]
+    if sooner != 0:
+        return sooner < 0
+    return times_s[FLY, one] > times_s[FLY, other]
+
+
+@compiled
+def _launch_to_do(plan, whole, times_s, aboard, node, now_s):
+    """The launch to do now (or NOWHERE), when else one could be done, how many are left."""
+    chosen, later_s, left = NOWHERE, IMPOSSIBLE, 0
+    customer = whole[FIRST_LAUNCH, node]
+    while customer >= 0:
+        if whole[PENDING, customer] == 1:
+            left += 1
+            if aboard[plan[KIND, customer]] > 0:
+                if times_s[RELEASE, customer] > now_s + EPSILON_S:
+                    later_s = min(later_s, times_s[RELEASE, customer])
+                elif chosen < 0 or _launch_before(plan, whole, times_s, customer, chosen):
+                    chosen = customer
+        customer = whole[NEXT_LAUNCH, customer]
+    return chosen, later_s, left
+
+
+@compiled
+def _meeting_to_do(plan, whole, times_s, node, now_s):
+    """The recovery to do now (or NOWHERE), its deadline, when else one could be done, when one
+    comes that is marked AT_ONCE, how many are left."""
+    chosen, deadline_s, left = NOWHERE, IMPOSSIBLE, 0
+    later_s, at_once_s = IMPOSSIBLE, IMPOSSIBLE
+    customer = whole[FIRST_MEET, node]
+    while customer >= 0:
+        if whole[PENDING, customer] == 2:
+            left += 1
+            ready_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
+            if ready_s > now_s + EPSILON_S:
+                later_s = min(later_s, ready_s)
+                if plan[ORDER, customer] & AT_ONCE:
+                    at_once_s = min(at_once_s, ready_s)
+            elif ready_s + times_s[SPARE, customer] < deadline_s:
+                chosen, deadline_s = customer, ready_s + times_s[SPARE, customer]
+        customer = whole[NEXT_MEET, customer]
+    return chosen, deadline_s, later_s, at_once_s, left
+
+
+@compiled
+def _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
+    """Is this launch done before what else can be done now?"""
+    if meet >= 0 and (deadline_s < ends_s or plan[ORDER, meet] & AT_ONCE):
+        return False
+    return not (plan[ORDER, launch] & LATE and (meet >= 0 or deliver))
+
+
+@compiled
+def _stop_here(plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
+    """Do all that is to do at this place. (departure, place to go on from; -1: impossible)."""
+    node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
+    _mark_pending(whole, node)
+    deliver = deliver_s > 0.0
+    while True:
+        launch, launch_later_s, launches = _launch_to_do(plan, whole, times_s, aboard, node, now_s)
+        meet, deadline_s, meet_later_s, at_once_s, meetings = _meeting_to_do(
+            plan, whole, times_s, node, now_s
+        )
+        if launches == 0 and meetings == 0 and not deliver:
+            return now_s, at + 1
+        if launch >= 0:
+            ends_s = now_s + launch_s[plan[KIND, launch]]
+            if not _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
+                launch = NOWHERE
+        if launch >= 0:
+            lasts_s = launch_s[plan[KIND, launch]]
+        elif meet >= 0:
+            lasts_s = recover_s[plan[KIND, meet]]
+        elif deliver:
+            lasts_s = deliver_s
+        else:
+            now_s = min(launch_later_s, meet_later_s)
+            if now_s == IMPOSSIBLE:
+                return IMPOSSIBLE, -1
+            continue
+        if now_s + lasts_s > at_once_s + EPSILON_S:
+            now_s = at_once_s
+            continue
+        if launch >= 0:
+            times_s[LAUNCHED, launch] = now_s + lasts_s
+            aboard[plan[KIND, launch]] -= 1
+            whole[PENDING, launch] = 0
+        elif meet >= 0:
+            if now_s > deadline_s + EPSILON_S:
+                if not _put_off(plan, whole, times_s, launch_s, meet, now_s):
+                    return IMPOSSIBLE, -1
+                return now_s, whole[PLACE, plan[LAUNCH, meet]]
+            times_s[MET, meet] = now_s
+            aboard[plan[KIND, meet]] += 1
+            whole[PENDING, meet] = 0
+        else:
+            times_s[DELIVERED, node] = now_s
+            deliver = False
+        now_s += lasts_s
+
+
+@compiled
+def simulate(t, plan, w, give_up_s):
+    """The makespan, s; inf where the plan is impossible or must end after `give_up_s`."""
+    whole, times_s, free = w.whole, w.times_s, w.free
+    travel_s, deliver_s, launch_s, recover_s = t.travel_s, t.deliver_s, t.launch_s, t.recover_s
+    places = index_plan(t, plan, whole, times_s)
+    if places == 0:
+        return IMPOSSIBLE
+    aboard = free[free.shape[0] - 1]
+    for kind in range(len(aboard)):
+        free[0, kind] = t.fleet[kind]
+    times_s[ARRIVE, 0] = 0.0
+    at, depart_s = 0, 0.0
+    while at < places:
+        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
+            return IMPOSSIBLE
+        for kind in range(len(aboard)):
+            aboard[kind] = free[at, kind]
+        node = plan[ROUTE, at]
+        depart_s, go_on = _stop_here(
+            plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
+        )
+        if go_on < 0:
+            return IMPOSSIBLE
+        if go_on > at:
+            times_s[DEPART, at] = depart_s
+            if go_on < places:
+                times_s[ARRIVE, go_on] = depart_s + travel_s[node, plan[ROUTE, go_on]]
+                for kind in range(len(aboard)):
+                    free[go_on, kind] = aboard[kind]
+        at = go_on
+    return depart_s

@@ -1,0 +1,110 @@
+"""The problem and a plan as flat arrays: what the compiled search reads and writes.
+
+A plan under search is an int32 array of five rows and one column a node: the truck's route, and for
+each customer served by a drone where it is launched, where it is met again, by which kind, and what
+is special about when the driver does so.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground_station.core.truck_drones.problem import TruckAndDrones
+
+ROUTE, LAUNCH, MEET, KIND, ORDER = range(5)
+AT_ONCE, LATE = 1, 2
+"""Bits of ORDER: recovered as soon as it comes, the driver begins nothing that would delay it;
+launched after deliveries and recoveries."""
+NOWHERE = -1
+"""In a plan's arrays: not on the truck's route, not flown."""
+
+Plan = NDArray[np.int32]
+
+
+class Tables(NamedTuple):
+    """`TruckAndDrones`, with the kinds of drones stacked along the first axis."""
+
+    travel_s: NDArray[np.float64]
+    deliver_s: NDArray[np.float64]
+    truck_can: NDArray[np.bool_]
+    fleet: NDArray[np.int32]
+    """Drones of each kind."""
+    launch_s: NDArray[np.float64]
+    recover_s: NDArray[np.float64]
+    drone_can: NDArray[np.bool_]
+    out_s: NDArray[np.float64]
+    back_s: NDArray[np.float64]
+    out_hover_s: NDArray[np.float64]
+    back_hover_s: NDArray[np.float64]
+    endurance_hover_s: NDArray[np.float64]
+    near: NDArray[np.int32]
+    """By node, the other nodes, nearest by road first; as many as moves ever look at."""
+
+
+class Work(NamedTuple):
+    """Where one simulation writes: two arrays of rows (below) by node, and who is aboard.
+
+    Few arrays and plain ones: each array that compiled code takes out of a tuple is counted
+    atomically, which had been most of the time of a simulation.
+    """
+
+    whole: NDArray[np.int32]
+    times_s: NDArray[np.float64]
+    free: NDArray[np.int32]
+    """By place on the route and kind: drones aboard when the truck arrives; last row: right now."""
+
+
+# Rows of `Work.whole`, by node.
+PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES = range(7)
+# Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
+# of the recovery, start of the truck's own delivery;
+RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
+# by place on the route: arrival, departure, and what truck and driver have to do from arriving
+# there to the end, waiting aside.
+ARRIVE, DEPART, WORK_AFTER = range(6, 9)
+
+
+NEAR = 30
+
+
+def tables_of(problem: TruckAndDrones) -> Tables:
+    """The arrays of a problem."""
+    kinds, legs = problem.kinds, problem.legs
+    both_ways_s = problem.travel_s + problem.travel_s.T
+    np.fill_diagonal(both_ways_s, np.inf)
+    near = np.argsort(both_ways_s, axis=1, kind="stable")[:, : min(NEAR, problem.nodes - 1)]
+    return Tables(
+        travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
+        deliver_s=np.ascontiguousarray(problem.deliver_s, dtype=np.float64),
+        truck_can=np.ascontiguousarray(problem.truck_can_serve),
+        fleet=np.array([kind.count for kind in kinds], dtype=np.int32),
+        launch_s=np.array([kind.launch_s for kind in kinds]),
+        recover_s=np.array([kind.recover_s for kind in kinds]),
+        drone_can=np.stack([kind.can_serve for kind in kinds]),
+        out_s=np.stack([of.out_s for of in legs]),
+        back_s=np.stack([of.back_s for of in legs]),
+        out_hover_s=np.stack([of.out_hover_s for of in legs]),
+        back_hover_s=np.stack([of.back_hover_s for of in legs]),
+        endurance_hover_s=np.array([of.endurance_hover_s for of in legs]),
+        near=np.ascontiguousarray(near, dtype=np.int32),
+    )
+
+
+def work_for(tables: Tables) -> Work:
+    """Room for simulations of this problem."""
+    nodes, kinds = len(tables.travel_s), len(tables.fleet)
+    return Work(
+        whole=np.full((7, nodes), NOWHERE, dtype=np.int32),
+        times_s=np.zeros((9, nodes)),
+        free=np.zeros((nodes + 1, kinds), dtype=np.int32),
+    )
+
+
+def empty_plan(nodes: int) -> Plan:
+    """A plan in which the truck goes from the depot to the depot, and nobody is served."""
+    plan = np.full((5, nodes), NOWHERE, dtype=np.int32)
+    plan[ORDER] = 0
+    plan[ROUTE, 0] = 0
+    plan[ROUTE, 1] = nodes - 1
+    return plan

@@ -1,0 +1,124 @@
+"""The truck's tour alone: nearest neighbour, then 2-opt and Or-opt on the directed travel times.
+
+Deterministic, no clock, and fit for a directed matrix; fast-tsp's budget is in seconds and it takes
+a symmetric one. How they compare: docs/truck-and-drones.md.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.tables import Tables
+
+GAIN_S = 1e-6
+
+
+def first_tour(tables: Tables, customers: list[int]) -> NDArray[np.int32]:
+    """A short tour from the depot over these customers to the depot's copy."""
+    end = len(tables.travel_s) - 1
+    left = np.array(sorted(customers), dtype=np.int64)
+    tour = [0]
+    while len(left):
+        nearest = int(np.argmin(tables.travel_s[tour[-1], left]))
+        tour.append(int(left[nearest]))
+        left = np.delete(left, nearest)
+    route = np.array([*tour, end], dtype=np.int32)
+    improve_tour(tables.travel_s, tables.near, route)
+    return route
+
+
+@compiled
+def _sums(travel_s, route, forth_s, back_s):
+    """Time from the depot along the route to each place, and from each place back along it."""
+    for at in range(1, len(route)):
+        forth_s[at] = forth_s[at - 1] + travel_s[route[at - 1], route[at]]
+        back_s[at] = back_s[at - 1] + travel_s[route[at], route[at - 1]]
+
+
+@compiled
+def _turn(route, first, last):
+    while first < last:
+        route[first], route[last] = route[last], route[first]
+        first += 1
+        last -= 1
+
+
+@compiled
+def _turn_gain_s(travel_s, route, forth_s, back_s, first, last):
+    """Time saved by driving the places first .. last the other way round."""
+    before, after = route[first - 1], route[last + 1]
+    old_s = forth_s[last + 1] - forth_s[first - 1]
+    new_s = (
+        travel_s[before, route[last]]
+        + (back_s[last] - back_s[first])
+        + travel_s[route[first], after]
+    )
+    return old_s - new_s
+
+
+@compiled
+def _shift_gain_s(travel_s, route, first, last, to):
+    """Time saved by driving the places first .. last between `to` and its next place instead."""
+    before, after = route[first - 1], route[last + 1]
+    one, other = route[to], route[to + 1]
+    old_s = travel_s[before, route[first]] + travel_s[route[last], after] + travel_s[one, other]
+    new_s = travel_s[before, after] + travel_s[one, route[first]] + travel_s[route[last], other]
+    return old_s - new_s
+
+
+@compiled
+def _shift(route, first, last, to):
+    """Rotate places so that first .. last stand right behind what stood at `to`."""
+    if to > last:
+        _turn(route, first, last)
+        _turn(route, last + 1, to)
+        _turn(route, first, to)
+    else:
+        _turn(route, to + 1, first - 1)
+        _turn(route, first, last)
+        _turn(route, to + 1, last)
+
+
+@compiled
+def _improve_from(travel_s, near, route, place, forth_s, back_s, at):
+    """Apply the first change about this place that saves time; was there one?"""
+    end_at = len(route) - 1
+    for other in near[route[at]]:
+        to = place[other]
+        if to < 0:
+            continue
+        first, last = min(at, to) + 1, max(at, to)
+        if first < last < end_at:
+            gain_s = _turn_gain_s(travel_s, route, forth_s, back_s, first, last)
+            if gain_s > GAIN_S:
+                _turn(route, first, last)
+                return True
+        for length in range(1, 4):
+            last = at + length - 1
+            if at < 1 or last >= end_at:
+                break
+            for ahead in range(2):
+                gap = to - ahead
+                fits = 0 <= gap < end_at and (gap < at - 1 or gap > last)
+                if fits and _shift_gain_s(travel_s, route, at, last, gap) > GAIN_S:
+                    _shift(route, at, last, gap)
+                    return True
+    return False
+
+
+@compiled
+def improve_tour(travel_s, near, route):
+    """Change the route in place until no 2-opt or Or-opt move among near nodes saves time."""
+    place = np.full(len(travel_s), -1, dtype=np.int32)
+    forth_s, back_s = np.zeros(len(route)), np.zeros(len(route))
+    changed = True
+    while changed:
+        changed = False
+        for at in range(len(route) - 1):
+            better = True
+            while better:
+                for where in range(len(route)):
+                    place[route[where]] = where
+                _sums(travel_s, route, forth_s, back_s)
+                better = _improve_from(travel_s, near, route, place, forth_s, back_s, at)
+                changed = changed or better
