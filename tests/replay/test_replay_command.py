@@ -177,9 +177,7 @@ def test_the_record_holds_what_its_page_says(make, world, tmp_path):
         assert f"`{key}`" in page, key
     times = [row["t_s"] for row in record["timeline"]]
     assert np.median(np.diff(times)) == pytest.approx(10.0)
-    assert (
-        record["energy"]["used_wh"] > 40.0
-    )  # 20 A at 23 V for 145 s are 19 Wh; the model says more
+    assert record["energy"]["used_wh"] == pytest.approx(20.0 * 23.2 * 145.0 / 3600.0, rel=0.05)
 
 
 def test_a_picture_is_drawn_of_wind_alone_and_of_everything(make, world, tmp_path):
