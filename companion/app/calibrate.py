@@ -187,7 +187,7 @@ def _show(console: Console, done: Calibration, unseen: list[Holdout]) -> None:
     for name in ("", "value", "± std", "believed before ±", "unit", ""):
         table.add_column(name, justify="left" if not name or name == "unit" else "right")
     for q in done.quantities:
-        verdict = "identified" if q.identified else "NOT IDENTIFIED" if q.needed else "kept"
+        verdict = "identified" if q.identified else "NOT IDENTIFIED" if q.needed else "mostly belief"
         table.add_row(
             q.name, f"{q.value:.4g}", f"{q.std:.2g}", f"{q.prior_std:.2g}", q.unit, verdict
         )
@@ -207,7 +207,7 @@ def _show(console: Console, done: Calibration, unseen: list[Holdout]) -> None:
             )
     console.print(energy)
     for words in done.notes:
-        console.print(f"kept: {words}")
+        console.print(words)
     for q in done.missing:
         console.print(
             f"not identified: {q.name} is {q.value:.3g} ± {q.std:.2g} {q.unit}, and"
@@ -232,7 +232,7 @@ def _write(
         "as there.",
     ]
     header += [f"Predicted unseen: {_words(h)}" for h in (*done.holdouts, *unseen)]
-    header += [f"Kept: {words}" for words in done.notes]
+    header += [words for words in done.notes]
     if done.missing:
         header.append(
             "NOT IDENTIFIED, as believed before: " + ", ".join(q.name for q in done.missing)

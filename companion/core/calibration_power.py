@@ -40,7 +40,7 @@ class PowerPriors:
     blade_frac: float = 0.6
     avionics_frac: float = 0.6
     sensor_scale_std: float = 0.02
-    current_offset_std_a: float = 0.3
+    current_offset_std_a: float = 0.2
     model_frac: float = 0.03
 
     def stds(self, values: FloatArray) -> FloatArray:

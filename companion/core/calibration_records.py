@@ -24,7 +24,6 @@ _TILT_LIMIT_RAD = 1.2
 _FASTEST_MPS = 80.0
 _HIGHEST_CELL_V = 4.6
 _POWER_LEAST_FRAC = 0.35  # of the expected hover power: less is on the ground
-_RISING_MPS = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +256,7 @@ def _blocks(
         current_a=mean(current),
         power_w=mean(power),
         payload_kg=mean(payload),
-        airborne=_after_rising(flying, mean(np.sqrt(north**2 + east**2 + down**2))),
+        airborne=_in_the_air(flying),
         density_kgpm3=record.density_kgpm3,
     )
     return blocks, np.asarray(ok.reshape(-1, per_block).all(axis=1), np.bool_)
@@ -270,13 +269,10 @@ def _slope(values: FloatArray) -> FloatArray:
     return (padded[2 * half :] - padded[: -2 * half]) / (2 * half * _GRID_S)
 
 
-def _after_rising(flying: BoolArray, speed_mps: FloatArray) -> BoolArray:
-    """Under power, from the first real motion to the last."""
-    moving = np.flatnonzero(flying & (speed_mps > _RISING_MPS))
-    airborne = np.zeros_like(flying)
-    if len(moving):
-        airborne[moving[0] + 1 : moving[-1]] = True
-    return airborne & flying
+def _in_the_air(flying: BoolArray) -> BoolArray:
+    """Under power, less the blocks in which it takes off and lands; a log's end is not a landing."""
+    before, after = np.r_[False, flying[:-1]], np.r_[flying[1:], True]
+    return flying & before & after
 
 
 def _on_grid(
