@@ -187,7 +187,8 @@ def _show(console: Console, done: Calibration, unseen: list[Holdout]) -> None:
     for name in ("", "value", "± std", "believed before ±", "unit", ""):
         table.add_column(name, justify="left" if not name or name == "unit" else "right")
     for q in done.quantities:
-        verdict = "identified" if q.identified else "NOT IDENTIFIED" if q.needed else "mostly belief"
+        unknown = "NOT IDENTIFIED" if q.needed else "mostly belief"
+        verdict = "identified" if q.identified else unknown
         table.add_row(
             q.name, f"{q.value:.4g}", f"{q.std:.2g}", f"{q.prior_std:.2g}", q.unit, verdict
         )
@@ -232,7 +233,7 @@ def _write(
         "as there.",
     ]
     header += [f"Predicted unseen: {_words(h)}" for h in (*done.holdouts, *unseen)]
-    header += [words for words in done.notes]
+    header += done.notes
     if done.missing:
         header.append(
             "NOT IDENTIFIED, as believed before: " + ", ".join(q.name for q in done.missing)
@@ -260,8 +261,10 @@ def _sources(done: Calibration) -> dict[tuple[str, str], str]:
     ):
         for key, std in zip(keys, np.sqrt(np.diag(fit.cov)), strict=True):
             found[table, key] = f"fitted, ± {std:.2g}"
-    found["drag", "gain_std_frac"] = "of that fit, at cruise"
-    found["power_rotor", "model_std_frac"] = "rms over two-minute pieces of flights left out"
+    found["drag", "gain_std_frac"] = "of that fit at cruise, at least the air's density"
+    found["power_rotor", "model_std_frac"] = (
+        "rms over two-minute pieces of flights left out, or 0.03"
+    )
     battery = done.battery
     if any(q.name == "pack's resistance" and q.identified for q in done.quantities):
         found["battery", "resistance_ohm"] = f"fitted, ± {battery.resistance_std_ohm:.2g}"

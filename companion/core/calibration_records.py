@@ -270,7 +270,7 @@ def _slope(values: FloatArray) -> FloatArray:
 
 
 def _in_the_air(flying: BoolArray) -> BoolArray:
-    """Under power, less the blocks in which it takes off and lands; a log's end is not a landing."""
+    """Under power, less the blocks of take-off and landing; a log's end is not a landing."""
     before, after = np.r_[False, flying[:-1]], np.r_[flying[1:], True]
     return flying & before & after
 

@@ -26,7 +26,7 @@ DT_S = 0.2
 TRUTH = load_airframe(params_dir() / "truth" / "m100.toml")
 STEADY = SteadyFlight(TRUTH)
 MASS_KG = TRUTH.empty_mass_kg
-# Drag as params/truth/m100.toml has it, at the sea level density of SteadyFlight: N per m/s, per (m/s)^2.
+# Drag as params/truth/m100.toml has it, at sea level density: N per m/s, N per (m/s)^2.
 LINEAR = (TRUTH.drag.rotor_forward_nspm, TRUTH.drag.rotor_sideways_nspm)
 QUADRATIC = (0.6125 * TRUTH.drag.parasite_forward_m2, 0.6125 * TRUTH.drag.parasite_sideways_m2)
 SPEEDS = np.arange(0.0, 25.0, 0.5)
@@ -64,7 +64,7 @@ def square(speeds, legs=12, side_m=150.0, heading=None):
 
 
 def fly(segments, *, seed=1, payload_kg=0.0, wind_ne=(2.0, -1.5), name="log", stand_s=20.0):
-    """A record: velocity ramps at 2.5 m/s^2 between segments, tilt balances drag and acceleration."""
+    """A record: velocity ramps at 2.5 m/s^2, tilt balances drag and acceleration."""
     rng = np.random.default_rng(seed)
     mass = MASS_KG + payload_kg
     vel, yaws, aloft = [[0.0, 0.0]] * round(stand_s / DT_S), [0.0] * round(stand_s / DT_S), []
