@@ -1,5 +1,6 @@
 """Airframe files as people read them: every number with where it comes from beside it."""
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ def write_airframe(
 ) -> None:
     """Write `airframe/1` with a comment block on top and a comment for each (table, key) named."""
     table: dict[str, Any] = msgspec.to_builtins(airframe)
-    lines = [f"# {line}".rstrip() for line in header]
+    wrapped = (part for line in header for part in textwrap.wrap(line, _WIDTH - 4))
+    lines = [f"# {part}" for part in wrapped]
     lines += [f'format = "{airframe.format}"', f"name = {_value(airframe.name)}"]
     for section, keys in table.items():
         if not isinstance(keys, dict):

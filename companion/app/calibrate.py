@@ -228,9 +228,8 @@ def _write(
     fitted = msgspec.structs.replace(done.airframe, name=out.stem)
     flown = ", ".join(f"{p.name} ({_day(p)}, {kg:g} kg)" for p, kg in zip(logs, loads, strict=True))
     header = [
-        f"Fitted by `companion calibrate` to: {flown};",
-        f"air at {temperature_c:g} C. Start and prior: {start.name}; numbers without a comment are",
-        "as there.",
+        f"Fitted by `companion calibrate` to: {flown}; air at {temperature_c:g} C. Start and prior:"
+        f" {start.name}; numbers without a comment are as there.",
     ]
     header += [f"Predicted unseen: {_words(h)}" for h in (*done.holdouts, *unseen)]
     header += done.notes

@@ -243,7 +243,8 @@ def _linear(
     value = float(row @ fit.values)
     std = float(np.sqrt(row @ fit.cov @ row))
     prior = float(np.sqrt(row @ fit.prior_cov @ row))
-    return Quantity(name, unit, value, std, prior, limit, needed, flight)
+    # Widened for what the fit leaves out, it may pass the prior, which holds all the same.
+    return Quantity(name, unit, value, min(std, prior), prior, limit, needed, flight)
 
 
 def _power_quantity(
