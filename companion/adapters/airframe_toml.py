@@ -31,7 +31,9 @@ def write_airframe(
                 lines.append(f"# {source}")
                 source = None
             lines.append(f"{line} # {source}" if source else line)
-    path.write_text("\n".join(lines) + "\n")
+    part = path.with_name(path.name + ".part")  # a stop in between leaves the old file whole
+    part.write_text("\n".join(lines) + "\n")
+    part.replace(path)
 
 
 def _value(value: Any) -> str:
