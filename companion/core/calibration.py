@@ -19,13 +19,14 @@ from companion.core.calibration_drag import DragFit, fit_drag, see_wind
 from companion.core.calibration_flight import square_speeds_mps
 from companion.core.calibration_power import (
     PowerFit,
+    air_speeds,
     fit_power,
     power_values,
     predicted_w,
     with_values,
 )
 from companion.core.calibration_records import BLOCK_S, Blocks
-from companion.core.power import multirotor_power_w
+from companion.core.power import max_airspeed_mps, multirotor_power_w
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ _LEAST_MODEL_STD_FRAC = 0.03
 _LEAST_GAIN_STD_FRAC = 0.05
 """Drag goes with the air's density: 5 % are 15 degrees, between the days of logs and of use."""
 _RESISTANCE_LIMIT_FRAC = 0.25
+_FASTEST_PERCENTILE = 98.0
+_REACH_FRAC = 0.95
 _STEP = 1e-5
 
 
@@ -113,7 +116,21 @@ def calibrate(
     quantities = _quantities(flights, start, drag, power, battery)
     holdouts = tuple(_leave_out(flights, start, told))
     airframe, notes = _assembled(start, drag, power, battery, quantities, holdouts)
+    notes = (*notes, *_extrapolated(flights, drag, airframe))
     return Calibration(airframe, drag, power, battery, quantities, holdouts, notes)
+
+
+def _extrapolated(flights: list[Blocks], drag: DragFit, airframe: Airframe) -> list[str]:
+    """Where the tilt limit's airspeed lies well beyond what was flown."""
+    met = [air_speeds(b, wind)[0] for b, wind in zip(flights, drag.winds, strict=True)]
+    fastest = float(np.percentile(np.concatenate(met), _FASTEST_PERCENTILE))
+    limit = max_airspeed_mps(airframe, airframe.mass.empty_kg)
+    if fastest > _REACH_FRAC * limit:
+        return []
+    return [
+        f"drag above {fastest:.0f} m/s of airspeed is extrapolated, up to {limit:.1f} m/s at the"
+        " largest tilt; what would tell it: a faster square, or one in stronger wind"
+    ]
 
 
 def predict(blocks: Blocks, airframe: Airframe) -> Holdout:
