@@ -12,6 +12,7 @@ from rich.console import Console
 
 from companion.adapters.files import read_flight, read_wind_process
 from companion.adapters.zenoh_link import leave_process
+from companion.app import calibrate
 from companion.app.check_report import report
 from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.replay_cli import EPILOG as REPLAY_EPILOG
@@ -335,6 +336,9 @@ def _show_check(action: Action) -> None:
         case _:
             return
     sys.stdout.flush()
+
+
+app.registered_commands += calibrate.app.registered_commands
 
 
 def main() -> None:

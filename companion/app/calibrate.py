@@ -1,0 +1,302 @@
+"""`companion calibrate`: an airframe file from one's own flight logs."""
+
+import datetime
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from companion.adapters.airframe_toml import write_airframe
+from companion.adapters.calibration_logs import read_calibration_log
+from companion.adapters.files import read_airframe
+from companion.adapters.qgc_plan import write_plan
+from companion.core.airframe import Airframe
+from companion.core.calibration import Calibration, Holdout, calibrate, predict
+from companion.core.calibration_drag import DRAG_KEYS
+from companion.core.calibration_flight import PlanOptions, calibration_items, square_speeds_mps
+from companion.core.calibration_power import POWER_KEYS
+from companion.core.calibration_records import Blocks, prepare
+from companion.core.errors import LeewayError
+from companion.core.geo import LocalFrame
+from companion.core.power import multirotor_power_w
+
+app = typer.Typer()
+
+NOT_IDENTIFIED = 3
+_TEMPERATURE_C = 20.0
+
+EPILOG = """Exit codes: 0 done; 2 a log or an option cannot be used (said by name and row); 3 a
+number that flight safety needs is not identified, and the flight that would is named."""
+
+
+@app.command(name="calibrate", epilog=EPILOG)
+def calibrate_command(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Flight logs: .ulg, .bin, .tlog, .mcap or CSV; three or more."),
+    ],
+    airframe: Annotated[
+        str, typer.Option(help="What is believed so far: a name in params/airframes or a .toml.")
+    ],
+    out: Annotated[Path, typer.Option(help="The airframe file to write.")] = Path(
+        "my_airframe.toml"
+    ),
+    payload_kg: Annotated[
+        str, typer.Option(help="Parcel aboard in each log, in their order: 0,0.8,0.4. Default: 0.")
+    ] = "",
+    holdout: Annotated[
+        list[str] | None,
+        typer.Option(help="LOG or LOG:KG, not fitted, only predicted; once or more."),
+    ] = None,
+    temperature_c: Annotated[float, typer.Option(help="Of the air, for its density.")] = (
+        _TEMPERATURE_C
+    ),
+    allow_priors: Annotated[
+        bool,
+        typer.Option("--allow-priors", help="Write the file even where numbers stay as believed."),
+    ] = False,
+    json_out: Annotated[Path | None, typer.Option("--json", help="Every figure as JSON.")] = None,
+    plots: Annotated[
+        Path | None, typer.Option(help="A folder for residual plots (needs matplotlib).")
+    ] = None,
+) -> None:
+    """Fit drag, power and battery of an airframe to flight logs, and say how sure each is.
+
+    Example: companion calibrate square1.tlog square2.tlog square3.tlog --airframe m100
+    --payload-kg 0,0.8,0.4 --out my_airframe.toml
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    try:
+        start = read_airframe(airframe)
+        loads = _loads(payload_kg, len(logs))
+        with console.status("reading") as status:
+            flights = [
+                _read(console, path, load, start, temperature_c)
+                for path, load in zip(logs, loads, strict=True)
+            ]
+            kept = [
+                _read(console, path, load, start, temperature_c)
+                for path, load in map(_log_and_load, holdout or [])
+            ]
+            done = calibrate(flights, start, lambda words: status.update(f"fitting: {words}"))
+            unseen = [predict(blocks, done.airframe) for blocks in kept]
+        _show(console, done, unseen)
+        if plots is not None:
+            _plot(plots, done, flights)
+        if json_out is not None:
+            json_out.write_text(json.dumps(_as_json(done, unseen), indent=1) + "\n")
+        if done.missing and not allow_priors:
+            raise typer.Exit(NOT_IDENTIFIED)
+        _write(out, start, done, unseen, logs, loads, temperature_c)
+        read_airframe(str(out))
+        console.print(f"{out}: written; fly it with --airframe {out}")
+    except LeewayError as error:
+        typer.echo(f"companion: {error}", err=True)
+        raise typer.Exit(2) from error
+
+
+@app.command(name="calibrate-plan")
+def plan_command(
+    home: Annotated[str, typer.Option(help="LAT,LON,ALT of the take-off place: 55.47,8.45,12.")],
+    airframe: Annotated[str, typer.Option(help="A name in params/airframes or a .toml.")],
+    out: Annotated[Path, typer.Option(help="The QGroundControl plan to write.")] = Path(
+        "calibration.plan"
+    ),
+    autopilot: Annotated[str, typer.Option(help="px4 or ardupilot.")] = "px4",
+    side_m: Annotated[float, typer.Option(min=60.0, max=600.0, help="Side of the square.")] = 150.0,
+    height_m: Annotated[float, typer.Option(min=15.0, max=90.0, help="Above take-off.")] = 40.0,
+    duration_s: Annotated[float, typer.Option(min=240.0, max=2400.0, help="About so long.")] = (
+        600.0
+    ),
+    mirrored: Annotated[
+        bool, typer.Option("--mirrored", help="The square south-west of the place instead.")
+    ] = False,
+) -> None:
+    """Write the flight that calibration needs as a QGroundControl plan: a square at three speeds.
+
+    Fly it three times: empty, with the heaviest parcel, and with a lighter one and the nose held
+    on one heading (docs/calibrate.md). Example:
+    companion calibrate-plan --home 55.47,8.45,12 --airframe m100 --autopilot px4
+    """
+    try:
+        frame = _frame(home)
+        if autopilot not in ("px4", "ardupilot"):
+            raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
+        believed = read_airframe(airframe)
+        options = PlanOptions(height_m, side_m, duration_s, mirrored)
+        speed = square_speeds_mps(believed)[1]
+        write_plan(out, calibration_items(believed, options), frame, autopilot, speed)
+    except LeewayError as error:
+        typer.echo(f"companion: {error}", err=True)
+        raise typer.Exit(2) from error
+    typer.echo(
+        f"{out}: written; it climbs to {height_m + 30.0:.0f} m within a {side_m:.0f} m square"
+    )
+
+
+def _frame(words: str) -> LocalFrame:
+    try:
+        lat_deg, lon_deg, alt_m = map(float, words.split(","))
+    except ValueError as error:
+        raise LeewayError(f"--home {words}: LAT,LON,ALT in degrees and m expected") from error
+    if not (abs(lat_deg) <= 85.0 and abs(lon_deg) <= 180.0 and -500.0 <= alt_m <= 6000.0):
+        raise LeewayError(f"--home {words}: not a place to fly from")
+    return LocalFrame(float(np.radians(lat_deg)), float(np.radians(lon_deg)), alt_m)
+
+
+def _loads(words: str, count: int) -> list[float]:
+    if not words:
+        return [0.0] * count
+    try:
+        loads = [float(word) for word in words.split(",")]
+    except ValueError as error:
+        raise LeewayError(f"--payload-kg {words}: numbers with commas expected") from error
+    if len(loads) != count or not all(0.0 <= load <= 500.0 for load in loads):
+        raise LeewayError(f"--payload-kg {words}: {count} loads in kg expected, one for each log")
+    return loads
+
+
+def _log_and_load(words: str) -> tuple[Path, float]:
+    name, colon, load = words.rpartition(":")
+    if not colon:
+        return Path(words), 0.0
+    try:
+        return Path(name), float(load)
+    except ValueError as error:
+        raise LeewayError(f"--holdout {words}: LOG or LOG:KG expected") from error
+
+
+def _read(
+    console: Console, path: Path, payload_kg: float, start: Airframe, temperature_c: float
+) -> Blocks:
+    record, findings = read_calibration_log(path, payload_kg, temperature_c)
+    hover_w = float(multirotor_power_w(start, start.mass_kg(payload_kg), 0.0))
+    prepared = prepare(record, hover_w, start.battery.cells)
+    for words in (*findings, *prepared.notes):
+        console.print(f"  {words}")
+    return prepared.blocks
+
+
+def _show(console: Console, done: Calibration, unseen: list[Holdout]) -> None:
+    table = Table(title="What the logs say")
+    for name in ("", "value", "± std", "believed before ±", "unit", ""):
+        table.add_column(name, justify="left" if not name or name == "unit" else "right")
+    for q in done.quantities:
+        unknown = "NOT IDENTIFIED" if q.needed else "mostly belief"
+        verdict = "identified" if q.identified else unknown
+        table.add_row(
+            q.name, f"{q.value:.4g}", f"{q.std:.2g}", f"{q.prior_std:.2g}", q.unit, verdict
+        )
+    console.print(table)
+    energy = Table(title="Energy of flights that the fit had not seen")
+    for name in ("flight", "wind m/s", "load kg", "measured Wh", "predicted Wh", "error"):
+        energy.add_column(name, justify="left" if name == "flight" else "right")
+    for kind, rows in (("left out", done.holdouts), ("--holdout", unseen)):
+        for h in rows:
+            energy.add_row(
+                f"{h.name} ({kind})",
+                f"{h.wind_mps:.1f}",
+                f"{h.payload_kg:g}",
+                f"{h.measured_wh:.1f}",
+                f"{h.predicted_wh:.1f}",
+                f"{100.0 * h.error_frac:+.1f} %",
+            )
+    console.print(energy)
+    for words in done.notes:
+        console.print(words)
+    for q in done.missing:
+        console.print(
+            f"not identified: {q.name} is {q.value:.3g} ± {q.std:.2g} {q.unit}, and"
+            f" {100.0 * q.limit_frac:.0f} % or better is needed: {q.flight}"
+        )
+
+
+def _write(
+    out: Path,
+    start: Airframe,
+    done: Calibration,
+    unseen: list[Holdout],
+    logs: list[Path],
+    loads: list[float],
+    temperature_c: float,
+) -> None:
+    fitted = msgspec.structs.replace(done.airframe, name=out.stem)
+    flown = ", ".join(f"{p.name} ({_day(p)}, {kg:g} kg)" for p, kg in zip(logs, loads, strict=True))
+    header = [
+        f"Fitted by `companion calibrate` to: {flown}; air at {temperature_c:g} C. Start and prior:"
+        f" {start.name}; numbers without a comment are as there.",
+    ]
+    header += [f"Predicted unseen: {_words(h)}" for h in (*done.holdouts, *unseen)]
+    header += done.notes
+    if done.missing:
+        header.append(
+            "NOT IDENTIFIED, as believed before: " + ", ".join(q.name for q in done.missing)
+        )
+    write_airframe(out, fitted, header, _sources(done))
+
+
+def _words(h: Holdout) -> str:
+    return (
+        f"{h.name}: {h.predicted_wh:.1f} Wh of {h.measured_wh:.1f} measured"
+        f" ({100.0 * h.error_frac:+.1f} %), {h.wind_mps:.1f} m/s of wind, {h.payload_kg:g} kg"
+    )
+
+
+def _day(path: Path) -> str:
+    stamp = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
+    return stamp.strftime("file of %Y-%m-%d")
+
+
+def _sources(done: Calibration) -> dict[tuple[str, str], str]:
+    found = {}
+    for keys, fit, table in (
+        (DRAG_KEYS, done.drag, "drag"),
+        (POWER_KEYS, done.power, "power_rotor"),
+    ):
+        for key, std in zip(keys, np.sqrt(np.diag(fit.cov)), strict=True):
+            found[table, key] = f"fitted, ± {std:.2g}"
+    found["drag", "gain_std_frac"] = "of that fit at cruise, at least the air's density"
+    found["power_rotor", "model_std_frac"] = (
+        "rms over two-minute pieces of flights left out, or 0.03"
+    )
+    battery = done.battery
+    if any(q.name == "pack's resistance" and q.identified for q in done.quantities):
+        found["battery", "resistance_ohm"] = f"fitted, ± {battery.resistance_std_ohm:.2g}"
+    if battery.usable_frac is not None:
+        words = f"{battery.discharge_log}, full to cut-off"
+        found["battery", "usable_frac"] = f"measured: {words}"
+        found["battery", "usable_at_w"] = "mean draw of that discharge"
+    return found
+
+
+def _plot(folder: Path, done: Calibration, flights: list[Blocks]) -> None:
+    try:
+        from companion.adapters.calibration_plots import plot_residuals
+    except ImportError as error:
+        raise LeewayError("--plots: needs matplotlib: pip install 'leeway[sim]'") from error
+    plot_residuals(folder, done, flights)
+
+
+def _as_json(done: Calibration, unseen: list[Holdout]) -> dict[str, Any]:
+    def row(h: Holdout, kind: str) -> dict[str, Any]:
+        return {**msgspec.to_builtins(h), "kind": kind, "error_frac": h.error_frac}
+
+    return {
+        "format": "calibration/1",
+        "quantities": [
+            {**msgspec.to_builtins(q), "identified": q.identified} for q in done.quantities
+        ],
+        "holdouts": [
+            *(row(h, "left out") for h in done.holdouts),
+            *(row(h, "holdout") for h in unseen),
+        ],
+        "airframe": msgspec.to_builtins(done.airframe),
+        "drag": {"keys": DRAG_KEYS, "std": np.sqrt(np.diag(done.drag.cov)).tolist()},
+        "power": {"keys": POWER_KEYS, "std": np.sqrt(np.diag(done.power.cov)).tolist()},
+        "notes": list(done.notes),
+    }

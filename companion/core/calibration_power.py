@@ -1,0 +1,235 @@
+"""The multirotor power model's numbers, from voltage times current in settled flight.
+
+Fits `power.multirotor_power_w` itself, the very model that plans, with the airspeed that the drag
+fit saw. Descents are left out (the model prices them as level flight, and they tell nothing of
+it); so is flight sideways through the air, where the model's nose-on drag does not hold. Each
+flight has a factor of its own for its current sensor's scale.
+"""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from companion.core.airframe import Airframe
+from companion.core.calibration_drag import DRAG_KEYS, WindSeen
+from companion.core.calibration_records import BLOCK_S, Blocks
+from companion.core.power import multirotor_power_w
+
+FloatArray = NDArray[np.float64]
+
+POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "avionics_w")
+_BOUNDS = ([1.0, 0.2, 0.0, 0.0], [2.0, 1.0, 0.5, 5000.0])
+_SETTLED_MPS2 = 1.0  # acceleration below which a block's power is taken, corrected for it
+_SWING_MPS2 = 2.0  # thrust may move so much within such a block: gusts
+_DESCENT_MPS = -0.4
+_SIDEWAYS_FRAC = 0.6
+_SIDEWAYS_FREE_MPS = 2.5
+_STANDING_MPS = 0.15
+_STANDING_W_FRAC = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class PowerPriors:
+    """How wrong the start airframe's power may be, relative; and the sensors. [est]"""
+
+    induced_frac: float = 0.15
+    efficiency_frac: float = 0.15
+    blade_frac: float = 0.6
+    avionics_frac: float = 0.6
+    sensor_scale_std: float = 0.02
+    current_offset_std_a: float = 0.2
+    model_frac: float = 0.03
+
+    def stds(self, values: FloatArray) -> FloatArray:
+        """Standard deviations of POWER_KEYS about these values."""
+        fracs = [self.induced_frac, self.efficiency_frac, self.blade_frac, self.avionics_frac]
+        return np.maximum(np.array(fracs) * values, [0.05, 0.02, 0.005, 2.0])
+
+
+@dataclass(frozen=True, slots=True)
+class PowerFit:
+    """`values` and `cov` as in POWER_KEYS. Per flight: its settled blocks' indices and the
+    measured over expected power there, less 1; the sensor's factor."""
+
+    values: FloatArray
+    cov: FloatArray
+    prior_cov: FloatArray
+    sensor_scale: tuple[float, ...]
+    settled: tuple[NDArray[np.int64], ...]
+    residual_frac: tuple[FloatArray, ...]
+    standing_s: float
+
+
+def power_values(airframe: Airframe) -> FloatArray:
+    """The airframe's own numbers in the order of POWER_KEYS."""
+    return np.array([getattr(airframe.power_rotor, key) for key in POWER_KEYS])
+
+
+def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airframe:
+    """An airframe with these numbers of DRAG_KEYS and POWER_KEYS in it."""
+    replace = msgspec.structs.replace
+    rotor = replace(airframe.power_rotor, **dict(zip(POWER_KEYS, map(float, power), strict=True)))
+    own = replace(airframe.drag, **dict(zip(DRAG_KEYS, map(float, drag), strict=True)))
+    return replace(airframe, drag=own, power_rotor=rotor)
+
+
+def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[FloatArray, FloatArray]:
+    """Airspeed (horizontal) and its part across the heading over a flight's airborne blocks."""
+    b = blocks.pick(blocks.airborne)
+    air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
+    return np.hypot(air_n, air_e), np.abs(b.cos_yaw * air_e - b.sin_yaw * air_n)
+
+
+def predicted_w(airframe: Airframe, blocks: Blocks, wind: WindSeen) -> FloatArray:
+    """Power by the airframe over a flight's airborne blocks, as the companion would plan it."""
+    b = blocks.pick(blocks.airborne)
+    airspeed, _ = air_speeds(blocks, wind)
+    power = np.zeros_like(airspeed)
+    for payload_kg in np.unique(b.payload_kg):
+        at = b.payload_kg == payload_kg
+        mass_kg = airframe.mass_kg(float(payload_kg))
+        power[at] = multirotor_power_w(
+            airframe, mass_kg, airspeed[at], b.climb_mps[at], b.density_kgpm3
+        )
+    return power
+
+
+def fit_power(
+    flights: list[Blocks],
+    winds: list[WindSeen],
+    airframe: Airframe,
+    priors: PowerPriors | None = None,
+) -> PowerFit:
+    """Power from flights whose wind is seen; `airframe` is the prior, with its drag fitted."""
+    p = priors or PowerPriors()
+    start = power_values(airframe)
+    stds = p.stds(start)
+    flown = [b.pick(b.airborne) for b in flights]
+    settled = [_settled(b, w) for b, w in zip(flights, winds, strict=True)]
+    standing = [_standing(b, airframe) for b in flights]
+    drag = np.array([getattr(airframe.drag, key) for key in DRAG_KEYS])
+    kinetic = [_kinetic_w(b, w, airframe) for b, w in zip(flights, winds, strict=True)]
+    noise = [_noise(airframe, b, w, p)[s] for b, w, s in zip(flights, winds, settled, strict=True)]
+
+    def residuals(x: FloatArray) -> FloatArray:
+        tried = with_values(airframe, drag, x[:4])
+        parts = []
+        for i, (b, w, at, sigma) in enumerate(zip(flights, winds, settled, noise, strict=True)):
+            kinetic_w = kinetic[i][at] / x[1]
+            expected = (predicted_w(tried, b, w)[at] + kinetic_w) * (1.0 + x[4 + i])
+            parts.append((flown[i].power_w[at] - expected) / sigma)
+        for i, seen in enumerate(standing):
+            if seen is not None:
+                mean_w, volt_v = seen
+                parts.append(
+                    [(mean_w - x[3] * (1.0 + x[4 + i])) / (p.current_offset_std_a * volt_v)]
+                )
+        parts.append((x[:4] - start) / stds)
+        parts.append(x[4:] / p.sensor_scale_std)
+        return np.concatenate(parts)
+
+    x0 = np.r_[np.clip(start, np.array(_BOUNDS[0]) + 1e-6, _BOUNDS[1]), np.zeros(len(flights))]
+    low = np.r_[_BOUNDS[0], np.full(len(flights), -0.3)]
+    high = np.r_[_BOUNDS[1], np.full(len(flights), 0.3)]
+    solution = least_squares(
+        residuals,
+        x0,
+        bounds=(low, high),
+        x_scale=np.r_[stds, np.full(len(flights), 0.02)],
+        loss="soft_l1",
+        f_scale=2.0,
+    )
+    x = solution.x
+    cov = _covariance(solution.jac, residuals(x), flown, settled)
+    tried = with_values(airframe, drag, x[:4])
+    left = tuple(
+        flown[i].power_w[at]
+        / ((predicted_w(tried, b, w)[at] + kinetic[i][at] / x[1]) * (1.0 + x[4 + i]))
+        - 1.0
+        for i, (b, w, at) in enumerate(zip(flights, winds, settled, strict=True))
+    )
+    return PowerFit(
+        values=x[:4],
+        cov=cov[:4, :4],
+        prior_cov=np.diag(stds**2),
+        sensor_scale=tuple(1.0 + x[4:]),
+        settled=tuple(settled),
+        residual_frac=left,
+        standing_s=BLOCK_S * sum(len(_standing_blocks(b, airframe)) for b in flights),
+    )
+
+
+def _settled(blocks: Blocks, wind: WindSeen) -> NDArray[np.int64]:
+    """Airborne blocks in steady flight nose-on: level, climbing or hovering."""
+    b = blocks.pick(blocks.airborne)
+    airspeed, across = air_speeds(blocks, wind)
+    steady = (b.swing_mps2 < _SWING_MPS2) & (b.climb_mps > _DESCENT_MPS)
+    accel = np.hypot(b.accel_forward_mps2, b.accel_right_mps2)
+    nose_on = across < np.maximum(_SIDEWAYS_FRAC * airspeed, _SIDEWAYS_FREE_MPS)
+    return np.flatnonzero(steady & nose_on & (accel < _SETTLED_MPS2))
+
+
+def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> FloatArray:
+    """Shaft power that goes into speed: mass times acceleration times velocity through the air."""
+    b = blocks.pick(blocks.airborne)
+    air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
+    forward, right = b.cos_yaw * air_n + b.sin_yaw * air_e, b.cos_yaw * air_e - b.sin_yaw * air_n
+    gained = b.accel_forward_mps2 * forward + b.accel_right_mps2 * right
+    return (airframe.mass.empty_kg + b.payload_kg) * gained
+
+
+def _standing_blocks(blocks: Blocks, airframe: Airframe) -> NDArray[np.int64]:
+    """Blocks on the ground with the motors off."""
+    hover_w = float(multirotor_power_w(airframe, airframe.mass.empty_kg, 0.0))
+    speed = np.hypot(np.hypot(blocks.north_mps, blocks.east_mps), blocks.climb_mps)
+    still = (speed < _STANDING_MPS) & (blocks.power_w < _STANDING_W_FRAC * hover_w)
+    return np.flatnonzero(still & ~blocks.airborne)
+
+
+def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float] | None:
+    """Mean power and voltage at rest on the ground; None where the log has too little of it."""
+    at = _standing_blocks(blocks, airframe)
+    if len(at) < 3:
+        return None
+    return float(blocks.power_w[at].mean()), float(blocks.voltage_v[at].mean())
+
+
+def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> FloatArray:
+    """Standard deviation of one block's power: the model's, and what the wind's error makes."""
+    flown = blocks.pick(blocks.airborne)
+    power = predicted_w(airframe, blocks, wind)
+    shifted = WindSeen(
+        wind.to_north_mps + 0.5 * wind.std_mps,
+        wind.to_east_mps + 0.5 * wind.std_mps,
+        wind.std_mps,
+        wind.mean_mps,
+        wind.heading_error_rad,
+        wind.velocity_lag_s,
+    )
+    slope = predicted_w(airframe, blocks, shifted) - power
+    return np.hypot(p.model_frac * flown.power_w, slope)
+
+
+def _covariance(
+    jac: FloatArray, fun: FloatArray, flown: list[Blocks], settled: list[NDArray[np.int64]]
+) -> FloatArray:
+    """As for drag: the model's covariance, widened where minutes scatter more than they should.
+
+    Residuals of one minute are as good as one: they are summed before they are squared.
+    """
+    bread = np.linalg.inv(jac.T @ jac)
+    meat, at = np.zeros_like(bread), 0
+    for b, rows in zip(flown, settled, strict=True):
+        minute = (b.t_s[rows] // 60.0).astype(int)
+        for m in np.unique(minute):
+            picked = at + np.flatnonzero(minute == m)
+            score = jac[picked].T @ fun[picked]
+            meat += np.outer(score, score)
+        at += len(rows)
+    meat += jac[at:].T @ jac[at:]
+    sandwich = bread @ meat @ bread
+    factor = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(bread), 1.0))
+    return np.asarray(bread * np.outer(factor, factor), np.float64)

@@ -1,0 +1,97 @@
+"""The calibration plan flown by both simulated autopilots, its .tlogs fitted, a fourth predicted.
+
+Shorter than the ten minutes that docs/calibrate.md has the figures of; the same commands.
+"""
+
+import json
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from companion.adapters.airframe_toml import write_airframe
+from companion.adapters.calibration_logs import read_calibration_log
+from companion.adapters.files import read_airframe
+from companion.app.cli import app as companion
+from companion.core.calibration import predict
+from companion.core.calibration_records import prepare
+from sim_bridge.app.cli import app as bridge
+
+RUN = CliRunner()
+FLIGHTS = {  # name: (autopilot, load kg, wind m/s, from deg, nose held)
+    "a": ("px4", 0.0, 4.0, 80.0, False),
+    "b": ("ardupilot", 0.8, 2.0, 200.0, False),
+    "c": ("px4", 0.4, 5.0, 310.0, True),
+    "unseen": ("ardupilot", 0.6, 8.0, 140.0, False),
+}
+
+
+def tell(app, *words):
+    return RUN.invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """One vehicle's four flights, each with its energy by truth."""
+    folder = tmp_path_factory.mktemp("logs")
+    for flavour in ("px4", "ardupilot"):
+        plan = ["calibrate-plan", "--home", "55.47,8.45,12", "--airframe", "m100"]
+        options = ["--autopilot", flavour, "--duration-s", 240, "--out", folder / f"{flavour}.plan"]
+        assert tell(companion, *plan, *options).exit_code == 0
+    for seed, (name, (flavour, load, wind, from_deg, held)) in enumerate(FLIGHTS.items()):
+        words = ["fly-plan", folder / f"{flavour}.plan", "--out", folder / f"{name}.tlog"]
+        words += ["--autopilot", flavour, "--payload-kg", load, "--wind-speed-mps", wind]
+        words += ["--wind-from-deg", from_deg, "--seed", seed, *(["--nose-held"] if held else [])]
+        flown = tell(bridge, *words)
+        assert flown.exit_code == 0, flown.output
+    return folder
+
+
+@pytest.fixture(scope="module")
+def guess(logs):
+    """An airframe file that is off by a quarter and more in what is to be fitted."""
+    m100 = read_airframe("m100")
+    drag = msgspec.structs.replace(
+        m100.drag, linear_forward_n_per_mps=0.45, quadratic_forward_n_per_mps2=0.028
+    )
+    rotor = msgspec.structs.replace(
+        m100.power_rotor, induced_factor=1.2, drive_efficiency=0.7, blade_drag_coefficient=0.03
+    )
+    path = logs / "guess.toml"
+    believed = msgspec.structs.replace(m100, drag=drag, power_rotor=rotor)
+    write_airframe(path, believed, ["a guess"], {})
+    return path
+
+
+@pytest.mark.sitl
+def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, guess):
+    """Its wind and load were not seen. The canary: by the guess alone it is off by more."""
+    out, figures = logs / "mine.toml", logs / "figures.json"
+    done = tell(
+        companion,
+        *("calibrate", logs / "a.tlog", logs / "b.tlog", logs / "c.tlog"),
+        *("--airframe", guess, "--payload-kg", "0,0.8,0.4"),
+        *("--holdout", f"{logs / 'unseen.tlog'}:0.6", "--out", out, "--json", figures),
+    )
+    assert done.exit_code == 0, done.output
+    found = json.loads(figures.read_text())
+    unseen = next(h for h in found["holdouts"] if h["kind"] == "holdout")
+    assert abs(unseen["error_frac"]) < 0.05
+    assert read_airframe(str(out)).name == "mine"
+    assert "fitted, ±" in out.read_text()
+    record, _ = read_calibration_log(logs / "unseen.tlog", 0.6, 20.0)
+    blocks = prepare(record, 500.0, 6).blocks
+    assert abs(predict(blocks, read_airframe(str(guess))).error_frac) > 0.05
+
+
+@pytest.mark.sitl
+def test_a_log_without_current_is_refused_by_its_name(logs, guess, tmp_path):
+    path = tmp_path / "nocurrent.csv"
+    rows = [f"{0.1 * i:.1f},0.0,0.0,0.0,0.0,0.0,0.0" for i in range(2000)]
+    path.write_text(
+        "\n".join(["t_s,vel_n_mps,vel_e_mps,vel_d_mps,roll_deg,pitch_deg,yaw_deg", *rows])
+    )
+    done = tell(companion, "calibrate", path, "--airframe", guess)
+    assert done.exit_code == 2
+    assert "nocurrent.csv" in done.output
+    assert "voltage" in done.output
