@@ -28,7 +28,7 @@ from companion.core.wind_from_airspeed import (
     pitot_seen,
     vector_seen,
 )
-from companion.core.wind_from_tilt import Smoothed, has_tilt, smoothed, take_tilt
+from companion.core.wind_from_tilt import MotionWatch, has_tilt, take_tilt
 from companion.core.wind_observation import WindBelief, WindObservation
 from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState
 
@@ -48,7 +48,7 @@ class WindEstimator:
         self._t_s: float | None = None
         self._entered_s: dict[str, float] = {}
         self._tilt_s = 0.0
-        self._smooth: Smoothed | None = None
+        self._motion = MotionWatch()
         self._pitot = PitotWatch()
         self._rejected_since_s: float | None = None
         self._mass_kg: float | None = None
@@ -101,11 +101,11 @@ class WindEstimator:
         self._notice_mass(observation.mass_kg)
         left_out: list[str] = []
         if observation.airborne:
-            left_out += self._take_tilt(observation, dt_s)
+            left_out += self._take_tilt(observation)
             left_out += self._take_pitot(observation)
             left_out += self._take_vector(observation, dt_s)
         else:
-            self._smooth = None
+            self._motion.forget()
         left_out += self._take_autopilot(observation)
         return tuple(left_out)
 
@@ -167,32 +167,31 @@ class WindEstimator:
                 state.open_gain(self._params.gain_parcel_std_frac**2)
         self._mass_kg = mass_kg
 
-    def _take_tilt(self, seen: WindObservation, dt_s: float) -> list[str]:
+    def _take_tilt(self, seen: WindObservation) -> list[str]:
         if not has_tilt(seen):
-            if seen.vel_ned_mps is None or seen.roll_rad is None or seen.pitch_rad is None:
-                self._smooth = None
+            self._motion.forget()
             return []
         p = self._params
-        self._smooth = smooth = smoothed(self._smooth, seen, dt_s, p.smoothing_s)
-        if smooth.age_s < 3.0 * p.smoothing_s:
+        motion = self._motion.take(seen, p)
+        if motion.since_s is None:
             return []
         believed, rejected = self._believed, False
         for state in self._states():
             prior, prior_cov = state.x.copy(), state.cov.copy()
             known = state.wind_std_mps < p.scalar_wind_std_mps
-            taken = take_tilt(state, self._airframe, p, seen, smooth, dt_s)
+            taken = take_tilt(state, self._airframe, p, seen, motion)
             if taken.is_outlier(p.gate_sigmas):
                 state.x, state.cov = prior, prior_cov
                 rejected = rejected or state is believed
             elif known:
                 state.turbulence.corrected(
-                    taken.wind_step_ne_mps, taken.wind_step_variance_m2ps2, dt_s
+                    taken.wind_step_ne_mps, taken.wind_step_variance_m2ps2, motion.since_s
                 )
         if rejected:
             return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None
         self._entered_s["tilt"] = seen.t_s
-        self._tilt_s += dt_s
+        self._tilt_s += motion.since_s
         return []
 
     def _doubt_tilt(self, t_s: float) -> list[str]:

@@ -5,6 +5,7 @@ from the vertical balance. No accelerometer, no throttle: only attitude and grou
 every autopilot sends.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -13,26 +14,10 @@ import numpy as np
 from companion.core.airframe import Airframe
 from companion.core.power import GRAVITY_MPS2
 from companion.core.wind_observation import WindObservation
-from companion.core.wind_state import STATES, FloatArray, WindEstimatorParams, WindState
+from companion.core.wind_state import STATES, At, FloatArray, WindEstimatorParams, WindState
 
 _GREATEST_TILT_RAD = 1.2
 _GREATEST_LOG_GAIN = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Smoothed:
-    """Velocity and horizontal drag acceleration through one and the same low-pass filter (NED)."""
-
-    age_s: float
-    velocity_n: float
-    velocity_e: float
-    velocity_d: float
-    thrust_n: float
-    thrust_e: float
-    accel_n: float
-    accel_e: float
-    accel_d: float
-    transient_mps2: float  # thrust now less thrust smoothed
 
 
 def has_tilt(seen: WindObservation) -> bool:
@@ -44,31 +29,90 @@ def has_tilt(seen: WindObservation) -> bool:
     return max(abs(seen.roll_rad), abs(seen.pitch_rad)) <= _GREATEST_TILT_RAD
 
 
-def smoothed(
-    before: Smoothed | None, seen: WindObservation, dt_s: float, memory_s: float
-) -> Smoothed:
-    """The low-pass filters one step on; what a filtered velocity gains IS the acceleration."""
-    north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
-    lift = GRAVITY_MPS2 - (before.accel_d if before else 0.0)
-    thrust_n, thrust_e = _thrust_ne(seen, lift)
-    if before is None or not 0.0 < dt_s < 1.0:
-        return Smoothed(0.0, north, east, down, thrust_n, thrust_e, 0.0, 0.0, 0.0, 0.0)
-    share = 1.0 - math.exp(-dt_s / memory_s)
-    step_n = share * (north - before.velocity_n)
-    step_e = share * (east - before.velocity_e)
-    step_d = share * (down - before.velocity_d)
-    return Smoothed(
-        before.age_s + dt_s,
-        before.velocity_n + step_n,
-        before.velocity_e + step_e,
-        before.velocity_d + step_d,
-        before.thrust_n + share * (thrust_n - before.thrust_n),
-        before.thrust_e + share * (thrust_e - before.thrust_e),
-        step_n / dt_s,
-        step_e / dt_s,
-        step_d / dt_s,
-        math.hypot(thrust_n - before.thrust_n, thrust_e - before.thrust_e),
-    )
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Velocity as reported (NED), and what it changed by since the report before.
+
+    `thrust_*` is the horizontal thrust acceleration when that velocity was so: velocity comes later
+    than attitude. `turning_mps2` is how much the thrust changed meanwhile. `since_s` is None where
+    there is no report before, and no acceleration.
+    """
+
+    velocity_n: float
+    velocity_e: float
+    accel_n: float
+    accel_e: float
+    thrust_n: float
+    thrust_e: float
+    turning_mps2: float
+    since_s: float | None
+
+
+class MotionWatch:
+    """Turns reports of velocity and attitude into motion."""
+
+    __slots__ = ("_before", "_sink_mps", "_sinking_mps2", "_thrusts")
+
+    LONGEST_S = 1.0  # a longer gap hides what the vehicle did
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """The vehicle is on the ground, or nothing was heard."""
+        self._before: tuple[float, float, float] | None = None  # t_s, north, east
+        self._sink_mps: float | None = None
+        self._sinking_mps2 = 0.0
+        self._thrusts: list[tuple[float, float, float]] = []  # t_s, north, east
+
+    def take(self, seen: WindObservation, p: WindEstimatorParams) -> Motion:
+        """One observation that `has_tilt`."""
+        north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
+        before = self._before
+        since_s = None if before is None else seen.t_s - before[0]
+        if since_s is not None and since_s > self.LONGEST_S:
+            self.forget()
+            since_s = None
+        self._sink(down, since_s, p.sink_smoothing_s)
+        thrust = _thrust_ne(seen, GRAVITY_MPS2 - self._sinking_mps2)
+        late = [t for t in self._thrusts if t[0] > seen.t_s - p.latency_s - self.LONGEST_S]
+        self._thrusts = [*late, (seen.t_s, *thrust)]
+        self._before = (seen.t_s, north, east)
+        if before is None or since_s is None:
+            return Motion(north, east, 0.0, 0.0, *thrust, 0.0, None)
+        start = self._thrust_at(before[0] - p.latency_s)
+        end = self._thrust_at(seen.t_s - p.latency_s)
+        return Motion(
+            north,
+            east,
+            (north - before[1]) / since_s,
+            (east - before[2]) / since_s,
+            0.5 * (start[0] + end[0]),
+            0.5 * (start[1] + end[1]),
+            math.hypot(end[0] - start[0], end[1] - start[1]),
+            since_s,
+        )
+
+    def _sink(self, down_mps: float, since_s: float | None, memory_s: float) -> None:
+        if self._sink_mps is None or since_s is None:
+            self._sink_mps, self._sinking_mps2 = down_mps, 0.0
+            return
+        step = (1.0 - math.exp(-since_s / memory_s)) * (down_mps - self._sink_mps)
+        self._sink_mps += step
+        self._sinking_mps2 = step / since_s
+
+    def _thrust_at(self, t_s: float) -> tuple[float, float]:
+        """Between the reports about `t_s`; the first one before them."""
+        later = self._thrusts[0]
+        for early, late in itertools.pairwise(self._thrusts):
+            later = late
+            if late[0] >= t_s:
+                share = min(max((t_s - early[0]) / (late[0] - early[0]), 0.0), 1.0)
+                return (
+                    early[1] + share * (late[1] - early[1]),
+                    early[2] + share * (late[2] - early[2]),
+                )
+        return later[1], later[2]
 
 
 def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
@@ -93,15 +137,15 @@ class DragSeen:
 
 
 def drag_seen(
-    airframe: Airframe, mass_kg: float, x: FloatArray, smooth: Smoothed, yaw_rad: float
+    airframe: Airframe, mass_kg: float, x: FloatArray, motion: Motion, yaw_rad: float
 ) -> DragSeen:
     """What drag was measured, and what the state `x` makes of it."""
-    mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned, _, _ = x.tolist()
+    mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
     heading = yaw_rad + turned
     cos, sin = math.cos(heading), math.sin(heading)
     gain_f, gain_r = _gain(log_f), _gain(log_r)
-    air_n = smooth.velocity_n - mean_n - gust_n
-    air_e = smooth.velocity_e - mean_e - gust_e
+    air_n = motion.velocity_n - mean_n - gust_n
+    air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
     speed = max(math.hypot(forward, right), 1e-3)
     k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
@@ -114,18 +158,25 @@ def drag_seen(
     rr = gain_r * (k_r + q_r * (speed + right * right / speed)) / mass_kg
     rf = gain_r * q_r * forward * right / speed / mass_kg
     # The acceleration is the ground track's, the thrust the body's: only the first turns.
-    accel_f = cos * smooth.accel_n + sin * smooth.accel_e
-    accel_r = cos * smooth.accel_e - sin * smooth.accel_n
+    # What the reports' noise adds to their difference is known as far as the states know it.
+    dt_s = motion.since_s or 1.0
+    noise_n, noise_e, before_n, before_e = x[At.NOISE :].tolist()
+    accel_n = motion.accel_n - (noise_n - before_n) / dt_s
+    accel_e = motion.accel_e - (noise_e - before_e) / dt_s
+    accel_f = cos * accel_n + sin * accel_e
+    accel_r = cos * accel_e - sin * accel_n
     yaw_cos, yaw_sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    thrust_f = yaw_cos * smooth.thrust_n + yaw_sin * smooth.thrust_e
-    thrust_r = yaw_cos * smooth.thrust_e - yaw_sin * smooth.thrust_n
+    thrust_f = yaw_cos * motion.thrust_n + yaw_sin * motion.thrust_e
+    thrust_r = yaw_cos * motion.thrust_e - yaw_sin * motion.thrust_n
     turn_f = fr * forward - ff * right - accel_r
     turn_r = rr * forward - rf * right + accel_f
     fn, fe = ff * cos - fr * sin, ff * sin + fr * cos
     rn, re = rf * cos - rr * sin, rf * sin + rr * cos
     g = GRAVITY_MPS2
     row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -drag_f, 0.0, turn_f, 0.0, 0.0]
+    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s]
     row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -drag_r, turn_r, 0.0, 0.0]
+    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s]
     return DragSeen(
         measured=(accel_f - thrust_f, accel_r - thrust_r),
         expected=(-drag_f + g * trim_f, -drag_r + g * trim_r),
@@ -161,8 +212,7 @@ def take_tilt(
     airframe: Airframe,
     params: WindEstimatorParams,
     seen: WindObservation,
-    smooth: Smoothed,
-    dt_s: float,
+    motion: Motion,
 ) -> TiltTaken:
     """Correct `state` by one measurement of drag.
 
@@ -174,14 +224,14 @@ def take_tilt(
     innovations, noises = (0.0, 0.0), (0.0, 0.0)
     rows: tuple[FloatArray, FloatArray] = (prior, prior)
     for _ in range(rounds):
-        drag = drag_seen(airframe, seen.mass_kg, state.x, smooth, seen.yaw_rad or 0.0)
+        drag = drag_seen(airframe, seen.mass_kg, state.x, motion, seen.yaw_rad or 0.0)
         rows = drag.rows
         ahead = [float(row @ (prior - state.x)) for row in rows]
         left = [drag.measured[i] - drag.expected[i] - ahead[i] for i in (0, 1)]
         innovations = (left[0], left[1])
         noises = (
-            _noise(state, airframe, params, drag, 0, smooth, dt_s),
-            _noise(state, airframe, params, drag, 1, smooth, dt_s),
+            _noise(state, airframe, params, drag, 0, motion),
+            _noise(state, airframe, params, drag, 1, motion),
         )
         state.airspeed_mps = drag.airspeed_mps
         state.x, state.cov = prior.copy(), prior_cov.copy()
@@ -213,14 +263,14 @@ def _noise(
     p: WindEstimatorParams,
     drag: DragSeen,
     axis: int,
-    smooth: Smoothed,
-    dt_s: float,
+    motion: Motion,
 ) -> float:
     """Variance of one drag measurement: sensors, gusts too fast for the filter, what a transient's
     delays do, and what the drag model errs by for seconds on end."""
     row = drag.rows[axis]
     gust = p.fast_gust_m2ps * state.scale * float(row[0] ** 2 + row[1] ** 2)
-    transient = (p.delay_std_s / p.smoothing_s * smooth.transient_mps2) ** 2 * p.smoothing_s
+    dt_s = max(motion.since_s or 0.1, 0.02)
+    late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
     off = airframe.drag.model_std_frac * drag.size_mps2
     model = 2.0 * p.model_memory_s * off**2
-    return (p.tilt_noise_m2ps3 + gust + transient + model) / max(dt_s, 0.02)
+    return (p.tilt_noise_m2ps3 + gust + model) / dt_s + late

@@ -1,15 +1,18 @@
 """The wind filter's state: what it holds, how it moves by itself, how it is corrected.
 
-State, 13: the slow mean of the wind to north and east (m/s), the gust on top of it (m/s), the mean
+State, 17: the slow mean of the wind to north and east (m/s), the gust on top of it (m/s), the mean
 of both over the last seconds (m/s), tilt trim along body forward and right (rad), logarithm of the
 drag gain of either axis, error of the heading (rad), logarithm of the airspeed's scale, airspeed's
-bias (m/s).
+bias (m/s), noise of the velocity reported last and of the one before, to north and east (m/s).
 
 - Gusts are Ornstein-Uhlenbeck: as strong as a share of the wind, and as short as the vehicle takes
   through an eddy, length over airspeed (frozen turbulence, Taylor 1938). The slow mean walks.
 - What is asked for is the mean over the 10 s about now. Half of it has been flown: the third pair of
   states, a lag of about the mean age. The other half is foretold: the slow mean, and what is left of
   the gust; what cannot be foretold of it widens the covariance.
+- An acceleration is the difference of two velocities that are reported with noise; as the noise of
+  the one is in the next difference too, with the other sign, it is a state (so no low-pass is needed,
+  and none delays the wind).
 - Trims, gains and scales have priors of the airframe, and walk by little: on one heading for ever
   they stay apart from the wind only by those priors, and the covariance says so.
 """
@@ -25,7 +28,7 @@ from numpy.typing import NDArray
 from companion.core.airframe import Airframe
 
 FloatArray = NDArray[np.float64]
-STATES = 13
+STATES = 17
 
 
 class At(IntEnum):
@@ -39,6 +42,8 @@ class At(IntEnum):
     HEADING = 10
     LOG_SCALE = 11
     BIAS = 12
+    NOISE = 13
+    NOISE_BEFORE = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +68,11 @@ class WindEstimatorParams:
     gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
-    smoothing_s: float = 0.3
-    tilt_noise_m2ps3: float = 0.1**2 * 0.2  # attitude and velocity noise, as spectral density
-    delay_std_s: float = 0.15  # between attitude and velocity as reported
+    velocity_std_mps: float = 0.05  # u-blox M8 data sheet
+    latency_s: float = 0.12  # of velocity behind attitude: PX4 EKF2_GPS_DELAY 110 ms
+    latency_std_s: float = 0.06  # [est]
+    sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
+    tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
     model_memory_s: float = 5.0  # [est] how long the drag model errs the same way
     known_wind_std_mps: float = 1.5
     pitot_scale_std_frac: float = 0.08  # [est] position error beside rotors
@@ -134,7 +141,7 @@ class Turbulence:
 
 
 class WindState:
-    """Mean and covariance of the 13 states; one hypothesis of what is so."""
+    """Mean and covariance of the 17 states; one hypothesis of what is so."""
 
     __slots__ = ("_params", "airspeed_mps", "cov", "turbulence", "x")
 
@@ -195,6 +202,8 @@ class WindState:
         move[_LATELY, _LATELY] = 1.0 - taken
         move[_LATELY, _MEAN] = taken
         move[_LATELY, _GUST] = taken
+        move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
+        move[_NOISE_BEFORE, _NOISE] = 1.0
         self.x = move @ self.x
         self.cov = move @ self.cov @ move.T
         walk = p.mean_walk_m2ps3 * self.scale * dt_s
@@ -202,8 +211,10 @@ class WindState:
         trim, gain = p.trim_walk_rad2ps * dt_s, p.gain_walk_per_s * dt_s
         pitot = p.pitot_walk_per_s * dt_s
         heading = p.heading_walk_rad2ps * dt_s
+        new = p.velocity_std_mps**2
         self.cov[_DIAGONAL] += (
             *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
+            *(new, new, 0.0, 0.0),
         )
 
     def correct(self, row: FloatArray, innovation: float, noise: float) -> None:
@@ -216,18 +227,22 @@ class WindState:
         self.cov *= 0.5
 
     def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago."""
+        """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago.
+
+        What is known is as old as the velocity is late: so much more is still to come.
+        """
         p = self._params
         memory_s = self.gust_memory_s
-        left = 0.5 * memory_s / _AHEAD_S * (1.0 - math.exp(-_AHEAD_S / memory_s))
+        ahead_s = 0.5 * _WINDOW_S + p.latency_s
+        share = ahead_s / _WINDOW_S
         rows = np.zeros((2, STATES))
-        rows[_PAIR, _MEAN] = 0.5
-        rows[_PAIR, _LATELY] = 0.5
-        rows[_PAIR, _GUST] = left
+        rows[_PAIR, _MEAN] = share
+        rows[_PAIR, _LATELY] = 1.0 - share
+        rows[_PAIR, _GUST] = share * memory_s / ahead_s * (1.0 - math.exp(-ahead_s / memory_s))
         variance = self.gust_variance_m2ps2
-        unforeseen = 0.25 * variance * _mean_variance(_AHEAD_S / memory_s)
+        unforeseen = share**2 * variance * _mean_variance(ahead_s / memory_s)
         lag = 0.25 * _LAG_MISFIT_S * 2.0 * variance / memory_s
-        walked = p.mean_walk_m2ps3 * self.scale * (waited_s + _AHEAD_S / 12.0)
+        walked = p.mean_walk_m2ps3 * self.scale * (waited_s + ahead_s / 12.0)
         blown = 2.0 * variance * (1.0 - math.exp(-waited_s / memory_s))
         spread = unforeseen + lag + walked + blown + p.floor_std_mps**2
         cov = rows @ self.cov @ rows.T
@@ -245,13 +260,15 @@ class WindState:
         self.cov[At.LOG_GAIN : At.HEADING, At.LOG_GAIN : At.HEADING] += variance
 
 
-_AHEAD_S = 5.0
+_WINDOW_S = 10.0
 _LAG_MISFIT_S = 0.075  # integral of (mean of 5 s less lag of 2.7 s)^2 over a random walk's past
 _DIAGONAL = (tuple(range(STATES)), tuple(range(STATES)))
 _PAIR = [0, 1]
 _MEAN = [At.MEAN, At.MEAN + 1]
 _GUST = [At.GUST, At.GUST + 1]
 _LATELY = [At.LATELY, At.LATELY + 1]
+_NOISE = [At.NOISE, At.NOISE + 1]
+_NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
 
 
 def _mean_variance(spans: float) -> float:
@@ -269,6 +286,7 @@ def _prior_cov(airframe: Airframe, p: WindEstimatorParams) -> FloatArray:
     common, own = drag.gain_std_frac**2, drag.axis_gain_std_frac**2
     diagonal = [wind, wind, gust, gust, wind, wind, trim, trim, common + own, common + own]
     diagonal += [p.prior_heading_std_rad**2, p.pitot_scale_std_frac**2, p.pitot_bias_std_mps**2]
+    diagonal += [p.velocity_std_mps**2] * 4
     cov = np.diag(diagonal)
     cov[At.LOG_GAIN, At.LOG_GAIN + 1] = cov[At.LOG_GAIN + 1, At.LOG_GAIN] = common
     cov[_MEAN, _LATELY] = cov[_LATELY, _MEAN] = wind

@@ -11,8 +11,9 @@ The model for which it is a bound: the mean wind is unknown (std 8 m/s an axis) 
 for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and across the
 mean wind, of known intensity, scale and direction; each drag coefficient set is known to a common and
 an own factor; tilt carries a wandering bias and white noise, heading a constant one; velocity is
-sampled at 10 Hz with white noise. What helps an estimator and is given to it for nothing: thrust and
-vertical wind, the velocity's latency, the heading's noise, the time of the ramp. So no causal
+sampled at 10 Hz with white noise. Thrust comes from the vertical balance, which vertical gusts disturb.
+What helps an estimator and is given to it for nothing: the velocity's latency, the heading's and the
+vertical velocity's noise, the time of the ramp. So no causal
 estimator in this world does better, on average over flights; one that reaches the bound may not exist.
 """
 
@@ -44,11 +45,14 @@ _GRAVITY_MPS2 = 9.80665
 _DENSITY_KGPM3 = 1.2041  # the vehicle's air: sea level, 20 deg C
 _LEAST_SPEED_MPS = 0.5
 _ROOT3 = math.sqrt(3.0)
+_LATERAL = np.array([[0.5, 0.25], [0.25, 0.25]])  # stationary spread of the lateral filter's states
+_LATERAL_OUT = np.array([_ROOT3, 1.0 - _ROOT3])
 
 # Where a state stands: mean wind (along, across), its rate, the gusts' filters (one along, two
-# across), velocity noise now and before (2 each), trims, log drag factors, heading bias; then the
+# across, two down), velocity noise now and before (2 each), trims, log drag factors, heading bias; then the
 # wind at the last 50 samples, newest first, along and across in turn.
-MEAN, RATE, ALONG, ACROSS, NOW, BEFORE, TRIM, GAIN, HEADING, PAST = 0, 2, 4, 5, 7, 9, 11, 13, 15, 16
+MEAN, RATE, ALONG, ACROSS, DOWN, NOW, BEFORE, TRIM, GAIN, HEADING = 0, 2, 4, 5, 7, 9, 11, 13, 15, 17
+PAST = 18
 SIZE = PAST + 2 * HALF_WINDOW
 
 
@@ -68,13 +72,13 @@ def wind_bound(flights: Sequence[EnvelopeFlight]) -> Bound:
     t_s = flights[0].t_s[:count]
     rmse = np.empty(count)
     for k in range(count):
-        sigma, memory_s = _gusts(flights, k)
-        cov = _moved(cov, flights[0].params, sigma, memory_s, float(t_s[k]))
+        gusts = _gusts(flights, k)
+        cov = _moved(cov, flights[0].params, gusts, float(t_s[k]))
         information = np.mean(
-            [_information(f, k, d) for f, d in zip(flights, directions, strict=True)], axis=0
+            [_information(f, k, d, gusts) for f, d in zip(flights, directions, strict=True)], axis=0
         )
         cov = _corrected(cov, information)
-        rmse[k] = math.sqrt(_mean_variance(cov, flights[0].params, sigma, memory_s))
+        rmse[k] = math.sqrt(_mean_variance(cov, flights[0].params, gusts))
     return Bound(t_s, rmse)
 
 
@@ -99,23 +103,33 @@ def _prior(params: AirframeTruth) -> Floats:
     cov[:PAST, :PAST] = np.diag(std**2)
     cov[ALONG, ALONG] = 1.0
     # the lateral filter's states, one behind the other, in their stationary spread
-    cov[ACROSS : ACROSS + 2, ACROSS : ACROSS + 2] = [[0.5, 0.25], [0.25, 0.25]]
+    for at in (ACROSS, DOWN):
+        cov[at : at + 2, at : at + 2] = _LATERAL
     common, own = DRAG_STD_FRAC**2, AXIS_STD_FRAC**2
     cov[GAIN : GAIN + 2, GAIN : GAIN + 2] = [[common + own, common], [common, common + own]]
     return cov
 
 
-def _gusts(flights: Sequence[EnvelopeFlight], k: int) -> tuple[float, float]:
-    """Gust intensity (m/s) and memory (s) at sample k, over the flights."""
-    sigma, memory = [], []
+@dataclass(frozen=True, slots=True)
+class _Gusts:
+    """Intensity (m/s) and memory (s) of the gusts, level and vertical, at one sample."""
+
+    level_mps: float
+    down_mps: float
+    level_s: float
+    down_s: float
+
+
+def _gusts(flights: Sequence[EnvelopeFlight], k: int) -> _Gusts:
+    """Over the flights."""
+    found = []
     for flight in flights:
         so = flight.samples[k].truth
-        height = -so.pos_ned_m[2]
-        sigma.append(
-            dryden_intensities_mps(height, float(np.linalg.norm(flight.mean_wind_ne_mps[k])))[0]
-        )
-        memory.append(dryden_scales_m(height)[0] / max(_airspeed(flight.samples[k]), _LEAST_SPEED_MPS))
-    return float(np.mean(sigma)), float(np.mean(memory))
+        height, wind = -so.pos_ned_m[2], float(np.linalg.norm(flight.mean_wind_ne_mps[k]))
+        speed = max(_airspeed(flight.samples[k]), _LEAST_SPEED_MPS)
+        level_m, down_m = dryden_scales_m(height)
+        found.append([*dryden_intensities_mps(height, wind), level_m / speed, down_m / speed])
+    return _Gusts(*np.mean(found, axis=0).tolist())
 
 
 def _airspeed(sample: Sample) -> float:
@@ -123,122 +137,131 @@ def _airspeed(sample: Sample) -> float:
     return math.dist(so.vel_ned_mps, so.wind_to_ned_mps)
 
 
-def _transition(memory_s: float, trim_time_s: float, ramping: bool) -> tuple[Floats, Floats]:
+def _transition(
+    params: AirframeTruth, gusts: _Gusts, *, ramping: bool
+) -> tuple[Floats, Floats]:
     """F and Q of the states before PAST over one sample."""
-    keep = math.exp(-SAMPLE_S / memory_s)
-    phase = SAMPLE_S / memory_s
+    sensors = params.sensors
     f, q = np.eye(PAST), np.zeros((PAST, PAST))
     if ramping:
         f[MEAN, RATE] = f[MEAN + 1, RATE + 1] = SAMPLE_S
-    f[ALONG, ALONG] = keep
-    q[ALONG, ALONG] = 1.0 - keep**2
+    f[ALONG, ALONG] = math.exp(-SAMPLE_S / gusts.level_s)
+    q[ALONG, ALONG] = 1.0 - f[ALONG, ALONG] ** 2
     # x1 = noise through 1 / (1 + tau s), x2 = x1 through the same; stationary S, so Q = S - F S F'
-    block = slice(ACROSS, ACROSS + 2)
-    f[block, block] = [[keep, 0.0], [keep * phase, keep]]
-    spread = np.array([[0.5, 0.25], [0.25, 0.25]])
-    q[block, block] = spread - f[block, block] @ spread @ f[block, block].T
-    trim_keep = math.exp(-SAMPLE_S / trim_time_s)
-    f[TRIM, TRIM] = f[TRIM + 1, TRIM + 1] = trim_keep
+    for at, memory_s in ((ACROSS, gusts.level_s), (DOWN, gusts.down_s)):
+        phase = SAMPLE_S / memory_s
+        keep = math.exp(-phase)
+        move = np.array([[keep, 0.0], [keep * phase, keep]])
+        f[at : at + 2, at : at + 2] = move
+        q[at : at + 2, at : at + 2] = _LATERAL - move @ _LATERAL @ move.T
+    trim_keep = math.exp(-SAMPLE_S / sensors.tilt_bias_time_s)
     for axis in (0, 1):  # noise of this sample is new, that of the one before is remembered
         f[NOW + axis, NOW + axis] = 0.0
         f[BEFORE + axis, BEFORE + axis] = 0.0
         f[BEFORE + axis, NOW + axis] = 1.0
+        q[NOW + axis, NOW + axis] = sensors.gnss_velocity_noise_mps**2
+        f[TRIM + axis, TRIM + axis] = trim_keep
+        q[TRIM + axis, TRIM + axis] = math.radians(sensors.tilt_bias_deg) ** 2 * (1 - trim_keep**2)
     return f, q
 
 
-def _moved(cov: Floats, params: AirframeTruth, sigma: float, memory_s: float, t_s: float) -> Floats:
-    sensors = params.sensors
+def _moved(cov: Floats, params: AirframeTruth, gusts: _Gusts, t_s: float) -> Floats:
     ramping = WIND_STEP_AT_S < t_s <= WIND_STEP_AT_S + WIND_STEP_LASTS_S + 1e-6
-    f, q = _transition(memory_s, sensors.tilt_bias_time_s, ramping)
-    trim_keep = f[TRIM, TRIM]
-    bias = math.radians(sensors.tilt_bias_deg) ** 2 * (1.0 - trim_keep**2)
-    for axis in (0, 1):
-        q[NOW + axis, NOW + axis] = sensors.gnss_velocity_noise_mps**2
-        q[TRIM + axis, TRIM + axis] = bias
+    f, q = _transition(params, gusts, ramping=ramping)
+    wind = _wind_rows(gusts)[:2]
     whole = np.zeros((SIZE, SIZE))
     whole[:PAST, :PAST] = f
-    whole[PAST : PAST + 2, :PAST] = _wind_rows(sigma) @ f
+    whole[PAST : PAST + 2, :PAST] = wind @ f
     whole[PAST + 2 :, PAST:-2] = np.eye(SIZE - PAST - 2)
     lift = np.zeros((SIZE, PAST))
     lift[:PAST] = np.eye(PAST)
-    lift[PAST : PAST + 2] = _wind_rows(sigma)
+    lift[PAST : PAST + 2] = wind
     return whole @ cov @ whole.T + lift @ q @ lift.T
 
 
-def _wind_rows(sigma: float) -> Floats:
-    """The wind at the vehicle, along and across, as a function of the states before PAST."""
-    rows = np.zeros((2, PAST))
+def _wind_rows(gusts: _Gusts) -> Floats:
+    """The wind at the vehicle, along, across and down, as a function of the states before PAST."""
+    rows = np.zeros((3, PAST))
     rows[0, MEAN] = rows[1, MEAN + 1] = 1.0
-    rows[0, ALONG] = sigma
-    rows[1, ACROSS : ACROSS + 2] = sigma * _ROOT3, sigma * (1.0 - _ROOT3)
+    rows[0, ALONG] = gusts.level_mps
+    rows[1, ACROSS : ACROSS + 2] = gusts.level_mps * _LATERAL_OUT
+    rows[2, DOWN : DOWN + 2] = gusts.down_mps * _LATERAL_OUT
     return rows
 
 
-def _information(flight: EnvelopeFlight, k: int, to_wind: Floats) -> Floats:
+def _information(flight: EnvelopeFlight, k: int, to_wind: Floats, gusts: _Gusts) -> Floats:
     """H' R^-1 H of the horizontal acceleration that tilt does not explain, at the true state.
 
-    That acceleration is measured as the difference of two velocities less the thrust's.
+    That acceleration is the difference of two velocities less the thrust's, whose size the vertical
+    balance gives; so what drag does to that balance is in it, too.
     """
     sample = flight.samples[k]
     so, params = sample.truth, flight.params
     mass = params.empty_mass_kg
-    slope = np.empty((2, 2))
-    for axis in (0, 1):
-        shift = np.zeros(3)
-        shift[axis] = 1e-4
-        slope[:, axis] = (_drag(sample, params, shift) - _drag(sample, params, -shift)) / 2e-4
+    axes = _body_axes(sample)
+    lean = axes[2, :2] / axes[2, 2]  # horizontal over vertical thrust
+
+    def unexplained(shift_ned: Floats, factors: tuple[float, float]) -> Floats:
+        force = _drag_n(sample, params, axes, shift_ned, factors)
+        return (force[:2] - lean * force[2]) / mass
+
+    still = np.zeros(3)
+    slope = np.stack(
+        [
+            (unexplained(shift, (1.0, 1.0)) - unexplained(-shift, (1.0, 1.0))) / 2e-4
+            for shift in 1e-4 * np.eye(3)
+        ],
+        axis=1,
+    )
+    turn = np.eye(3)
+    turn[:2, :2] = to_wind.T
     forward = np.array([math.cos(so.yaw_rad), math.sin(so.yaw_rad)])
     right = np.array([-forward[1], forward[0]])
-    drag = _drag(sample, params, np.zeros(3)) / mass
-    pull = sample.thrust_n / mass * math.cos(so.roll_rad) * math.cos(so.pitch_rad)
-    across = np.array([[0.0, -1.0], [1.0, 0.0]]) @ _thrust_h(sample) / mass
+    lift = _GRAVITY_MPS2
     h = np.zeros((2, PAST))  # in north and east
-    on_wind = -slope / mass @ to_wind.T  # the wind's columns are along and across
-    sigma = dryden_intensities_mps(
-        -so.pos_ned_m[2], float(np.linalg.norm(flight.mean_wind_ne_mps[k]))
-    )[0]
-    h[:, :PAST] = on_wind @ _wind_rows(sigma)
+    h += -slope @ turn @ _wind_rows(gusts)
     h[:, NOW : NOW + 2] = to_wind.T / SAMPLE_S
     h[:, BEFORE : BEFORE + 2] = -to_wind.T / SAMPLE_S
-    h[:, TRIM], h[:, TRIM + 1] = pull * forward, pull * right
-    h[:, GAIN] = forward * float(forward @ drag)
-    h[:, GAIN + 1] = right * float(right @ drag)
-    h[:, HEADING] = across
-    noise = (pull * math.radians(params.sensors.tilt_noise_deg)) ** 2
+    h[:, TRIM], h[:, TRIM + 1] = lift * forward, lift * right
+    for axis, (up, down) in enumerate((((1.0001, 1.0), (0.9999, 1.0)), ((1.0, 1.0001), (1.0, 0.9999)))):
+        h[:, GAIN + axis] = (unexplained(still, up) - unexplained(still, down)) / 2e-4
+    h[:, HEADING] = lift * np.array([-lean[1], lean[0]])
+    noise = (lift * math.radians(params.sensors.tilt_noise_deg)) ** 2
     return h.T @ h / noise
 
 
-def _thrust_h(sample: Sample) -> Floats:
+def _body_axes(sample: Sample) -> Floats:
+    """Forward, right and down of the body in NED, as rows."""
     so = sample.truth
     sr, cr = math.sin(so.roll_rad), math.cos(so.roll_rad)
     sp, cp = math.sin(so.pitch_rad), math.cos(so.pitch_rad)
     sy, cy = math.sin(so.yaw_rad), math.cos(so.yaw_rad)
-    return -sample.thrust_n * np.array([cr * sp * cy + sr * sy, cr * sp * sy - sr * cy])
-
-
-def _drag(sample: Sample, params: AirframeTruth, shift: Floats) -> Floats:
-    """The truth's drag force to north and east (N) with the air velocity shifted: rotor drag linear
-    along body axes and growing with the root of thrust, parasite drag square (truth.airframe)."""
-    so = sample.truth
-    air = np.array(so.vel_ned_mps) - np.array(so.wind_to_ned_mps) + shift
-    sr, cr = math.sin(so.roll_rad), math.cos(so.roll_rad)
-    sp, cp = math.sin(so.pitch_rad), math.cos(so.pitch_rad)
-    sy, cy = math.sin(so.yaw_rad), math.cos(so.yaw_rad)
-    axes = np.array(
+    return np.array(
         [
             [cp * cy, cp * sy, -sp],
             [sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp],
             [cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp],
         ]
     )
-    body = axes @ air
-    speed = float(np.linalg.norm(air))
-    drag = params.drag
+
+
+def _drag_n(
+    sample: Sample,
+    params: AirframeTruth,
+    axes: Floats,
+    shift_ned: Floats,
+    factors: tuple[float, float],
+) -> Floats:
+    """The truth's drag force in NED (N) with the air velocity shifted: rotor drag linear along body
+    axes and growing with the root of thrust, parasite drag square (truth.airframe)."""
+    so, drag = sample.truth, params.drag
+    body = axes @ (np.array(so.vel_ned_mps) - np.array(so.wind_to_ned_mps) + shift_ned)
     rotor = math.sqrt(max(sample.thrust_n, 0.0) / (params.empty_mass_kg * _GRAVITY_MPS2))
     linear = rotor * np.array([drag.rotor_forward_nspm, drag.rotor_sideways_nspm, 0.0])
     areas = [drag.parasite_forward_m2, drag.parasite_sideways_m2, drag.parasite_vertical_m2]
-    force = -(linear + 0.5 * _DENSITY_KGPM3 * speed * np.array(areas)) * body
-    return (axes.T @ force)[:2]
+    pressure = 0.5 * _DENSITY_KGPM3 * float(np.linalg.norm(body))
+    force = -(linear + pressure * np.array(areas)) * body * np.array([*factors, 1.0])
+    return axes.T @ force
 
 
 def _corrected(cov: Floats, information: Floats) -> Floats:
@@ -252,25 +275,17 @@ def _corrected(cov: Floats, information: Floats) -> Floats:
     return 0.5 * (moved + moved.T)
 
 
-def _mean_variance(cov: Floats, params: AirframeTruth, sigma: float, memory_s: float) -> float:
+def _mean_variance(cov: Floats, params: AirframeTruth, gusts: _Gusts) -> float:
     """Variance, both axes together, of the mean over the 5 s past and the 5 s to come."""
-    f, q = _transition(memory_s, params.sensors.tilt_bias_time_s, ramping=False)
-    wind = _wind_rows(sigma)
-    ahead = np.zeros((2, PAST))
-    power = np.eye(PAST)
-    powers = []
-    for _ in range(HALF_WINDOW):
-        power = f @ power
-        powers.append(power)
-        ahead += wind @ power
+    f, q = _transition(params, gusts, ramping=False)
+    wind = _wind_rows(gusts)[:2]
     rows = np.zeros((2, SIZE))
-    rows[:, :PAST] = ahead
     rows[0, PAST::2] = rows[1, PAST + 1 :: 2] = 1.0
-    rows /= 2 * HALF_WINDOW
     to_come = np.zeros((2, 2))
-    left = wind.copy()  # what noise of the last step adds, then of the one before, ...
-    for power in powers:
-        to_come += left @ q @ left.T
-        left = left + wind @ power
-    to_come /= (2 * HALF_WINDOW) ** 2
-    return float(np.trace(rows @ cov @ rows.T + to_come))
+    later = wind  # what a noise adds to the sum of winds after it, the last noise first
+    for _ in range(HALF_WINDOW):
+        to_come += later @ q @ later.T
+        later = wind + later @ f
+    rows[:, :PAST] = later - wind
+    size = 2 * HALF_WINDOW
+    return float(np.trace(rows @ cov @ rows.T + to_come)) / size**2
