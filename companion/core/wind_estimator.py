@@ -185,7 +185,10 @@ class WindEstimator:
                 rejected = rejected or state is believed
             elif known:
                 state.turbulence.corrected(
-                    taken.wind_step_ne_mps, taken.wind_step_variance_m2ps2, motion.since_s
+                    taken.wind_step_ne_mps,
+                    taken.wind_step_variance_m2ps2,
+                    taken.surprise,
+                    motion.since_s,
                 )
         if rejected:
             return self._doubt_tilt(seen.t_s)

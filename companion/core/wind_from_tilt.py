@@ -14,7 +14,7 @@ import numpy as np
 from companion.core.airframe import Airframe
 from companion.core.power import GRAVITY_MPS2
 from companion.core.wind_observation import WindObservation
-from companion.core.wind_state import STATES, At, FloatArray, WindEstimatorParams, WindState
+from companion.core.wind_state import At, FloatArray, WindEstimatorParams, WindState
 
 _GREATEST_TILT_RAD = 1.2
 _GREATEST_LOG_GAIN = 2.0
@@ -200,6 +200,12 @@ class TiltTaken:
     wind_step_ne_mps: tuple[float, float]
     wind_step_variance_m2ps2: float
 
+    @property
+    def surprise(self) -> float:
+        """Mean normalised square of the innovation; 1 as expected."""
+        pairs = zip(self.innovations, self.variances, strict=True)
+        return 0.5 * sum(e * e / s for e, s in pairs)
+
     def is_outlier(self, sigmas: float) -> bool:
         """Whether either axis is more than `sigmas` off."""
         limit = sigmas**2
@@ -238,23 +244,17 @@ def take_tilt(
         for i in (0, 1):
             moved = float(rows[i] @ (state.x - prior))
             state.correct(rows[i], innovations[i] - moved, noises[i])
-    step = state.x - prior
-    gained = prior_cov - state.cov
+    step = (state.x - prior).tolist()
+    gained = prior_cov[:4, :4] - state.cov[:4, :4]
     return TiltTaken(
         innovations,
         (
             float(rows[0] @ prior_cov @ rows[0]) + noises[0],
             float(rows[1] @ prior_cov @ rows[1]) + noises[1],
         ),
-        (float(step[0] + step[2]), float(step[1] + step[3])),
-        float(np.einsum("i,ij,j->", _WIND_N, gained, _WIND_N))
-        + float(np.einsum("i,ij,j->", _WIND_E, gained, _WIND_E)),
+        (step[0] + step[2], step[1] + step[3]),
+        float(np.trace(gained) + 2.0 * (gained[0, 2] + gained[1, 3])),
     )
-
-
-_WIND_N, _WIND_E = np.zeros(STATES), np.zeros(STATES)
-_WIND_N[[0, 2]] = 1.0
-_WIND_E[[1, 3]] = 1.0
 
 
 def _noise(

@@ -52,14 +52,14 @@ class WindEstimatorParams:
 
     [coast] from shared/data/wind/coast_2023_1hz.csv, mean wind 8.4 m/s: half the variance of what
     the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035 of the mean wind
-    squared, each axis; a gust of 14 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
+    squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
     """
 
     prior_wind_std_mps: float = 8.0
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
-    gust_frac: float = 0.14  # [coast] of the mean wind, before the flight has shown its own
-    gust_length_m: float = 60.0  # [coast] 40 m near the ground, 140 m at 25 m (MIL-F-8785C)
-    fast_gust_m2ps: float = 0.2  # gusts too fast for the filter, as noise, at the reference wind
+    gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
+    gust_length_m: float = 80.0  # [coast] 40 m near the ground, 140 m at 25 m (MIL-F-8785C)
+    fast_gust_m2ps: float = 0.1  # gusts too fast for the filter, as noise, at the reference wind
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
     lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
@@ -68,9 +68,9 @@ class WindEstimatorParams:
     gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
-    velocity_std_mps: float = 0.05  # u-blox M8 data sheet
-    latency_s: float = 0.12  # of velocity behind attitude: PX4 EKF2_GPS_DELAY 110 ms
-    latency_std_s: float = 0.06  # [est]
+    velocity_std_mps: float = 0.06  # u-blox M8 data sheet says 0.05, unfused
+    latency_s: float = 0.05  # of velocity behind attitude: 0 where both are fused, 0.12 s raw GNSS
+    latency_std_s: float = 0.08  # [est]
     sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
     tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
     model_memory_s: float = 5.0  # [est] how long the drag model errs the same way
@@ -105,7 +105,8 @@ class Turbulence:
     """How gusty it is here: the gusts' variance over the prior's, learned in flight.
 
     A filter that is right about gusts corrects its wind, over some seconds, by as much as it expects
-    to (covariance matching, Mehra 1972). Where it corrects more, gusts are stronger.
+    to (covariance matching, Mehra 1972). Where it corrects more, gusts are stronger. Where single
+    readings are better, or worse, than their stated noise, so are the corrections: that is no gust.
     """
 
     ratio: float = 1.0
@@ -113,31 +114,41 @@ class Turbulence:
     north_mps: float = 0.0
     east_mps: float = 0.0
     expected_m2ps2: float = 0.0
+    noise: float = 0.0
     seconds: float = 0.0
 
     WINDOW_S: ClassVar[float] = 2.0
     PRIOR_WINDOWS: ClassVar[int] = 15
     MOST_WINDOWS: ClassVar[int] = 60  # two minutes: weather changes
     MOST_SURPRISE: ClassVar[float] = 9.0
-    RANGE: ClassVar[tuple[float, float]] = (0.02, 10.0)
+    LEAST_NOISE: ClassVar[float] = 0.05
+    RANGE: ClassVar[tuple[float, float]] = (0.05, 4.0)
 
     def corrected(
-        self, step_ne_mps: tuple[float, float], expected_m2ps2: float, dt_s: float
+        self,
+        step_ne_mps: tuple[float, float],
+        expected_m2ps2: float,
+        surprise: float,
+        dt_s: float,
     ) -> None:
-        """The wind was corrected by this much, where a variance of so much was expected."""
+        """The wind was corrected by this much, where a variance of so much was expected;
+        `surprise` is the normalised square of the innovation, 1 as expected."""
         self.north_mps += step_ne_mps[0]
         self.east_mps += step_ne_mps[1]
         self.expected_m2ps2 += expected_m2ps2
+        self.noise += surprise * dt_s
         self.seconds += dt_s
         if self.seconds < self.WINDOW_S:
             return
         size = self.north_mps**2 + self.east_mps**2
-        surprise = min(size / max(self.expected_m2ps2, 1e-9), self.MOST_SURPRISE)
+        noise = max(self.noise / self.seconds, self.LEAST_NOISE)
+        excess = min(size / max(self.expected_m2ps2 * noise, 1e-9), self.MOST_SURPRISE)
         self.windows = min(self.windows + 1, self.MOST_WINDOWS)
         share = 1.0 / (self.PRIOR_WINDOWS + self.windows)
         low, high = self.RANGE
-        self.ratio = min(max(self.ratio * (1.0 + share * (surprise - 1.0)), low), high)
-        self.north_mps = self.east_mps = self.expected_m2ps2 = self.seconds = 0.0
+        self.ratio = min(max(self.ratio * (1.0 + share * (excess - 1.0)), low), high)
+        self.north_mps = self.east_mps = self.expected_m2ps2 = 0.0
+        self.noise = self.seconds = 0.0
 
 
 class WindState:

@@ -83,8 +83,10 @@ def read_recording(path: Path, mass_kg: float) -> Recording:
             rows = list(csv.DictReader(file))
     except OSError as error:
         raise LeewayError(f"{path}: cannot be read ({error.strerror})") from error
-    table = {name: np.array([_number(path, i, row, name) for i, row in enumerate(rows)])
-             for name in COLUMNS}
+    table = {
+        name: np.array([_number(path, i, row, name) for i, row in enumerate(rows)])
+        for name in COLUMNS
+    }
     velocity = np.stack([table["vel_n_mps"], table["vel_e_mps"], table["vel_d_mps"]], axis=1)
     off = np.flatnonzero(
         (table["alt_m"] > table["alt_m"][0] + CLIMBED_M)
@@ -152,7 +154,9 @@ def best_constant(recording: Recording) -> Track:
     return Track(np.tile(mean, (rows, 1)), np.full((rows, 2, 2), np.nan))
 
 
-def score(recording: Recording, track: Track, where: Callable[[Floats], Floats] | None = None) -> Score:
+def score(
+    recording: Recording, track: Track, where: Callable[[Floats], Floats] | None = None
+) -> Score:
     """Judge a track; `where` narrows the rows by their time."""
     judged = recording.is_judged
     if where is not None:

@@ -32,6 +32,7 @@ WIND_STEP_MPS = 5.0
 WIND_STEP_AT_S = CLIMB_S + 30.0
 WIND_STEP_LASTS_S = 10.0
 END_S = CLIMB_S + 2.0 * LEG_S
+MOST_SAMPLES = round(END_S / SAMPLE_S) + 2
 _GRAVITY_MPS2 = 9.80665
 
 
@@ -75,16 +76,28 @@ class EnvelopeFlight:
         return np.array([sample.truth.t_s for sample in self.samples])
 
 
-class SteppedWind:
-    """A mean wind that moves by one vector in `WIND_STEP_LASTS_S`, or stays."""
+class WalkingWind:
+    """A mean wind that walks, and moves by one vector in `WIND_STEP_LASTS_S` besides."""
 
-    def __init__(self, before_ne_mps: Floats, step_ne_mps: Floats) -> None:
+    def __init__(
+        self, before_ne_mps: Floats, step_ne_mps: Floats, rng: np.random.Generator
+    ) -> None:
         self._before, self._step = before_ne_mps, step_ne_mps
+        wind_mps = float(np.linalg.norm(before_ne_mps))
+        moves = rng.normal(0.0, math.sqrt(mean_walk_m2ps3(wind_mps) * SAMPLE_S), (MOST_SAMPLES, 2))
+        self._walk = np.cumsum(moves, axis=0)
 
     def to_ne_mps(self, t_s: float) -> tuple[float, float]:
         share = min(max((t_s - WIND_STEP_AT_S) / WIND_STEP_LASTS_S, 0.0), 1.0)
-        now = self._before + share * self._step
+        now = self._before + share * self._step + self._walk[int(t_s / SAMPLE_S)]
         return float(now[0]), float(now[1])
+
+
+def mean_walk_m2ps3(wind_mps: float) -> float:
+    """How fast the mean wind walks. shared/data/wind/coast_2023_1hz.csv: half the variance of what
+    the wind, 8.4 m/s in the mean, changes by grows from 0.023 to 0.035 of its square between 30 and
+    300 s; in calm as in 3 m/s."""
+    return 2.0 * (0.035 - 0.023) / 270.0 * max(wind_mps, 3.0) ** 2
 
 
 def drawn_truth(params: AirframeTruth, rng: np.random.Generator) -> AirframeTruth:
@@ -111,7 +124,7 @@ def fly_envelope(
     wind = condition.wind_mps * np.array([math.cos(toward), math.sin(toward)])
     turn = rng.uniform(-math.pi, math.pi)
     step = WIND_STEP_MPS * np.array([math.cos(turn), math.sin(turn)])
-    mean = SteppedWind(wind, step if condition.wind_step else np.zeros(2))
+    mean = WalkingWind(wind, step if condition.wind_step else np.zeros(2), rng)
     course = rng.uniform(-math.pi, math.pi)
     field = WindField(mean, turbulence=DrydenTurbulence(rng))
     vehicle = Vehicle(drawn, field, rng, pitot=condition.pitot)

@@ -1,5 +1,6 @@
 """The companion's wind estimator over the envelope, beside the bound."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,19 +35,23 @@ class Errors:
 
 
 def observations(flight: EnvelopeFlight, mass_kg: float) -> list[WindObservation]:
-    """What a companion would hear on this flight."""
+    """What a companion would hear on this flight.
+
+    An autopilot's telemetry is a fused state: velocity and attitude of one instant. Here the velocity
+    is the receiver's own, 0.12 s old, so it comes with the attitude of the sample before.
+    """
     return [
         WindObservation(
             t_s=s.readings.t_s,
             airborne=-s.truth.pos_ned_m[2] > 2.0,
             mass_kg=mass_kg,
             vel_ned_mps=s.readings.vel_ned_mps,
-            roll_rad=s.readings.roll_rad,
-            pitch_rad=s.readings.pitch_rad,
-            yaw_rad=s.readings.yaw_rad,
+            roll_rad=before.readings.roll_rad,
+            pitch_rad=before.readings.pitch_rad,
+            yaw_rad=before.readings.yaw_rad,
             airspeed_mps=s.readings.airspeed_mps,
         )
-        for s in flight.samples
+        for before, s in itertools.pairwise([flight.samples[0], *flight.samples])
     ]
 
 

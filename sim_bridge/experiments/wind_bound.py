@@ -7,8 +7,8 @@ nonlinear measurement it is, by the matrix inversion lemma (their eq. 34),
 the expectation over flights of H at the TRUE state. No filter and none of the companion's equations
 enter: H is differentiated numerically from the truth's own drag.
 
-The model for which it is a bound: the mean wind is unknown (std 8 m/s an axis) and steady, or ramps
-for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and across the
+The model for which it is a bound: the mean wind is unknown (std 8 m/s an axis) and walks, or ramps
+besides for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and across the
 mean wind, of known intensity, scale and direction; each drag coefficient set is known to a common and
 an own factor; tilt carries a wandering bias and white noise, heading a constant one; velocity is
 sampled at 10 Hz with white noise. Thrust comes from the vertical balance, which vertical gusts disturb.
@@ -33,6 +33,7 @@ from sim_bridge.experiments.envelope_flight import (
     WIND_STEP_MPS,
     EnvelopeFlight,
     Sample,
+    mean_walk_m2ps3,
 )
 from sim_bridge.truth.dryden import dryden_intensities_mps, dryden_scales_m
 from sim_bridge.truth.params import AirframeTruth
@@ -112,12 +113,13 @@ def _prior(params: AirframeTruth) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Gusts:
-    """Intensity (m/s) and memory (s) of the gusts, level and vertical, at one sample."""
+    """Intensity (m/s) and memory (s) of the gusts, level and vertical, and the walk of the mean."""
 
     level_mps: float
     down_mps: float
     level_s: float
     down_s: float
+    mean_walk_m2ps3: float
 
 
 def _gusts(flights: Sequence[EnvelopeFlight], k: int) -> _Gusts:
@@ -128,7 +130,8 @@ def _gusts(flights: Sequence[EnvelopeFlight], k: int) -> _Gusts:
         height, wind = -so.pos_ned_m[2], float(np.linalg.norm(flight.mean_wind_ne_mps[k]))
         speed = max(_airspeed(flight.samples[k]), _LEAST_SPEED_MPS)
         level_m, down_m = dryden_scales_m(height)
-        found.append([*dryden_intensities_mps(height, wind), level_m / speed, down_m / speed])
+        walk = mean_walk_m2ps3(flight.condition.wind_mps)
+        found.append([*dryden_intensities_mps(height, wind), level_m / speed, down_m / speed, walk])
     return _Gusts(*np.mean(found, axis=0).tolist())
 
 
@@ -137,12 +140,12 @@ def _airspeed(sample: Sample) -> float:
     return math.dist(so.vel_ned_mps, so.wind_to_ned_mps)
 
 
-def _transition(
-    params: AirframeTruth, gusts: _Gusts, *, ramping: bool
-) -> tuple[Floats, Floats]:
+def _transition(params: AirframeTruth, gusts: _Gusts, *, ramping: bool) -> tuple[Floats, Floats]:
     """F and Q of the states before PAST over one sample."""
     sensors = params.sensors
     f, q = np.eye(PAST), np.zeros((PAST, PAST))
+    for axis in (0, 1):
+        q[MEAN + axis, MEAN + axis] = gusts.mean_walk_m2ps3 * SAMPLE_S
     if ramping:
         f[MEAN, RATE] = f[MEAN + 1, RATE + 1] = SAMPLE_S
     f[ALONG, ALONG] = math.exp(-SAMPLE_S / gusts.level_s)
@@ -223,7 +226,9 @@ def _information(flight: EnvelopeFlight, k: int, to_wind: Floats, gusts: _Gusts)
     h[:, NOW : NOW + 2] = to_wind.T / SAMPLE_S
     h[:, BEFORE : BEFORE + 2] = -to_wind.T / SAMPLE_S
     h[:, TRIM], h[:, TRIM + 1] = lift * forward, lift * right
-    for axis, (up, down) in enumerate((((1.0001, 1.0), (0.9999, 1.0)), ((1.0, 1.0001), (1.0, 0.9999)))):
+    for axis, (up, down) in enumerate(
+        (((1.0001, 1.0), (0.9999, 1.0)), ((1.0, 1.0001), (1.0, 0.9999)))
+    ):
         h[:, GAIN + axis] = (unexplained(still, up) - unexplained(still, down)) / 2e-4
     h[:, HEADING] = lift * np.array([-lean[1], lean[0]])
     noise = (lift * math.radians(params.sensors.tilt_noise_deg)) ** 2
