@@ -67,8 +67,8 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
     flow). `parcel_quadratic_n_per_mps2` is added to both axes while a parcel hangs below.
     How wrong this may be: `gain_std_frac` of all drag, relative, and `axis_gain_std_frac` of either
-    axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end, in
-    ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
+    axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end,
+    in ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
     attitude that is reported may lean against the thrust.
     """
 

@@ -8,8 +8,8 @@
   wind; on one heading for ever they stay apart only by their priors (`wind_state`).
 - The heading error turns the air that the vehicle flies through: 3 degrees at 14 m/s are 0.7 m/s
   of wind across, which the way back on the other heading gives away.
-- While an airspeed enters, a second filter goes without it. It is what the airspeed is judged by, and
-  what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
+- While an airspeed enters, a second filter goes without it. It is what the airspeed is judged by,
+  and what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
 - A parcel that goes changes the drag by more than its mass tells, so the gains are opened again.
 - A plain numpy filter: filterpy is the oracle in the tests only, as it would put matplotlib on
   the vehicle's disk.

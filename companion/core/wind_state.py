@@ -7,12 +7,12 @@ bias (m/s), noise of the velocity reported last and of the one before, to north 
 
 - Gusts are Ornstein-Uhlenbeck: as strong as a share of the wind, and as short as the vehicle takes
   through an eddy, length over airspeed (frozen turbulence, Taylor 1938). The slow mean walks.
-- What is asked for is the mean over the 10 s about now. Half of it has been flown: the third pair of
-  states, a lag of about the mean age. The other half is foretold: the slow mean, and what is left of
-  the gust; what cannot be foretold of it widens the covariance.
+- What is asked for is the mean over the 10 s about now. Half of it has been flown: the third pair
+  of states, a lag of about the mean age. The other half is foretold: the slow mean, and what is
+  left of the gust; what cannot be foretold of it widens the covariance.
 - An acceleration is the difference of two velocities that are reported with noise; as the noise of
-  the one is in the next difference too, with the other sign, it is a state (so no low-pass is needed,
-  and none delays the wind).
+  the one is in the next difference too, with the other sign, it is a state (so no low-pass is
+  needed, and none delays the wind).
 - Trims, gains and scales have priors of the airframe, and walk by little: on one heading for ever
   they stay apart from the wind only by those priors, and the covariance says so.
 """
@@ -52,14 +52,14 @@ class WindEstimatorParams:
 
     [coast] from shared/data/wind/coast_2023_1hz.csv, mean wind 8.4 m/s: half the variance of what
     the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035 of the mean wind
-    squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
+    squared, each axis; a gust of 14 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
     """
 
     prior_wind_std_mps: float = 8.0
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
-    gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
-    gust_length_m: float = 80.0  # [coast] 40 m near the ground, 140 m at 25 m (MIL-F-8785C)
-    fast_gust_m2ps: float = 0.1  # gusts too fast for the filter, as noise, at the reference wind
+    gust_frac: float = 0.14  # [coast] of the mean wind, before the flight has shown its own
+    gust_length_m: float = 60.0  # [coast] 40 m near the ground, 140 m at 25 m (MIL-F-8785C)
+    fast_gust_m2ps: float = 0.05  # gusts too fast for the filter, as noise, at the reference wind
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
     lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
@@ -104,9 +104,10 @@ class WindEstimatorParams:
 class Turbulence:
     """How gusty it is here: the gusts' variance over the prior's, learned in flight.
 
-    A filter that is right about gusts corrects its wind, over some seconds, by as much as it expects
-    to (covariance matching, Mehra 1972). Where it corrects more, gusts are stronger. Where single
-    readings are better, or worse, than their stated noise, so are the corrections: that is no gust.
+    A filter that is right about gusts corrects its wind, over some seconds, by as much as it
+    expects to (covariance matching, Mehra 1972). Where it corrects more, gusts are stronger. Where
+    single readings are better, or worse, than their stated noise, so are the corrections: that is
+    no gust.
     """
 
     ratio: float = 1.0
@@ -122,7 +123,7 @@ class Turbulence:
     MOST_WINDOWS: ClassVar[int] = 60  # two minutes: weather changes
     MOST_SURPRISE: ClassVar[float] = 9.0
     LEAST_NOISE: ClassVar[float] = 0.05
-    RANGE: ClassVar[tuple[float, float]] = (0.05, 4.0)
+    RANGE: ClassVar[tuple[float, float]] = (0.05, 1.5)  # more would be the model's error, not gusts
 
     def corrected(
         self,
@@ -216,7 +217,8 @@ class WindState:
         move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
         move[_NOISE_BEFORE, _NOISE] = 1.0
         self.x = move @ self.x
-        self.cov = move @ self.cov @ move.T
+        cov = move @ self.cov @ move.T
+        self.cov = 0.5 * (cov + cov.T)
         walk = p.mean_walk_m2ps3 * self.scale * dt_s
         gust = variance * (1.0 - keep * keep)
         trim, gain = p.trim_walk_rad2ps * dt_s, p.gain_walk_per_s * dt_s
@@ -233,9 +235,7 @@ class WindState:
         gain = self.cov @ row
         s = float(row @ gain) + noise
         self.x += gain * (innovation / s)
-        self.cov -= gain[:, None] * (gain / s)
-        self.cov += self.cov.T
-        self.cov *= 0.5
+        self.cov -= np.multiply.outer(gain, gain) / s  # exactly symmetric, as the product commutes
 
     def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago.

@@ -1,9 +1,9 @@
 """Flights over the envelope in the true world, for judging the wind estimator.
 
-The vehicle is `sim_bridge.truth`'s, sensors, gusts and all, under a plain velocity hold: up, out on a
-course for a minute, and back. What it flies in is drawn afresh for each flight: the wind's direction,
-the gusts, the sensors' errors, and its drag about the shipped one (within what a careful owner knows,
-DRAG_STD_FRAC and AXIS_STD_FRAC), since no airframe file is exact.
+The vehicle is `sim_bridge.truth`'s, sensors, gusts and all, under a plain velocity hold: up, out on
+a course for a minute, and back. What it flies in is drawn afresh for each flight: the wind's
+direction, the gusts, the sensors' errors, and its drag about the shipped one (within what a careful
+owner knows, DRAG_STD_FRAC and AXIS_STD_FRAC), since no airframe file is exact.
 """
 
 import math

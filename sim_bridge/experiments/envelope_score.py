@@ -37,8 +37,8 @@ class Errors:
 def observations(flight: EnvelopeFlight, mass_kg: float) -> list[WindObservation]:
     """What a companion would hear on this flight.
 
-    An autopilot's telemetry is a fused state: velocity and attitude of one instant. Here the velocity
-    is the receiver's own, 0.12 s old, so it comes with the attitude of the sample before.
+    An autopilot's telemetry is a fused state: velocity and attitude of one instant. Here the
+    velocity is the receiver's own, 0.12 s old, so it comes with the attitude of the sample before.
     """
     return [
         WindObservation(

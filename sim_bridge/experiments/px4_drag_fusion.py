@@ -23,8 +23,8 @@ _SEA_LEVEL_KGPM3 = 1.225
 
 @dataclass(frozen=True)
 class DragFusionParams:
-    """PX4's defaults. `fusions_per_s` is how often it takes a sample of its own, which is faster than
-    a log: one row of the log then counts as so many samples."""
+    """PX4's defaults. `fusions_per_s` is how often it takes a sample of its own, which is faster
+    than a log: one row of the log then counts as so many samples."""
 
     bcoef_kgpm2: float = 100.0
     mcoef_hz: float = 0.15

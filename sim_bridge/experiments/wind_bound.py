@@ -8,13 +8,14 @@ the expectation over flights of H at the TRUE state. No filter and none of the c
 enter: H is differentiated numerically from the truth's own drag.
 
 The model for which it is a bound: the mean wind is unknown (std 8 m/s an axis) and walks, or ramps
-besides for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and across the
-mean wind, of known intensity, scale and direction; each drag coefficient set is known to a common and
-an own factor; tilt carries a wandering bias and white noise, heading a constant one; velocity is
-sampled at 10 Hz with white noise. Thrust comes from the vertical balance, which vertical gusts disturb.
-What helps an estimator and is given to it for nothing: the velocity's latency, the heading's and the
-vertical velocity's noise, the time of the ramp. So no causal
-estimator in this world does better, on average over flights; one that reaches the bound may not exist.
+besides for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and
+across the mean wind, of known intensity, scale and direction; each drag coefficient set is known to
+a common and an own factor; tilt carries a wandering bias and white noise, heading a constant one;
+velocity is sampled at 10 Hz with white noise. Thrust comes from the vertical balance, which
+vertical gusts disturb. What helps an estimator and is given to it for nothing: the velocity's
+latency, the heading's and the vertical velocity's noise, the time of the ramp. So no causal
+estimator in this world does better, on average over flights; one that reaches the bound may not
+exist.
 """
 
 import math
@@ -50,8 +51,8 @@ _LATERAL = np.array([[0.5, 0.25], [0.25, 0.25]])  # stationary spread of the lat
 _LATERAL_OUT = np.array([_ROOT3, 1.0 - _ROOT3])
 
 # Where a state stands: mean wind (along, across), its rate, the gusts' filters (one along, two
-# across, two down), velocity noise now and before (2 each), trims, log drag factors, heading bias; then the
-# wind at the last 50 samples, newest first, along and across in turn.
+# across, two down), velocity noise now and before (2 each), trims, log drag factors, heading bias;
+# then the wind at the last 50 samples, newest first, along and across in turn.
 MEAN, RATE, ALONG, ACROSS, DOWN, NOW, BEFORE, TRIM, GAIN, HEADING = 0, 2, 4, 5, 7, 9, 11, 13, 15, 17
 PAST = 18
 SIZE = PAST + 2 * HALF_WINDOW
