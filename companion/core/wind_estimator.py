@@ -30,7 +30,7 @@ from companion.core.wind_from_airspeed import (
 )
 from companion.core.wind_from_tilt import MotionWatch, has_tilt, take_tilt
 from companion.core.wind_observation import WindBelief, WindObservation
-from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState
+from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState, gust_length_m
 
 __all__ = ["WindBelief", "WindEstimator", "WindEstimatorParams", "WindObservation"]
 
@@ -97,6 +97,8 @@ class WindEstimator:
         dt_s = 0.0 if before_s is None else observation.t_s - before_s
         self._t_s = observation.t_s
         for state in self._states():
+            if observation.height_m is not None:
+                state.gust_length_m = gust_length_m(observation.height_m)
             state.wait(dt_s)
         self._notice_mass(observation.mass_kg)
         left_out: list[str] = []

@@ -52,13 +52,13 @@ class WindEstimatorParams:
 
     [coast] from shared/data/wind/coast_2023_1hz.csv, mean wind 8.4 m/s: half the variance of what
     the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035 of the mean wind
-    squared, each axis; a gust of 14 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
+    squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
     """
 
     prior_wind_std_mps: float = 8.0
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
-    gust_frac: float = 0.14  # [coast] of the mean wind, before the flight has shown its own
-    gust_length_m: float = 60.0  # [coast] 40 m near the ground, 140 m at 25 m (MIL-F-8785C)
+    gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
+    gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
     fast_gust_m2ps: float = 0.05  # gusts too fast for the filter, as noise, at the reference wind
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
@@ -155,13 +155,14 @@ class Turbulence:
 class WindState:
     """Mean and covariance of the 17 states; one hypothesis of what is so."""
 
-    __slots__ = ("_params", "airspeed_mps", "cov", "turbulence", "x")
+    __slots__ = ("_params", "airspeed_mps", "cov", "gust_length_m", "turbulence", "x")
 
     def __init__(self, airframe: Airframe, params: WindEstimatorParams) -> None:
         self._params = params
         self.x = np.zeros(STATES)
         self.cov = _prior_cov(airframe, params)
         self.airspeed_mps = 0.0
+        self.gust_length_m = params.gust_length_m
         self.turbulence = Turbulence()
 
     def copy(self) -> "WindState":
@@ -169,6 +170,7 @@ class WindState:
         other = object.__new__(WindState)
         other._params = self._params
         other.x, other.cov = self.x.copy(), self.cov.copy()
+        other.gust_length_m = self.gust_length_m
         other.airspeed_mps, other.turbulence = self.airspeed_mps, replace(self.turbulence)
         return other
 
@@ -199,7 +201,7 @@ class WindState:
     def gust_memory_s(self) -> float:
         """How long an eddy lasts at this airspeed."""
         p = self._params
-        return p.gust_length_m / max(self.airspeed_mps, p.least_wind_mps)
+        return self.gust_length_m / max(self.airspeed_mps, p.least_wind_mps)
 
     def wait(self, dt_s: float) -> None:
         """Let `dt_s` pass."""
@@ -280,6 +282,13 @@ _GUST = [At.GUST, At.GUST + 1]
 _LATELY = [At.LATELY, At.LATELY + 1]
 _NOISE = [At.NOISE, At.NOISE + 1]
 _NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
+
+
+def gust_length_m(height_m: float) -> float:
+    """Length of the eddies at a height above ground, L_u of MIL-F-8785C, 3.7.3.4, which holds from
+    10 to 1,000 feet: 35 m at 3 m, 150 m at 30 m."""
+    feet = min(max(height_m / 0.3048, 10.0), 1000.0)
+    return 0.3048 * feet / (0.177 + 0.000823 * feet) ** 1.2
 
 
 def _mean_variance(spans: float) -> float:

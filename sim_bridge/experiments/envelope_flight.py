@@ -127,7 +127,7 @@ def fly_envelope(
     mean = WalkingWind(wind, step if condition.wind_step else np.zeros(2), rng)
     course = rng.uniform(-math.pi, math.pi)
     field = WindField(mean, turbulence=DrydenTurbulence(rng))
-    vehicle = Vehicle(drawn, field, rng, pitot=condition.pitot)
+    vehicle = Vehicle(drawn, field, rng, pitot=condition.pitot, start_yaw_rad=course)
     pilot = _VelocityHold(drawn)
     samples: list[Sample] = []
     readings = None

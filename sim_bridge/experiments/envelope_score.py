@@ -50,6 +50,7 @@ def observations(flight: EnvelopeFlight, mass_kg: float) -> list[WindObservation
             pitch_rad=before.readings.pitch_rad,
             yaw_rad=before.readings.yaw_rad,
             airspeed_mps=s.readings.airspeed_mps,
+            height_m=-s.readings.pos_ned_m[2],
         )
         for before, s in itertools.pairwise([flight.samples[0], *flight.samples])
     ]

@@ -132,13 +132,14 @@ def envelope_sheet(rows: Sequence[EnvelopeRow], seed: int, pitot: bool) -> Sheet
     ratios = [r.rmse_mps / r.bound_mps for r in rows]
     within = sum(ratio <= 1.3 for ratio in ratios)
     inside = sum(low <= r.nees <= high for r in rows)
+    sources = "tilt and pitot" if pitot else "tilt only"
     note = (
-        f"Seed {seed}, {rows[0].flights} flights a condition, tilt {'and pitot' if pitot else
-        'only'}" f"; errors against the centred 10 s mean from 30 s of flight on. Within 1.3 of the
-        bound:" f" {within} of {len(rows)}; NEES in the 95 % band of {rows[0].flights} flights at
-        one time" f" ({low:.2f} to {high:.2f}): {inside} of {len(rows)}. The bound (Tichavsky 1998)
-        is for the" " simulated truth as wind_bound.py states it, tilt and velocity only; it knows
-        the" " gusts' spectrum and intensity and when the step comes."
+        f"Seed {seed}, {rows[0].flights} flights a condition, {sources}; errors against the centred"
+        " 10 s mean from 30 s of flight on. Within 1.3 of the bound:"
+        f" {within} of {len(rows)}; NEES in the 95 % band of {rows[0].flights} flights at one time"
+        f" ({low:.2f} to {high:.2f}): {inside} of {len(rows)}. The bound (Tichavsky 1998) is for"
+        " the simulated truth as wind_bound.py states it, tilt and velocity only; it knows the"
+        " gusts' spectrum and intensity, and when the step comes."
     )
     return Sheet("Wind estimator over the envelope", head, cells, note)
 
@@ -205,11 +206,11 @@ def flight_sheet(rows: Sequence[FlightRow]) -> Sheet:
         cells.append([row.name, f"{np.mean(rmse):.2f}", spread, shown])
     airspeeds = len(rows[-1].scores)
     note = (
-        f"{rows[0].scores[0].rows} airborne rows after the first 30 s of flight, against the
-        centred" " 10 s mean of an anemometer that is itself good to 0.7 to 1.1 m/s. Airframe:
-        stated priors" f" (generic), nothing fitted. Airspeed: the anemometer's magnitude with
-        {airspeeds} drawn" f" errors, scale ± {AIRSPEED_SCALE_STD:.0%}, bias ±
-        {AIRSPEED_BIAS_STD_MPS:g} m/s, noise" f" {AIRSPEED_NOISE_STD_MPS:g} m/s."
+        f"{rows[0].scores[0].rows} airborne rows after the first 30 s of flight, against the"
+        " centred 10 s mean of an anemometer that is itself good to 0.7 to 1.1 m/s. Airframe:"
+        " stated priors (generic), nothing fitted. Airspeed: the anemometer's magnitude with"
+        f" {airspeeds} drawn errors, scale ± {AIRSPEED_SCALE_STD:.0%}, bias"
+        f" ± {AIRSPEED_BIAS_STD_MPS:g} m/s, noise {AIRSPEED_NOISE_STD_MPS:g} m/s."
     )
     head = ["estimator", "RMSE m/s", "least to most", "NEES (2 is ideal)"]
     return Sheet("Wind over a real flight", head, cells, note)
