@@ -55,7 +55,7 @@ class WindEstimatorParams:
     squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
     """
 
-    prior_wind_std_mps: float = 8.0
+    prior_wind_std_mps: float = 10.0  # each axis, before anything is seen
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
     gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
     gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
