@@ -66,7 +66,10 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
     flow). `parcel_quadratic_n_per_mps2` is added to both axes while a parcel hangs below.
-    `gain_std_frac` is how wrong both may be together, relative.
+    How wrong this may be: `gain_std_frac` of all drag, relative, and `axis_gain_std_frac` of either
+    axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end,
+    in ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
+    attitude that is reported may lean against the thrust.
     """
 
     linear_forward_n_per_mps: float
@@ -75,6 +78,9 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     quadratic_right_n_per_mps2: float
     parcel_quadratic_n_per_mps2: float
     gain_std_frac: float
+    axis_gain_std_frac: float
+    model_std_frac: float
+    trim_std_deg: float
 
     def __post_init__(self) -> None:
         for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
@@ -83,6 +89,9 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             check_range(f"drag.{key}", getattr(self, key), 0.0, 50.0)
         check_range("drag.parcel_quadratic_n_per_mps2", self.parcel_quadratic_n_per_mps2, 0.0, 50.0)
         check_range("drag.gain_std_frac", self.gain_std_frac, 0.01, 1.0)
+        check_range("drag.axis_gain_std_frac", self.axis_gain_std_frac, 0.0, 1.0)
+        check_range("drag.model_std_frac", self.model_std_frac, 0.0, 0.5)
+        check_range("drag.trim_std_deg", self.trim_std_deg, 0.05, 5.0)
         if self.linear_forward_n_per_mps + self.quadratic_forward_n_per_mps2 <= 0.0:
             raise LeewayError("drag.linear_forward_n_per_mps: some drag expected, all are 0")
         if self.linear_right_n_per_mps + self.quadratic_right_n_per_mps2 <= 0.0:

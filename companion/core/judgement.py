@@ -195,6 +195,7 @@ class Judgement:
                 autopilot_wind_to_ne_mps=(
                     (wind.to_n_mps, wind.to_e_mps) if wind and vehicle.autopilot_wind else None
                 ),
+                height_m=position.height_rel_m if position else None,
             )
         )
 

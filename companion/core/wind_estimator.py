@@ -1,114 +1,40 @@
-"""Row 5: a Kalman filter for the horizontal wind where the vehicle is.
+"""Row 5: the horizontal wind where the vehicle is, from whatever says anything of it.
 
-State, 6: wind to north and east (m/s), tilt trim along body forward and right (rad), logarithm of
-the drag gain, error of the heading (rad).
-
-- The tilt and the acceleration tell the drag: in steady air `m (a_h - thrust_h) = -s D(v - w)`,
-  with the thrust along the body's axis and its size from the vertical balance. No accelerometer,
-  no throttle: only attitude and ground velocity, which every autopilot sends.
+- Tilt and acceleration tell the drag (`wind_from_tilt`), an airspeed the air's speed or vector
+  (`wind_from_airspeed`), an autopilot its own estimate with its covariance. Any of them may be
+  missing, come, and go.
 - The trims are along BODY axes: what causes them (a level that is off, a centre of gravity beside
   the thrust's) turns with the airframe. So flying on another heading, or faster, tells trim from
-  wind; on one heading for ever they stay apart only by their priors, and the covariance says so.
-- The drag gain s (about 1, never negative) is what the airframe file gets wrong of the drag as a
-  whole. Its prior is tight (`gain_std_frac`): with a loose one such a filter diverges
-  (shared/data/README.md).
+  wind; on one heading for ever they stay apart only by their priors (`wind_state`).
 - The heading error turns the air that the vehicle flies through: 3 degrees at 14 m/s are 0.7 m/s
   of wind across, which the way back on the other heading gives away.
-- A parcel that goes changes the drag by more than its mass tells, so the gain is opened again.
+- While an airspeed enters, a second filter goes without it. It is what the airspeed is judged by,
+  and what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
+- A parcel that goes changes the drag by more than its mass tells, so the gains are opened again.
 - A plain numpy filter: filterpy is the oracle in the tests only, as it would put matplotlib on
   the vehicle's disk.
-
-What is estimated is the mean over about 10 s, not each gust: gusts enter as measurement noise with
-their own memory, and `belief()` adds a floor for what the drag model does not know.
 """
 
 import math
-from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
 from companion.core.errors import LeewayError
-from companion.core.power import GRAVITY_MPS2
+from companion.core.wind_from_airspeed import (
+    AirspeedSeen,
+    PitotWatch,
+    pitot_seen,
+    vector_seen,
+)
+from companion.core.wind_from_tilt import MotionWatch, has_tilt, take_tilt
+from companion.core.wind_observation import WindBelief, WindObservation
+from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState, gust_length_m
 
-FloatArray = NDArray[np.float64]
+__all__ = ["WindBelief", "WindEstimator", "WindEstimatorParams", "WindObservation"]
 
-SNAPSHOT_FORMAT = "wind-estimator/2"
-_STATES = 6
-_DIAGONAL = (tuple(range(_STATES)), tuple(range(_STATES)))
-
-
-@dataclass(frozen=True, slots=True)
-class WindObservation:
-    """What telemetry says at one instant; None is unknown and never enters the filter.
-
-    `airspeed_mps` only from a real pitot on the forward axis (or `airspeed_is_magnitude`), and
-    `autopilot_wind_to_ne_mps` only when the flavour's adapter knows it to be a real estimate.
-    """
-
-    t_s: float
-    airborne: bool
-    mass_kg: float
-    vel_ned_mps: tuple[float, float, float] | None = None
-    roll_rad: float | None = None
-    pitch_rad: float | None = None
-    yaw_rad: float | None = None
-    airspeed_mps: float | None = None
-    airspeed_is_magnitude: bool = False
-    autopilot_wind_to_ne_mps: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class WindBelief:
-    """Mean and covariance of the horizontal wind (10 s mean at the vehicle), where it moves to.
-
-    `sources` names what entered lately, of "tilt", "pitot", "autopilot". `valid` is False until
-    enough has entered, and again when nothing entered for long.
-    """
-
-    t_s: float
-    mean_to_ne_mps: FloatArray
-    cov_ne_m2ps2: FloatArray
-    sources: tuple[str, ...]
-    valid: bool
-
-
-@dataclass(frozen=True, slots=True)
-class WindEstimatorParams:
-    """Noises and limits, with where they come from.
-
-    [coast] from shared/data/wind/coast_2023_1hz.csv at its mean wind of 8.6 m/s: the 10 s mean
-    walks by 0.08 to 0.16 m^2/s^3, and the best exponential average follows it with a memory of
-    3 s, which is the root of gust memory over walk; turbulence grows with the wind, so both do.
-    """
-
-    prior_wind_std_mps: float = 8.0
-    prior_trim_std_rad: float = math.radians(1.0)  # a levelled autopilot; 2 deg were seen
-    trim_walk_rad2ps: float = math.radians(0.1) ** 2 / 60.0
-    gain_walk_per_s: float = 0.02**2 / 600.0
-    gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
-    prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
-    heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
-    wind_walk_m2ps3: float = 0.12  # [coast]
-    gust_memory_m2ps: float = 0.8  # [coast] gust variance times twice its memory, at the vehicle
-    reference_wind_mps: float = 8.6  # [coast]
-    least_scale: float = 0.35
-    smoothing_s: float = 0.3
-    tilt_noise_m2ps3: float = 0.1**2 * 0.2  # attitude and velocity noise, as spectral density
-    delay_std_s: float = 0.15  # between attitude and velocity as reported
-    known_wind_std_mps: float = 1.5
-    pitot_std_mps: float = 0.5
-    pitot_least_mps: float = 4.0  # below, a pitot on a multirotor reads its own offset
-    autopilot_std_mps: float = 1.0
-    autopilot_every_s: float = 1.0
-    gate_sigmas: float = 4.0
-    stuck_after_s: float = 5.0
-    doubt_after_s: float = 4.0
-    floor_std_mps: float = 0.2
-    settle_s: float = 5.0
-    stale_after_s: float = 15.0
+SNAPSHOT_FORMAT = "wind-estimator/3"
 
 
 class WindEstimator:
@@ -117,59 +43,71 @@ class WindEstimator:
     def __init__(self, airframe: Airframe, params: WindEstimatorParams | None = None) -> None:
         self._airframe = airframe
         self._params = params or WindEstimatorParams()
-        p = self._params
-        self._x = np.zeros(_STATES)
-        variances = (
-            p.prior_wind_std_mps**2,
-            p.prior_wind_std_mps**2,
-            p.prior_trim_std_rad**2,
-            p.prior_trim_std_rad**2,
-            airframe.drag.gain_std_frac**2,
-            p.prior_heading_std_rad**2,
-        )
-        self._cov = np.diag(variances)
+        self._alone = WindState(airframe, self._params)  # without any airspeed
+        self._with_airspeed: WindState | None = None
         self._t_s: float | None = None
         self._entered_s: dict[str, float] = {}
         self._tilt_s = 0.0
-        self._smooth: _Smoothed | None = None
-        self._pitot = _PitotWatch()
+        self._motion = MotionWatch()
+        self._pitot = PitotWatch()
         self._rejected_since_s: float | None = None
         self._mass_kg: float | None = None
 
     @property
+    def _believed(self) -> WindState:
+        return self._with_airspeed or self._alone
+
+    @property
     def trim_rad(self) -> tuple[float, float]:
         """Tilt trim believed, along body forward and right."""
-        return float(self._x[2]), float(self._x[3])
+        x = self._believed.x
+        return float(x[At.TRIM]), float(x[At.TRIM + 1])
 
     @property
-    def drag_gain(self) -> float:
-        """Drag as flown over drag as in the airframe file."""
-        return math.exp(float(self._x[4]))
+    def drag_gains(self) -> tuple[float, float]:
+        """Drag as flown over drag as in the airframe file, forward and right."""
+        x = self._believed.x
+        return math.exp(float(x[At.LOG_GAIN])), math.exp(float(x[At.LOG_GAIN + 1]))
 
     @property
-    def drag_gain_std(self) -> float:
-        """Relative standard deviation of the drag gain."""
-        return math.sqrt(float(self._cov[4, 4]))
+    def drag_gain_stds(self) -> tuple[float, float]:
+        """Relative standard deviations of the drag gains."""
+        variance = np.diag(self._believed.cov)
+        return math.sqrt(variance[At.LOG_GAIN]), math.sqrt(variance[At.LOG_GAIN + 1])
+
+    @property
+    def heading_error_rad(self) -> float:
+        """True heading less the heading reported, as believed."""
+        return float(self._believed.x[At.HEADING])
+
+    @property
+    def airspeed_scale(self) -> float:
+        """Airspeed as it reads over airspeed as it is."""
+        return math.exp(float(self._believed.x[At.LOG_SCALE]))
 
     def update(self, observation: WindObservation) -> tuple[str, ...]:
         """Take one observation (10 Hz or so); returns what was left out and why, in words.
 
         Late or repeated times are ignored. Raises ValueError on NaN or infinity.
         """
-        _refuse_nan(observation)
+        observation.refuse_nan()
         before_s = self._t_s
         if before_s is not None and observation.t_s <= before_s:
             return ()
         dt_s = 0.0 if before_s is None else observation.t_s - before_s
         self._t_s = observation.t_s
-        self._cov[_DIAGONAL] += self._growth(dt_s)
+        for state in self._states():
+            if observation.height_m is not None:
+                state.gust_length_m = gust_length_m(observation.height_m)
+            state.wait(dt_s)
         self._notice_mass(observation.mass_kg)
         left_out: list[str] = []
         if observation.airborne:
-            left_out += self._take_tilt(observation, dt_s)
+            left_out += self._take_tilt(observation)
             left_out += self._take_pitot(observation)
+            left_out += self._take_vector(observation, dt_s)
         else:
-            self._smooth = None
+            self._motion.forget()
         left_out += self._take_autopilot(observation)
         return tuple(left_out)
 
@@ -177,20 +115,21 @@ class WindEstimator:
         """The wind at `t_s` >= the last update; waiting only makes it less certain."""
         p = self._params
         waited_s = 0.0 if self._t_s is None else max(t_s - self._t_s, 0.0)
-        cov = self._cov[:2, :2] + (self._growth(waited_s)[0] + p.floor_std_mps**2) * np.eye(2)
+        mean, cov = self._believed.ten_second_mean(waited_s)
         fresh = [n for n, at in self._entered_s.items() if t_s - at <= p.stale_after_s]
         settled = self._tilt_s >= p.settle_s or "autopilot" in fresh
-        return WindBelief(
-            t_s, self._x[:2].copy(), cov, tuple(sorted(fresh)), settled and bool(fresh)
-        )
+        return WindBelief(t_s, mean, cov, tuple(sorted(fresh)), settled and bool(fresh))
 
     def snapshot(self) -> dict[str, object]:
-        """What a checkpoint keeps: trims and gain are worth more than the wind of then."""
+        """What a checkpoint keeps: trims and gains are worth more than the wind of then."""
+        state = self._believed
         return {
             "format": SNAPSHOT_FORMAT,
             "t_s": self._t_s,
-            "x": self._x.tolist(),
-            "cov": self._cov.tolist(),
+            "x": state.x.tolist(),
+            "cov": state.cov.tolist(),
+            "airspeed_mps": state.airspeed_mps,
+            "turbulence": state.turbulence.ratio,
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
@@ -201,286 +140,148 @@ class WindEstimator:
             t_s = msgspec.convert(snapshot["t_s"], float | None)
             x = np.array(msgspec.convert(snapshot["x"], list[float]))
             cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
+            airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
+            turbulence = msgspec.convert(snapshot["turbulence"], float)
         except (KeyError, ValueError, msgspec.ValidationError) as error:
             raise LeewayError(f"checkpoint: {error}") from error
         usable = (
-            x.shape == (_STATES,)
-            and cov.shape == (_STATES, _STATES)
-            and np.isfinite([*x, *cov.ravel()]).all()
+            x.shape == (STATES,)
+            and cov.shape == (STATES, STATES)
+            and np.isfinite([*x, *cov.ravel(), airspeed_mps, turbulence]).all()
         )
-        if not usable or float(np.linalg.eigvalsh(cov)[0]) < 0.0:
-            raise LeewayError("checkpoint: expected 6 finite states and their covariance")
-        self._t_s, self._x, self._cov = t_s, x, 0.5 * (cov + cov.T)
+        if not usable or float(np.linalg.eigvalsh(cov)[0]) < -1e-9 or turbulence <= 0.0:
+            raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
+        state = WindState(self._airframe, self._params)
+        state.x, state.cov = x, 0.5 * (cov + cov.T)
+        state.airspeed_mps, state.turbulence.ratio = airspeed_mps, turbulence
+        self._t_s, self._alone, self._with_airspeed = t_s, state, None
 
-    @property
-    def heading_error_rad(self) -> float:
-        """True heading less the heading reported, as believed."""
-        return float(self._x[5])
+    # -- what enters -----------------------------------------------------------------------------
 
-    # -- the filter ----------------------------------------------------------------------------
-
-    def _scale(self) -> float:
-        """Turbulence here over turbulence at the reference wind, in variance."""
-        p = self._params
-        return max(math.hypot(self._x[0], self._x[1]) / p.reference_wind_mps, p.least_scale) ** 2
+    def _states(self) -> list[WindState]:
+        second = self._with_airspeed
+        return [self._alone] if second is None else [self._alone, second]
 
     def _notice_mass(self, mass_kg: float) -> None:
         """The parcel went: what was learned of the drag with it holds less without it."""
         if self._mass_kg is not None and abs(mass_kg - self._mass_kg) > 0.01 * self._mass_kg:
-            self._cov[4, 4] += self._params.gain_parcel_std_frac**2
+            for state in self._states():
+                state.open_gain(self._params.gain_parcel_std_frac**2)
         self._mass_kg = mass_kg
 
-    def _growth(self, dt_s: float) -> tuple[float, ...]:
+    def _take_tilt(self, seen: WindObservation) -> list[str]:
+        if not has_tilt(seen):
+            self._motion.forget()
+            return []
         p = self._params
-        wind = p.wind_walk_m2ps3 * self._scale() * dt_s
-        trim = p.trim_walk_rad2ps * dt_s
-        heading = p.heading_walk_rad2ps * dt_s
-        return wind, wind, trim, trim, p.gain_walk_per_s * dt_s, heading
-
-    def _take_tilt(self, seen: WindObservation, dt_s: float) -> list[str]:
-        if seen.vel_ned_mps is None or seen.roll_rad is None or seen.pitch_rad is None:
-            self._smooth = None
+        motion = self._motion.take(seen, p)
+        if motion.since_s is None:
             return []
-        if seen.yaw_rad is None or max(abs(seen.roll_rad), abs(seen.pitch_rad)) > 1.2:
-            return []
-        smooth = _smoothed(self._smooth, seen, dt_s, self._params.smoothing_s)
-        self._smooth = smooth
-        if smooth.age_s < 3.0 * self._params.smoothing_s:
-            return []
-        prior, prior_cov = self._x.copy(), self._cov
-        innovation, noise, rows = [0.0, 0.0], [0.0, 0.0], (prior, prior)
-        for _ in range(self._linearisations()):
-            drag = _drag_model(self._airframe, seen.mass_kg, self._x, smooth, seen.yaw_rad)
-            rows = drag.jacobian
-            ahead = [float(row @ (prior - self._x)) for row in rows]
-            innovation = [drag.measured[i] - drag.expected[i] - ahead[i] for i in (0, 1)]
-            noise = [self._tilt_noise(row, smooth, dt_s) for row in rows]
-            self._x, self._cov = prior.copy(), prior_cov.copy()
-            for i in (0, 1):
-                moved = float(rows[i] @ (self._x - prior))
-                self._correct(rows[i], innovation[i] - moved, noise[i])
-        if self._is_outlier(prior_cov, rows, innovation, noise):
-            self._x, self._cov = prior, prior_cov
+        believed, rejected = self._believed, False
+        for state in self._states():
+            prior, prior_cov = state.x.copy(), state.cov.copy()
+            known = state.wind_std_mps < p.scalar_wind_std_mps
+            taken = take_tilt(state, self._airframe, p, seen, motion)
+            if taken.is_outlier(p.gate_sigmas):
+                state.x, state.cov = prior, prior_cov
+                rejected = rejected or state is believed
+            elif known:
+                state.turbulence.corrected(
+                    taken.wind_step_ne_mps,
+                    taken.wind_step_variance_m2ps2,
+                    taken.surprise,
+                    motion.since_s,
+                )
+        if rejected:
             return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None
         self._entered_s["tilt"] = seen.t_s
-        self._tilt_s += dt_s
+        self._tilt_s += motion.since_s
         return []
-
-    def _linearisations(self) -> int:
-        """An extended filter's one, or more (Bell and Cathey 1993) while the wind is unknown.
-
-        Drag is quadratic: its slope in still air would throw the first estimate far out.
-        """
-        variance = float(self._cov[0, 0] + self._cov[1, 1])
-        return 1 if variance < 2.0 * self._params.known_wind_std_mps**2 else 6
-
-    def _tilt_noise(self, row: FloatArray, smooth: "_Smoothed", dt_s: float) -> float:
-        """Variance of one drag measurement: sensors, gusts, and what a transient's delays do."""
-        p = self._params
-        gust = p.gust_memory_m2ps * self._scale() * float(row[0] ** 2 + row[1] ** 2)
-        transient = (p.delay_std_s / p.smoothing_s * smooth.transient_mps2) ** 2 * p.smoothing_s
-        return (p.tilt_noise_m2ps3 + gust + transient) / max(dt_s, 0.02)
 
     def _doubt_tilt(self, t_s: float) -> list[str]:
         """Leave an outlier out; when they go on, it is the estimate that is wrong: open it."""
         if self._rejected_since_s is None:
             self._rejected_since_s = t_s
         if t_s - self._rejected_since_s > self._params.doubt_after_s:
-            self._cov[0, 0] += 4.0
-            self._cov[1, 1] += 4.0
+            for state in self._states():
+                state.open_wind(4.0)
             self._rejected_since_s = None
             return ["tilt disagrees with the wind estimate for long: estimate reopened"]
         return ["tilt disagrees with the wind estimate: left out"]
 
     def _take_pitot(self, seen: WindObservation) -> list[str]:
-        if seen.airspeed_mps is None or seen.vel_ned_mps is None or seen.yaw_rad is None:
-            return []
-        if self._linearisations() > 1:  # a scalar cannot start a vector
-            return []
         p = self._params
+        if seen.airspeed_mps is None or self._alone.wind_std_mps > p.scalar_wind_std_mps:
+            return []
         fresh_s, stuck = self._pitot.look(seen.t_s, seen.airspeed_mps, p.stuck_after_s)
         if stuck:
+            self._with_airspeed = None
             return ["pitot reads the same for long: left out"]
         if fresh_s is None:
             return []
-        air_n = seen.vel_ned_mps[0] - self._x[0]
-        air_e = seen.vel_ned_mps[1] - self._x[1]
-        row = np.zeros(_STATES)
-        if seen.airspeed_is_magnitude:
-            expected = max(math.hypot(air_n, air_e), 1e-6)
-            row[0], row[1] = -air_n / expected, -air_e / expected
-        else:
-            tilt = math.cos(seen.pitch_rad) if seen.pitch_rad is not None else 1.0
-            north, east = tilt * math.cos(seen.yaw_rad), tilt * math.sin(seen.yaw_rad)
-            expected = air_n * north + air_e * east
-            row[0], row[1] = -north, -east
-        if expected < p.pitot_least_mps and seen.airspeed_mps < p.pitot_least_mps:
+        by_tilt = pitot_seen(self._alone, p, seen, fresh_s)
+        if by_tilt is None:
             return []
-        gust = p.gust_memory_m2ps * self._scale()
-        # Its own error is as slow as a gust: a scale or a mounting that is off does not average.
-        r = (p.pitot_std_mps**2 + gust) / min(max(fresh_s, 0.02), 1.0)
-        if self._is_outlier(self._cov, (row,), [seen.airspeed_mps - expected], [r]):
-            return [f"pitot reads {seen.airspeed_mps:.1f} m/s, {expected:.1f} expected: left out"]
-        self._correct(row, seen.airspeed_mps - expected, r)
-        self._entered_s["pitot"] = seen.t_s
+        self._pitot.judge(seen.t_s, by_tilt.surprise(self._alone), fresh_s, p)
+        if self._pitot.faulty:
+            self._with_airspeed = None
+            return ["pitot disagrees with tilt for long: left out"]
+        if self._with_airspeed is None:
+            self._with_airspeed = self._alone.copy()
+        state = self._with_airspeed
+        told = pitot_seen(state, p, seen, fresh_s)
+        if told is None:
+            return []
+        if abs(told.surprise(state)) > p.gate_sigmas:
+            reads, expected = told.measured_mps, told.expected_mps
+            return [f"pitot reads {reads:.1f} m/s, {expected:.1f} expected: left out"]
+        self._enter(state, told, seen.t_s)
         return []
+
+    def _take_vector(self, seen: WindObservation, dt_s: float) -> list[str]:
+        p = self._params
+        if seen.airspeed_fr_mps is None:
+            return []
+        if self._with_airspeed is None:
+            self._with_airspeed = self._alone.copy()
+        state = self._with_airspeed
+        told = vector_seen(state, p, seen, dt_s)
+        if state.wind_is_known and any(abs(t.surprise(state)) > p.gate_sigmas for t in told):
+            return ["airspeed vector disagrees with the wind estimate: left out"]
+        for axis in range(len(told)):  # the second is expected from what the first left
+            self._enter(state, vector_seen(state, p, seen, dt_s)[axis], seen.t_s)
+        return []
+
+    def _enter(self, state: WindState, told: AirspeedSeen, t_s: float) -> None:
+        state.correct(told.row, told.measured_mps - told.expected_mps, told.noise_m2ps2)
+        self._entered_s["pitot"] = t_s
 
     def _take_autopilot(self, seen: WindObservation) -> list[str]:
         wind, p = seen.autopilot_wind_to_ne_mps, self._params
         last_s = self._entered_s.get("autopilot", -math.inf)
         if wind is None or seen.t_s - last_s < p.autopilot_every_s:
             return []
-        # It is filtered over seconds and drinks from the same tilt: heavy, and only now and then.
-        r = p.autopilot_std_mps**2 * (10.0 / p.autopilot_every_s)
-        rows = (np.eye(_STATES)[0], np.eye(_STATES)[1])
-        innovations = [wind[0] - float(self._x[0]), wind[1] - float(self._x[1])]
-        if self._is_outlier(self._cov, rows, innovations, [r, r]):
-            return ["the autopilot's wind disagrees with the wind estimate: left out"]
-        for axis, row in enumerate(rows):
-            self._correct(row, wind[axis] - float(self._x[axis]), r)
+        # It is filtered over seconds, and its errors last as long: few of its words are new.
+        repeats = p.autopilot_memory_s / p.autopilot_every_s
+        noise = repeats * (_autopilot_cov(seen, p))
+        whitening = np.linalg.inv(np.linalg.cholesky(noise))
+        rows = np.zeros((2, STATES))
+        rows[:, [At.LATELY, At.LATELY + 1]] = whitening
+        told = whitening @ np.array(wind)
+        x, cov = self._believed.x, self._believed.cov
+        for row, value in zip(rows, told, strict=True):
+            if (value - float(row @ x)) ** 2 > p.gate_sigmas**2 * (float(row @ cov @ row) + 1.0):
+                return ["the autopilot's wind disagrees with the wind estimate: left out"]
+        for state in self._states():
+            for row, value in zip(rows, told, strict=True):
+                state.correct(row, float(value) - float(row @ state.x), 1.0)
         self._entered_s["autopilot"] = seen.t_s
         return []
 
-    def _is_outlier(
-        self,
-        cov: FloatArray,
-        rows: tuple[FloatArray, ...],
-        innovations: list[float],
-        noise: list[float],
-    ) -> bool:
-        limit = self._params.gate_sigmas**2
-        return any(
-            e * e > limit * (float(row @ cov @ row) + r)
-            for row, e, r in zip(rows, innovations, noise, strict=True)
-        )
 
-    def _correct(self, row: FloatArray, innovation: float, r: float) -> None:
-        gain_row = self._cov @ row
-        s = float(row @ gain_row) + r
-        self._x += gain_row * (innovation / s)
-        self._cov -= gain_row[:, None] * (gain_row / s)
-        self._cov += self._cov.T
-        self._cov *= 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class _Smoothed:
-    """Velocity and horizontal drag acceleration through one and the same low-pass filter (NED)."""
-
-    age_s: float
-    velocity_n: float
-    velocity_e: float
-    velocity_d: float
-    thrust_n: float
-    thrust_e: float
-    accel_n: float
-    accel_e: float
-    accel_d: float
-    transient_mps2: float  # thrust now less thrust smoothed
-
-
-def _smoothed(
-    before: _Smoothed | None, seen: WindObservation, dt_s: float, memory_s: float
-) -> _Smoothed:
-    """The low-pass filters one step on; what a filtered velocity gains IS the acceleration."""
-    north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
-    lift = GRAVITY_MPS2 - (before.accel_d if before else 0.0)
-    thrust_n, thrust_e = _thrust_ne(seen, lift)
-    if before is None or not 0.0 < dt_s < 1.0:
-        return _Smoothed(0.0, north, east, down, thrust_n, thrust_e, 0.0, 0.0, 0.0, 0.0)
-    share = 1.0 - math.exp(-dt_s / memory_s)
-    step_n = share * (north - before.velocity_n)
-    step_e = share * (east - before.velocity_e)
-    step_d = share * (down - before.velocity_d)
-    return _Smoothed(
-        before.age_s + dt_s,
-        before.velocity_n + step_n,
-        before.velocity_e + step_e,
-        before.velocity_d + step_d,
-        before.thrust_n + share * (thrust_n - before.thrust_n),
-        before.thrust_e + share * (thrust_e - before.thrust_e),
-        step_n / dt_s,
-        step_e / dt_s,
-        step_d / dt_s,
-        math.hypot(thrust_n - before.thrust_n, thrust_e - before.thrust_e),
-    )
-
-
-def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
-    """Horizontal thrust acceleration: along minus the body's z axis, `lift_mps2` of it upward."""
-    roll, pitch, yaw = seen.roll_rad or 0.0, seen.pitch_rad or 0.0, seen.yaw_rad or 0.0
-    forward = -lift_mps2 * math.tan(pitch)
-    right = lift_mps2 * math.tan(roll) / math.cos(pitch)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return cos * forward - sin * right, sin * forward + cos * right
-
-
-@dataclass(frozen=True, slots=True)
-class _DragModel:
-    """Drag acceleration along heading and right: measured, expected, and rows d(difference)/dx."""
-
-    measured: tuple[float, float]
-    expected: tuple[float, float]
-    jacobian: tuple[FloatArray, FloatArray]
-
-
-def _drag_model(
-    airframe: Airframe, mass_kg: float, x: FloatArray, smooth: _Smoothed, yaw_rad: float
-) -> _DragModel:
-    wind_n, wind_e, trim_f, trim_r, log_gain, heading_error = x.tolist()
-    heading = yaw_rad + heading_error
-    cos, sin = math.cos(heading), math.sin(heading)
-    gain = math.exp(min(max(log_gain, -3.0), 3.0))
-    air_n, air_e = smooth.velocity_n - wind_n, smooth.velocity_e - wind_e
-    forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
-    speed = max(math.hypot(forward, right), 1e-3)
-    k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
-    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
-    drag_f = (k_f + q_f * speed) * forward / mass_kg
-    drag_r = (k_r + q_r * speed) * right / mass_kg
-    # d drag / d (forward, right); the wind enters with the opposite sign.
-    ff = (k_f + q_f * (speed + forward * forward / speed)) / mass_kg * gain
-    fr = q_f * forward * right / speed / mass_kg * gain
-    rr = (k_r + q_r * (speed + right * right / speed)) / mass_kg * gain
-    rf = q_r * forward * right / speed / mass_kg * gain
-    # The acceleration is the ground track's, the thrust the body's: only the first turns.
-    accel_f = cos * smooth.accel_n + sin * smooth.accel_e
-    accel_r = cos * smooth.accel_e - sin * smooth.accel_n
-    yaw_cos, yaw_sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    thrust_f = yaw_cos * smooth.thrust_n + yaw_sin * smooth.thrust_e
-    thrust_r = yaw_cos * smooth.thrust_e - yaw_sin * smooth.thrust_n
-    turn_f = fr * forward - ff * right - accel_r
-    turn_r = rr * forward - rf * right + accel_f
-    row_f = [ff * cos - fr * sin, ff * sin + fr * cos, GRAVITY_MPS2, 0.0, -gain * drag_f, turn_f]
-    row_r = [rf * cos - rr * sin, rf * sin + rr * cos, 0.0, GRAVITY_MPS2, -gain * drag_r, turn_r]
-    return _DragModel(
-        measured=(accel_f - thrust_f, accel_r - thrust_r),
-        expected=(-gain * drag_f + GRAVITY_MPS2 * trim_f, -gain * drag_r + GRAVITY_MPS2 * trim_r),
-        jacobian=(np.array(row_f), np.array(row_r)),
-    )
-
-
-class _PitotWatch:
-    """Tells a new reading from an old one, and a pitot that repeats itself: no live one does."""
-
-    def __init__(self) -> None:
-        self._value_mps: float | None = None
-        self._since_s = 0.0
-
-    def look(self, t_s: float, value_mps: float, stuck_after_s: float) -> tuple[float | None, bool]:
-        """(seconds since the reading before, None for that very reading; whether it is stuck)."""
-        if self._value_mps is not None and value_mps == self._value_mps:
-            return None, t_s - self._since_s > stuck_after_s
-        fresh_s = t_s - self._since_s if self._value_mps is not None else 0.1
-        self._value_mps, self._since_s = value_mps, t_s
-        return fresh_s, False
-
-
-def _refuse_nan(seen: WindObservation) -> None:
-    numbers = [seen.t_s, seen.mass_kg, *(seen.vel_ned_mps or ())]
-    numbers += [*(seen.autopilot_wind_to_ne_mps or ())]
-    optional = (seen.roll_rad, seen.pitch_rad, seen.yaw_rad, seen.airspeed_mps)
-    numbers += [v for v in optional if v is not None]
-    if not all(map(math.isfinite, numbers)) or seen.mass_kg <= 0.0:
-        raise ValueError(f"wind observation with a number that is none: {seen}")
+def _autopilot_cov(seen: WindObservation, p: WindEstimatorParams) -> np.ndarray:
+    if seen.autopilot_wind_cov_m2ps2 is None:
+        return p.autopilot_std_mps**2 * np.eye(2)
+    nn, ne, ee = seen.autopilot_wind_cov_m2ps2
+    return np.array([[nn, ne], [ne, ee]]) + p.autopilot_least_std_mps**2 * np.eye(2)

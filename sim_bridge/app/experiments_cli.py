@@ -20,6 +20,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 Out = Annotated[Path, typer.Option(help="folder for the tables and pictures")]
 Jobs = Annotated[int, typer.Option(help="processes; 0: all cores")]
 OUT = Path("logs/experiments")
+ANEMOMETER = Path("estimator") / "anemometer_uav_5hz.csv"
 
 
 def _cores(jobs: int) -> int:
@@ -239,3 +240,57 @@ def planner_bench(
     from sim_bridge.experiments import planner_bench as bench
 
     _finish(bench.sheet(large), out, "planner_bench")
+
+
+@app.command()
+def estimator_bench(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    flights: Annotated[
+        int, typer.Option(min=2, help="flights for each place in the envelope")
+    ] = 20,
+    seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
+    anemometer: Annotated[
+        Path | None, typer.Option(help="the real flight's CSV; left out: where it is usually found")
+    ] = None,
+    airframe: Annotated[str, typer.Option(help="of the real flight: name or file")] = "generic",
+    draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,
+    pitot: Annotated[bool, typer.Option(help="a pitot aboard in the envelope")] = False,
+    envelope: Annotated[bool, typer.Option(help="fly the envelope, too (minutes)")] = True,
+) -> None:
+    """The wind estimator on a real flight with an anemometer, and beside the bound.
+
+    For example: sim-bridge estimator-bench --no-envelope, which takes half a minute.
+    """
+    from companion.adapters.files import params_dir, read_airframe
+    from sim_bridge.experiments import estimator_bench as bench
+    from sim_bridge.experiments.anemometer_flight import read_recording
+    from sim_bridge.truth.params import load_airframe
+
+    try:
+        believed = read_airframe(airframe)
+        path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
+        if anemometer is None and not path.exists():
+            typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
+        else:
+            recording = read_recording(path, believed.mass_kg(0.0))
+            with _bar() as bar:
+                bar.add_task("real flight", total=None)
+                rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
+            out.mkdir(parents=True, exist_ok=True)
+            _finish(bench.flight_sheet(rows), out, "estimator_flight")
+            bench.draw_flight(recording, rows, out / "estimator_flight.png")
+            for name, airspeed in (("tilt only", False), ("with airspeed", True)):
+                median, most = bench.update_us(recording, believed, airspeed=airspeed)
+                typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
+    except LeewayError as error:
+        raise _refuse(error) from None
+    if not envelope:
+        return
+    truth = load_airframe(params_dir() / "truth" / "m100.toml")
+    work = bench.jobs_of(flights, seed, truth, read_airframe("m100"), pitot)
+    stem = "estimator_envelope" + ("_pitot" if pitot else "")
+    kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
+    found = _journaled("envelope", work, bench.fly_condition, jobs, kept)
+    _finish(bench.envelope_sheet(found, seed, pitot), out, stem)
+    kept.remove()

@@ -30,6 +30,10 @@ observation = st.builds(
     airspeed_mps=st.one_of(st.none(), st.floats(-5.0, 40.0)),
     airspeed_is_magnitude=st.booleans(),
     autopilot_wind_to_ne_mps=st.one_of(st.none(), st.tuples(speed, speed)),
+    autopilot_wind_cov_m2ps2=st.one_of(
+        st.none(), st.tuples(st.floats(0.0, 9.0), st.just(0.0), st.floats(0.0, 9.0))
+    ),
+    airspeed_fr_mps=st.one_of(st.none(), st.tuples(speed, speed)),
 )
 
 
@@ -96,6 +100,8 @@ def test_on_one_heading_for_ever_it_does_not_diverge(seed: int, course: float, t
         {"airspeed_mps": math.inf},
         {"vel_ned_mps": (0.0, math.nan, 0.0)},
         {"autopilot_wind_to_ne_mps": (math.nan, 0.0)},
+        {"autopilot_wind_cov_m2ps2": (math.inf, 0.0, 1.0)},
+        {"airspeed_fr_mps": (1.0, math.nan)},
     ],
 )
 def test_nan_is_refused(broken: dict) -> None:

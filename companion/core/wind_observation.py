@@ -1,0 +1,64 @@
+"""What the wind estimator hears, and what it answers."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class WindObservation:
+    """What telemetry says at one instant; None is unknown and never enters the filter.
+
+    `airspeed_mps` only from a real pitot on the forward axis (or `airspeed_is_magnitude`);
+    `airspeed_fr_mps` from a sensor with two axes: the vehicle's horizontal velocity through the
+    air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the flavour's adapter
+    knows it to be a real estimate, with its variances and covariance (nn, ne, ee) where it says;
+    `height_m` above the ground, for the size of the eddies.
+    """
+
+    t_s: float
+    airborne: bool
+    mass_kg: float
+    vel_ned_mps: tuple[float, float, float] | None = None
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+    yaw_rad: float | None = None
+    airspeed_mps: float | None = None
+    airspeed_is_magnitude: bool = False
+    autopilot_wind_to_ne_mps: tuple[float, float] | None = None
+    autopilot_wind_cov_m2ps2: tuple[float, float, float] | None = None
+    airspeed_fr_mps: tuple[float, float] | None = None
+    height_m: float | None = None
+
+    def refuse_nan(self) -> None:
+        """Raise ValueError on NaN, infinity, no mass, or a covariance that is none."""
+        numbers = [self.t_s, self.mass_kg, *(self.vel_ned_mps or ())]
+        numbers += [*(self.autopilot_wind_to_ne_mps or ()), *(self.airspeed_fr_mps or ())]
+        numbers += [*(self.autopilot_wind_cov_m2ps2 or ())]
+        optional = (self.roll_rad, self.pitch_rad, self.yaw_rad, self.airspeed_mps, self.height_m)
+        numbers += [v for v in optional if v is not None]
+        if not all(map(math.isfinite, numbers)) or self.mass_kg <= 0.0:
+            raise ValueError(f"wind observation with a number that is none: {self}")
+        if self.autopilot_wind_cov_m2ps2 is not None:
+            nn, ne, ee = self.autopilot_wind_cov_m2ps2
+            if nn < 0.0 or ee < 0.0 or ne * ne > nn * ee:
+                raise ValueError(f"wind observation with a covariance that is none: {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class WindBelief:
+    """Mean and covariance of the horizontal wind (10 s mean at the vehicle), where it moves to.
+
+    `sources` names what entered lately, of "tilt", "pitot", "autopilot". `valid` is False until
+    enough has entered, and again when nothing entered for long.
+    """
+
+    t_s: float
+    mean_to_ne_mps: FloatArray
+    cov_ne_m2ps2: FloatArray
+    sources: tuple[str, ...]
+    valid: bool
