@@ -13,7 +13,7 @@ from rich.console import Console
 from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
-from sim_bridge.app import campaign_cli, conform_cli, experiments_cli, serve_cli
+from sim_bridge.app import campaign_cli, conform_cli, experiments_cli, promise_cli, serve_cli
 from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
@@ -246,6 +246,7 @@ app.registered_commands += serve_cli.app.registered_commands
 app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
+app.registered_commands += promise_cli.app.registered_commands
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Judged blocks, missions drawn in them, and the wind that every mission meets."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -45,7 +46,7 @@ def blocks_of(stretches: tuple[Stretch, ...], longest_s: float) -> tuple[Block, 
             continue
         count = max(1, round((last_start + 1) / BLOCK_S))
         edges = np.linspace(BEFORE_S, last_start + 1, count + 1).round().astype(int)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in itertools.pairwise(edges):
             blocks.append(Block(index, int(a), int(b) - 1, int(b) - 1 + reach))
     if not blocks:
         longest = max((s.seconds for s in stretches), default=0)

@@ -7,7 +7,7 @@ gate is `companion.core.gate.Gate`, with the outlook and the energy model that f
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,14 @@ from companion.core.gate import Ahead, Decision, Gate, GateParams, Stage, WayHom
 from companion.core.power_scale import ModelError
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_estimator import WindBelief
-from companion.core.wind_outlook import WindOutlook
+from companion.core.wind_outlook import WindForecast, WindOutlook
 from sim_bridge.experiments.promise.truth import Profile
 
 Floats = NDArray[np.float64]
 
 HISTORY_S = 300
 NOISE_MPS = 0.5
-_AVERAGE_S = 5  # the wind is believed from the mean of so many seconds, once each
+AVERAGE_S = 5  # the wind is believed from the mean of so many seconds, once each
 _STAGES = 5  # decision points ahead that the gate is shown, the next and the last among them
 PHASES = ("departure", "half way", "delivery")
 
@@ -76,10 +76,8 @@ class SpreadOutlook(WindOutlook):
         super().__init__()
         self._spread = spread
 
-    def forecast(self, belief: WindBelief, horizon_s: Floats):
+    def forecast(self, belief: WindBelief, horizon_s: Floats) -> WindForecast:
         """As the outlook's, the walk's deviations times the factor."""
-        from dataclasses import replace
-
         seen = super().forecast(belief, horizon_s)
         return replace(seen, walk_cov_m2ps2=self._spread**2 * seen.walk_cov_m2ps2)
 
@@ -91,30 +89,32 @@ class Planner:
         self._params = params
         self._gate = Gate(route_energy, GateParams(max_loss=0.01, reserve_wh=0.0))
 
+    def depart(self, seen: Seen, rng: np.random.Generator) -> list[Decision]:
+        """What is decided at the start under every accepted loss."""
+        p = self._params
+        watch = _Watch(seen, rng, p.spread)
+        return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
+
     def fly(self, seen: Seen, rng: np.random.Generator) -> list[Decided]:
         """One mission under every accepted loss."""
         p = self._params
         watch = _Watch(seen, rng, p.spread)
         turn_s = [math.inf] * len(p.accepted)
         said: list[list[float | None]] = [[None] * len(PHASES) for _ in p.accepted]
-        times = [*np.arange(0.0, seen.arrival_s, p.every_s)] if math.isfinite(seen.arrival_s) else [
-            *np.arange(0.0, len(seen.out_m) - 1.0, p.every_s)
-        ]
-        if math.isfinite(seen.arrival_s):
-            times.append(seen.arrival_s)
         half_said = False
-        for t_s in times:
+        for t_s in self._looks(seen):
             left_wh = p.budget_wh - p.loaded_w * t_s / 3600.0
             flying = [k for k, turned in enumerate(turn_s) if math.isinf(turned)]
             if not flying or left_wh <= 0.0:
                 break
-            here_m = min(float(np.interp(t_s, np.arange(len(seen.out_m)), seen.out_m)), seen.distance_m)
-            at_customer = t_s == seen.arrival_s
-            phase = 2 if at_customer else 0 if t_s == 0.0 else None
+            here_m = _interpolated(seen.out_m, t_s)
+            phase = 0 if t_s == 0.0 else 2 if t_s == seen.arrival_s else None
             if phase is None and not half_said and here_m >= 0.5 * seen.distance_m:
                 phase, half_said = 1, True
-            answers = self._ask(watch, t_s, here_m, seen, left_wh, [p.accepted[k] for k in flying])
-            for k, answer in zip(flying, answers, strict=True):
+            accepted = [p.accepted[k] for k in flying]
+            for k, answer in zip(
+                flying, self._ask(watch, t_s, here_m, seen, left_wh, accepted), strict=True
+            ):
                 if answer.turn_back:
                     turn_s[k] = t_s
                 if phase is not None:
@@ -123,6 +123,13 @@ class Planner:
             Decided(turned > 0.0, turned, tuple(each))
             for turned, each in zip(turn_s, said, strict=True)
         ]
+
+    def _looks(self, seen: Seen) -> list[float]:
+        """When it decides: every so often on the way out, and over the customer."""
+        arrives = math.isfinite(seen.arrival_s)
+        until = seen.arrival_s if arrives else seen.out_m.size - 1.0
+        looks = np.arange(0.0, until, self._params.every_s).tolist()
+        return [*looks, seen.arrival_s] if arrives else looks
 
     def _ask(
         self,
@@ -143,6 +150,11 @@ class Planner:
         return self._gate.decide_each(ahead, belief, watch.outlook, energy, p.model, accepted)
 
 
+def _interpolated(by_second: Floats, t_s: float) -> float:
+    low = min(int(t_s), by_second.size - 2)
+    return float(by_second[low] + (t_s - low) * (by_second[low + 1] - by_second[low]))
+
+
 class _Watch:
     """The wind as seen so far: 5-second means of noisy seconds, told to the outlook in order."""
 
@@ -150,20 +162,20 @@ class _Watch:
         noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
         self._noisy = seen.wind_ne_mps + noise
         self._history_s = seen.history_s
-        self._next = -seen.history_s + _AVERAGE_S
+        self._next = -seen.history_s + AVERAGE_S
         self.outlook = SpreadOutlook(spread)
 
     def belief(self, t_s: float) -> WindBelief:
         """The wind as believed at a time of the mission, the outlook told of all before."""
         while self._next <= t_s - 1e-9:
             self.outlook.observe(self._mean(float(self._next)))
-            self._next += _AVERAGE_S
+            self._next += AVERAGE_S
         return self._mean(t_s)
 
     def _mean(self, t_s: float) -> WindBelief:
         now = math.floor(t_s) + self._history_s  # whole seconds that have passed
-        mean = self._noisy[max(now - _AVERAGE_S, 0) : max(now, 1)].mean(axis=0)
-        cov = np.eye(2) * NOISE_MPS**2 / _AVERAGE_S
+        mean = self._noisy[max(now - AVERAGE_S, 0) : max(now, 1)].mean(axis=0)
+        cov = np.eye(2) * NOISE_MPS**2 / AVERAGE_S
         return WindBelief(t_s, mean, cov, ("told",), True)
 
 

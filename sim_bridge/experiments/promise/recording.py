@@ -144,7 +144,8 @@ def _row(line: int, cells: list[str], order: list[int], troubles: _Troubles) -> 
         return None
     if not -360.0 <= from_deg <= 720.0:
         troubles.add(
-            "out of range", f"line {line}: wind_from_deg = {from_deg:g}, expected 0 to 360: left out"
+            "out of range",
+            f"line {line}: wind_from_deg = {from_deg:g}, expected 0 to 360: left out",
         )
         return None
     angle = math.radians(from_deg)

@@ -46,7 +46,7 @@ class Ends:
 
 def ends_of(flown: Flown, turn_s: Floats, go: Bools | None = None) -> Ends:
     """How missions end that turn at `turn_s` of their time (infinite: they deliver)."""
-    budget_wh = flown.power.budget_wh
+    budget_wh = flown.power.budget_wh + flown.pack_wh
     turned = np.isfinite(turn_s)
     spent = np.where(turned, flown.turning_wh(np.where(turned, turn_s, 0.0)), flown.delivering_wh())
     arrived_wh = flown.power.loaded_w * flown.arrival_s / 3600.0
@@ -57,7 +57,7 @@ def ends_of(flown: Flown, turn_s: Floats, go: Bools | None = None) -> Ends:
 
 def clairvoyant(flown: Flown) -> Ends:
     """Goes exactly where the whole trip will work out."""
-    going = flown.delivering_wh() <= flown.power.budget_wh
+    going = flown.delivering_wh() <= flown.power.budget_wh + flown.pack_wh
     ends = ends_of(flown, np.full(going.size, math.inf), going)
     return Ends(going, ends.delivered & going, ends.margin_wh)
 

@@ -4,8 +4,9 @@ The truth's side of `promise`: imports nothing of the planner's. The vehicle hol
 nose into the relative wind; ground speed follows the wind triangle second by second, and while the
 wind leaves no way it burns energy on the spot. Power is the truth's steady power at that airspeed,
 at the wind's speed where it hovers, climbs and sinks over one place. A stop or a start costs half
-of airspeed over acceleration at the mean of cruise and hover power, a turn for home both. It starts at cruise height
-over the depot, under way; home is landed at the depot with energy of its budget left.
+of airspeed over acceleration at the mean of cruise and hover power; a turn for home costs both. It
+starts at cruise height over the depot, under way; home is landed at the depot with energy of its
+budget left.
 """
 
 import math
@@ -164,10 +165,16 @@ class Flown:
         self._out_m = _run(ground_speed_mps(profile.airspeed_mps, wind_ne_mps, unit))
         self._back_m = _run(ground_speed_mps(profile.airspeed_mps, wind_ne_mps, -unit))
         self.arrival_s = _crossing_s(self._out_m, missions.distance_m)
+        self.pack_wh = np.zeros(missions.start.size)
+        """What each pack gives beyond the budget that is believed."""
 
     def out_m(self, t_s: Floats) -> Floats:
         """How far out every mission is at its time."""
         return np.minimum(_at(self._out_m, t_s), self.missions.distance_m)
+
+    def out_by_second(self, number: int) -> Floats:
+        """How far out one mission is at every whole second."""
+        return np.minimum(self._out_m[number], self.missions.distance_m[number])
 
     def turning_wh(self, t_s: Floats) -> Floats:
         """Energy of the mission that turns round at its time, under way or over the customer."""
@@ -186,9 +193,7 @@ class Flown:
         target = _at(self._back_m, leave) + self.missions.distance_m
         home_s = _crossing_s(self._back_m, target)
         return (
-            spent
-            + power.empty_w * (home_s - leave) / 3600.0
-            + self._land_wh(home_s, loaded=False)
+            spent + power.empty_w * (home_s - leave) / 3600.0 + self._land_wh(home_s, loaded=False)
         )
 
     def _land_wh(self, at_s: Floats, *, loaded: bool) -> Floats:
