@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.special import ndtr
 
 from companion.core.gate_paths import PathSampler
@@ -59,7 +59,8 @@ class Budget:
         def short(energy_wh: float) -> float:
             return float(ndtr((energy_wh - need_wh) / spread).mean()) - p
 
-        return float(self.left_wh) - float(brentq(short, low, high, xtol=0.005))
+        found = root_scalar(short, bracket=(low, high), method="brentq", xtol=0.005)
+        return float(self.left_wh) - float(found.root)
 
 
 @dataclass(frozen=True, slots=True)

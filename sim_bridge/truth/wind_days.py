@@ -2,11 +2,11 @@
 
 Each day has a mean wind of its own, uniform from 0.75 to 1.25 times the asked mean, from a uniform
 direction. About it the vector moves by a sum of independent Ornstein-Uhlenbeck processes on both
-axes, standard deviations in shares of the day's mean: 0.10 with a memory of 20 minutes (weather over
-the hour), 0.09 with 3 minutes (large eddies of the boundary layer, as in Kaimal's spectra the
-energy at n z / U of some hundredths), and 0.165 with L_u / U: the longitudinal form of the Dryden
-spectrum of MIL-F-8785C at 40 m (L_u = 180 m, sigma_u = 1.65 sigma_w, sigma_w = 0.1 U).
-Every part is Gaussian and Markov, so what can be known of its future is known exactly.
+axes. Their standard deviations, as shares of the day's mean: 0.10 with a memory of 20 minutes
+(weather over the hour), 0.09 with 3 minutes (large eddies of the boundary layer), and 0.165 with
+L_u / U, the longitudinal form of the Dryden spectrum of MIL-F-8785C at 40 m (L_u = 180 m, sigma_u =
+1.65 sigma_w, sigma_w = 0.1 U). The two slow shares are assumed, near what is seen at coasts. Every
+part is Gaussian and Markov, so what can be known of its future is known exactly.
 """
 
 import math

@@ -13,6 +13,7 @@ from companion.core.power_scale import ModelError
 from companion.core.route_energy import RouteEnergy
 from sim_bridge.experiments.promise.believed import Measured, calibrated
 from sim_bridge.experiments.promise.blocks import BEFORE_S, TIERS, Block, distances_m
+from sim_bridge.experiments.promise.bound import p_success
 from sim_bridge.experiments.promise.calibrating import accepted_for, fitted_spread, unjudged_by
 from sim_bridge.experiments.promise.planner import (
     HISTORY_S,
@@ -70,6 +71,8 @@ class GateFlight:
     go: list[bool]
     turn_s: list[float | None]
     said: list[list[float | None]]
+    p_bound: float | None = None
+    """On simulated wind: P(success) over the customer by the true process (bound.py)."""
 
 
 @lru_cache(maxsize=1)
@@ -199,14 +202,24 @@ def fly(work: FlyWork) -> list[GateFlight]:
 
 
 def _flight(world: World, planner: Planner, number: int) -> GateFlight:
-    rng = np.random.default_rng([world.setting.seed, 5, number])
-    decided: list[Decided] = planner.fly(seen_by(world, number), rng)
+    rng = _rng_of(world, number)
+    seen = seen_by(world, number)
+    decided: list[Decided] = planner.fly(seen, rng)
+    best = None
+    if world.days:
+        best = p_success(world, number, seen, _rng_of(world, number))
     return GateFlight(
         number,
         [d.go for d in decided],
         [d.turn_s if math.isfinite(d.turn_s) else None for d in decided],
         [list(d.said) for d in decided],
+        best,
     )
+
+
+def _rng_of(world: World, number: int) -> np.random.Generator:
+    """A mission's own randomness; its first numbers are the noise on its wind."""
+    return np.random.default_rng([world.setting.seed, 5, number])
 
 
 def seen_by(world: World, number: int) -> Seen:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bridge.experiments.promise.bound import most_success
 from sim_bridge.experiments.promise.flying import Fitted, GateFlight
 from sim_bridge.experiments.promise.rules import Ends, ends_of
 from sim_bridge.experiments.promise.verdict import (
@@ -25,6 +26,7 @@ from sim_bridge.experiments.report import Sheet
 Floats = NDArray[np.float64]
 
 RULES = ("px4_time", "threshold_25", "threshold_35", "clairvoyant")
+BOUND = "bound: the same information, the true process"
 _BOOTSTRAP_SEED = 6
 
 
@@ -38,6 +40,8 @@ class Result:
     """The gate with a fixed rule's own loss accepted, by that rule's name."""
     phases: list[tuple[str, int, float, float]]
     fitted: list[Fitted]
+    most_SUC: float | None
+    """On simulated wind: the bound's SUC count at the loss that is accepted."""
 
 
 def result_of(world: World, fitted: list[Fitted], flights: list[list[GateFlight]]) -> Result:
@@ -54,7 +58,9 @@ def result_of(world: World, fitted: list[Fitted], flights: list[list[GateFlight]
     rules = {"gate": rule_row(gate), **{name: rule_row(world.rules[name]) for name in RULES}}
     verdict = Verdict(rules, bins_of(statements, rng), go_of(gate, unit, rng))
     matched = {name: rule_row(each) for name, each in ends.items() if name != "gate"}
-    return Result(verdict, statements, matched, said_by_phase(said, gate), fitted)
+    best = np.array([f.p_bound for f in flown if f.p_bound is not None])
+    most = most_success(best, world.setting.max_loss * float(gate.go.sum())) if best.size else None
+    return Result(verdict, statements, matched, said_by_phase(said, gate), fitted, most)
 
 
 def _ends(world: World, flown: list[GateFlight], policy: int) -> Ends:
@@ -85,6 +91,20 @@ def rules_sheet(world: World, result: Result) -> Sheet:
         _cells(f"gate, accepting {world.accepted_losses[name]:.3f} ({name}'s own)", row, best)
         for name, row in result.matched.items()
     ]
+    if result.most_SUC is not None:
+        share = 100.0 * result.most_SUC / world.setting.missions
+        below = 100.0 * best / world.setting.missions - share
+        rows.append(
+            (
+                BOUND,
+                "-",
+                "-",
+                f"{100.0 * world.setting.max_loss:.2f}",
+                f"{share:.2f}",
+                f"{below:.2f}",
+                "-",
+            )
+        )
     go = result.verdict.go
     share = go.home / max(go.count, 1)
     phases = "; ".join(
@@ -123,7 +143,8 @@ def reliability_sheet(result: Result) -> Sheet:
     for each in result.verdict.reliability:
         said = said_in(result.statements, each)
         share = each.home / each.count
-        within = "yes" if each.lower95 <= said <= each.upper95 else "no"
+        inside = each.lower95 <= said <= each.upper95
+        within = "yes" if inside else f"no, {100.0 * abs(said - share):.2f} points off"
         rows.append(
             (
                 f"{each.p_low:g} to {each.p_high:g}",

@@ -28,7 +28,7 @@ from sim_bridge.experiments.promise.rules import (
 )
 from sim_bridge.experiments.promise.truth import Profile, TruePower
 from sim_bridge.truth.params import AirframeTruth, load_airframe
-from sim_bridge.truth.wind_days import day_of_wind, day_process
+from sim_bridge.truth.wind_days import DayProcess, day_of_wind, day_process
 
 Ints = NDArray[np.int64]
 
@@ -93,11 +93,9 @@ class World:
         self.recordings: tuple[Recording, ...] = tuple(
             read_recording(Path(name)) for name in setting.wind_logs
         )
-        self.stretches = (
-            tuple(s for r in self.recordings for s in r.stretches)
-            if self.recordings
-            else _days(setting.simulated_days, setting.seed)
-        )
+        self.days, simulated = _days(setting.simulated_days, setting.seed)
+        """The process of each simulated day; none on recordings."""
+        self.stretches = simulated or tuple(s for r in self.recordings for s in r.stretches)
         speeds = [np.hypot(s.wind_ne_mps[:, 0], s.wind_ne_mps[:, 1]) for s in self.stretches]
         self.mean_wind_mps = float(np.concatenate(speeds).mean())
         self.profile = Profile(setting.airspeed_mps or self._derived_airspeed_mps())
@@ -182,13 +180,14 @@ class World:
         }
 
 
-def _days(count: int, seed: int) -> tuple[Stretch, ...]:
+def _days(count: int, seed: int) -> tuple[tuple[DayProcess, ...], tuple[Stretch, ...]]:
+    processes: list[DayProcess] = []
     days: list[Stretch] = []
     for day in range(count):
         rng = np.random.default_rng([seed, 3, day])
-        process = day_process(SIMULATED_MEAN_MPS, rng)
-        days.append(Stretch(f"day {day + 1}", 0.0, day_of_wind(process, DAY_S, rng)))
-    return tuple(days)
+        processes.append(day_process(SIMULATED_MEAN_MPS, rng))
+        days.append(Stretch(f"day {day + 1}", 0.0, day_of_wind(processes[-1], DAY_S, rng)))
+    return tuple(processes), tuple(days)
 
 
 def seconds_of(stretches: tuple[Stretch, ...]) -> int:
