@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 LEVELS = (0.002, 0.005, 0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7, 0.85, 0.95, 0.999)
 DEPARTURES = 240
 CHUNK = 20
+_HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
 _MODEL_STD_FRAC = 0.01  # what a calibrated model is off by in another wind (docs/promise.md)
 _COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
 _LOOKS = 48  # of a mission that flies for as long as it can
@@ -86,7 +87,7 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
     """The planner's energy model: the shipped airframe after a calibration flight."""
     world = world_of(setting)
     profile, steady = world.profile, SteadyFlight(world.truth)
-    hover_mps = min(world.mean_wind_mps, 0.8 * profile.airspeed_mps)
+    hover_mps = _HOVER_WIND_OVER_AIR * profile.airspeed_mps
     measured = [
         Measured(payload, speed, steady.level_flight_power_w(speed, payload))
         for payload in (0.0, profile.payload_kg)
