@@ -84,6 +84,7 @@ def promise(
         max_loss=max_loss,
         airframe="m100",
         truth_file=str(params_dir() / "truth" / "m100.toml"),
+        wind_process="coast",
         pack_std_frac=pack_std,
     )
     world = flying.world_of(setting)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.adapters.files import read_wind_process
 from companion.core.errors import LeewayError
 from sim_bridge.experiments.promise import flying
 from sim_bridge.experiments.promise.blocks import Block
@@ -36,8 +37,10 @@ SETTING = Setting(
     max_loss=0.01,
     airframe="m100",
     truth_file=TRUTH,
+    wind_process="coast",
     pack_std_frac=0.0,
 )
+COAST = read_wind_process("coast")
 PROCESS = DayProcess((-6.0, 5.0), (0.8, 0.7, 1.3), (1200.0, 180.0, 22.0))
 
 
@@ -47,7 +50,7 @@ def world() -> World:
 
 
 def planner(world: World, spread: float, accepted: tuple[float, ...]) -> Planner:
-    params = flying.planner_params(world, spread, accepted)
+    params = flying.planner_params(world, COAST, spread, accepted)
     return Planner(flying.believed_route_energy(world.setting), params)
 
 
@@ -134,7 +137,7 @@ def test_other_wind_in_the_judged_block_leaves_the_fit_as_it_is() -> None:
         wind[2000 - HISTORY_S : 3101] += judged_wind
         stretches = (replace(site, wind_ne_mps=wind),)
         parts = unjudged_by(JUDGED, stretches)
-        spreads.append(fitted_spread(parts, stretches, 400.0, np.random.default_rng(1)))
+        spreads.append(fitted_spread(parts, stretches, COAST, 400.0, np.random.default_rng(1)))
     assert spreads[0] == spreads[1]
 
 
@@ -166,6 +169,7 @@ def test_a_wilder_site_is_fitted_a_wider_spread() -> None:
         fitted_spread(
             (Unjudged(0, 0, 2500),),
             (Stretch("", 0.0, day_of_wind(each, 2500, np.random.default_rng(3))),),
+            COAST,
             400.0,
             np.random.default_rng(1),
         )

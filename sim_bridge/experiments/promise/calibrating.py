@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
+from companion.core.wind_process import WindProcessParams
 from sim_bridge.experiments.promise.blocks import Block
 from sim_bridge.experiments.promise.planner import AVERAGE_S, HISTORY_S, NOISE_MPS
 from sim_bridge.experiments.promise.recording import Stretch
@@ -58,6 +59,7 @@ def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tu
 def fitted_spread(
     unjudged: tuple[Unjudged, ...],
     stretches: tuple[Stretch, ...],
+    process: WindProcessParams,
     endurance_s: float,
     rng: np.random.Generator,
 ) -> float:
@@ -72,7 +74,7 @@ def fitted_spread(
     squares: list[float] = []
     for part in usable:
         wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]
-        squares += _standardised(wind, endurance_s, every_s, rng)
+        squares += _standardised(wind, process, endurance_s, every_s, rng)
     independent = 2.0 * min(len(squares), seconds / _INDEPENDENT_S)  # two axes
     mean = float(np.mean(squares)) if squares else 1.0
     known = independent + _PRIOR_ERRORS
@@ -81,7 +83,11 @@ def fitted_spread(
 
 
 def _standardised(
-    wind_ne_mps: Floats, endurance_s: float, every_s: int, rng: np.random.Generator
+    wind_ne_mps: Floats,
+    process: WindProcessParams,
+    endurance_s: float,
+    every_s: int,
+    rng: np.random.Generator,
 ) -> Iterator[float]:
     """Squared errors of window means over their variance as the gate has it, mean over both axes.
 
@@ -93,7 +99,7 @@ def _standardised(
     windows = [math.ceil(frac * endurance_s) for frac in _WINDOW_FRACS]
     middles = 0.5 * np.array(windows, float)
     for now in range(HISTORY_S, seconds - max(windows), every_s):
-        outlook = WindOutlook()
+        outlook = WindOutlook(process)
         belief = WindBelief(float(now), np.zeros(2), cov, ("told",), False)
         for at in range(now - HISTORY_S + AVERAGE_S, now + 1, AVERAGE_S):
             mean = noisy[at - AVERAGE_S : at].mean(axis=0)

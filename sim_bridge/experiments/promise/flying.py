@@ -8,9 +8,10 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.adapters.files import read_airframe
+from companion.adapters.files import read_airframe, read_wind_process
 from companion.core.power_scale import ModelError
 from companion.core.route_energy import RouteEnergy
+from companion.core.wind_process import WindProcessParams
 from sim_bridge.experiments.promise.believed import Measured, calibrated
 from sim_bridge.experiments.promise.blocks import BEFORE_S, TIERS, Block, distances_m
 from sim_bridge.experiments.promise.bound import p_success
@@ -42,6 +43,7 @@ class Fitted:
     """What a fold's planner learned from the seconds that it does not judge."""
 
     fold: int
+    process: WindProcessParams
     spread: float
     accepted: dict[str, float]
     departures: int
@@ -111,7 +113,9 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
     )
 
 
-def planner_params(world: World, spread: float, accepted: tuple[float, ...]) -> PlannerParams:
+def planner_params(
+    world: World, process: WindProcessParams, spread: float, accepted: tuple[float, ...]
+) -> PlannerParams:
     """What a fold's planner believes."""
     power = world.power
     pack_std_wh = math.hypot(world.setting.pack_std_frac, _COUNTER_STD_FRAC) * power.budget_wh
@@ -123,6 +127,7 @@ def planner_params(world: World, spread: float, accepted: tuple[float, ...]) -> 
         pack_std_wh=pack_std_wh,
         every_s=max(_LEAST_BETWEEN_S, power.endurance_s / _LOOKS),
         accepted=accepted,
+        process=process,
         spread=spread,
     )
 
@@ -132,19 +137,20 @@ def fit_fold(work: FoldWork) -> Fitted:
     world = world_of(work.setting)
     rng = np.random.default_rng([work.setting.seed, 4, work.fold])
     unjudged = unjudged_by(world.judged(work.fold), world.stretches)
-    spread = fitted_spread(unjudged, world.stretches, world.power.endurance_s, rng)
+    process = read_wind_process(work.setting.wind_process)
+    spread = fitted_spread(unjudged, world.stretches, process, world.power.endurance_s, rng)
     open_to = tuple(
         Block(u.stretch, u.first + BEFORE_S, u.last, u.last)
         for u in unjudged
         if u.last - u.first > BEFORE_S
     )
-    params = planner_params(world, spread, LEVELS)
+    params = planner_params(world, process, spread, LEVELS)
     planner = Planner(believed_route_energy(work.setting), params)
     said = _departures(world, open_to, planner, rng) if open_to else np.empty((0, len(LEVELS)))
     accepted = {
         name: accepted_for(loss, LEVELS, said) for name, loss in world.accepted_losses.items()
     }
-    return Fitted(work.fold, spread, accepted, said.shape[0])
+    return Fitted(work.fold, process, spread, accepted, said.shape[0])
 
 
 def _departures(
@@ -197,7 +203,7 @@ def fly(work: FlyWork) -> list[GateFlight]:
     world = world_of(work.setting)
     names = tuple(world.accepted_losses)
     accepted = tuple(work.fitted.accepted[name] for name in names)
-    params = planner_params(world, work.fitted.spread, accepted)
+    params = planner_params(world, work.fitted.process, work.fitted.spread, accepted)
     planner = Planner(believed_route_energy(work.setting), params)
     return [_flight(world, planner, number) for number in work.missions]
 

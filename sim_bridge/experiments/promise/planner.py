@@ -17,7 +17,8 @@ from companion.core.gate import Ahead, Decision, Gate, GateParams, Stage, WayHom
 from companion.core.power_scale import ModelError
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_estimator import WindBelief
-from companion.core.wind_outlook import WindForecast, WindOutlook
+from companion.core.wind_outlook import LEG_S, WindForecast, WindOutlook
+from companion.core.wind_process import WindProcessParams
 from sim_bridge.experiments.promise.truth import Profile
 
 Floats = NDArray[np.float64]
@@ -65,20 +66,23 @@ class PlannerParams:
     every_s: float
     accepted: tuple[float, ...]
     """Policies side by side: what a single decision may risk, rising."""
-    spread: float = 1.0
-    """Of the wind to come over the outlook's, calibrated on other blocks."""
+    process: WindProcessParams
+    spread: float
+    """Of the wind to come over the process's own, calibrated on other blocks."""
 
 
 class SpreadOutlook(WindOutlook):
     """The flight's outlook with its spread times a calibrated factor."""
 
-    def __init__(self, spread: float) -> None:
-        super().__init__()
+    def __init__(self, process: WindProcessParams, spread: float) -> None:
+        super().__init__(process)
         self._spread = spread
 
-    def forecast(self, belief: WindBelief, horizon_s: Floats) -> WindForecast:
+    def forecast(
+        self, belief: WindBelief, horizon_s: Floats, averaged_s: float = LEG_S
+    ) -> WindForecast:
         """As the outlook's, the walk's deviations times the factor."""
-        seen = super().forecast(belief, horizon_s)
+        seen = super().forecast(belief, horizon_s, averaged_s)
         return replace(seen, walk_cov_m2ps2=self._spread**2 * seen.walk_cov_m2ps2)
 
 
@@ -92,13 +96,13 @@ class Planner:
     def depart(self, seen: Seen, rng: np.random.Generator) -> list[Decision]:
         """What is decided at the start under every accepted loss."""
         p = self._params
-        watch = _Watch(seen, rng, p.spread)
+        watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
 
     def fly(self, seen: Seen, rng: np.random.Generator) -> list[Decided]:
         """One mission under every accepted loss."""
         p = self._params
-        watch = _Watch(seen, rng, p.spread)
+        watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         turn_s = [math.inf] * len(p.accepted)
         said: list[list[float | None]] = [[None] * len(PHASES) for _ in p.accepted]
         half_said = False
@@ -158,12 +162,12 @@ def _interpolated(by_second: Floats, t_s: float) -> float:
 class _Watch:
     """The wind as seen so far: 5-second means of noisy seconds, told to the outlook in order."""
 
-    def __init__(self, seen: Seen, rng: np.random.Generator, spread: float) -> None:
+    def __init__(self, seen: Seen, rng: np.random.Generator, outlook: WindOutlook) -> None:
         noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
         self._noisy = seen.wind_ne_mps + noise
         self._history_s = seen.history_s
         self._next = -seen.history_s + AVERAGE_S
-        self.outlook = SpreadOutlook(spread)
+        self.outlook = outlook
 
     def belief(self, t_s: float) -> WindBelief:
         """The wind as believed at a time of the mission, the outlook told of all before."""

@@ -55,6 +55,7 @@ class Setting:
     max_loss: float
     airframe: str
     truth_file: str
+    wind_process: str
     pack_std_frac: float
 
     def check(self) -> None:
