@@ -1,10 +1,12 @@
 """Cross-fitting: what the planner of a judged block learns from the seconds that are not judged.
 
-Two numbers for each block. `spread`: how much wider than the outlook's the errors of its forecasts
-were, over windows as long as a way home. `accepted`: what a single decision may risk so that all
-missions together lose what the operator accepts; found on departures drawn in the same seconds, by
-what the gate itself says there. Nothing that a judged mission sees or flies through enters: the
-block, the history before it and the longest mission behind it are left out.
+For each block: the outlook's process, by likelihood and with its tails, as `companion fit-wind`
+does it; where less than 20 minutes are left to fit, the shipped one. Then two numbers. `spread`:
+how much wider than the outlook's the errors of its forecasts were, over windows as long as a way
+home. `accepted`: what a single decision may risk so that all missions together lose what the
+operator accepts; found on departures drawn in the same seconds, by what the gate itself says there.
+Nothing that a judged mission sees or flies through enters: the block, the history before it and the
+longest mission behind it are left out.
 """
 
 import math
@@ -15,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.wind_estimator import WindBelief
+from companion.core.wind_fit import LEAST_FIT_S, MEAN_S, WindMeans, ten_second_means
+from companion.core.wind_holdout import fit_with_tail
 from companion.core.wind_outlook import WindOutlook
 from companion.core.wind_process import WindProcessParams
 from sim_bridge.experiments.promise.blocks import Block
@@ -25,6 +29,8 @@ Floats = NDArray[np.float64]
 
 _KEPT_BACK = 0.06
 
+_MOST_FIT_S = 3.0 * 3600.0
+_PARTS = 3
 _EVERY_S = 20
 _MOST_ERRORS = 500
 _WINDOW_FRACS = (0.15, 0.3)  # of the endurance: short and long ways home
@@ -54,6 +60,20 @@ def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tu
         if stretch.seconds > begin:
             left.append(Unjudged(index, begin, stretch.seconds))
     return tuple(left)
+
+
+def fitted_process(
+    unjudged: tuple[Unjudged, ...], stretches: tuple[Stretch, ...], shipped: WindProcessParams
+) -> WindProcessParams:
+    """The process of the unjudged wind, or of its first hours; the shipped one for too little."""
+    means: list[WindMeans] = []
+    for part in unjudged:
+        wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]
+        if sum(m.t_s.size for m in means) * MEAN_S < _MOST_FIT_S:
+            means += ten_second_means(np.arange(wind.shape[0], dtype=np.float64), wind)
+    if sum(m.t_s.size for m in means) * MEAN_S < LEAST_FIT_S:
+        return shipped
+    return fit_with_tail(means, "unjudged", _PARTS).process
 
 
 def fitted_spread(

@@ -15,7 +15,12 @@ from companion.core.wind_process import WindProcessParams
 from sim_bridge.experiments.promise.believed import Measured, calibrated
 from sim_bridge.experiments.promise.blocks import BEFORE_S, TIERS, Block, distances_m
 from sim_bridge.experiments.promise.bound import p_success
-from sim_bridge.experiments.promise.calibrating import accepted_for, fitted_spread, unjudged_by
+from sim_bridge.experiments.promise.calibrating import (
+    accepted_for,
+    fitted_process,
+    fitted_spread,
+    unjudged_by,
+)
 from sim_bridge.experiments.promise.planner import (
     HISTORY_S,
     Decided,
@@ -28,7 +33,24 @@ from sim_bridge.truth.steady_flight import SteadyFlight
 
 Floats = NDArray[np.float64]
 
-LEVELS = (0.002, 0.005, 0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7, 0.85, 0.95, 0.999)
+LEVELS = (
+    0.002,
+    0.005,
+    0.01,
+    0.02,
+    0.04,
+    0.07,
+    0.12,
+    0.2,
+    0.3,
+    0.42,
+    0.55,
+    0.7,
+    0.85,
+    0.95,
+    0.999,
+    0.99999,
+)
 DEPARTURES = 240
 CHUNK = 20
 _HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
@@ -137,7 +159,8 @@ def fit_fold(work: FoldWork) -> Fitted:
     world = world_of(work.setting)
     rng = np.random.default_rng([work.setting.seed, 4, work.fold])
     unjudged = unjudged_by(world.judged(work.fold), world.stretches)
-    process = read_wind_process(work.setting.wind_process)
+    shipped = read_wind_process(work.setting.wind_process)
+    process = fitted_process(unjudged, world.stretches, shipped)
     spread = fitted_spread(unjudged, world.stretches, process, world.power.endurance_s, rng)
     open_to = tuple(
         Block(u.stretch, u.first + BEFORE_S, u.last, u.last)

@@ -111,6 +111,10 @@ def rules_sheet(world: World, result: Result) -> Sheet:
         f"{phase}: {count} said {said:.4f}, {home:.4f} came home"
         for phase, count, said, home in result.phases
     )
+    memories = "; ".join(
+        ", ".join(f"{m:.0f}" for m in f.process.memory_s) + f" s, t {f.process.tail_dof}"
+        for f in result.fitted
+    )
     spreads = ", ".join(f"{f.spread:.2f}" for f in result.fitted)
     accepted = ", ".join(f"{f.accepted['gate']:.2f}" for f in result.fitted)
     note = (
@@ -118,7 +122,8 @@ def rules_sheet(world: World, result: Result) -> Sheet:
         f" {world.power.loaded_w:.0f} W loaded, {world.power.empty_w:.0f} W empty."
         f" Go decisions that came home: {100.0 * share:.2f} %"
         f" (lower bound {100.0 * go.lower95:.2f} %). {phases}."
-        f" Fitted on the other blocks: spread {spreads}; a single decision may risk {accepted}."
+        f" Fitted on the other blocks: memories and tails {memories}; spread {spreads};"
+        f" a single decision may risk {accepted}."
     )
     head = ("rule", "go %", "home % of go", "loss %", "SUC %", "below clairvoyant", "margin Wh")
     return Sheet(title_of(world), head, rows, note)
