@@ -116,7 +116,7 @@ class RouteEnergy:
         *,
         holds_airspeed: bool = False,
     ) -> None:
-        """`holds_airspeed`: cruises at that airspeed in any wind, never at a faster one."""
+        """`holds_airspeed`: cruises at the rule's slowest airspeed in any wind, never faster."""
         self.airframe = airframe
         self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
         self.speed_rule: SpeedRule = speed_rule

@@ -164,6 +164,26 @@ def test_a_judged_block_changes_nothing_that_its_planner_learns(tmp_path, monkey
     assert learned[0] == learned[1]
 
 
+def test_a_recording_of_one_block_is_judged_on_shipped_numbers_and_no_bolder(
+    tmp_path, monkeypatch
+) -> None:
+    """Nothing is left to fit on: the shipped process, its doubt added, departures elsewhere."""
+    monkeypatch.setattr(flying, "DEPARTURES", 12)
+    wind = day_of_wind(PROCESS, 1500, np.random.default_rng(1))
+    speed, towards = np.hypot(*wind.T), np.degrees(np.arctan2(wind[:, 1], wind[:, 0]))
+    rows = [f"{t},{speed[t]:.3f},{(towards[t] + 180.0) % 360.0:.2f}" for t in range(speed.size)]
+    path = tmp_path / "short.csv"
+    path.write_text("\n".join(["t_s,wind_speed_mps,wind_from_deg", *rows]) + "\n")
+    setting = replace(SETTING, wind_logs=(str(path),), simulated_days=0)
+    assert len(flying.world_of(setting).folds) == 1
+    fitted = flying.fit_fold(flying.FoldWork(setting, 0))
+    flying.believed_route_energy.cache_clear()
+    assert fitted.process == COAST
+    assert fitted.spread == pytest.approx(1.0 + 1.0 / math.sqrt(20.0))
+    assert fitted.departures == 12
+    assert fitted.accepted["gate"] < 0.7
+
+
 def test_a_wilder_site_is_fitted_a_wider_spread() -> None:
     calm, wild = (
         fitted_spread(

@@ -147,6 +147,8 @@ def accepted_for(max_loss: float, levels: tuple[float, ...], said_p_home: Floats
     `said_p_home` (departures, levels): NaN where the gate would not go. The level is interpolated
     between two of the grid's.
     """
+    if said_p_home.shape[0] == 0:
+        raise ValueError("no departures to settle the accepted loss on")
     goes = np.isfinite(said_p_home)
     loss = np.where(goes, 1.0 - said_p_home, 0.0).sum(axis=0) / np.maximum(goes.sum(axis=0), 1)
     loss = np.maximum.accumulate(loss)

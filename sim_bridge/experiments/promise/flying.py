@@ -16,6 +16,7 @@ from sim_bridge.experiments.promise.believed import Measured, calibrated
 from sim_bridge.experiments.promise.blocks import BEFORE_S, TIERS, Block, distances_m
 from sim_bridge.experiments.promise.bound import p_success
 from sim_bridge.experiments.promise.calibrating import (
+    Unjudged,
     accepted_for,
     fitted_process,
     fitted_spread,
@@ -28,7 +29,8 @@ from sim_bridge.experiments.promise.planner import (
     PlannerParams,
     Seen,
 )
-from sim_bridge.experiments.promise.world import Setting, World
+from sim_bridge.experiments.promise.recording import Stretch
+from sim_bridge.experiments.promise.world import Setting, World, simulated_days
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 Floats = NDArray[np.float64]
@@ -58,6 +60,8 @@ _MODEL_STD_FRAC = 0.01  # what a calibrated model is off by in another wind (doc
 _COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
 _LOOKS = 48  # of a mission that flies for as long as it can
 _LEAST_BETWEEN_S = 10.0
+_LEAST_OPEN_S = 600
+_SPARE_DAYS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +135,7 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
     return RouteEnergy(
         replace(airframe, speeds=speeds),
         cruise_airspeed_mps=profile.airspeed_mps,
+        speed_rule="cruise",
         holds_airspeed=True,
     )
 
@@ -162,33 +167,49 @@ def fit_fold(work: FoldWork) -> Fitted:
     shipped = read_wind_process(work.setting.wind_process)
     process = fitted_process(unjudged, world.stretches, shipped)
     spread = fitted_spread(unjudged, world.stretches, process, world.power.endurance_s, rng)
-    open_to = tuple(
-        Block(u.stretch, u.first + BEFORE_S, u.last, u.last)
-        for u in unjudged
-        if u.last - u.first > BEFORE_S
-    )
     params = planner_params(world, process, spread, LEVELS)
     planner = Planner(believed_route_energy(work.setting), params)
-    said = _departures(world, open_to, planner, rng) if open_to else np.empty((0, len(LEVELS)))
+    said = _departures(world, _open_to(world, unjudged), planner, rng)
     accepted = {
         name: accepted_for(loss, LEVELS, said) for name, loss in world.accepted_losses.items()
     }
     return Fitted(work.fold, process, spread, accepted, said.shape[0])
 
 
+def _open_to(world: World, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch, Block]]:
+    """Where departures may be drawn: in unjudged seconds; with too few, in simulated wind.
+
+    What is said at a departure hardly depends on the wind, but on how it compares to the airspeed.
+    """
+    found = [
+        (world.stretches[u.stretch], Block(u.stretch, u.first + BEFORE_S, u.last, u.last))
+        for u in unjudged
+        if u.last - u.first > BEFORE_S
+    ]
+    if sum(block.last - block.first for _, block in found) >= _LEAST_OPEN_S:
+        return found
+    days = simulated_days(_SPARE_DAYS, world.setting.seed, world.mean_wind_mps)[1]
+    return [(day, Block(k, HISTORY_S, day.seconds, day.seconds)) for k, day in enumerate(days)]
+
+
 def _departures(
-    world: World, blocks: tuple[Block, ...], planner: Planner, rng: np.random.Generator
+    world: World,
+    open_to: list[tuple[Stretch, Block]],
+    planner: Planner,
+    rng: np.random.Generator,
 ) -> Floats:
-    """P(home) as said at departures in unjudged seconds, NaN where the gate would stay."""
+    """P(home) as said at departures in these blocks, NaN where the gate would stay."""
+    blocks = [block for _, block in open_to]
     widths = np.array([b.last - b.first + 1 for b in blocks])
     edges = np.concatenate([[0], np.cumsum(widths)])
     second = np.floor((np.arange(DEPARTURES) + rng.random(DEPARTURES)) / DEPARTURES * edges[-1])
     said = np.full((DEPARTURES, len(LEVELS)), math.nan)
     low, high = TIERS[world.setting.tier]
     for i, at in enumerate(second.astype(np.int64)):
-        block = blocks[int(np.searchsorted(edges, at, side="right")) - 1]
-        start = int(at - edges[blocks.index(block)]) + block.first
-        wind = world.stretches[block.stretch].wind_ne_mps
+        number = int(np.searchsorted(edges, at, side="right")) - 1
+        stretch, block = open_to[number]
+        start = int(at - edges[number]) + block.first
+        wind = stretch.wind_ne_mps
         # History from before the fitted seconds would be the judged block's own.
         history = min(HISTORY_S, start - (block.first - BEFORE_S))
         angle = rng.uniform(0.0, 2.0 * math.pi)

@@ -94,7 +94,9 @@ class World:
         self.recordings: tuple[Recording, ...] = tuple(
             read_recording(Path(name)) for name in setting.wind_logs
         )
-        self.days, simulated = _days(setting.simulated_days, setting.seed)
+        self.days, simulated = simulated_days(
+            setting.simulated_days, setting.seed, SIMULATED_MEAN_MPS
+        )
         """The process of each simulated day; none on recordings."""
         self.stretches = simulated or tuple(s for r in self.recordings for s in r.stretches)
         speeds = [np.hypot(s.wind_ne_mps[:, 0], s.wind_ne_mps[:, 1]) for s in self.stretches]
@@ -181,12 +183,15 @@ class World:
         }
 
 
-def _days(count: int, seed: int) -> tuple[tuple[DayProcess, ...], tuple[Stretch, ...]]:
+def simulated_days(
+    count: int, seed: int, mean_mps: float
+) -> tuple[tuple[DayProcess, ...], tuple[Stretch, ...]]:
+    """Independent days about a mean wind, and the process that each was drawn from."""
     processes: list[DayProcess] = []
     days: list[Stretch] = []
     for day in range(count):
         rng = np.random.default_rng([seed, 3, day])
-        processes.append(day_process(SIMULATED_MEAN_MPS, rng))
+        processes.append(day_process(mean_mps, rng))
         days.append(Stretch(f"day {day + 1}", 0.0, day_of_wind(processes[-1], DAY_S, rng)))
     return tuple(processes), tuple(days)
 
