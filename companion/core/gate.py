@@ -10,16 +10,16 @@ replay is exact), with the energy model's and the battery's own errors integrate
 wherever nothing depends on when they show themselves. A tail of 1 % is then a smooth number.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from companion.core.energy_ledger import EnergyBelief
+from companion.core.gate_chances import Budget, Chances
 from companion.core.gate_paths import PathSampler
-from companion.core.gate_table import POLICY, LegTable
+from companion.core.gate_table import LegTable
 from companion.core.power_scale import ModelError
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import RouteEnergy
@@ -28,11 +28,12 @@ from companion.core.wind_outlook import WindOutlook
 
 FloatArray = NDArray[np.float64]
 
-__all__ = ["Ahead", "Assessment", "Gate", "GateParams", "Stage", "WayHome"]
+__all__ = ["Ahead", "Assessment", "Decision", "Gate", "GateParams", "Stage", "WayHome"]
 
 _BOLDNESS_STEPS = 5
 KEEPS_PROMISE = "flying on keeps the promise"
-_TIE = 0.002  # of probability: landing sites closer than this are ranked by their order
+_WORTH_TIE = 0.0005  # of probability: the samples' own noise where nothing is at stake
+_TIE = 0.002  # of probability: turning must be so much worse for flying on to be the way out
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,47 +78,23 @@ class Assessment:
     """P(home) and P(success) are the value table's (value_gate.py)."""
 
 
-class _Onward(TypedDict):
-    """The part of an assessment that is about flying on."""
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Whether to turn back under one accepted loss, and why; probabilities of what is decided."""
 
+    turn_back: bool
     p_home: float
     p_success: float
-    margin_wh: float
-    turn_back: bool
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class _Budget:
-    """Energy above the reserve as believed, and the errors that it is compared under."""
+class _Question:
+    """One remaining mission as priced: for any number of accepted losses."""
 
-    left_wh: float
-    battery_std_wh: float
-    model_std_frac: float
-    scale: float = 1.0
-    """Needs are the model's; what they really take is `scale` times as much."""
-
-    def p_enough(self, need_wh: FloatArray) -> FloatArray:
-        """Probability that each need is met, model and battery errors integrated."""
-        need_wh = self.scale * need_wh
-        spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
-        return ndtr((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
-
-    def margin_wh(self, need_wh: FloatArray, p: float) -> float:
-        """What is left above the energy at which the mean of `p_enough` would be just `p`."""
-        need_wh = self.scale * need_wh
-        spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
-        low = float(need_wh.min()) - 9.0 * float(spread.max())
-        high = float((need_wh + 9.0 * spread).max())
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            if float(ndtr((middle - need_wh) / spread).mean()) < p:
-                low = middle
-            else:
-                high = middle
-            if high - low < 0.01:
-                break
-        return float(self.left_wh - high)
+    table: LegTable
+    budget: Budget
+    chances: Chances
 
 
 class Gate:
@@ -143,46 +120,27 @@ class Gate:
 
         `model`: what was learned of the energy model in flight; without it, the airframe file's.
         `accepted_loss`: what this decision and later ones may risk; without it, `max_loss`.
-        `weighs_worth`: also turn back where the flight is not worth its energy (`min_success`).
+        `weighs_worth`: also turn back where flying on is not worth its risk, or its energy.
         """
         accepted = self.params.max_loss if accepted_loss is None else accepted_loss
-        if model is None:
-            model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
-        quantile = float(ndtri(1.0 - accepted))
-        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler, quantile)
-        budget = _Budget(
-            energy.mean_wh - self.params.reserve_wh, energy.std_wh, model.std_frac, model.scale
-        )
-        best, p_now = self._best_way(table, budget, 0, np.zeros(self.params.samples))
-        unattended = table.unattended_wh()
-        p_unattended = None if unattended is None else float(budget.p_enough(unattended).mean())
-        landing = ahead.ways_home_now[best].landing
+        question = self._question(ahead, wind, outlook, energy, model)
         if not ahead.stages:
-            need = table.way_wh(0, best)
-            return Assessment(
-                t_s=wind.t_s,
-                p_home=p_now,
-                p_home_now=p_now,
-                p_success=p_now if ahead.delivered else 0.0,
-                margin_wh=budget.margin_wh(need, 1.0 - self.params.max_loss),
-                turn_back=True,
-                best_landing=landing,
-                p_home_unattended=p_unattended,
-                energy_left_wh=energy.mean_wh,
-                energy_need_wh=budget.scale * float(need.mean()),
-                reason="on the way home",
-            )
-        outbound = self._outbound(table, budget, 1.0 - accepted, p_now)
-        seen = Assessment(
-            t_s=wind.t_s,
-            p_home_now=p_now,
-            best_landing=landing,
-            p_home_unattended=p_unattended,
-            energy_left_wh=energy.mean_wh,
-            energy_need_wh=budget.scale * float(table.whole_wh().mean()),
-            **outbound,
-        )
-        return self._worth_it(seen, table, budget) if weighs_worth else seen
+            return self._homeward(question, ahead, wind, energy)
+        decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+        return self._assessment(question, ahead, wind, energy, accepted, decision)
+
+    def decide_each(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None,
+        accepted_losses: Sequence[float],
+    ) -> list[Decision]:
+        """The decisions of gates that accept different losses, at the price of one."""
+        chances = self._question(ahead, wind, outlook, energy, model).chances
+        return [self._decide(chances, accepted) for accepted in accepted_losses]
 
     def depart(
         self,
@@ -202,118 +160,101 @@ class Gate:
         share is taken with which the policy, flown through every sampled wind, loses no more than
         `max_loss`; never more than `boldest` times it.
         """
-        accepted, seen = self.params.max_loss, None
-        for times in np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS):
-            accepted = float(times) * self.params.max_loss
-            seen = self.assess(
-                ahead, wind, outlook, energy, model, accepted, weighs_worth=weighs_worth
-            )
-            if not seen.turn_back and seen.p_home >= 1.0 - self.params.max_loss:
+        question = self._question(ahead, wind, outlook, energy, model)
+        times = np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)
+        for accepted in (float(x) * self.params.max_loss for x in times):
+            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+            if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
                 break
-        assert seen is not None
-        return accepted, seen
+        else:
+            accepted = self.params.max_loss
+            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+        return accepted, self._assessment(question, ahead, wind, energy, accepted, decision)
 
-    def _outbound(
-        self, table: LegTable, budget: _Budget, promise: float, p_now: float
-    ) -> "_Onward":
-        stage_wh = table.stage_wh(1)
-        onward_way, p_on = self._best_way(table, budget, 1, stage_wh)
-        need = stage_wh + table.way_wh(1, onward_way)
-        p_policy, p_success = p_on, p_on
-        if table.stages > 1:
-            p_policy, p_success = self._fly_policy(table, budget, promise)
-            p_further, further = self._best_further(table, budget)
-            if p_further > p_on:
-                p_on, need = p_further, further
-        reason = KEEPS_PROMISE
-        turn_back = False
-        if p_on < promise and p_now >= p_on - _TIE:
-            turn_back = True
-            reason = f"P(home) from the next point {p_on:.3f} is under {promise:.3f}"
-        elif p_on < promise:
-            reason = f"P(home) {p_on:.3f} is under {promise:.3f}, but turning here is no better"
-        return _Onward(
-            p_home=p_now if turn_back else p_policy,
-            p_success=0.0 if turn_back else p_success,
-            margin_wh=budget.margin_wh(need, promise),
-            turn_back=turn_back,
-            reason=reason,
+    def _question(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None,
+    ) -> _Question:
+        if model is None:
+            model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
+        left_wh = energy.mean_wh - self.params.reserve_wh
+        budget = Budget(left_wh, energy.std_wh, model.std_frac, model.scale)
+        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler)
+        return _Question(table, budget, Chances(table, budget, self._sampler))
+
+    def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> Decision:
+        promise = 1.0 - accepted
+        if seen.p_onward < promise and seen.p_now >= seen.p_onward - _TIE:
+            words = f"P(home) from the next point {seen.p_onward:.3f} is under {promise:.3f}"
+            return Decision(True, seen.p_now, 0.0, words)
+        p_home, p_success = seen.of_flying_on(promise)
+        if weighs_worth and (words := self._not_worth_it(seen, promise, p_home, p_success)):
+            return Decision(True, seen.p_now, 0.0, words)
+        words = KEEPS_PROMISE
+        if seen.p_onward < promise:
+            words = (
+                f"P(home) {seen.p_onward:.3f} is under {promise:.3f}, but turning here is no better"
+            )
+        return Decision(False, p_home, p_success, words)
+
+    def _not_worth_it(
+        self, seen: Chances, promise: float, p_home: float, p_success: float
+    ) -> str | None:
+        """Why flying on serves no delivery, or risks more than the delivery is worth.
+
+        A vehicle lost is worth 0, one delivered and home 1, one home undelivered `promise`: with
+        this weight a decision that succeeds or loses is taken at `promise` or over, and losses are
+        given out where they buy most deliveries (evaluation.md, section 4).
+        """
+        least = min(self.params.min_success, promise)
+        if seen.p_onward >= promise and seen.p_whole < least:
+            return f"P(energy for the whole trip) {seen.p_whole:.3f} is not worth the flight"
+        onward = p_success + promise * (p_home - p_success)
+        if onward < promise * (seen.p_now - _WORTH_TIE):
+            return f"P(success) {p_success:.3f} is not worth P(home) {p_home:.3f}"
+        return None
+
+    def _homeward(
+        self, question: _Question, ahead: Ahead, wind: WindBelief, energy: EnergyBelief
+    ) -> Assessment:
+        p_now = question.chances.p_now
+        decision = Decision(True, p_now, p_now if ahead.delivered else 0.0, "on the way home")
+        accepted = self.params.max_loss
+        return self._assessment(question, ahead, wind, energy, accepted, decision)
+
+    @staticmethod
+    def _assessment(
+        question: _Question,
+        ahead: Ahead,
+        wind: WindBelief,
+        energy: EnergyBelief,
+        accepted: float,
+        decision: Decision,
+    ) -> Assessment:
+        table, budget, chances = question.table, question.budget, question.chances
+        unattended = table.unattended_wh()
+        need = table.whole_wh() if ahead.stages else chances.onward_need_wh
+        return Assessment(
+            t_s=wind.t_s,
+            p_home=decision.p_home,
+            p_home_now=chances.p_now,
+            p_success=decision.p_success,
+            margin_wh=budget.margin_wh(chances.onward_need_wh, 1.0 - accepted),
+            turn_back=decision.turn_back,
+            best_landing=ahead.ways_home_now[chances.way_now].landing,
+            p_home_unattended=None
+            if unattended is None
+            else float(budget.p_enough(unattended).mean()),
+            energy_left_wh=energy.mean_wh,
+            energy_need_wh=budget.scale * float(need.mean()),
+            reason=decision.reason,
         )
-
-    def _worth_it(self, seen: Assessment, table: LegTable, budget: _Budget) -> Assessment:
-        """The same, turned back where a promise that is kept serves no delivery."""
-        p_whole = float(budget.p_enough(table.whole_wh()).mean())
-        if seen.reason != KEEPS_PROMISE or p_whole >= self.params.min_success:
-            return seen
-        reason = f"P(energy for the whole trip) {p_whole:.3f} is not worth the flight"
-        return turned_back(seen, reason)
-
-    def _best_way(
-        self, table: LegTable, budget: _Budget, point: int, before_wh: FloatArray
-    ) -> tuple[int, float]:
-        """The way home from a decision point with the best chance; the first among near equals."""
-        chances = [
-            float(budget.p_enough(before_wh + table.way_wh(point, way)).mean())
-            for way in range(table.ways(point))
-        ]
-        best = _first_best(chances)
-        return best, chances[best]
-
-    def _best_further(self, table: LegTable, budget: _Budget) -> tuple[float, FloatArray]:
-        """(P(home), need) by flying on to the best of the points after the next.
-
-        A landing site may lie ahead; or the parcel, once delivered, no longer be carried home.
-        """
-        flown = table.stage_wh(1)
-        best, need = 0.0, flown
-        for point in range(2, table.stages + 1):
-            flown = flown + table.stage_wh(point)
-            way, chance = self._best_way(table, budget, point, flown)
-            if chance > best:
-                best, need = chance, flown + table.way_wh(point, way)
-        return best, need
-
-    def _fly_policy(self, table: LegTable, budget: _Budget, promise: float) -> tuple[float, float]:
-        """(P(home), P(home and delivered)) when every later gate decides as this one does.
-
-        Each sample flies its own wind with its own model error, which its gate sees in what was
-        used; the gate there knows its wind so far, forecasts from it, and asks for the promise
-        with its own quantiles.
-        """
-        z = float(ndtri(promise))
-        drawn = budget.scale * (1.0 + budget.model_std_frac * self._sampler.model_error[POLICY])
-        used = table.stage_wh(1)[POLICY]
-        flying = np.ones(used.size, np.bool_)
-        total = np.zeros(used.size)
-        for point in range(1, table.stages):
-            then = table.predicted(point)
-            need = budget.scale * then.on_wh
-            worse = budget.scale * then.on_at_quantile_wh - need
-            spread = z * np.hypot(budget.battery_std_wh, budget.model_std_frac * need)
-            left = budget.left_wh - used * drawn
-            promised = need + np.hypot(worse, spread)
-            # Short of the promise it turns, unless turning (loaded, perhaps) is the dearer way.
-            goes_on = (left >= promised) | (then.turning_wh > then.on_wh)
-            turning = flying & ~goes_on
-            if turning.any():
-                home = table.chosen_way_wh(point, then.turning_way)
-                total[turning] = (used + home)[turning]
-            flying &= goes_on
-            used = used + table.stage_wh(point + 1)[POLICY]
-        ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]
-        chances = [float(budget.p_enough(used + way).mean()) for way in ways]
-        total[flying] = (used + ways[_first_best(chances)])[flying]
-        spent = total * drawn
-        p_home = ndtr((budget.left_wh - spent) / max(budget.battery_std_wh, 1e-6))
-        return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
 
 
 def turned_back(seen: Assessment, reason: str) -> Assessment:
     """The same answer with the gate closed."""
     return replace(seen, p_home=seen.p_home_now, p_success=0.0, turn_back=True, reason=reason)
-
-
-def _first_best(chances: list[float]) -> int:
-    """The first of the chances that are as good as the best."""
-    top = max(chances)
-    return next(i for i, p in enumerate(chances) if p >= top - _TIE)

@@ -40,15 +40,36 @@ class _Span:
 
 
 @dataclass(frozen=True, slots=True)
+class Need:
+    """An energy need as a later gate will see it: what it expects, (K,), and how sure it is."""
+
+    wh: FloatArray
+    std_wh: float
+
+
+@dataclass(frozen=True, slots=True)
 class Foreseen:
-    """Needs as a later gate will see them, (K,) Wh: flying on and then home, in the wind that it
-    expects and at its quantile; turning there, and by which way home.
+    """What a later gate will see, for every POLICY sample: the needs of turning there (and by which
+    way), of flying to the next decision point and turning there, of the whole trip.
     """
 
-    on_wh: FloatArray
-    on_at_quantile_wh: FloatArray
-    turning_wh: FloatArray
+    turning: Need
     turning_way: NDArray[np.int64]
+    next_point: Need
+    whole: Need
+
+
+@dataclass(frozen=True, slots=True)
+class _Outlook:
+    """Rows of the foreseen legs that a later gate prices: ways home here, the stage to the next
+    point and the ways home there, the stages after it and the ways home from the last.
+    """
+
+    here: tuple[_Span, ...]
+    stage: _Span
+    next_ways: tuple[_Span, ...]
+    further: _Span
+    last_ways: tuple[_Span, ...]
 
 
 class LegTable:
@@ -61,13 +82,10 @@ class LegTable:
         wind: WindBelief,
         outlook: WindOutlook,
         sampler: PathSampler,
-        quantile: float,
     ) -> None:
-        """`quantile`: of the standard normal, at which a later gate asks for its promise."""
         self._route_energy = route_energy
         self._legs: list[Leg] = []
         self._before: list[Leg | None] = []
-        self._seen_from: list[int] = []  # the decision point at which a leg is predicted
         self._stage: list[_Span] = []
         self._ways: list[list[_Span]] = [[]]
         self._unattended: _Span | None = None
@@ -76,7 +94,6 @@ class LegTable:
         mean = wind.mean_to_ne_mps
         times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
         middle, arrival = self._schedule(times)
-        self._quantile = quantile
         self._price(outlook.forecast(wind, _NODES_S), middle, arrival, sampler)
 
     @property
@@ -117,22 +134,32 @@ class LegTable:
         return _sum(self._energy, self._unattended) + (self.stage_wh(1) if self._stage else 0.0)
 
     def predicted(self, point: int) -> Foreseen:
-        """What the gate at a later point will think that flying on, or turning there, needs.
+        """What the gate at a later point will think that turning and flying on need.
 
         For every POLICY sample; that gate knows only its own wind until then.
         """
-        stage, after, here = self._stage[point], self._ways[point + 1], self._ways[point]
-        expected, at_quantile = (
-            _sum(seen, stage) + np.min([_sum(seen, way) for way in after], axis=0)
-            for seen in (self._seen, self._seen_worse)
-        )
-        turning = np.array([_sum(self._seen, span) for span in here])
+        seen = self._outlooks[point]
+        here = [self._need([way]) for way in seen.here]
+        energies = np.array([need.wh for need in here])
+        onward = [self._need([seen.stage, way]) for way in seen.next_ways]
+        whole = [self._need([seen.stage, seen.further, way]) for way in seen.last_ways]
+        way = energies.argmin(axis=0)
         return Foreseen(
-            on_wh=expected,
-            on_at_quantile_wh=np.maximum(at_quantile, expected),
-            turning_wh=turning.min(axis=0),
-            turning_way=turning.argmin(axis=0),
+            turning=Need(energies.min(axis=0), here[0].std_wh),
+            turning_way=way,
+            next_point=_least(onward),
+            whole=_least(whole),
         )
+
+    def _need(self, spans: list[_Span]) -> Need:
+        rows = [row for span in spans for row in _rows(span)]
+        total = self._seen_gradient[rows].sum(axis=0)
+        lasting = float(total @ self._error_cov @ total)
+        by_leg = self._seen_gradient[rows]
+        left = self._seen_cov[np.ix_(rows, rows)]
+        walk = float(np.einsum("ia,ij,ja->", by_leg, left, by_leg))
+        std_wh = math.sqrt(max(walk, 0.0) + max(lasting, 0.0))
+        return Need(self._seen[rows].sum(axis=0), std_wh)
 
     # -- laying out and pricing ----------------------------------------------------------------
 
@@ -143,23 +170,22 @@ class LegTable:
             last = None
             if moving is not None and moving.kind is LegKind.CRUISE and way.legs:
                 last = replace(moving, to_ned_m=way.legs[0].from_ned_m)
-            self._ways[0].append(self._add(way.legs, 0, last))
+            self._ways[0].append(self._add(way.legs, last))
         last = None
-        for number, stage in enumerate(ahead.stages):
-            self._stage.append(self._add(stage.legs, number, last))
+        for stage in ahead.stages:
+            self._stage.append(self._add(stage.legs, last))
             last = stage.legs[-1] if stage.legs else last
-            self._ways.append([self._add(way.legs, number, last) for way in stage.ways_home])
+            self._ways.append([self._add(way.legs, last) for way in stage.ways_home])
         aboard = ahead.stages[0].ways_home[0] if ahead.stages else ahead.ways_home_now[0]
         if aboard.unattended_legs:
             last = ahead.stages[0].legs[-1] if ahead.stages and ahead.stages[0].legs else None
-            self._unattended = self._add(aboard.unattended_legs, 0, last)
+            self._unattended = self._add(aboard.unattended_legs, last)
 
-    def _add(self, legs: tuple[Leg, ...], seen_from: int, before: Leg | None) -> _Span:
+    def _add(self, legs: tuple[Leg, ...], before: Leg | None) -> _Span:
         merged = merge_straight(legs)
         first = len(self._legs)
         self._legs += merged
         self._before += [before, *merged[:-1]][: len(merged)]
-        self._seen_from += [seen_from] * len(merged)
         return _Span(first, len(self._legs))
 
     def _schedule(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,51 +210,73 @@ class LegTable:
         arrival: FloatArray,
         sampler: PathSampler,
     ) -> None:
-        at_leg, at_point = _weights(middle), _weights(arrival)
+        at_leg = _weights(middle)
         walk = sampler.walk(forecast)
-        self._energy = self._priced(at_leg @ walk + sampler.error(forecast))
+        wind = at_leg @ walk + sampler.error(forecast)
+        self._energy = self._route_energy.costs_by_leg(self._compiled, wind[0], wind[1]).energy_wh
         if self.stages > 1:
-            self._predict(forecast, at_leg, at_point, at_point @ walk[:, :, POLICY])
+            self._foresee(forecast, at_leg, _weights(arrival), walk[:, :, POLICY])
 
-    def _priced(self, wind: FloatArray) -> FloatArray:
-        """(legs, K) Wh in winds (2, legs, K)."""
-        return self._route_energy.costs_by_leg(self._compiled, wind[0], wind[1]).energy_wh
-
-    def _predict(
+    def _foresee(
         self,
         forecast: WindForecast,
         at_leg: FloatArray,
         at_point: FloatArray,
-        point_walk: FloatArray,
+        walk: FloatArray,
     ) -> None:
-        """Price the legs as the gate at the decision point before them will see them.
+        """Price what the gate at each later point will price, as it will see it.
 
-        Its forecast is the regression of a leg's wind on its wind then: the walk is Gaussian.
+        Its forecast is the regression of a leg's wind on its wind then: the walk is Gaussian. How
+        sure it is comes from the energy's gradient at the mean wind.
         """
+        legs, origin = self._lay_out_foreseen()
         cov, mean = forecast.walk_cov_m2ps2, forecast.mean_to_ne_mps
-        origin = np.array(self._seen_from)
-        variance = np.maximum(np.einsum("pn,nm,pm->p", at_point, cov, at_point), 1e-9)
-        share = (at_leg @ cov @ at_point.T) / variance
-        news = point_walk - (at_point @ mean).T[:, :, None]
-        own = share[np.arange(origin.size), origin][:, None]
-        seen = (at_leg @ mean).T[:, :, None] + own * news[:, origin]
-        # Energy's gradient at the mean wind tells each point's worst direction.
-        gradient = self._route_energy.gradient_wh_per_mps(self._compiled, mean.mean(axis=0))
-        leg_leg = at_leg @ cov @ at_leg.T
-        worst = np.zeros((2, self.stages))
-        for point in range(self.stages):
-            legs = [*_rows(self._stage[point]), *_rows(self._ways[point + 1][0])]
-            total = gradient[legs].sum(axis=0)
-            way = total / max(math.hypot(*total), 1e-9)
-            slope = gradient[legs] @ way
-            known = share[legs, point]
-            left = leg_leg[np.ix_(legs, legs)] - variance[point] * np.outer(known, known)
-            lasting = float(way @ forecast.error_cov_m2ps2 @ way)
-            weight = slope / max(abs(float(slope.sum())), 0.3 * float(np.abs(slope).sum()), 1e-9)
-            std = math.sqrt(max(float(weight @ left @ weight), 0.0) + lasting)
-            worst[:, point] = self._quantile * std * way
-        self._seen = self._priced(seen)
-        self._seen_worse = self._priced(seen + worst[:, origin, None])
+        leg_rows, point_rows = at_leg[legs], at_point[origin]
+        variance = np.maximum(np.einsum("rn,nm,rm->r", point_rows, cov, point_rows), 1e-9)
+        share = np.einsum("rn,nm,rm->r", leg_rows, cov, point_rows) / variance
+        news = at_point @ (walk - mean.T[:, :, None])
+        seen = (leg_rows @ mean).T[:, :, None] + share[:, None] * news[:, origin]
+        chosen = self._route_energy.compile(
+            tuple(self._legs[i] for i in legs), tuple(self._before[i] for i in legs)
+        )
+        self._seen = self._route_energy.costs_by_leg(chosen, seen[0], seen[1]).energy_wh
+        mean_wind = mean.mean(axis=0)
+        self._seen_gradient = self._route_energy.gradient_wh_per_mps(chosen, mean_wind)
+        known = np.outer(share, share) * variance  # rows are only joined within one point
+        self._seen_cov = leg_rows @ cov @ leg_rows.T - known
+        self._error_cov = forecast.error_cov_m2ps2
+
+    def _lay_out_foreseen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(leg, decision point) of every row that a later gate prices; fills `_outlooks`."""
+        legs: list[int] = []
+        origin: list[int] = []
+
+        def take(point: int, spans: list[_Span]) -> _Span:
+            first = len(legs)
+            for span in spans:
+                legs.extend(_rows(span))
+            origin.extend([point] * (len(legs) - first))
+            return _Span(first, len(legs))
+
+        self._outlooks: dict[int, _Outlook] = {}
+        for point in range(1, self.stages):
+            last = point + 1 == self.stages
+            next_ways = tuple(take(point, [way]) for way in self._ways[point + 1])
+            self._outlooks[point] = _Outlook(
+                here=tuple(take(point, [way]) for way in self._ways[point]),
+                stage=take(point, [self._stage[point]]),
+                next_ways=next_ways,
+                further=take(point, self._stage[point + 1 :]),
+                last_ways=next_ways
+                if last
+                else tuple(take(point, [way]) for way in self._ways[self.stages]),
+            )
+        return np.array(legs), np.array(origin)
+
+
+def _least(needs: list[Need]) -> Need:
+    """The least of alternative needs in every sample; as sure as the first of them."""
+    return Need(np.min([need.wh for need in needs], axis=0), needs[0].std_wh)
 
 
 def thinned(ahead: Ahead) -> Ahead:

@@ -113,12 +113,16 @@ class RouteEnergy:
         air_density_kgpm3: float = 1.225,
         cruise_airspeed_mps: float | None = None,
         speed_rule: SpeedRule = "least_energy",
+        *,
+        holds_airspeed: bool = False,
     ) -> None:
+        """`holds_airspeed`: cruises at the rule's slowest airspeed in any wind, never faster."""
         self.airframe = airframe
         self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
         self.speed_rule: SpeedRule = speed_rule
         self.slowest_airspeed_mps = slowest_airspeed_mps(speed_rule, self.cruise_airspeed_mps)
         self._density = air_density_kgpm3
+        self._holds_airspeed = holds_airspeed
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
@@ -284,7 +288,8 @@ class RouteEnergy:
             if len(self._cruise) >= _TABLES:
                 self._cruise.pop(next(iter(self._cruise)))
             power = self._steady_power(group.payload_kg)
-            fly = power.fly_least_energy if fixed is None else power.fly_ground_speed
+            cruise = power.fly_airspeed if self._holds_airspeed else power.fly_least_energy
+            fly = cruise if fixed is None else power.fly_ground_speed
             self._cruise[key] = CruiseTable(power, partial(fly, key[2]))
         return self._cruise[key]
 

@@ -69,6 +69,14 @@ class SteadyPower:
         made = np.where(np.abs(across_mps) > self.max_airspeed_mps, 0.0, made)
         return made, np.minimum(airspeed, self.max_airspeed_mps)
 
+    def fly_airspeed(
+        self, airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
+    ) -> Flown:
+        """(ground speed made, airspeed) at one airspeed, by the wind triangle alone."""
+        left = np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
+        command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
+        return self.fly_ground_speed(command, along_mps, across_mps)
+
     def fly_least_energy(
         self, least_airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
     ) -> Flown:

@@ -13,7 +13,14 @@ from rich.console import Console
 from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
-from sim_bridge.app import campaign_cli, conform_cli, experiments_cli, plan_flight_cli, serve_cli
+from sim_bridge.app import (
+    campaign_cli,
+    conform_cli,
+    experiments_cli,
+    plan_flight_cli,
+    promise_cli,
+    serve_cli,
+)
 from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
@@ -247,6 +254,7 @@ app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
+app.registered_commands += promise_cli.app.registered_commands
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def _bar() -> Progress:
     )
 
 
-def _journaled(
+def run_journaled(
     title: str, work: Sequence[Work], do: Callable[[Work], Result], jobs: int, kept: Journal[Result]
 ) -> list[Result]:
     """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
@@ -101,7 +101,7 @@ def table1(
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
     work = jobs_of(params, wind)
     kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
-    cells = cells_of(_journaled(title, work, fly, jobs, kept), params)
+    cells = cells_of(run_journaled(title, work, fly, jobs, kept), params)
     _finish(
         sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
     )
@@ -120,7 +120,7 @@ def table2(
 
     work = experiment.trials_of(trials)
     kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
-    measured = _journaled("Table 2", work, experiment.fly_trial, jobs, kept)
+    measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
     found = experiment.by_variant(work, measured)
     _finish(experiment.sheet(found), out, "table2")
     experiment.draw(found, out / "table2.png")
@@ -138,7 +138,7 @@ def lambda_sweep(
 
     work = experiment.jobs_of(graphs)
     kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.Part])
-    points = experiment.points_of(_journaled("lambda sweep", work, experiment.fly, jobs, kept))
+    points = experiment.points_of(run_journaled("lambda sweep", work, experiment.fly, jobs, kept))
     _finish(experiment.sheet(points), out, "lambda_sweep")
     experiment.draw(points, out / "lambda_sweep.png")
     kept.remove()
@@ -207,7 +207,7 @@ def towns(
 
     work = [urban_table.TownJob(t, budget_wh, max_loss) for t in range(rounds * towns)]
     kept = Journal(out / "towns.partial", digest_of(work), dict[str, list[float]])
-    flown = _journaled("towns", work, urban_table.fly_town, jobs, kept)
+    flown = run_journaled("towns", work, urban_table.fly_town, jobs, kept)
     found = urban_table.by_planner(flown, rounds)
     _finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
     town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
@@ -227,7 +227,7 @@ def frontier(
 
     cases = check.cases(graphs, seed)
     kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
-    found = _journaled("frontier", cases, check.check, jobs, kept)
+    found = run_journaled("frontier", cases, check.check, jobs, kept)
     _finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
     kept.remove()
 

@@ -92,10 +92,15 @@ def judge(
     wind: tuple = (0.0, -6.0),
     outlook: WindOutlook | None = None,
     std: float = 0.5,
+    *,
+    weighs_worth: bool = True,
     **params: float,
 ) -> Assessment:
     gate = Gate(ROUTE, GateParams(**{"max_loss": 0.01, "reserve_wh": 15.0, **params}))
-    return gate.assess(ahead, believed(*wind, std), outlook or followed(*wind), energy(left_wh))
+    wind_seen = outlook or followed(*wind)
+    return gate.assess(
+        ahead, believed(*wind, std), wind_seen, energy(left_wh), weighs_worth=weighs_worth
+    )
 
 
 RETURN = Ahead((home_from(1500.0, 0.0),), (), delivered=True)
@@ -190,7 +195,9 @@ def test_who_accepts_more_loss_flies_on_longer() -> None:
 def test_the_gate_closes_exactly_where_the_margin_is_gone() -> None:
     for done in (2, 4, 5):
         for left in np.arange(48.0, 90.0, 3.0):
-            answer = judge(mission(1800.0, 6, done), left, (0.0, -8.0), min_success=0.0)
+            # The promise alone: the worth of flying on may close the gate sooner.
+            ahead = mission(1800.0, 6, done)
+            answer = judge(ahead, left, (0.0, -8.0), weighs_worth=False)
             assert answer.turn_back == (answer.margin_wh < 0.0)
 
 
