@@ -2,8 +2,9 @@
 
 import datetime
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,117 +26,73 @@ from companion.core.errors import LeewayError
 from companion.core.geo import LocalFrame
 from companion.core.power import multirotor_power_w
 
-app = typer.Typer()
-
 NOT_IDENTIFIED = 3
-_TEMPERATURE_C = 20.0
-
-EPILOG = """Exit codes: 0 done; 2 a log or an option cannot be used (said by name and row); 3 a
-number that flight safety needs is not identified, and the flight that would is named."""
 
 
-@app.command(name="calibrate", epilog=EPILOG)
-def calibrate_command(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Flight logs: .ulg, .bin, .tlog, .mcap or CSV; three or more."),
-    ],
-    airframe: Annotated[
-        str, typer.Option(help="What is believed so far: a name in params/airframes or a .toml.")
-    ],
-    out: Annotated[Path, typer.Option(help="The airframe file to write.")] = Path(
-        "my_airframe.toml"
-    ),
-    payload_kg: Annotated[
-        str, typer.Option(help="Parcel aboard in each log, in their order: 0,0.8,0.4. Default: 0.")
-    ] = "",
-    holdout: Annotated[
-        list[str] | None,
-        typer.Option(help="LOG or LOG:KG, not fitted, only predicted; once or more."),
-    ] = None,
-    temperature_c: Annotated[float, typer.Option(help="Of the air, for its density.")] = (
-        _TEMPERATURE_C
-    ),
-    allow_priors: Annotated[
-        bool,
-        typer.Option("--allow-priors", help="Write the file even where numbers stay as believed."),
-    ] = False,
-    json_out: Annotated[Path | None, typer.Option("--json", help="Every figure as JSON.")] = None,
-    plots: Annotated[
-        Path | None, typer.Option(help="A folder for residual plots (needs matplotlib).")
-    ] = None,
-) -> None:
-    """Fit drag, power and battery of an airframe to flight logs, and say how sure each is.
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """What the command line asks: `payload_kg` and `holdouts` as typed there."""
 
-    Example: companion calibrate square1.tlog square2.tlog square3.tlog --airframe m100
-    --payload-kg 0,0.8,0.4 --out my_airframe.toml
-    """
+    logs: tuple[Path, ...]
+    airframe: str
+    out: Path
+    payload_kg: str
+    holdouts: tuple[str, ...]
+    temperature_c: float
+    allow_priors: bool
+    json_out: Path | None
+    plots: Path | None
+
+
+def run_calibration(o: CalibrateOptions) -> None:
+    """Read, fit, show and write; typer.Exit with 2 or 3 where that cannot be."""
     console = Console(highlight=False, soft_wrap=True)
     try:
-        start = read_airframe(airframe)
-        loads = _loads(payload_kg, len(logs))
+        start = read_airframe(o.airframe)
+        loads = _loads(o.payload_kg, len(o.logs))
         with console.status("reading") as status:
             flights = [
-                _read(console, path, load, start, temperature_c)
-                for path, load in zip(logs, loads, strict=True)
+                _read(console, path, load, start, o.temperature_c)
+                for path, load in zip(o.logs, loads, strict=True)
             ]
             kept = [
-                _read(console, path, load, start, temperature_c)
-                for path, load in map(_log_and_load, holdout or [])
+                _read(console, path, load, start, o.temperature_c)
+                for path, load in map(_log_and_load, o.holdouts)
             ]
             done = calibrate(flights, start, lambda words: status.update(f"fitting: {words}"))
             unseen = [predict(blocks, done.airframe) for blocks in kept]
         _show(console, done, unseen)
-        if plots is not None:
-            _plot(plots, done, flights)
-        if json_out is not None:
-            json_out.write_text(json.dumps(_as_json(done, unseen), indent=1) + "\n")
-        if done.missing and not allow_priors:
+        if o.plots is not None:
+            _plot(o.plots, done, flights)
+        if o.json_out is not None:
+            o.json_out.write_text(json.dumps(_as_json(done, unseen), indent=1) + "\n")
+        if done.missing and not o.allow_priors:
             raise typer.Exit(NOT_IDENTIFIED)
-        _write(out, start, done, unseen, logs, loads, temperature_c)
-        read_airframe(str(out))
-        console.print(f"{out}: written; fly it with --airframe {out}")
+        _write(o.out, start, done, unseen, o.logs, loads, o.temperature_c)
+        read_airframe(str(o.out))
+        console.print(f"{o.out}: written; fly it with --airframe {o.out}")
     except LeewayError as error:
         typer.echo(f"companion: {error}", err=True)
         raise typer.Exit(2) from error
 
 
-@app.command(name="calibrate-plan")
-def plan_command(
-    home: Annotated[str, typer.Option(help="LAT,LON,ALT of the take-off place: 55.47,8.45,12.")],
-    airframe: Annotated[str, typer.Option(help="A name in params/airframes or a .toml.")],
-    out: Annotated[Path, typer.Option(help="The QGroundControl plan to write.")] = Path(
-        "calibration.plan"
-    ),
-    autopilot: Annotated[str, typer.Option(help="px4 or ardupilot.")] = "px4",
-    side_m: Annotated[float, typer.Option(min=60.0, max=600.0, help="Side of the square.")] = 150.0,
-    height_m: Annotated[float, typer.Option(min=15.0, max=90.0, help="Above take-off.")] = 40.0,
-    duration_s: Annotated[float, typer.Option(min=240.0, max=2400.0, help="About so long.")] = (
-        600.0
-    ),
-    mirrored: Annotated[
-        bool, typer.Option("--mirrored", help="The square south-west of the place instead.")
-    ] = False,
+def write_calibration_plan(
+    out: Path, home: str, airframe: str, autopilot: str, options: PlanOptions
 ) -> None:
-    """Write the flight that calibration needs as a QGroundControl plan: a square at three speeds.
-
-    Fly it three times: empty, with the heaviest parcel, and with a lighter one and the nose held
-    on one heading (docs/calibrate.md). Example:
-    companion calibrate-plan --home 55.47,8.45,12 --airframe m100 --autopilot px4
-    """
+    """Write the flight that identifies an airframe as a QGroundControl plan."""
     try:
         frame = _frame(home)
         if autopilot not in ("px4", "ardupilot"):
             raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
         believed = read_airframe(airframe)
-        options = PlanOptions(height_m, side_m, duration_s, mirrored)
         speed = square_speeds_mps(believed)[1]
         write_plan(out, calibration_items(believed, options), frame, autopilot, speed)
     except LeewayError as error:
         typer.echo(f"companion: {error}", err=True)
         raise typer.Exit(2) from error
     typer.echo(
-        f"{out}: written; it climbs to {height_m + 30.0:.0f} m within a {side_m:.0f} m square"
+        f"{out}: written; it climbs to {options.height_m + 30.0:.0f} m within a"
+        f" {options.side_m:.0f} m square"
     )
 
 
@@ -221,7 +178,7 @@ def _write(
     start: Airframe,
     done: Calibration,
     unseen: list[Holdout],
-    logs: list[Path],
+    logs: tuple[Path, ...],
     loads: list[float],
     temperature_c: float,
 ) -> None:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from companion.adapters.files import read_flight, read_wind_process
 from companion.adapters.zenoh_link import leave_process
-from companion.app import calibrate
+from companion.app import calibrate_cli
 from companion.app.check_report import report
 from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.replay_cli import EPILOG as REPLAY_EPILOG
@@ -338,7 +338,7 @@ def _show_check(action: Action) -> None:
     sys.stdout.flush()
 
 
-app.registered_commands += calibrate.app.registered_commands
+app.registered_commands += calibrate_cli.app.registered_commands
 
 
 def main() -> None:
