@@ -59,7 +59,7 @@ class WindEstimatorParams:
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
     gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
     gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
-    fast_gust_m2ps: float = 0.05  # gusts too fast for the filter, as noise, at the reference wind
+    fast_gust_m2ps: float = 0.15  # gusts too fast for the filter, as noise, at the reference wind
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
     lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
