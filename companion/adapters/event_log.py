@@ -1,7 +1,7 @@
 """What happened aboard, kept on the disk until a dispatcher has asked for it.
 
-One JSON line an event, flushed as it happens; outcomes and answers to commands also wait for the
-disk. The newest are kept (`KEPT`), so that a vehicle without a ground never fills its disk.
+One JSON line an event, flushed as it happens; outcomes also wait for the disk. The newest are kept
+(`KEPT`), so that a vehicle without a ground never fills its disk.
 """
 
 import os
@@ -22,7 +22,8 @@ SLACK = 1000
 BATCH = 200
 """Events handed out at one asking; who wants more asks again."""
 
-SETTLED = (EventKind.OUTCOME, EventKind.COMMAND)
+SETTLED = (EventKind.OUTCOME,)
+"""What the desk must hear even after a power cut; the rest is for people."""
 
 
 class EventLog:
