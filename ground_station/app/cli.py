@@ -158,7 +158,7 @@ def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     try:
         from ground_station.adapters.zenoh_fleet import leave_process
-        from ground_station.app import dispatch_cli, order_cli
+        from ground_station.app import cluster_cli, dispatch_cli, order_cli
         from ground_station.app.benchmark_cli import benchmark
     except ImportError as error:  # the vehicle's install carries this script, but not the desk
         print(f"ground-station: pip install 'leeway[ground]' ({error})", file=sys.stderr)
@@ -166,6 +166,7 @@ def main() -> None:
     app.add_typer(order_cli.app, name="order")
     app.add_typer(dispatch_cli.app)
     app.add_typer(benchmark, name="benchmark")
+    app.add_typer(cluster_cli.app)
     try:
         app()
     except LeewayError as error:
