@@ -44,10 +44,10 @@ def conditioned(problem: Problem) -> Clustered:
     """Ours: k-medoids over the energy of each delivery from each possible stop.
 
     `energy_wh` holds the four conditions: wind (out against it, loaded, costs more than home),
-    voltage and coverage (out of reach is out of the question) and obstacles (ways around). Stops are
-    added one at a time where they save most, then exchanged for other places while that saves
-    anything (PAM, Kaufman and Rousseeuw 1990); while anybody is out of reach, a stop more. No random
-    numbers.
+    voltage and coverage (out of reach is out of the question) and obstacles (ways around). Stops
+    are added one at a time where they save most, then exchanged for other places while that saves
+    anything (PAM, Kaufman and Rousseeuw 1990); while anybody is out of reach, a stop more. No
+    random numbers.
     """
     n = len(problem.ids)
     if n == 0:
