@@ -162,13 +162,16 @@ class FleetPort:
                 return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
         verdict = carry_out(command)
         self.book.end(command, verdict)
-        try:
-            self._save_book(settle=once)
-        except OSError as error:
-            self._text = f"book of commands not written: {error.strerror}"
+        self._try_to_save_book(settle=once)
         said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
         self.tell(EventKind.COMMAND, said.strip())
         return verdict
+
+    def _try_to_save_book(self, *, settle: bool = True) -> None:
+        try:
+            self._save_book(settle=settle)
+        except OSError as error:
+            self._text = f"book of commands not written: {error.strerror}"
 
     def _save_book(self, *, settle: bool = True) -> None:
         write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()), settle=settle)
@@ -198,7 +201,7 @@ class FleetPort:
         if self.current is None:
             return
         self.book.close(self.current.assignment)
-        self._save_book()
+        self._try_to_save_book()  # its outcome stands in the log of events all the same
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None
