@@ -238,7 +238,7 @@ class FleetPort:
         event = FleetEvent(
             vehicle=self.vehicle,
             log=self.log.log,
-            seq=self.log.last_seq + 1,
+            seq=1,  # the log gives it its number
             epoch_us=epoch_us(),
             kind=kind,
             text=text[:500],
