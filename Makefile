@@ -32,8 +32,8 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo "installing leeway[sim] into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e '.[sim]'
+	@echo "installing leeway[sim,ground] into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e '.[sim,ground]'
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python

@@ -1,11 +1,12 @@
 """What happened aboard, kept on the disk until a dispatcher has asked for it.
 
-One JSON line an event, flushed as it happens; outcomes and answers to commands also wait for the
-disk. The newest are kept (`KEPT`), so that a vehicle without a ground never fills its disk.
+One JSON line an event, flushed as it happens; outcomes also wait for the disk. The newest are kept
+(`KEPT`), so that a vehicle without a ground never fills its disk.
 """
 
 import os
 import secrets
+from bisect import bisect_right
 from pathlib import Path
 
 import msgspec
@@ -19,10 +20,16 @@ KEPT = 2000
 SLACK = 1000
 """So many more lie in the file before it is written anew."""
 
+LEAP = 1000
+"""Numbers left out at each start: a power cut may have taken events that had been told already, and
+what comes must not bear their numbers, or the desk would take it for known.
+"""
+
 BATCH = 200
 """Events handed out at one asking; who wants more asks again."""
 
-SETTLED = (EventKind.OUTCOME, EventKind.COMMAND)
+SETTLED = (EventKind.OUTCOME,)
+"""What the desk must hear even after a power cut; the rest is for people."""
 
 
 class EventLog:
@@ -35,6 +42,7 @@ class EventLog:
         self._events = _read(path)
         self.log = self._events[-1].log if self._events else secrets.token_hex(6)
         self._events = [event for event in self._events if event.log == self.log]
+        self._next = self.last_seq + LEAP if self._events else 1
         self._rewrite()
 
     @property
@@ -44,7 +52,8 @@ class EventLog:
 
     def append(self, event: FleetEvent) -> FleetEvent:
         """Keep an event under the next number; returns it with log and number."""
-        event = msgspec.structs.replace(event, log=self.log, seq=self.last_seq + 1)
+        event = msgspec.structs.replace(event, log=self.log, seq=self._next)
+        self._next += 1
         self._events.append(event)
         try:
             self._file.write(encode(event) + b"\n")
@@ -61,9 +70,7 @@ class EventLog:
 
     def after(self, seq: int) -> list[FleetEvent]:
         """The next events after this number, oldest first, at most `BATCH`."""
-        if not self._events:
-            return []
-        skip = max(0, seq - self._events[0].seq + 1)
+        skip = bisect_right(self._events, seq, key=lambda event: event.seq)
         return self._events[skip : skip + BATCH]
 
     def has_outcome(self, assignment: str) -> bool:

@@ -18,7 +18,7 @@ from companion.adapters.whole_file import read_whole, settle_folder, write_whole
 from companion.adapters.zenoh_link import Ask, Asked, ZenohLink
 from companion.core.actions import Action, Decision, Finished, PhaseChanged, Reply, Say, Severity
 from companion.core.airframe import Airframe
-from companion.core.command_book import CommandBook, Verdict, book_from_dict
+from companion.core.command_book import ONCE, CommandBook, Verdict, book_from_dict
 from companion.core.errors import LeewayError
 from companion.core.events import (
     AbortOrdered,
@@ -152,26 +152,29 @@ class FleetPort:
         return self._result(command.id, verdict)
 
     def _carry_out(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
-        self.book.begin(command)
-        try:
-            self._save_book()
-        except OSError as error:
-            # What cannot be written down may be done twice; only coming home twice is harmless.
-            if not isinstance(command.deed, Recall):
+        once = isinstance(command.deed, ONCE)
+        if once:  # the rest, done twice, is the same as done once
+            self.book.begin(command)
+            try:
+                self._save_book()
+            except OSError as error:
                 self.book.end(command, Verdict(Answered.LATER))
                 return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
         verdict = carry_out(command)
         self.book.end(command, verdict)
-        try:
-            self._save_book()
-        except OSError as error:
-            self._text = f"book of commands not written: {error.strerror}"
+        self._try_to_save_book(settle=once)
         said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
         self.tell(EventKind.COMMAND, said.strip())
         return verdict
 
-    def _save_book(self) -> None:
-        write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()))
+    def _try_to_save_book(self, *, settle: bool = True) -> None:
+        try:
+            self._save_book(settle=settle)
+        except OSError as error:
+            self._text = f"book of commands not written: {error.strerror}"
+
+    def _save_book(self, *, settle: bool = True) -> None:
+        write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()), settle=settle)
 
     def _result(self, id_: str, verdict: Verdict) -> Result:
         return Result(
@@ -198,7 +201,7 @@ class FleetPort:
         if self.current is None:
             return
         self.book.close(self.current.assignment)
-        self._save_book()
+        self._try_to_save_book()  # its outcome stands in the log of events all the same
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None
@@ -235,7 +238,7 @@ class FleetPort:
         event = FleetEvent(
             vehicle=self.vehicle,
             log=self.log.log,
-            seq=self.log.last_seq + 1,
+            seq=1,  # the log gives it its number
             epoch_us=epoch_us(),
             kind=kind,
             text=text[:500],

@@ -12,6 +12,7 @@ from companion.app.fleet_port import FleetPort
 from companion.app.run import DONE, GROUNDED, STOPPED, RunOptions, run
 from companion.app.standby import MISSION, Standby, StopSignals
 from companion.core.actions import Action
+from companion.core.errors import LeewayError
 from companion.core.topics import VehicleKeys
 
 
@@ -28,13 +29,17 @@ def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
     """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
     keys = VehicleKeys(fleet.fleet, fleet.vehicle)
     config = read_config(fleet.zenoh)
-    return FleetPort.open(
-        fleet.vehicle,
-        Path(options.airframe).stem,
-        read_airframe(options.airframe, options.params),
-        options.run_dir,
-        lambda life: ZenohLink(config, keys, life, lambda: None),
-    )
+    airframe = read_airframe(options.airframe, options.params)
+    try:
+        return FleetPort.open(
+            fleet.vehicle,
+            Path(options.airframe).stem,
+            airframe,
+            options.run_dir,
+            lambda life: ZenohLink(config, keys, life, lambda: None),
+        )
+    except OSError as error:
+        raise LeewayError(f"{options.run_dir}: {error.strerror}") from error
 
 
 def serve(

@@ -95,14 +95,15 @@ class Standby:
     def _assign(self, deed: Assign) -> Verdict:
         if self._taken is not None:
             return Verdict(Answered.LATER, f"taking {self._taken.assignment} aboard")
+        taken = Assigned(assignment=deed.assignment, order=deed.order)
         try:
             write_mission(deed, self._port)
+            self._port.take_aboard(taken)
         except LeewayError as error:
             return Verdict(Answered.REFUSED, str(error))
         except OSError as error:
             return Verdict(Answered.LATER, f"cannot write the mission down: {error.strerror}")
-        self._taken = Assigned(assignment=deed.assignment, order=deed.order)
-        self._port.take_aboard(self._taken)
+        self._taken = taken
         return Verdict(Answered.DONE, "aboard, to be planned")
 
 

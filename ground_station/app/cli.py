@@ -25,9 +25,6 @@ from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
 from companion.core.wind_process import WindProcessParams, wind_process_from_dict
 from ground_station.adapters.files import params_dir, read_json, read_toml
-from ground_station.adapters.zenoh_fleet import leave_process
-from ground_station.app import dispatch_cli, order_cli
-from ground_station.app.benchmark_cli import benchmark
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,11 +32,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="The dispatcher's desk, with the very energy model that the vehicles fly with.",
 )
-
-
-app.add_typer(order_cli.app, name="order")
-app.add_typer(dispatch_cli.app)
-app.add_typer(benchmark, name="benchmark")
 
 
 @app.command()
@@ -164,6 +156,17 @@ def _print(
 
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
+    try:
+        from ground_station.adapters.zenoh_fleet import leave_process
+        from ground_station.app import cluster_cli, dispatch_cli, order_cli
+        from ground_station.app.benchmark_cli import benchmark
+    except ImportError as error:  # the vehicle's install carries this script, but not the desk
+        print(f"ground-station: pip install 'leeway[ground]' ({error})", file=sys.stderr)
+        sys.exit(2)
+    app.add_typer(order_cli.app, name="order")
+    app.add_typer(dispatch_cli.app)
+    app.add_typer(benchmark, name="benchmark")
+    app.add_typer(cluster_cli.app)
     try:
         app()
     except LeewayError as error:

@@ -67,7 +67,7 @@ class Reach:
         self._energy = route_energy or RouteEnergy(
             airframe, cruise_airspeed_mps=mission.cruise_airspeed_mps
         )
-        self._z = float(norm.ppf(1.0 - mission.max_loss))
+        self.sigmas = float(norm.ppf(1.0 - mission.max_loss))
 
     def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
         """Usable energy above the reserve, and its standard deviation."""
@@ -113,7 +113,15 @@ class Reach:
 
     def _spare_wh(self, need: Need, payload_kg: float, charge_frac: float | None) -> float:
         budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
-        return budget_wh - need.mean_wh - self._z * math.hypot(need.std_wh, budget_std_wh)
+        return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)
+
+    @property
+    def upwind_ne(self) -> tuple[float, float]:
+        """Unit vector against the wind; north in a calm."""
+        speed_mps = float(np.hypot(*self._wind))
+        if speed_mps < 0.1:
+            return 1.0, 0.0
+        return -float(self._wind[0]) / speed_mps, -float(self._wind[1]) / speed_mps
 
     def _cannot(
         self, need: Need, spare_wh: float, payload_kg: float, customer: Ned, charge: float | None
@@ -130,8 +138,8 @@ class Reach:
             return CannotBring(why, "less wind, or the truck")
         return CannotBring(why, f"a launch and landing within {stop_m:.0f} m of it, or the truck")
 
-    def radius_m(self, payload_kg: float, customer: Ned) -> float:
-        """How far from this customer, towards the depot, it may start and land with a full pack."""
+    def radius_m(self, payload_kg: float, customer: Ned, charge_frac: float = 1.0) -> float:
+        """How far from this customer, towards the depot, it may start and land."""
         far_m = math.hypot(customer[0], customer[1])
         low, high = 0.0, far_m
         for _ in range(12):
@@ -139,7 +147,7 @@ class Reach:
             share = 1.0 - middle / far_m if far_m > 0.0 else 0.0
             stop = (share * customer[0], share * customer[1], customer[2])
             need = self.need(payload_kg, stop, customer, stop)
-            fits = need.flyable and self._spare_wh(need, payload_kg, 1.0) >= 0.0
+            fits = need.flyable and self._spare_wh(need, payload_kg, charge_frac) >= 0.0
             low, high = (middle, high) if fits else (low, middle)
         return low
 

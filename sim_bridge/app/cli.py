@@ -249,6 +249,24 @@ def bench(
         json_out.write_text(json.dumps(result, indent=1) + "\n")
 
 
+@app.command("bench-dispatch")
+def bench_dispatch(
+    vehicles: Annotated[int, typer.Option(min=1, max=500, help="Connected vehicles.")] = 100,
+    orders: Annotated[int, typer.Option(min=10, help="Orders dispatched, one at a time.")] = 500,
+    seed: Annotated[int, typer.Option(min=0, help="Which vehicle gets which order.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """Time the dispatch of one order, command to acknowledgement, with many vehicles connected.
+
+    sim-bridge bench-dispatch --vehicles 100 --orders 500
+    """
+    try:
+        from sim_bridge.app.dispatch_bench import bench as bench_now
+    except ImportError as error:
+        raise LeewayError(f"bench-dispatch needs leeway[ground]: {error}") from error
+    bench_now(vehicles, orders, seed, json_file)
+
+
 app.registered_commands += serve_cli.app.registered_commands
 app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands

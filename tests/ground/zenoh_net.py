@@ -72,7 +72,11 @@ class Vehicle:
         self.done.append(command)
         return self.answer
 
-    def close(self) -> None:
+    def stop(self) -> None:
+        """End the thread; the port stays."""
         self._stop.set()
         self._thread.join()
+
+    def close(self) -> None:
+        self.stop()
         self.port.close()

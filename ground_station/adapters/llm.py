@@ -1,0 +1,78 @@
+"""An LLM behind any OpenAI-compatible server: one question, one answer, bounded."""
+
+import json
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+
+LARGEST_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class LlmParams:
+    """Where and whom to ask. `url` is the server's base, for example http://127.0.0.1:8000/v1."""
+
+    url: str
+    model: str
+    key: str | None = None
+    timeout_s: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What the model answered."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class NoAnswer:
+    """Why there is none."""
+
+    reason: str
+
+
+def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> Said | NoAnswer:
+    """Ask once, whatever the server does: no longer than `timeout_s`, no more than 1 MiB."""
+    until_s = time.monotonic() + params.timeout_s
+    body = {
+        "model": params.model,
+        "temperature": 0,
+        "messages": [{"role": "system", "content": system}, {"role": "user", "content": user}],
+        "response_format": {
+            "type": "json_schema",
+            "json_schema": {"name": "clusters", "strict": True, "schema": schema},
+        },
+    }
+    headers = {"Authorization": f"Bearer {params.key}"} if params.key else {}
+    try:
+        with (
+            httpx.Client(timeout=params.timeout_s, follow_redirects=False) as client,
+            client.stream(
+                "POST", f"{params.url.rstrip('/')}/chat/completions", json=body, headers=headers
+            ) as response,
+        ):
+            if response.status_code != httpx.codes.OK:
+                return NoAnswer(f"the server answers {response.status_code}")
+            raw = b""
+            for chunk in response.iter_bytes():
+                raw += chunk
+                if len(raw) > LARGEST_BYTES:
+                    return NoAnswer(f"more than {LARGEST_BYTES} bytes")
+                if time.monotonic() > until_s:
+                    return NoAnswer(f"no whole answer in {params.timeout_s:g} s")
+    except httpx.TimeoutException:
+        return NoAnswer(f"no answer in {params.timeout_s:g} s")
+    except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
+        return NoAnswer(f"{type(error).__name__}: {error}"[:200])
+    return _content(raw)
+
+
+def _content(raw: bytes) -> Said | NoAnswer:
+    try:
+        text = json.loads(raw)["choices"][0]["message"]["content"]
+    except (ValueError, KeyError, IndexError, TypeError, RecursionError):
+        return NoAnswer("not an OpenAI-compatible answer")
+    return Said(text) if isinstance(text, str) else NoAnswer("an answer without content")
