@@ -291,6 +291,6 @@ def estimator_bench(
     work = bench.jobs_of(flights, seed, truth, read_airframe("m100"), pitot)
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
-    found = _journaled("envelope", work, bench.fly_condition, jobs, kept)
+    found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
     _finish(bench.envelope_sheet(found, seed, pitot), out, stem)
     kept.remove()
