@@ -89,7 +89,7 @@ def watch(
         float | None, typer.Option(min=0.1, help="Watch so long, then print once and end.")
     ] = None,
 ) -> None:
-    """See the fleet live: phase, margin, P(home), what each brings; changes nothing.
+    """See the fleet live: phase, margin, P(home), what each brings; commands nothing.
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
