@@ -206,7 +206,7 @@ def shift_stops(t, plan, place, chance):
 
 @compiled
 def any_move(t, plan, place, chance):
-    """One of the moves, by the shares that served best (docs/truck-and-drones.md)."""
+    """One of the moves, by fixed shares (chosen by hand, not tuned)."""
     drawn = uniform(chance)
     if drawn < 0.002:
         reverse_day(plan, place)
