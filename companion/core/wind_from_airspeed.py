@@ -51,8 +51,8 @@ def pitot_seen(
     if max(speed, seen.airspeed_mps) < params.pitot_least_mps:
         return None
     row = np.zeros(STATES)
-    row[[At.MEAN, At.GUST]] = -scale * north
-    row[[At.MEAN + 1, At.GUST + 1]] = -scale * east
+    row[At.MEAN] = row[At.GUST] = -scale * north
+    row[At.MEAN + 1] = row[At.GUST + 1] = -scale * east
     row[At.HEADING] = scale * turned
     row[At.LOG_SCALE] = scale * speed
     row[At.BIAS] = 1.0
@@ -84,8 +84,8 @@ def vector_seen(
         (seen.airspeed_fr_mps[1], right, (-sin, cos), -forward),
     ):
         row = np.zeros(STATES)
-        row[[At.MEAN, At.GUST]] = -scale * north
-        row[[At.MEAN + 1, At.GUST + 1]] = -scale * east
+        row[At.MEAN] = row[At.GUST] = -scale * north
+        row[At.MEAN + 1] = row[At.GUST + 1] = -scale * east
         row[At.HEADING] = scale * turned
         row[At.LOG_SCALE] = scale * along
         found.append(AirspeedSeen(measured, scale * along, row, noise))

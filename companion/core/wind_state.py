@@ -211,13 +211,12 @@ class WindState:
         keep = math.exp(-dt_s / self.gust_memory_s)
         taken = 1.0 - math.exp(-dt_s / p.lag_s)
         variance = self.gust_variance_m2ps2
-        move = np.eye(STATES)
-        move[_GUST, _GUST] = keep
-        move[_LATELY, _LATELY] = 1.0 - taken
-        move[_LATELY, _MEAN] = taken
-        move[_LATELY, _GUST] = taken
-        move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
-        move[_NOISE_BEFORE, _NOISE] = 1.0
+        move = _STILL.copy()
+        for axis in (0, 1):
+            lately = At.LATELY + axis
+            move[At.GUST + axis, At.GUST + axis] = keep
+            move[lately, lately] = 1.0 - taken
+            move[lately, At.MEAN + axis] = move[lately, At.GUST + axis] = taken
         self.x = move @ self.x
         cov = move @ self.cov @ move.T
         self.cov = 0.5 * (cov + cov.T)
@@ -227,7 +226,7 @@ class WindState:
         pitot = p.pitot_walk_per_s * dt_s
         heading = p.heading_walk_rad2ps * dt_s
         new = p.velocity_std_mps**2
-        self.cov[_DIAGONAL] += (
+        self.cov.flat[:: STATES + 1] += (
             *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
             *(new, new, 0.0, 0.0),
         )
@@ -275,13 +274,23 @@ class WindState:
 
 _WINDOW_S = 10.0
 _LAG_MISFIT_S = 0.075  # integral of (mean of 5 s less lag of 2.7 s)^2 over a random walk's past
-_DIAGONAL = (tuple(range(STATES)), tuple(range(STATES)))
 _PAIR = [0, 1]
 _MEAN = [At.MEAN, At.MEAN + 1]
 _GUST = [At.GUST, At.GUST + 1]
 _LATELY = [At.LATELY, At.LATELY + 1]
 _NOISE = [At.NOISE, At.NOISE + 1]
 _NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
+
+
+def _still() -> FloatArray:
+    """What moves nothing but the velocities' noise: the last becomes the one before."""
+    move = np.eye(STATES)
+    move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
+    move[_NOISE_BEFORE, _NOISE] = 1.0
+    return move
+
+
+_STILL = _still()
 
 
 def gust_length_m(height_m: float) -> float:
