@@ -114,6 +114,8 @@ def day(tmp_path: Path) -> Iterator[tuple[Callable[..., Ground], Callable[..., O
 def test_the_day_is_flown_each_order_once_and_what_no_drone_can_is_left(day):
     make_ground, make_vehicle = day
     ground, drones = make_ground(), [make_vehicle("d1"), make_vehicle("d2")]
+    seen = ground.desk.picture.vehicles
+    ground.until(lambda: len([v for v in seen.values() if v.state is not None]) == len(drones))
     ground.store.add_orders(DAY.orders)
     ground.until(lambda: len(ground.orders(OrderState.DELIVERED)) == 6)
     ground.until(lambda: not ground.store.outbox())
