@@ -1,6 +1,6 @@
 """The command lines of `companion calibrate` and `calibrate-plan`.
 
-What they do is imported when they run: `companion run` flies without scipy's optimisers.
+What they do is imported when they run, not with `companion run`.
 """
 
 from pathlib import Path

@@ -5,16 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from companion.adapters.files import read_flight, read_wind_process
-from companion.adapters.zenoh_link import leave_process
 from companion.app import calibrate_cli
 from companion.app.check_report import report
-from companion.app.fleet_run import FleetOptions, fly_one, serve
 from companion.app.replay_cli import EPILOG as REPLAY_EPILOG
 from companion.app.replay_cli import replay_command
 from companion.app.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
@@ -200,7 +198,7 @@ def run_command(
     )
     options = replace(where.options(pilot), lockstep=lockstep)
     if fleet is not None and vehicle is not None:
-        leave_process(_run_in_fleet(FleetOptions(fleet, vehicle, zenoh), options, mission))
+        _run_in_fleet(fleet, vehicle, zenoh, options, mission)
     code, _ = _run(options, _show)
     raise typer.Exit(code)
 
@@ -287,14 +285,22 @@ def transitions(
     typer.echo(as_mermaid() if mermaid else as_markdown())
 
 
-def _run_in_fleet(fleet: FleetOptions, options: RunOptions, mission: Path | None) -> int:
+def _run_in_fleet(
+    name: str, vehicle: str, zenoh: Path | None, options: RunOptions, mission: Path | None
+) -> NoReturn:
+    """Serve a desk, until the process ends; only who does so loads zenoh."""
+    from companion.adapters.zenoh_link import leave_process
+    from companion.app.fleet_run import FleetOptions, fly_one, serve
+
+    fleet = FleetOptions(name, vehicle, zenoh)
     try:
         if mission is not None:
-            return fly_one(fleet, options, _show)
-        return serve(fleet, options, say=typer.echo, on_action=_show)
+            code = fly_one(fleet, options, _show)
+        else:
+            code = serve(fleet, options, say=typer.echo, on_action=_show)
     except LeewayError as error:
         _mistake(error)
-        raise
+    leave_process(code)
 
 
 def _run(options: RunOptions, show: Callable[[Action], None]) -> tuple[int, Pilot]:
@@ -302,10 +308,9 @@ def _run(options: RunOptions, show: Callable[[Action], None]) -> tuple[int, Pilo
         return run(options, on_action=show)
     except LeewayError as error:
         _mistake(error)
-        raise
 
 
-def _mistake(error: LeewayError) -> None:
+def _mistake(error: LeewayError) -> NoReturn:
     typer.echo(f"companion: {error}", err=True)
     raise typer.Exit(USAGE) from error
 

@@ -285,30 +285,29 @@ class FleetPort:
         self.link.close()
         self.log.close()
 
+    def in_mission(
+        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Reply]
+    ) -> Callable[[Command], Verdict]:
+        """How commands are carried out while a mission runs."""
 
-def in_mission(
-    port: FleetPort, pilot: Pilot, t_s: float, ask: Callable[[Event], Reply]
-) -> Callable[[Command], Verdict]:
-    """How commands are carried out while a mission runs."""
+        def carry_out(command: Command) -> Verdict:
+            here = self.current.assignment if self.current is not None else None
+            deed, by = command.deed, command.by
+            if isinstance(deed, Assign):
+                if deed.assignment == here:
+                    return Verdict(Answered.DONE, "aboard")
+                return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
+            if isinstance(deed, Launch | Withdraw) and deed.assignment != here:
+                return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
+            if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
+                return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
+            answer = ANSWER[ask(_event_of(deed, t_s, by))]
+            reason = f"phase {pilot.phase.value}"
+            if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
+                return Verdict(Answered.LATER, "no autopilot is heard yet")
+            return Verdict(answer, reason)
 
-    def carry_out(command: Command) -> Verdict:
-        here = port.current.assignment if port.current is not None else None
-        deed, by = command.deed, command.by
-        if isinstance(deed, Assign):
-            if deed.assignment == here:
-                return Verdict(Answered.DONE, "aboard")
-            return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
-        if isinstance(deed, Launch | Withdraw) and deed.assignment != here:
-            return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
-        if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
-            return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
-        answer = ANSWER[ask(_event_of(deed, t_s, by))]
-        reason = f"phase {pilot.phase.value}"
-        if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
-            return Verdict(Answered.LATER, "no autopilot is heard yet")
-        return Verdict(answer, reason)
-
-    return carry_out
+        return carry_out
 
 
 def _event_of(deed: Any, t_s: float, by: str) -> Event:

@@ -7,14 +7,13 @@ them telemetry itself ticks about ten times a second.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from companion.adapters.autopilot_port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, wall_s
 from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.adapters.operator_port import OperatorPort
-from companion.app.fleet_port import FleetPort, in_mission
 from companion.app.recorder import Recorder
 from companion.app.table_worker import TableWorker
 from companion.core.actions import (
@@ -33,6 +32,9 @@ from companion.core.actions import (
 from companion.core.events import Event, LinkBack, LinkSilent, Tick
 from companion.core.pilot import Pilot
 from companion.core.transitions import FLIGHT_PHASES, Phase
+
+if TYPE_CHECKING:
+    from companion.app.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
 
 WAIT_S = 0.1
 TICK_S = 0.1
@@ -77,7 +79,7 @@ class Loop:
     on_action: Callable[[Action], None] | None = None
     tables: TableWorker | None = None
     """None: no value table is ever made, and the return budget alone decides."""
-    port: FleetPort | None = None
+    port: "FleetPort | None" = None
     """None: no dispatcher's desk; operators still speak MAVLink."""
     _system_known: bool = False
     _ticked_s: float = -1e9
@@ -152,9 +154,9 @@ class Loop:
             self._talk_to_desk(self.port)
         self.flush()
 
-    def _talk_to_desk(self, port: FleetPort) -> None:
+    def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
-            port.turn(in_mission(port, self.pilot, self.clock.t_s, self.ask))
+            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask))
         port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from companion.adapters.ardupilot import ArduPilot
 from companion.adapters.checkpoint import read_checkpoint
@@ -18,7 +19,6 @@ from companion.adapters.files import (
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.mavlink_link import open_link
 from companion.adapters.px4 import Px4
-from companion.app.fleet_port import FleetPort
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.table_worker import LOCKSTEP_WAIT_S, TableWorker
@@ -30,6 +30,9 @@ from companion.core.kept import Kept
 from companion.core.pilot import Pilot
 from companion.core.preflight import Requirement, RouteFacts
 from companion.core.transitions import Phase
+
+if TYPE_CHECKING:
+    from companion.app.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
 
 DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED = 0, 1, 2, 3, 4, 5
 """Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
@@ -57,7 +60,7 @@ def run(
     options: RunOptions,
     *,
     on_action: Callable[[Action], None] | None = None,
-    port: FleetPort | None = None,
+    port: "FleetPort | None" = None,
 ) -> tuple[int, Pilot]:
     """Fly (or check) until the mission, a signal or an error ends it; returns the exit code.
 

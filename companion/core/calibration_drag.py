@@ -86,7 +86,7 @@ class WindSeen:
 
 @dataclass(frozen=True, slots=True)
 class DragFit:
-    """`values` and `cov` as in DRAG_KEYS; `prior_std` what was believed before.
+    """`values` and `cov` as in DRAG_KEYS; `prior_cov` what was believed before.
 
     `residual_mps2` per flight: (n, 2) measured less expected drag deceleration, wind explained.
     """
@@ -96,7 +96,6 @@ class DragFit:
     prior_cov: FloatArray
     winds: tuple[WindSeen, ...]
     residual_mps2: tuple[FloatArray, ...]
-    noise_scale: tuple[float, ...]
 
 
 def drag_values(airframe: Airframe) -> FloatArray:
@@ -133,8 +132,9 @@ def drag_prior_cov(airframe: Airframe, priors: DragPriors) -> FloatArray:
     return cov
 
 
-def _ratios(value: FloatArray) -> tuple[float, float]:
-    return tuple(value[i + 1] / value[i] if value[i] > 0.0 else 1.0 for i in (0, 2))  # type: ignore[return-value]
+def _ratios(value: FloatArray) -> tuple[float, ...]:
+    """Right over forward, of the linear and of the quadratic part."""
+    return tuple(value[i + 1] / value[i] if value[i] > 0.0 else 1.0 for i in (0, 2))
 
 
 def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: bool) -> DragFit:
@@ -173,7 +173,7 @@ def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: b
     cov = _covariance(solution.jac, solution.fun, models, globals_)
     winds = tuple(m.wind(drag, mine) for m, mine in zip(models, own, strict=True))
     left = tuple(m.unexplained(drag, mine) for m, mine in zip(models, own, strict=True))
-    return DragFit(drag, cov, prior_cov, winds, left, tuple(m.scale for m in models))
+    return DragFit(drag, cov, prior_cov, winds, left)
 
 
 def _covariance(

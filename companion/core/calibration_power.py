@@ -60,7 +60,6 @@ class PowerFit:
     sensor_scale: tuple[float, ...]
     settled: tuple[NDArray[np.int64], ...]
     residual_frac: tuple[FloatArray, ...]
-    standing_s: float
 
 
 def power_values(airframe: Airframe) -> FloatArray:
@@ -158,7 +157,6 @@ def fit_power(
         sensor_scale=tuple(1.0 + x[4:]),
         settled=tuple(settled),
         residual_frac=left,
-        standing_s=BLOCK_S * sum(len(_standing_blocks(b, airframe)) for b in flights),
     )
 
 

@@ -44,7 +44,6 @@ class FlightRecord:
     current_a: FloatArray
     payload_kg: FloatArray
     density_kgpm3: float
-    date: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,9 +151,7 @@ def _in_order(record: FlightRecord, notes: list[str]) -> FlightRecord:
         for name in FlightRecord.__slots__
         if isinstance(getattr(record, name), np.ndarray)
     }
-    return FlightRecord(
-        name=record.name, density_kgpm3=record.density_kgpm3, date=record.date, **rows
-    )
+    return FlightRecord(name=record.name, density_kgpm3=record.density_kgpm3, **rows)
 
 
 def _check_units(record: FlightRecord, hover_w: float, cells: int) -> None:

@@ -135,7 +135,6 @@ class _Replay:
         self._flying = False
         self._flew_s = 0.0
         self._closed = False
-        self._gone = False
         self._diverted = False
         self._stage = ""
         self._noted: Noted | None = None
@@ -246,7 +245,7 @@ class _Replay:
                 where = f"landed {away_m:.0f} m from where it took off"
             reason = f"{where}, {left_wh:+.1f} Wh above the reserve"
             self._decisions.append(Decision(now.t_s, "landed", reason, margin_wh=left_wh))
-        self._closed = self._gone = self._diverted = False
+        self._closed = self._diverted = False
         self._seen, self._noted, self._route, self._stage = None, None, None, ""
 
     def _judge_pack(self, now: Situation) -> None:
@@ -400,8 +399,7 @@ class _Replay:
         if seen.turn_back and outward and not self._closed:
             self._closed = True
             self._decide(t_s, "turn_back", seen.reason)
-        elif self._noted is None and not self._gone and not isinstance(self._route, Planned):
-            self._gone = True
+        elif self._noted is None and not isinstance(self._route, Planned):
             self._decide(t_s, "gate_open", seen.reason)
         elif self._noted is not None and (moved := moved_since(self._noted, seen, wind_ne)):
             self._decide(t_s, "looked_again", f"{moved}: {seen.reason}")

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from companion.core.airframe import Airframe
 from companion.core.flight import Mission
@@ -67,7 +67,7 @@ class Reach:
         self._energy = route_energy or RouteEnergy(
             airframe, cruise_airspeed_mps=mission.cruise_airspeed_mps
         )
-        self.sigmas = float(norm.ppf(1.0 - mission.max_loss))
+        self.sigmas = float(ndtri(1.0 - mission.max_loss))
 
     def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
         """Usable energy above the reserve, and its standard deviation."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from ground_station.core.truck_drones.problem import Floats, Legs
@@ -55,7 +55,7 @@ class WindSorties:
         """`kinds`: energy model, usable Wh and its standard deviation."""
         self._ne_m, self._payload_kg = ne_m, payload_kg
         self._kinds, self._params = kinds, params
-        self._sigmas = float(norm.ppf(1.0 - params.max_loss))
+        self._sigmas = float(ndtri(1.0 - params.max_loss))
 
     def legs(self, drone_kind: int) -> Legs:
         """Times and energies of this kind of drone between all places."""

@@ -38,7 +38,6 @@ class Flown:
     duration_s: float
     energy_wh: float
     wind_mean_mps: float
-    samples: tuple[tuple[float, float, float], ...]
 
 
 @dataclass(slots=True)
@@ -146,7 +145,6 @@ def fly_plan(
     """Fly a plan's items to the landing; the .tlog is what a ground station would have."""
     autopilot = served.autopilot
     autopilot.add_link(LINK, LinkKind.GCS)
-    rows: list[tuple[float, float, float]] = []
     winds: list[float] = []
     with tlog.open("wb") as log:
         station = GroundStation(items, flavour, log)
@@ -167,7 +165,6 @@ def fly_plan(
                 flew = True
                 winds.append(math.hypot(*truth.wind_to_ned_mps[:2]))
             if step % 10 == 0:
-                rows.append((t_s, truth.energy_used_wh, float(truth.airborne)))
                 progress(t_s)
             if not flew and t_s > READY_WITHIN_S:
                 raise LeewayError(f"{tlog.name}: never took off within {READY_WITHIN_S:.0f} s")
@@ -178,4 +175,4 @@ def fly_plan(
             raise LeewayError(f"{tlog.name}: not down after {limit_s:.0f} s")
     truth = served.truth
     mean_wind = sum(winds) / len(winds)
-    return Flown(t_s, truth.energy_used_wh, mean_wind, tuple(rows))
+    return Flown(t_s, truth.energy_used_wh, mean_wind)

@@ -225,7 +225,7 @@ def sheet(found: dict[str, list[Measured]]) -> Sheet:
         f"{SETTING.budget_wh:g} Wh, BER's bound {100 * MAX_LOSS:g} %, 8 classes. Energy, margin, "
         "time and turn are of vehicles that left; margin of those that came home. FAIL is every "
         "vehicle lost. Max turn is before smoothing: the reversal at the customer left out. "
-        "The truck, clustering and smoothing are not built yet."
+        "The truck and clustering are not connected to this experiment yet; smoothing is not built."
     )
     return Sheet("Table 2", head, rows, note)
 

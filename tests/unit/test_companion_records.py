@@ -323,11 +323,9 @@ def test_the_transition_table_can_be_printed():
     assert "stateDiagram" in runner.invoke(app, ["transitions", "--mermaid"]).output
 
 
-def test_in_flight_no_plotting_training_or_oracle_library_is_loaded():
-    code = (
-        "import sys; import companion.app.cli\n"
-        "print([m for m in ('matplotlib', 'torch', 'filterpy', 'pandas') if m in sys.modules])"
-    )
+def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
+    heavy = ("matplotlib", "torch", "filterpy", "pandas", "pyulog", "sqlalchemy", "zenoh")
+    code = f"import sys; import companion.app.cli; print([m for m in {heavy} if m in sys.modules])"
     seen = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )

@@ -16,7 +16,6 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 PX4_FACTOR, PX4_ADDED_S = 1.1, 100.0
-PX4_MEAN_S = 60.0
 THRESHOLDS = {"threshold_25": 0.25, "threshold_35": 0.35}
 
 
@@ -65,13 +64,14 @@ def clairvoyant(flown: Flown) -> Ends:
 def px4_time(flown: Flown) -> Ends:
     """Returns when `1.1 t + 100 s` exceeds the time that the energy left lasts.
 
-    `t`: distance home at cruise ground speed without wind; the mean power is that of the last 60 s.
+    `t`: distance home at cruise ground speed without wind. The mean power of the last 60 s is the
+    loaded cruise's: at one airspeed it draws the same on all the way out.
     """
     times = _seconds(flown)
     out_m = np.stack([flown.out_m(np.full(flown.arrival_s.size, t)) for t in times], axis=1)
     home_s = out_m / flown.profile.airspeed_mps
     left_wh = flown.power.budget_wh - flown.power.loaded_w * times / 3600.0
-    remaining_s = left_wh * 3600.0 / flown.power.loaded_w  # it draws the same on all the way out
+    remaining_s = left_wh * 3600.0 / flown.power.loaded_w
     return ends_of(
         flown, _first(PX4_FACTOR * home_s + PX4_ADDED_S > remaining_s[None, :], times, flown)
     )
