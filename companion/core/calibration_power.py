@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from companion.core.airframe import Airframe
 from companion.core.calibration_drag import DRAG_KEYS, WindSeen
-from companion.core.calibration_records import BLOCK_S, Blocks
+from companion.core.calibration_records import Blocks
 from companion.core.power import multirotor_power_w
 
 FloatArray = NDArray[np.float64]
