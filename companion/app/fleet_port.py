@@ -32,14 +32,17 @@ from companion.core.messages import (
     Answered,
     Assign,
     Command,
+    Drive,
     EventKind,
     FleetEvent,
     HandBack,
     HandsOff,
     Launch,
+    MoveHome,
     Recall,
     Refused,
     Result,
+    Serve,
     SetLimits,
     State,
     Withdraw,
@@ -293,6 +296,8 @@ class FleetPort:
         def carry_out(command: Command) -> Verdict:
             here = self.current.assignment if self.current is not None else None
             deed, by = command.deed, command.by
+            if isinstance(deed, MoveHome | Drive | Serve):
+                return Verdict(Answered.REFUSED, "not what this vehicle can do")
             if isinstance(deed, Assign):
                 if deed.assignment == here:
                     return Verdict(Answered.DONE, "aboard")

@@ -80,6 +80,8 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     `depot` may be absent: it is then where the vehicle stands (its own home position).
     `obstacles` names a GeoJSON file of polygons with a `height_m` property (above the depot).
+    `stops` are the places where a truck may stand, each with a name; `home` is the one that it
+    promises now, where the flight ends (safety rule 3). Without `home` the flight ends at the depot.
     """
 
     customer: Place
@@ -87,8 +89,15 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     rally: list[Place] = []
     obstacles: str | None = None
     terrain: Terrain = Terrain()
+    stops: list[Place] = []
+    home: str | None = None
 
     def __post_init__(self) -> None:
+        names = [stop.name for stop in self.stops]
+        if "" in names or len(set(names)) < len(names):
+            raise LeewayError("site.stops: expected a name of its own for each")
+        if self.home is not None and self.home not in names:
+            raise LeewayError(f"site.home = {self.home!r}: expected the name of one of site.stops")
         if self.depot is not None and self.depot.lat_deg is None:
             raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
 
@@ -128,12 +137,14 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """What the operator asks, and the risk that they accept. Heights are above the depot.
 
     `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
+    `return_height_m` absent: the way back is flown at cruise height too.
     `wind_process` names how wind changes at the site: a file of params/wind, or a path.
     """
 
     max_loss: float = 0.01
     reserve_frac: float = 0.15
     cruise_height_m: float = 40.0
+    return_height_m: float | None = None
     drop_height_m: float = 6.0
     leg_length_m: float = 150.0
     wind_settle_s: float = 10.0
@@ -146,6 +157,8 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
         check_range("mission.reserve_frac", self.reserve_frac, 0.0, 0.6)
         check_range("mission.cruise_height_m", self.cruise_height_m, 5.0, 500.0)
+        if self.return_height_m is not None:
+            check_range("mission.return_height_m", self.return_height_m, 5.0, 500.0)
         check_range("mission.drop_height_m", self.drop_height_m, 1.0, 100.0)
         check_range("mission.leg_length_m", self.leg_length_m, 20.0, 5000.0)
         check_range("mission.wind_settle_s", self.wind_settle_s, 0.0, 120.0)

@@ -160,6 +160,10 @@ def make_plan(
 ) -> FlightPlan | NoRoute:
     """Plan the flight before take-off, when no wind is known yet."""
     mission = flight.mission
+    if flight.site.home is not None or mission.return_height_m is not None:
+        return NoRoute(
+            "site.home and mission.return_height_m: this version flies home to the depot"
+        )
     for name, ground in (("customer", site.customer_ned_m), *site.rally_ned_m):
         room_m = mission.cruise_height_m + ground[2]
         least_m = (mission.drop_height_m if name == "customer" else 0.0) + LEAST_ROOM_M

@@ -41,7 +41,10 @@ class State(_Message, frozen=True, kw_only=True):
     """A vehicle as its companion sees it now. Unknown is absent.
 
     `phase` is `standby` between missions, else the mission's phase. `last_seq` is the newest event
-    of log `log`: who has seen less asks for the rest.
+    of log `log`: who has seen less asks for the rest. `home` names the promised stop at which
+    what is aboard the autopilot ends, were its companion to die now (safety rule 3). A truck is a
+    vehicle of airframe `truck`, in phase `driving` or `at_stop`; `stop`: where it stands or drives
+    to.
     """
 
     vehicle: Name
@@ -69,6 +72,8 @@ class State(_Message, frozen=True, kw_only=True):
     p_success: Probability | None = None
     wind_to_n_mps: float | None = None
     wind_to_e_mps: float | None = None
+    home: Id | None = None
+    stop: Id | None = None
     text: Words = ""
 
 
@@ -136,6 +141,32 @@ class Recall(_Deed, frozen=True, kw_only=True, tag="recall"):
     """Come home now, by the way home that the gate finds safe; on the ground: stay."""
 
 
+class MoveHome(_Deed, frozen=True, kw_only=True, tag="move_home"):
+    """Land at another stop of the flight's `site.stops`: the truck promises it from now on.
+
+    `done` says that the wish is taken; the earlier promise is void only when `State.home` names the
+    new stop (safety rule 3). Refused where the gate does not find the way there safe.
+    """
+
+    assignment: Id
+    home: Id
+
+
+class Drive(_Deed, frozen=True, kw_only=True, tag="drive"):
+    """To a truck: leave where it stands and drive to this stop."""
+
+    stop: Id
+    lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+
+
+class Serve(_Deed, frozen=True, kw_only=True, tag="serve"):
+    """To a truck at a stop: the driver brings this order; an outcome event tells that it did."""
+
+    assignment: Id
+    order: Id
+
+
 class HandsOff(_Deed, frozen=True, kw_only=True, tag="hands_off"):
     """Send the autopilot nothing more; somebody else flies."""
 
@@ -151,7 +182,9 @@ class SetLimits(_Deed, frozen=True, kw_only=True, tag="set_limits"):
     reserve_frac: Annotated[float, Meta(ge=0.0, le=0.6)] | None = None
 
 
-Deed = Assign | Launch | Withdraw | Recall | HandsOff | HandBack | SetLimits
+Deed = (
+    Assign | Launch | Withdraw | Recall | MoveHome | HandsOff | HandBack | SetLimits | Drive | Serve
+)
 
 
 class Command(_Message, frozen=True, kw_only=True):
