@@ -81,7 +81,7 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     `depot` may be absent: it is then where the vehicle stands (its own home position).
     `obstacles` names a GeoJSON file of polygons with a `height_m` property (above the depot).
     `stops` are the places where a truck may stand, each with a name; `home` is the one that it
-    promises now, where the flight ends (safety rule 3). Without `home` the flight ends at the depot.
+    promises now, where the flight ends (safety rule 3); without it that is the depot.
     """
 
     customer: Place
