@@ -1,8 +1,8 @@
 """From the day's data and where it stands to a day plan: who brings what, from where, and when."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from companion.core.flight import Place
 from companion.core.geo import Ned, place_ned
 from ground_station.core.airspace import Airspace
 from ground_station.core.day_data import DEPOT, DayData
-from ground_station.core.day_forward import Drive, Driven
+from ground_station.core.day_forward import Drive, Driven, polished
 from ground_station.core.day_nodes import DayNodes, day_nodes, without
 from ground_station.core.day_pads import StopPads, ring_radius_m
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
@@ -22,6 +22,7 @@ from ground_station.core.day_unplanned import beyond_capacity, beyond_reach, no_
 from ground_station.core.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.edits import index_route, insert_stop
+from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.search import (
     Search,
     SearchParams,
@@ -67,17 +68,29 @@ class _DayPlanner:
 
     def planned(self) -> DayPlan:
         nodes = self._nodes()
-        plan = self._searched(nodes)
         while True:
-            driven = self._drive(nodes).driven(plan)
+            driven = self._driven(nodes)
             if not driven.lost:
                 return self._day_plan(nodes, driven)
-            customer = driven.lost[0]
-            if not _by_truck(nodes, plan, customer):
-                order = nodes.orders[customer - 1]
-                self._unplanned.append(no_slot(order))
-                nodes = without(nodes, {order.id})
-                plan = self._searched(nodes)
+            order = nodes.orders[driven.lost[0] - 1]
+            self._unplanned.append(no_slot(order))
+            nodes = without(nodes, {order.id})
+
+    def _driven(self, nodes: DayNodes) -> Driven:
+        """The best of the policy's plans, driven forward."""
+        drive = self._drive(nodes)
+        found = [self._repaired(nodes, drive, plan) for plan in self._plans(nodes)]
+        plan, driven = min(found, key=lambda one: _worth(one[1]))
+        if self._params.policy == "dynamic":
+            return driven
+        return polished(drive, plan, driven)
+
+    def _repaired(self, nodes: DayNodes, drive: Drive, plan: Plan) -> tuple[Plan, Driven]:
+        """Who finds no slot is brought by the truck, where it may."""
+        driven = drive.driven(plan)
+        while driven.lost and _by_truck(nodes, plan, driven.lost[0]):
+            driven = drive.driven(plan)
+        return plan, driven
 
     def _nodes(self) -> DayNodes:
         by_id = {order.id: order for order in self._data.orders}
@@ -113,26 +126,35 @@ class _DayPlanner:
         until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
         return until_s - self._t0_s
 
-    def _searched(self, nodes: DayNodes) -> Plan:
-        params, problem = self._params, nodes.problem
-        rng = np.random.default_rng(params.seed)
-        if params.policy == "dynamic":
-            return DynamicAssignment().plan(problem, rng)
-        search_params = SearchParams()
-        search = Search(problem, rng, search_params)
-        trials = params.trials or default_trials(problem.customers)
-        rounds = default_rounds(problem.customers)
+    def _plans(self, nodes: DayNodes) -> Iterator[Plan]:
+        """By the search: two, with drones met where they were launched, and met anywhere.
+
+        Neither knows of layers; the first loses least to them, the second reaches furthest.
+        """
+        problem = nodes.problem
+        rng = np.random.default_rng(self._params.seed)
+        if self._params.policy == "dynamic":
+            yield DynamicAssignment().plan(problem, rng)
+            return
+        trials = self._params.trials or default_trials(problem.customers)
         self._trials = trials
-        done = 0
-        for _ in range(rounds if problem.customers else 0):
-            of_round = 0
-            for_round = max(1, trials // rounds)
-            while of_round < for_round:
-                now = min(search_params.step_trials, for_round - of_round)
-                search.step(now, of_round / for_round, (of_round + now) / for_round)
-                of_round += now
+        yield self._searched(replace(problem, loops_only=True), rng, trials // 2, 0.0)
+        yield self._searched(problem, rng, trials - trials // 2, 0.5)
+
+    def _searched(
+        self, problem: TruckAndDrones, rng: np.random.Generator, trials: int, done_frac: float
+    ) -> Plan:
+        params = SearchParams()
+        search = Search(problem, rng, params)
+        rounds = default_rounds(problem.customers) if problem.customers else 0
+        for number in range(rounds):
+            done, of_round = 0, max(1, trials // rounds)
+            while done < of_round:
+                now = min(params.step_trials, of_round - done)
+                search.step(now, done / of_round, (done + now) / of_round)
                 done += now
-                self._tell(min(1.0, done / trials), search.best_s)
+                share = (number + done / of_round) / rounds
+                self._tell(done_frac + 0.5 * share, search.best_s)
         return search.best
 
     def _drive(self, nodes: DayNodes) -> Drive:
@@ -230,6 +252,11 @@ class _DayPlanner:
             sure_wh=sure_wh,
             usable_wh=usable_wh,
         )
+
+
+def _worth(driven: Driven) -> tuple[int, float]:
+    """Fewer orders lost, then sooner home."""
+    return len(driven.lost), driven.makespan_s
 
 
 def _by_truck(nodes: DayNodes, plan: Plan, customer: int) -> bool:
