@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from companion.adapters.clock import wall_s
+from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.event_log import EventLog
 from companion.adapters.whole_file import read_whole, settle_folder, write_whole
 from companion.app.fleet_member import FleetMember
@@ -85,6 +85,7 @@ class FleetPort:
         folder: Path,
         link_of: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
     ) -> "FleetPort":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
 
@@ -93,7 +94,7 @@ class FleetPort:
         """
         table = read_whole(folder / CURRENT, "assignment")
         current = None if table is None else msgspec.convert(table, Assigned)
-        member = FleetMember.open(vehicle, folder, link_of, clock_s)
+        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
         return cls(member, airframe_name, airframe.mass.max_payload_kg, current)
 
     @property
