@@ -11,7 +11,6 @@ import pytest
 
 pytestmark = pytest.mark.sitl
 
-FLAVOURS = ["px4", "ardupilot"]
 PADS = {"stop-1": (0.0, 0.0), "stop-2": (-40.0, 60.0), "stop-3": (-90.0, -50.0)}  # east, north
 WORLD: dict[str, Any] = {
     "site": {
@@ -41,10 +40,10 @@ def moved(phase: str, at_s: float, to: str) -> dict[str, Any]:
     return {"kind": "home_moves", "phase": phase, "at_s": at_s, "to": to}
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
-def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_case, flavour):
+def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_case):
+    # PX4; ArduCopter's home moves in test_sitl_next_pad.py.
     moves = [moved("outbound", 1.0, "stop-3"), moved("return", 14.0, "stop-1")]
-    flown = fly_case(flavour, WORLD | {"faults": moves})
+    flown = fly_case("px4", WORLD | {"faults": moves})
     assert (flown.row["outcome"], landed_at(flown)) == ("SUC", "stop-1")
     rows = flown.craft.record.rows
     dropped_s = next(row[0] for row in rows if row[-1] == 0.0)
@@ -57,7 +56,7 @@ def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_c
     assert (out_m, back_m) == (pytest.approx(20.0, abs=1.5), pytest.approx(26.0, abs=1.5))
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_safety_rule_3_killed_on_the_way_out_it_comes_down_at_the_promised_stop(fly_case, flavour):
     killed = {"kind": "companion_kill", "phase": "outbound", "at_s": 4.0, "restart": False}
     wish = moved("outbound", 0.5, "stop-3")  # taken, and void with the companion that took it
