@@ -147,6 +147,7 @@ def main() -> None:
         from ground_station.adapters.zenoh_fleet import leave_process
         from ground_station.app import cluster_cli, dispatch_cli, order_cli, plan_cli
         from ground_station.app.benchmark_cli import benchmark
+        from ground_station.app.truck_cli import truck
     except ImportError as error:  # the vehicle's install carries this script, but not the desk
         print(f"ground-station: pip install 'leeway[ground]' ({error})", file=sys.stderr)
         sys.exit(2)
@@ -155,6 +156,7 @@ def main() -> None:
     app.add_typer(benchmark, name="benchmark")
     app.add_typer(cluster_cli.app)
     app.add_typer(plan_cli.app)
+    app.command()(truck)
     try:
         app()
     except LeewayError as error:

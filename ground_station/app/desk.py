@@ -10,18 +10,16 @@ from dataclasses import dataclass, field
 from companion.core.messages import FINAL, Answered, Command, FleetEvent, Launch, Recall, State
 from ground_station.adapters.day_files import DayData
 from ground_station.adapters.store import Store
-from ground_station.adapters.zenoh_fleet import (
+from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_s
+from ground_station.core.choosing import Chooser, Free
+from ground_station.core.fleet import (
     Alive,
     CommandAnswered,
     EventsHeard,
     Heard,
     Nonsense,
     StateHeard,
-    ZenohFleet,
-    epoch_us,
-    monotonic_s,
 )
-from ground_station.core.choosing import Chooser, Free
 from ground_station.core.orders import AssignmentRow, AssignmentState, CommandRow
 from ground_station.core.picture import Picture, VehicleSeen
 

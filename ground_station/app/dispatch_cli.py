@@ -2,11 +2,8 @@
 
 import json
 import secrets
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
@@ -23,6 +20,7 @@ from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_
 from ground_station.app.desk import Desk, DeskOptions
 from ground_station.app.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.order_cli import list_impossible, take_orders
+from ground_station.app.stopping import stop_signals
 from ground_station.app.views import report_of, report_table, watch_table
 from ground_station.core.choosing import Chooser, DispatchPlan
 from ground_station.core.orders import OrderState, Service
@@ -71,7 +69,7 @@ def dispatch(
         desk.begin()
         typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops the desk")
         try:
-            with _stop_signals() as stopped:
+            with stop_signals() as stopped:
                 while not stopped and not (until_done and _is_done(opened, impossible)):
                     desk.turn(TURN_S)
         finally:
@@ -104,7 +102,7 @@ def watch(
         return watch_table(desk.picture, rows, opened.orders(), monotonic_s())
 
     try:
-        with _stop_signals() as stopped:
+        with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
             with Live(view(), console=console, auto_refresh=False, transient=True) as live:
                 while not stopped and (until_s is None or monotonic_s() < until_s):
@@ -245,19 +243,3 @@ def _say(words: str) -> None:
     seconds = epoch_us() // 1_000_000 % 86_400
     stamp = f"{seconds // 3600:02d}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}Z"
     typer.echo(f"{stamp} {words}")
-
-
-@contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """While inside, SIGINT and SIGTERM are noted: a turn is finished, nothing is left half done."""
-    seen: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        seen.append(number)
-
-    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield seen
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

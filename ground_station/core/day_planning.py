@@ -171,6 +171,7 @@ class _DayPlanner:
     def _day_plan(self, nodes: DayNodes, driven: Driven) -> DayPlan:
         start, params = self._start, self._params
         ids = self._stop_ids(driven)
+        sorties = [self._sortie(nodes, driven, slot, ids) for slot in driven.slots]
         stops = [*start.stops[:-1]]
         for number, stop in enumerate(driven.stops):
             order = nodes.orders[stop.node - 1] if 0 < stop.node <= len(nodes.orders) else None
@@ -193,7 +194,6 @@ class _DayPlanner:
                     pads=pads,
                 )
             stops.append(fresh)
-        sorties = [self._sortie(nodes, slot, ids) for slot in driven.slots]
         return DayPlan(
             format="day-plan/1",
             day=self._data.day.name,
@@ -226,7 +226,35 @@ class _DayPlanner:
             alt_amsl_m=round(alt_amsl_m, 2),
         )
 
-    def _sortie(self, nodes: DayNodes, slot: Slot, ids: dict[int, str]) -> PlannedSortie:
+    def _others(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> list[str]:
+        """Other stops that it could land at, with a pad there: its launch, and the one after home."""
+        wish = slot.wish
+        route = [stop.node for stop in driven.stops]
+        after = route[route.index(wish.meet) + 1 :][:1]
+        found: list[str] = []
+        for node in [wish.launch, *after]:
+            pad = driven.pads[node].best(slot.drone, nodes.ned(wish.customer))
+            if node == wish.meet or pad is None:
+                continue
+            need = nodes.classes[wish.kind].reach.affordable(
+                nodes.orders[wish.customer - 1].mass_kg,
+                slot.from_pad_ned_m,
+                nodes.ned(wish.customer),
+                pad[1],
+                slot.filled.high_m,
+                nodes.ways.via(wish.launch, wish.customer),
+                nodes.ways.via(wish.customer, node),
+            )
+            if need is not None:
+                driven.pads[node].of[slot.drone] = pad[1]
+                found.append(ids[node])
+        return found
+
+    def _sortie(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> PlannedSortie:
         wish = slot.wish
         order = nodes.orders[wish.customer - 1]
         reach = nodes.classes[wish.kind].reach
@@ -251,6 +279,7 @@ class _DayPlanner:
             energy_wh=need.mean_wh,
             sure_wh=sure_wh,
             usable_wh=usable_wh,
+            others=self._others(nodes, driven, slot, ids),
         )
 
 
