@@ -1,5 +1,6 @@
 """Each sortie's mission as its companion would upload it, as QGroundControl's `.plan` files."""
 
+import math
 from pathlib import Path
 
 from companion.adapters.mission_wire import WireItem, wire_items
@@ -70,17 +71,17 @@ def _airframe(data: DayData, sortie: PlannedSortie) -> str:
 
 
 def _wired(flown: FlightPlan) -> list[WireItem]:
+    """As PX4 would get them, but counted from 1: a `.plan` jumps to its own numbers (doJumpId)."""
     home = Spot(0.0, 0.0, 0.0)
-    items = wire_items(flown.mission.items, home_items=0, home=home, free_yaw=Px4.free_yaw)
-    # QGroundControl numbers items from 1 in its files, and jumps by those numbers (doJumpId).
-    return items
+    items = wire_items(flown.mission.items, home_items=1, home=home, free_yaw=Px4.free_yaw)
+    return items[1:]
 
 
 def _item(wire: WireItem, frame: LocalFrame) -> PlanItem:
     place = None
     if (wire.x, wire.y) != (0, 0):
         north, east, _ = frame.to_ned(
-            _radians(wire.x * DEGREES), _radians(wire.y * DEGREES), frame.alt_amsl_m
+            math.radians(wire.x * DEGREES), math.radians(wire.y * DEGREES), frame.alt_amsl_m
         )
         place = (north, east, wire.z)
     return PlanItem(wire.command, place, wire.params)
