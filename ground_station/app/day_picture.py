@@ -53,7 +53,7 @@ def draw_day_plan(data: DayData, plan: DayPlan, out: Path) -> None:
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
-    figure.savefig(out)
+    figure.savefig(out, bbox_inches="tight")
 
 
 def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:

@@ -14,7 +14,7 @@ from ground_station.core.day_pads import StopPads
 from ground_station.core.day_slots import Blocked, Slot, SlotFinder, Wish
 from ground_station.core.separation import SLACK_S, Filled
 from ground_station.core.truck_drones.schedule import Stop, flights_of
-from ground_station.core.truck_drones.tables import MEET, Plan
+from ground_station.core.truck_drones.tables import Plan
 
 MOST_ROUNDS = 40
 EPSILON_S = 1e-6
@@ -53,13 +53,17 @@ class Drive:
         self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
         self._ready_s = ready_s
 
-    def driven(self, plan: Plan) -> Driven:
-        """The day; the truck is at each home `lead_s` before its drones."""
+    def wished(self, plan: Plan) -> tuple[list[int], list[Wish]]:
+        """The route and the sorties of a plan of the search, in its order of launches."""
         stops, flights = flights_of(self._nodes.problem, plan)
         wishes = [Wish(f.customer, f.kind, f.launch, f.meet) for f in flights]
-        route = [stop.node for stop in stops]
+        return [stop.node for stop in stops], wishes
+
+    def driven(self, route: list[int], wishes: list[Wish]) -> Driven:
+        """The day; the truck is at each home `lead_s` before its drones."""
         release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
         pushes = dict.fromkeys(release_s, 0)
+        early: list[tuple[int, float, float]] = []
         for _ in range(MOST_ROUNDS + len(wishes)):
             done = _Pass(
                 self._nodes, self._finder, self._standing, self._t0_s, self._ready_s, release_s
@@ -90,20 +94,20 @@ class Drive:
         return found
 
 
-def polished(drive: Drive, plan: Plan, driven: Driven) -> Driven:
+def polished(drive: Drive, route: list[int], wishes: list[Wish], driven: Driven) -> Driven:
     """Drones that a stop launches last are met at the next one, where that ends the day sooner."""
     left = POLISH_DRIVES
-    for here, there in pairwise(stop.node for stop in driven.stops):
+    for here, there in pairwise(route):
         loops = [s for s in driven.slots if s.wish.launch == s.wish.meet == here]
         for slot in sorted(loops, key=lambda slot: -slot.launched_s):
             if left == 0:
                 return driven
             left -= 1
-            other = plan.copy()
-            other[MEET, slot.wish.customer] = there
-            tried = drive.driven(other)
+            customer = slot.wish.customer
+            other = [replace(w, meet=there) if w.customer == customer else w for w in wishes]
+            tried = drive.driven(route, other)
             if len(tried.lost) <= len(driven.lost) and tried.makespan_s < driven.makespan_s - 1.0:
-                plan, driven = other, tried
+                wishes, driven = other, tried
     return driven
 
 

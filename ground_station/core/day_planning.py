@@ -16,12 +16,11 @@ from ground_station.core.day_forward import Drive, Driven, polished
 from ground_station.core.day_nodes import DayNodes, day_nodes, without
 from ground_station.core.day_pads import StopPads, ring_radius_m
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
-from ground_station.core.day_slots import Slot, SlotFinder
+from ground_station.core.day_slots import Slot, SlotFinder, Wish
 from ground_station.core.day_state import DayState
 from ground_station.core.day_unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
-from ground_station.core.truck_drones.edits import index_route, insert_stop
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.search import (
     Search,
@@ -29,7 +28,7 @@ from ground_station.core.truck_drones.search import (
     default_rounds,
     default_trials,
 )
-from ground_station.core.truck_drones.tables import LAUNCH, MEET, NOWHERE, Plan
+from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
 Tell = Callable[[float, float], None]
@@ -55,6 +54,11 @@ def plan_day(
     return _DayPlanner(data, start, params, tell).planned()
 
 
+def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
+    """The truck-and-drones problem that the policies are given."""
+    return _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None).nodes().problem
+
+
 class _DayPlanner:
     """One plan in the making."""
 
@@ -67,7 +71,7 @@ class _DayPlanner:
         self._trials = 0
 
     def planned(self) -> DayPlan:
-        nodes = self._nodes()
+        nodes = self.nodes()
         while True:
             driven = self._driven(nodes)
             if not driven.lost:
@@ -80,19 +84,27 @@ class _DayPlanner:
         """The best of the policy's plans, driven forward."""
         drive = self._drive(nodes)
         found = [self._repaired(nodes, drive, plan) for plan in self._plans(nodes)]
-        plan, driven = min(found, key=lambda one: _worth(one[1]))
+        route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
         if self._params.policy == "dynamic":
             return driven
-        return polished(drive, plan, driven)
+        return polished(drive, route, wishes, driven)
 
-    def _repaired(self, nodes: DayNodes, drive: Drive, plan: Plan) -> tuple[Plan, Driven]:
+    def _repaired(
+        self, nodes: DayNodes, drive: Drive, plan: Plan
+    ) -> tuple[list[int], list[Wish], Driven]:
         """Who finds no slot is brought by the truck, where it may."""
-        driven = drive.driven(plan)
-        while driven.lost and _by_truck(nodes, plan, driven.lost[0]):
-            driven = drive.driven(plan)
-        return plan, driven
+        route, wishes = drive.wished(plan)
+        driven = drive.driven(route, wishes)
+        while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
+            lost = driven.lost[0]
+            meet = next(wish.meet for wish in wishes if wish.customer == lost)
+            wishes = [wish for wish in wishes if wish.customer != lost]
+            at = max(1, route.index(meet))
+            route = [*route[:at], lost, *route[at:]]
+            driven = drive.driven(route, wishes)
+        return route, wishes, driven
 
-    def _nodes(self) -> DayNodes:
+    def nodes(self) -> DayNodes:
         by_id = {order.id: order for order in self._data.orders}
         orders = [by_id[id_] for id_ in self._start.open]
         full = beyond_capacity(orders, self._data.day.truck.capacity_kg - self._aboard_kg(by_id))
@@ -229,7 +241,7 @@ class _DayPlanner:
     def _others(
         self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
     ) -> list[str]:
-        """Other stops that it could land at, with a pad there: its launch, and the one after home."""
+        """Other stops that it could land at, with a pad: its launch, and the one after home."""
         wish = slot.wish
         route = [stop.node for stop in driven.stops]
         after = route[route.index(wish.meet) + 1 :][:1]
@@ -286,18 +298,6 @@ class _DayPlanner:
 def _worth(driven: Driven) -> tuple[int, float]:
     """Fewer orders lost, then sooner home."""
     return len(driven.lost), driven.makespan_s
-
-
-def _by_truck(nodes: DayNodes, plan: Plan, customer: int) -> bool:
-    """Let the truck bring a customer whose sortie found no slot, where it may."""
-    if not nodes.problem.truck_can_serve[customer]:
-        return False
-    place = np.zeros(nodes.problem.nodes, dtype=np.int32)
-    index_route(plan, place)
-    meet = int(plan[MEET, customer])
-    plan[LAUNCH, customer] = plan[MEET, customer] = NOWHERE
-    insert_stop(plan, place, customer, max(1, int(place[meet])))
-    return True
 
 
 def check_state(data: DayData, start: DayState) -> None:
