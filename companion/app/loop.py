@@ -94,7 +94,7 @@ class Loop:
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
-    _reply: Reply = Reply.DENIED
+    _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
     _outgoing: list[bytes] = field(default_factory=list)
     _outgoing_bytes: int = 0
 
@@ -160,7 +160,7 @@ class Loop:
 
     def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
-            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask))
+            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
         port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:
@@ -248,9 +248,13 @@ class Loop:
 
     def ask(self, event: Event) -> Reply:
         """Give the mission an operator's order and return its reply."""
-        self._reply = Reply.ACCEPTED
+        return self.ask_why(event).reply
+
+    def ask_why(self, event: Event) -> Answer:
+        """The reply with its reason."""
+        self._answer = Answer(Reply.ACCEPTED)
         self._give([event])
-        return self._reply
+        return self._answer
 
     # --- silence -------------------------------------------------------------------------------
 
@@ -293,7 +297,7 @@ class Loop:
                 case Publish():
                     self._to_publish.update(action.values)
                 case Answer():
-                    self._reply = action.reply
+                    self._answer = action
                 case PhaseChanged():
                     self._heartbeat()
                 case Finished():
