@@ -44,6 +44,7 @@ class FleetMember:
     log: EventLog
     clock_s: Callable[[], float]
     born_s: float
+    epoch_us: Callable[[], int] = epoch_us
     remark: str = ""
 
     @classmethod
@@ -53,6 +54,7 @@ class FleetMember:
         folder: Path,
         link_of: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
     ) -> "FleetMember":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
 
@@ -64,7 +66,7 @@ class FleetMember:
         book = CommandBook() if kept is None else book_from_dict(kept, str(folder / BOOK))
         life = secrets.token_hex(6)
         log = EventLog(folder / EVENTS)
-        return cls(vehicle, folder, link_of(life), life, book, log, clock_s, clock_s())
+        return cls(vehicle, folder, link_of(life), life, book, log, clock_s, clock_s(), epoch_us)
 
     @property
     def uptime_s(self) -> float:
@@ -140,7 +142,7 @@ class FleetMember:
             vehicle=self.vehicle,
             log=self.log.log,
             seq=1,  # the log gives it its number
-            epoch_us=epoch_us(),
+            epoch_us=self.epoch_us(),
             kind=kind,
             text=text[:500],
             **more,
@@ -153,7 +155,7 @@ class FleetMember:
             vehicle=self.vehicle,
             life=self.life,
             uptime_s=self.uptime_s,
-            epoch_us=epoch_us(),
+            epoch_us=self.epoch_us(),
             airframe=airframe,
             max_payload_kg=max_payload_kg,
             phase=phase,

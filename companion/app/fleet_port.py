@@ -4,6 +4,7 @@ It turns commands into the very events that an operator's MAVLink commands becom
 (operator_port.py), so safety rule 1 is the pilot's and nobody else's.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +12,20 @@ from typing import Any
 
 import msgspec
 
-from companion.adapters.clock import wall_s
+from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.event_log import EventLog
 from companion.adapters.whole_file import read_whole, settle_folder, write_whole
 from companion.app.fleet_member import FleetMember
-from companion.core.actions import Action, Decision, Finished, PhaseChanged, Reply, Say, Severity
+from companion.core.actions import (
+    Action,
+    Answer,
+    Decision,
+    Finished,
+    PhaseChanged,
+    Reply,
+    Say,
+    Severity,
+)
 from companion.core.airframe import Airframe
 from companion.core.command_book import CommandBook, Verdict
 from companion.core.errors import LeewayError
@@ -25,9 +35,11 @@ from companion.core.events import (
     ControlHandedBack,
     ControlTaken,
     Event,
+    HomeMoved,
     LimitsChanged,
 )
 from companion.core.fleet_link import MemberLink
+from companion.core.home_aboard import home_now
 from companion.core.messages import (
     Answered,
     Assign,
@@ -85,6 +97,7 @@ class FleetPort:
         folder: Path,
         link_of: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
     ) -> "FleetPort":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
 
@@ -93,7 +106,7 @@ class FleetPort:
         """
         table = read_whole(folder / CURRENT, "assignment")
         current = None if table is None else msgspec.convert(table, Assigned)
-        member = FleetMember.open(vehicle, folder, link_of, clock_s)
+        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
         return cls(member, airframe_name, airframe.mass.max_payload_kg, current)
 
     @property
@@ -223,25 +236,25 @@ class FleetPort:
         self.member.close()
 
     def in_mission(
-        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Reply]
+        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Answer]
     ) -> Callable[[Command], Verdict]:
         """How commands are carried out while a mission runs."""
 
         def carry_out(command: Command) -> Verdict:
             here = self.current.assignment if self.current is not None else None
             deed, by = command.deed, command.by
-            if isinstance(deed, MoveHome | TruckDeed):
+            if isinstance(deed, TruckDeed):
                 return Verdict(Answered.REFUSED, "not what this vehicle can do")
             if isinstance(deed, Assign):
                 if deed.assignment == here:
                     return Verdict(Answered.DONE, "aboard")
                 return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
-            if isinstance(deed, Launch | Withdraw) and deed.assignment != here:
+            if isinstance(deed, Launch | Withdraw | MoveHome) and deed.assignment != here:
                 return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
             if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
                 return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
-            answer = ANSWER[ask(_event_of(deed, t_s, by))]
-            reason = f"phase {pilot.phase.value}"
+            told = ask(_event_of(deed, t_s, by))
+            answer, reason = ANSWER[told.reply], told.reason or f"phase {pilot.phase.value}"
             if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
                 return Verdict(Answered.LATER, "no autopilot is heard yet")
             return Verdict(answer, reason)
@@ -255,6 +268,8 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
             return Authorised(t_s, by)
         case Recall() | Withdraw():
             return AbortOrdered(t_s, by)
+        case MoveHome():
+            return HomeMoved(t_s, by, deed.home)
         case HandsOff():
             return ControlTaken(t_s, by)
         case HandBack():
@@ -268,7 +283,7 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
 def _promise(pilot: Pilot) -> dict[str, Any]:
     """What the pilot believes, where it is fresh."""
     seen, wind, energy = pilot.assessment, pilot.judge.wind, pilot.judge.energy
-    told: dict[str, Any] = {"delivered": pilot.air.delivered}
+    told: dict[str, Any] = {"delivered": pilot.air.delivered, "home": _id(home_now(pilot))}
     if energy is not None:
         told["energy_left_wh"] = energy.mean_wh
     if wind is not None and wind.valid:
@@ -278,6 +293,11 @@ def _promise(pilot: Pilot) -> dict[str, Any]:
         for name in ("p_home", "p_home_now", "p_success"):
             told[name] = _share(getattr(seen, name))
     return told
+
+
+def _id(name: str | None) -> str | None:
+    """A place's name as messages allow it: a rally point's may hold anything."""
+    return None if name is None else re.sub(r"[^A-Za-z0-9._:-]", "-", name)[:64]
 
 
 def _share(p: float | None) -> float | None:

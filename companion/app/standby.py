@@ -33,7 +33,12 @@ class Standby:
     """Waits on a link for an assignment; `wait` returns it, or `None` when told to stop."""
 
     def __init__(
-        self, port: FleetPort, link: Link, codec: MavlinkCodec, system_id: int | None = None
+        self,
+        port: FleetPort,
+        link: Link,
+        codec: MavlinkCodec,
+        system_id: int | None = None,
+        clock_s: Callable[[], float] = wall_s,
     ) -> None:
         self._port = port
         self._link = link
@@ -43,19 +48,29 @@ class Standby:
         self._now = Situation()
         self._beat_s = -1e9
         self._taken: Assigned | None = None
+        self._clock_s = clock_s
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
         self._port.link.be_woken(self._link.wake)
         while self._taken is None and not stopped():
-            if wall_s() - self._beat_s >= HEARTBEAT_S:
-                self._beat_s = wall_s()
-                self._send(_heartbeat())
-            incoming = self._link.receive(WAIT_S)
-            for message in self._codec.parse(incoming.data) if incoming is not None else []:
-                self._hear(message, incoming.peer if incoming is not None else None)
-            self._port.turn(self._carry_out)
-            self._port.publish(STANDBY, self._now)
+            self.turn()
+        return self._taken
+
+    def turn(self) -> Assigned | None:
+        """Wait a moment for bytes, handle them, talk to the desk; the assignment once it is aboard.
+
+        No more turns after that.
+        """
+        now_s = self._clock_s()
+        if now_s - self._beat_s >= HEARTBEAT_S:
+            self._beat_s = now_s
+            self._send(_heartbeat())
+        incoming = self._link.receive(WAIT_S)
+        for message in self._codec.parse(incoming.data) if incoming is not None else []:
+            self._hear(message, incoming.peer if incoming is not None else None)
+        self._port.turn(self._carry_out)
+        self._port.publish(STANDBY, self._now)
         return self._taken
 
     def _hear(self, message: Any, peer: Any) -> None:

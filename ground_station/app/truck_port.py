@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.clock import wall_s
+from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.whole_file import read_whole, write_whole
 from companion.app.fleet_member import FleetMember
 from companion.core.command_book import Verdict
@@ -47,6 +47,7 @@ class TruckPort:
         lon_deg: float,
         capacity_kg: float = 0.0,
         clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
     ) -> "TruckPort":
         """Take up what the folder keeps; else it stands at `stop`. Raises LeewayError."""
         table = read_whole(folder / KEPT, "truck")
@@ -58,7 +59,9 @@ class TruckPort:
             )
         except msgspec.ValidationError as error:
             raise LeewayError(f"{folder / KEPT}: {error}") from error
-        return cls(FleetMember.open(vehicle, folder, link_of, clock_s), truck, capacity_kg)
+        return cls(
+            FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us), truck, capacity_kg
+        )
 
     @property
     def todo(self) -> list[Task]:

@@ -18,6 +18,7 @@ PLAN = {
     "out_ne_m": [(0.0, 0.0), CUSTOMER],
     "ways_back": [HOME],
     "cruise_height_m": 40.0,
+    "return_height_m": 40.0,
     "drop_up_m": 10.0,
     "settle_s": 10.0,
     "hover_s": 12.0,
