@@ -124,6 +124,20 @@ class Reach:
             return CanBring(spare_wh, need.time_s)
         return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
 
+    def affordable(
+        self,
+        payload_kg: float,
+        start: Ned,
+        customer: Ned,
+        end: Ned,
+        height_m: float,
+        out_via: Ways = (),
+        back_via: Ways = (),
+    ) -> Need | None:
+        """What a delivery takes, where the energy is there at the accepted loss."""
+        need = self.need(payload_kg, start, customer, end, height_m, out_via, back_via)
+        return need if need.flyable and self._spare_wh(need, payload_kg, None) >= 0.0 else None
+
     def _spare_wh(self, need: Need, payload_kg: float, charge_frac: float | None) -> float:
         budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
         return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)
@@ -134,7 +148,9 @@ class Reach:
         speed_mps = float(np.hypot(*self.wind_to_ne_mps))
         if speed_mps < 0.1:
             return 1.0, 0.0
-        return -float(self.wind_to_ne_mps[0]) / speed_mps, -float(self.wind_to_ne_mps[1]) / speed_mps
+        return -float(self.wind_to_ne_mps[0]) / speed_mps, -float(
+            self.wind_to_ne_mps[1]
+        ) / speed_mps
 
     def _cannot(
         self, need: Need, spare_wh: float, payload_kg: float, customer: Ned, charge: float | None

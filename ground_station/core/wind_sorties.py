@@ -126,7 +126,7 @@ class WindSorties:
         return self._ways.priced(self._cruise(rates)).plus(verticals).plus(waits)
 
     def _back(self, rates: _Rates) -> Price:
-        """From each place's drop (row) to the ground at each place (column), at the row's height."""
+        """From each place's drop (row) to the ground at each place (column)."""
         up_m = -self._ned_m[:, 2]
         mission = self._reaches[0].mission
         rise_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[:, None]
@@ -141,7 +141,9 @@ class WindSorties:
             length_m = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6) + self._beside_m
             turn = np.arctan2(away[..., 1], away[..., 0]) / (2.0 * np.pi) * COURSES
             below = np.floor(turn).astype(np.int64) % COURSES
-            sides = [_by_course(rates.cruise, side % COURSES, length_m) for side in (below, below + 1)]
+            sides = [
+                _by_course(rates.cruise, side % COURSES, length_m) for side in (below, below + 1)
+            ]
             return Price(*(np.maximum(a, b) * BETWEEN_COURSES for a, b in zip(*sides, strict=True)))
 
         return price_of
@@ -149,16 +151,11 @@ class WindSorties:
 
 def _by_course(cruise: _Line, course: np.ndarray, length_m: Floats) -> Price:
     return Price(
-        *(
-            b[course] + length_m * m[course]
-            for b, m in zip(cruise.base, cruise.per_m, strict=True)
-        )
+        *(b[course] + length_m * m[course] for b, m in zip(cruise.base, cruise.per_m, strict=True))
     )
 
 
-def _chord_slope(
-    reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]
-) -> float:
+def _chord_slope(reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]) -> float:
     """k of `hypot(s, c) <= c + k s` for every deviation s that the budget can pay for.
 
     Where mean + z s <= budget and s <= r mean, s <= budget / (z + 1 / r).
