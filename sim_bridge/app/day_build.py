@@ -4,9 +4,10 @@ Everything that is drawn is drawn from the seed, each part from a stream of its 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -14,18 +15,20 @@ import numpy as np
 from companion.adapters.files import params_dir
 from companion.app.fleet_port import FleetPort
 from companion.core.errors import LeewayError
+from companion.core.fleet_link import MemberLink
 from companion.core.flight_plan import frame_at
 from companion.core.geo import LocalFrame, Ned, place_ned
+from companion.core.messages import State
 from ground_station.app.truck_port import TruckPort
 from ground_station.core.day import Forecast
 from ground_station.core.day_data import DayData
 from ground_station.core.order_rows import place_of
 from ground_station.core.truck import TRUCK
 from sim_bridge.app.day_bus import Bus
+from sim_bridge.app.day_clock import DayClock
 from sim_bridge.app.day_companion import MemoryLink, SteppedCompanion
 from sim_bridge.app.day_drone import Companion, DayDrone, DroneWorld
 from sim_bridge.app.day_truck import DayTruck, DriverTimes
-from sim_bridge.app.day_world import DayClock, Faults
 from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.params import load_airframe
@@ -76,13 +79,53 @@ class DayWind:
 
 
 @dataclass(slots=True)
+class Faults:
+    """What is to go wrong, drawn before the day; times are the day's."""
+
+    ground_kills_s: list[float] = field(default_factory=list)
+    companion_kills_s: list[float] = field(default_factory=list)
+    log: list[tuple[float, str]] = field(default_factory=list)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+class Network(Protocol):
+    """What the world needs of the fleet's network: time passes, and what vehicles tell."""
+
+    @property
+    def states(self) -> dict[str, State]: ...
+    @property
+    def sent(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+    def deliver(self, t_s: float) -> None:
+        """Let time reach `t_s`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Plumbing:
+    """How world, companions and truck meet: in this process (`bus`), or as processes."""
+
+    network: Network
+    start: Callable[[DayDrone], Companion]
+    truck_link: Callable[[str], MemberLink]
+    epoch_us: Callable[[], int]
+    pace: Callable[[float], None] = lambda t_s: None
+    close: Callable[[], None] = lambda: None
+    bus: Bus | None = None
+
+
+Plumb = Callable[[DayData, DayClock, np.random.Generator], Plumbing]
+
+
+@dataclass(slots=True)
 class BuiltDay:
     """Everything of a day but its desk."""
 
     data: DayData
     frame: LocalFrame
     clock: DayClock
-    bus: Bus
+    plumbing: Plumbing
     drones: list[DayDrone]
     truck: DayTruck
     faults: Faults
@@ -145,8 +188,38 @@ def _made(forecast: Forecast, rng: np.random.Generator, need_s: float) -> Ramped
     return RampedWindParams(points=points, turbulence="dryden")
 
 
-def build_day(data: DayData, wish: DayWish, seed: int, folder: Path, need_s: float) -> BuiltDay:
-    """The world of one day, in one process; `data` comes back with the forecast that holds."""
+def here(loss: float, folder: Path) -> Plumb:
+    """Everything in this process, on simulated time."""
+
+    def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
+        bus = Bus(rng, loss)
+        airframe_of = {drone.id: drone.airframe for drone in data.day.drones}
+
+        def start(drone: DayDrone) -> Companion:
+            name = airframe_of[drone.name]
+            port = FleetPort.open(
+                drone.name,
+                name,
+                data.airframes[name],
+                folder / drone.name,
+                lambda life: bus.join(drone.name, life),
+                clock.monotonic_s,
+                clock.epoch_us,
+            )
+            return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s)
+
+        def truck_link(life: str) -> MemberLink:
+            return bus.join(TRUCK, life)
+
+        return Plumbing(bus, start, truck_link, clock.epoch_us, bus=bus)
+
+    return plumb
+
+
+def build_day(
+    data: DayData, wish: DayWish, seed: int, folder: Path, need_s: float, plumb: Plumb
+) -> BuiltDay:
+    """The world of one day; `data` comes back with the forecast that holds."""
     seeds = np.random.SeedSequence(seed).spawn(6)
     wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, _ = seeds
     wind = day_wind(data, wish, np.random.default_rng(wind_seed), need_s)
@@ -154,7 +227,7 @@ def build_day(data: DayData, wish: DayWish, seed: int, folder: Path, need_s: flo
     depot = data.day.depot
     frame = frame_at(depot.place)
     clock = DayClock()
-    bus = Bus(np.random.default_rng(bus_seed), wish.loss)
+    plumbing = plumb(data, clock, np.random.default_rng(bus_seed))
     world = DroneWorld(
         site=(depot.lat_deg, depot.lon_deg, depot.alt_amsl_m),
         terrain=_terrain(data),
@@ -165,13 +238,13 @@ def build_day(data: DayData, wish: DayWish, seed: int, folder: Path, need_s: flo
         },
         mavlink_loss=wish.loss,
     )
-    start = _starter(data, bus, clock)
-    drones = _drones(data, world, folder, drone_seed, start)
-    truck = _truck(data, frame, drones, bus, clock, folder, np.random.default_rng(truck_seed))
+    drones = _drones(data, world, folder, drone_seed, plumbing.start)
+    truck_rng = np.random.default_rng(truck_seed)
+    truck = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
     truck.late_s = wish.truck_late_s
     faults = _faults(wish, np.random.default_rng(fault_seed), need_s)
     customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
-    return BuiltDay(data, frame, clock, bus, drones, truck, faults, customers)
+    return BuiltDay(data, frame, clock, plumbing, drones, truck, faults, customers)
 
 
 def _terrain(data: DayData) -> PlaneTerrain:
@@ -181,27 +254,12 @@ def _terrain(data: DayData) -> PlaneTerrain:
     return PlaneTerrain(ground.slope_north_frac, ground.slope_east_frac)
 
 
-def _starter(data: DayData, bus: Bus, clock: DayClock) -> Any:
-    airframe_of = {drone.id: drone.airframe for drone in data.day.drones}
-
-    def start(drone: DayDrone) -> Companion:
-        name = airframe_of[drone.name]
-        port = FleetPort.open(
-            drone.name,
-            name,
-            data.airframes[name],
-            drone.folder,
-            lambda life: bus.join(drone.name, life),
-            clock.monotonic_s,
-            clock.epoch_us,
-        )
-        return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s)
-
-    return start
-
-
 def _drones(
-    data: DayData, world: DroneWorld, folder: Path, seed: np.random.SeedSequence, start: Any
+    data: DayData,
+    world: DroneWorld,
+    folder: Path,
+    seed: np.random.SeedSequence,
+    start: Callable[[DayDrone], Companion],
 ) -> list[DayDrone]:
     made: list[DayDrone] = []
     for k, (drone, own) in enumerate(
@@ -232,7 +290,7 @@ def _truck(
     data: DayData,
     frame: LocalFrame,
     drones: list[DayDrone],
-    bus: Bus,
+    plumbing: Plumbing,
     clock: DayClock,
     folder: Path,
     rng: np.random.Generator,
@@ -241,13 +299,13 @@ def _truck(
     port = TruckPort.open(
         TRUCK,
         folder / TRUCK,
-        lambda life: bus.join(TRUCK, life),
+        plumbing.truck_link,
         stop="depot",
         lat_deg=day.depot.lat_deg,
         lon_deg=day.depot.lon_deg,
         capacity_kg=day.truck.capacity_kg,
         clock_s=clock.monotonic_s,
-        epoch_us=clock.epoch_us,
+        epoch_us=plumbing.epoch_us,
     )
     times = DriverTimes(day.truck.launch_s, day.truck.recover_s, day.truck.deliver_s)
     return DayTruck(

@@ -23,6 +23,14 @@ class DayView:
     task: TaskID
     _next_line_s: float = field(default=LINE_EVERY_S)
 
+    def planning(self, done_frac: float, best_s: float) -> None:
+        """Show how far the plan is."""
+        self.bar.update(self.task, said=f"planning: {done_frac:.0%}, {best_s / 60.0:.1f} min")
+
+    def expect(self, makespan_s: float) -> None:
+        """The day is planned to take so long."""
+        self.bar.update(self.task, total=makespan_s)
+
     def update(self, world: DayWorld) -> bool:
         """Show where the day is; goes on."""
         flying = [drone.name for drone in world.drones if drone.is_airborne]

@@ -15,7 +15,7 @@ from companion.core.geo import LocalFrame, obstacles_from_geojson, place_ned
 from ground_station.core.day_data import DayData
 from ground_station.core.day_plan import DayPlan
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.day_build import BuiltDay, DayWish, build_day
+from sim_bridge.app.day_build import BuiltDay, DayWish, Plumb, build_day
 from sim_bridge.app.day_judge import DayVerdict, Pad, World, judge_day
 from sim_bridge.app.day_picture import Drawn, draw_day
 from sim_bridge.app.day_world import DayWorld, Seat
@@ -52,11 +52,13 @@ class DayOptions:
     seed: int
     folder: Path
     limit_s: float
+    settings: str
     picture: bool = True
 
 
 def fly_day(
     options: DayOptions,
+    plumb: Plumb,
     take_seat: Callable[[BuiltDay, Path], DeskSeat],
     progress: Callable[[DayWorld], bool],
 ) -> dict[str, Any]:
@@ -65,19 +67,20 @@ def fly_day(
     if folder.exists():
         shutil.rmtree(folder)  # of a day that was stopped: the same seed flies the same day
     folder.mkdir(parents=True)
-    built = build_day(options.data, options.wish, options.seed, folder, options.limit_s)
-    seat = take_seat(built, folder)
-    world = DayWorld(built.clock, built.bus, built.drones, built.truck, seat, built.faults)
+    made = build_day(options.data, options.wish, options.seed, folder, options.limit_s, plumb)
+    seat = take_seat(made, folder)
+    world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
     began_wall_s, began_cpu_s = wall_s(), cpu_s()
     try:
         ended = world.run(options.limit_s, progress)
         spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
-        row = _conclude(options, built, world, seat, ended=ended) | {"spent": spent}
+        row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}
     finally:
-        for drone in built.drones:
+        for drone in made.drones:
             drone.switch_off()
-        built.truck.port.close()
+        made.truck.port.close()
         seat.close()
+        made.plumbing.close()
     text = json.dumps(row, indent=1, allow_nan=False)
     fresh = folder / f"{RESULT}.new"
     fresh.write_text(text + "\n")
@@ -146,6 +149,7 @@ def _row(
     plans = seat.plans
     return {
         "format": FORMAT,
+        "settings": options.settings,
         "day": options.name,
         "seed": options.seed,
         "ended": ended,
@@ -172,7 +176,7 @@ def _row(
             {"stop": s.stop, "arrive_s": round(s.arrived_s, 1), "depart_s": _time(s.left_s)}
             for s in world.stands
         ],
-        "messages": {"sent": built.bus.sent, "lost": built.bus.lost},
+        "messages": {"sent": built.plumbing.network.sent, "lost": built.plumbing.network.lost},
         "frames_lost": sum(drone.lost_frames for drone in built.drones),
         "companions_started": sum(drone.companion_starts for drone in built.drones),
         "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
