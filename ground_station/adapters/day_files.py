@@ -14,10 +14,11 @@ from companion.core.errors import LeewayError
 from companion.core.flight_plan import frame_at
 from companion.core.geo import obstacles_from_geojson
 from ground_station.adapters.files import read_airframe, read_json, read_toml
-from ground_station.core.day_data import DEPOT, DayData
 from ground_station.core.day import DataProblems, Day, Depot, Problem
+from ground_station.core.day_data import DEPOT, DayData
 from ground_station.core.order_rows import check_columns, duplicates, order_of
 from ground_station.core.orders import Order
+
 
 def read_day(path: Path) -> DayData:
     """Read a day and all its files. Raises DataProblems with everything that is wrong in them."""

@@ -134,7 +134,9 @@ class Reach:
         speed_mps = float(np.hypot(*self.wind_to_ne_mps))
         if speed_mps < 0.1:
             return 1.0, 0.0
-        return -float(self.wind_to_ne_mps[0]) / speed_mps, -float(self.wind_to_ne_mps[1]) / speed_mps
+        return -float(self.wind_to_ne_mps[0]) / speed_mps, -float(
+            self.wind_to_ne_mps[1]
+        ) / speed_mps
 
     def _cannot(
         self, need: Need, spare_wh: float, payload_kg: float, customer: Ned, charge: float | None

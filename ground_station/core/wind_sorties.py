@@ -141,7 +141,9 @@ class WindSorties:
             length_m = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6) + self._beside_m
             turn = np.arctan2(away[..., 1], away[..., 0]) / (2.0 * np.pi) * COURSES
             below = np.floor(turn).astype(np.int64) % COURSES
-            sides = [_by_course(rates.cruise, side % COURSES, length_m) for side in (below, below + 1)]
+            sides = [
+                _by_course(rates.cruise, side % COURSES, length_m) for side in (below, below + 1)
+            ]
             return Price(*(np.maximum(a, b) * BETWEEN_COURSES for a, b in zip(*sides, strict=True)))
 
         return price_of
@@ -149,16 +151,11 @@ class WindSorties:
 
 def _by_course(cruise: _Line, course: np.ndarray, length_m: Floats) -> Price:
     return Price(
-        *(
-            b[course] + length_m * m[course]
-            for b, m in zip(cruise.base, cruise.per_m, strict=True)
-        )
+        *(b[course] + length_m * m[course] for b, m in zip(cruise.base, cruise.per_m, strict=True))
     )
 
 
-def _chord_slope(
-    reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]
-) -> float:
+def _chord_slope(reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]) -> float:
     """k of `hypot(s, c) <= c + k s` for every deviation s that the budget can pay for.
 
     Where mean + z s <= budget and s <= r mean, s <= budget / (z + 1 / r).
