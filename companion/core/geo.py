@@ -151,7 +151,7 @@ class ObstacleMap:
         return max(heights, default=0.0)
 
     def grown_at(self, height_m: float) -> list[shapely.Polygon]:
-        """Outlines with their clearance (north, east) of what blocks level flight at this height."""
+        """Outlines with clearance, north and east, of what blocks level flight at this height."""
         return [
             grown
             for obstacle, grown in zip(self.obstacles, self._grown, strict=True)

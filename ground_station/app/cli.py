@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.ahead import ahead_outbound
+from companion.core.airframe import Airframe
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.flight import Flight, Place
@@ -144,7 +145,7 @@ def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     try:
         from ground_station.adapters.zenoh_fleet import leave_process
-        from ground_station.app import cluster_cli, dispatch_cli, order_cli
+        from ground_station.app import cluster_cli, dispatch_cli, order_cli, plan_cli
         from ground_station.app.benchmark_cli import benchmark
         from ground_station.app.truck_cli import truck
     except ImportError as error:  # the vehicle's install carries this script, but not the desk
@@ -154,6 +155,7 @@ def main() -> None:
     app.add_typer(dispatch_cli.app)
     app.add_typer(benchmark, name="benchmark")
     app.add_typer(cluster_cli.app)
+    app.add_typer(plan_cli.app)
     app.command()(truck)
     try:
         app()

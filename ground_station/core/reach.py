@@ -124,6 +124,31 @@ class Reach:
             return CanBring(spare_wh, need.time_s)
         return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
 
+    def time_s(
+        self, payload_kg: float, customer: Ned, charge_frac: float | None = None
+    ) -> float | None:
+        """How long a delivery from the depot takes; None: it cannot (reasons take longer)."""
+        if payload_kg > self.airframe.mass.max_payload_kg:
+            return None
+        depot = (0.0, 0.0, 0.0)
+        need = self.need(payload_kg, depot, customer, depot)
+        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
+        return need.time_s if need.flyable and spare_wh >= 0.0 else None
+
+    def affordable(
+        self,
+        payload_kg: float,
+        start: Ned,
+        customer: Ned,
+        end: Ned,
+        height_m: float,
+        out_via: Ways = (),
+        back_via: Ways = (),
+    ) -> Need | None:
+        """What a delivery takes, where the energy is there at the accepted loss."""
+        need = self.need(payload_kg, start, customer, end, height_m, out_via, back_via)
+        return need if need.flyable and self._spare_wh(need, payload_kg, None) >= 0.0 else None
+
     def _spare_wh(self, need: Need, payload_kg: float, charge_frac: float | None) -> float:
         budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
         return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)

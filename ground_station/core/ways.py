@@ -45,7 +45,7 @@ class Ways:
     """The ways at one height between places (north, east), m."""
 
     def __init__(self, obstacles: ObstacleMap, ne_m: Floats, height_m: float) -> None:
-        self._ne_m = ne_m
+        self._ne_m, self.height_m = ne_m, height_m
         grown = obstacles.grown_at(height_m)
         corners = [c for ring in obstacles.outlines_ne_m(height_m, BEYOND_M) for c in ring]
         self._corners = np.array(corners).reshape(-1, 2)

@@ -126,7 +126,7 @@ class WindSorties:
         return self._ways.priced(self._cruise(rates)).plus(verticals).plus(waits)
 
     def _back(self, rates: _Rates) -> Price:
-        """From each place's drop (row) to the ground at each place (column), at the row's height."""
+        """From each place's drop (row) to the ground at each place (column)."""
         up_m = -self._ned_m[:, 2]
         mission = self._reaches[0].mission
         rise_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[:, None]

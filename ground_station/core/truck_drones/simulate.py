@@ -193,9 +193,9 @@ def _too_early(whole, times_s, node, from_s):
     """A drone that would land at this node before `from_s`, or NOWHERE."""
     customer = whole[FIRST_MEET, node]
     while customer >= 0:
-        if whole[PENDING, customer] == 2:
-            if times_s[LAUNCHED, customer] + times_s[FLY, customer] < from_s - EPSILON_S:
-                return customer
+        landed_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
+        if whole[PENDING, customer] == 2 and landed_s < from_s - EPSILON_S:
+            return customer
         customer = whole[NEXT_MEET, customer]
     return NOWHERE
 
