@@ -51,6 +51,11 @@ class DayStore:
             found = db.execute(query).scalar_one_or_none()
         return None if found is None else msgspec.json.decode(found, type=DayPlan)
 
+    def plan_made_us(self) -> int:
+        """When the plan in force was put in force; 0: there is none."""
+        with self._database.read() as db:
+            return db.execute(sa.select(sa.func.max(t.plans.c.made_us))).scalar() or 0
+
     def plans(self) -> list[tuple[DayPlan, str]]:
         """Every plan that was ever in force, and why it was made."""
         query = sa.select(t.plans.c.content, t.plans.c.why).order_by(t.plans.c.revision)
@@ -255,8 +260,8 @@ class DayStore:
             )
         return done.rowcount == 1
 
-    def note(self, assignment: str, **facts: bool) -> None:
-        """`away` or `lapsed`: nothing waits for it any more."""
+    def note(self, assignment: str, **facts: bool | float) -> None:
+        """`away` or `lapsed`: nothing waits for it any more; `used_wh`: what it used."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
             db.execute(sa.update(t.sorties).where(here).values(**facts))
@@ -314,18 +319,15 @@ class DayStore:
         with self._database.read() as db:
             return self._last_drive(db)
 
-    def visited(self, stop: str) -> None:
-        """The truck stands at a stop."""
+    def truck_is(self, stop: str | None) -> None:
+        """The truck stands at this stop, and has left all others; None: it drives."""
         with self._database.write() as db:
-            there = db.execute(sa.select(t.visits).where(t.visits.c.stop == stop)).one_or_none()
-            if there is None:
-                db.execute(sa.insert(t.visits).values(stop=stop, arrived_us=self._now()))
-
-    def left(self, stop: str) -> None:
-        """The truck has left a stop."""
-        with self._database.write() as db:
-            here = (t.visits.c.stop == stop, t.visits.c.left_us.is_(None))
-            db.execute(sa.update(t.visits).where(*here).values(left_us=self._now()))
+            visits = t.visits
+            there = db.execute(sa.select(visits).where(visits.c.stop == stop)).one_or_none()
+            if stop is not None and there is None:
+                db.execute(sa.insert(visits).values(stop=stop, arrived_us=self._now()))
+            others = (visits.c.left_us.is_(None), visits.c.stop != (stop or ""))
+            db.execute(sa.update(visits).where(*others).values(left_us=self._now()))
 
     def visits(self) -> list[Visit]:
         """Where the truck has been, in order."""
@@ -397,6 +399,7 @@ def _sortie_row(row: Any, answers: Any) -> SortieRow:
         lapsed=row.lapsed,
         launched_us=row.launched_us,
         landed_us=row.landed_us,
+        used_wh=row.used_wh,
         launching=any(answer is None for answer in launches),
         refused=sum(answer == Answered.REFUSED.value for answer in launches),
         recovering=any(a.id == f"{row.id}:recover" for a in answers),

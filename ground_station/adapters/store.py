@@ -47,6 +47,11 @@ class Store:
         self._database = database
         self._now = epoch_us
 
+    @property
+    def database(self) -> Database:
+        """Where it lies."""
+        return self._database
+
     def close(self) -> None:
         """Give the connections back."""
         self._database.close()
@@ -158,6 +163,15 @@ class Store:
                 db, self._now(), f"{assignment}:launch{number}", row.vehicle, assignment, deed, by
             )
         return True
+
+    def refused_launches(self, assignment: str) -> int:
+        """How many launches of an assignment its vehicle has refused."""
+        refused = sa.select(sa.func.count()).where(
+            t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
+            t.commands.c.answer == Answered.REFUSED.value,
+        )
+        with self._database.read() as db:
+            return db.execute(refused).scalar_one()
 
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch came to nothing (its companion restarted before take-off): aboard again."""

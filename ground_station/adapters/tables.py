@@ -9,6 +9,7 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Float,
     ForeignKey,
     Index,
     Integer,
@@ -137,6 +138,7 @@ sorties = Table(
     Column("lapsed", Boolean, nullable=False, default=False),
     Column("launched_us", BigInteger),
     Column("landed_us", BigInteger),
+    Column("used_wh", Float),
 )
 
 visits = Table(

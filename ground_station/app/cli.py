@@ -155,8 +155,8 @@ def main() -> None:
     app.add_typer(dispatch_cli.app)
     app.add_typer(benchmark, name="benchmark")
     app.add_typer(cluster_cli.app)
-    app.command()(truck)
     app.add_typer(plan_cli.app)
+    app.command()(truck)
     try:
         app()
     except LeewayError as error:

@@ -3,31 +3,24 @@
 Promises bind whatever the plan is; a new plan goes on behind the last of them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import msgspec
 
+from companion.core.flight import Place
+from ground_station.core.day_data import DayData
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
+from ground_station.core.day_state import DayState
 from ground_station.core.day_view import DayRunParams, DayView
+from ground_station.core.orders import Service
 from ground_station.core.sorties import SortieRow
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """The part of the day that stands; fields as `day_state.DayState`'s."""
-
-    stops: tuple[PlannedStop, ...]
-    flying: tuple[PlannedSortie, ...]
-    open: tuple[str, ...]
-    free_from_s: dict[str, float]
-    revision: int
 
 
 def replan_reason(view: DayView, params: DayRunParams) -> str | None:
     """Why the plan in force will not do; None: it will."""
     if view.truck is None or view.index is None or view.replanning:
         return None
-    if view.now_s - view.plan_made_s < params.replan_again_s:
+    if view.now_s - view.tried_s < params.replan_again_s:
         return None
     for sortie in view.pending():
         why = view.out(sortie.vehicle)
@@ -52,7 +45,7 @@ def _work_ahead(view: DayView) -> set[str]:
     return serves | {s.order for s in view.pending() if s.launch in stops}
 
 
-def standing(view: DayView, drones: list[str], recover_s: float) -> Standing:
+def standing(view: DayView, drones: list[str], recover_s: float) -> DayState:
     """What of the day stands: stops done and promised with times as expected, and what flies."""
     held = [row for row in view.sorties if not (row.aboard or row.gone)]
     last = max([view.index or 0, *(_last_index(row, view) for row in held)])
@@ -66,7 +59,7 @@ def standing(view: DayView, drones: list[str], recover_s: float) -> Standing:
         if view.out(row.vehicle) is None:
             lands_s = view.now_s if row.over else _expected_flight(row, view).land_s
             free[row.vehicle] = max(view.now_s, lands_s) + recover_s
-    return Standing(tuple(stops), flying, tuple(left), free, view.plan.revision + 1)
+    return DayState(tuple(stops), flying, tuple(left), free, view.plan.revision + 1)
 
 
 def _last_index(row: SortieRow, view: DayView) -> int:
@@ -108,7 +101,7 @@ def _expected_flight(row: SortieRow, view: DayView) -> PlannedSortie:
     )
 
 
-def unfit(plan: DayPlan, start: Standing) -> str | None:
+def unfit(plan: DayPlan, start: DayState) -> str | None:
     """Why a new plan may not be taken (it breaks what stands); None: it may."""
     if plan.revision != start.revision:
         return f"revision {plan.revision}, expected {start.revision}"
@@ -127,3 +120,30 @@ def unfit(plan: DayPlan, start: Standing) -> str | None:
     known = set(ids)
     lost = [s.order for s in plan.sorties if s.launch not in known or s.home not in known]
     return f"{lost[0]} has no such stop" if lost else None
+
+
+def candidate_pads(
+    plan: DayPlan, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]
+) -> dict[str, Place]:
+    """Where a flight may be asked to land, by stop: home, launch, and the next stop behind its home
+    that has a pad for it. More would make the mission aboard long.
+    """
+    ids = [stop.id for stop in plan.stops]
+    behind = plan.stops[ids.index(sortie.home) + 1 :] if sortie.home in ids else []
+    following = [stop.id for stop in behind if sortie.vehicle in stop.pads][:1]
+    wanted = dict.fromkeys([sortie.home, sortie.launch, *following])
+    return {stop: stops[stop].pads[sortie.vehicle] for stop in wanted}
+
+
+def day_now(data: DayData, view: DayView) -> DayData:
+    """The day's data to plan the rest with: what a drone has brought back goes by the truck, where
+    it may.
+    """
+    came_back = {row.sortie.order for row in view.sorties if row.over and not row.row.delivered}
+    orders = [
+        msgspec.structs.replace(order, service=Service.TRUCK)
+        if order.id in came_back and order.service is Service.ANY
+        else order
+        for order in data.orders
+    ]
+    return DayData(data.day, orders, data.no_fly, data.airframes, data.roads_s)

@@ -159,7 +159,10 @@ class DayRun:
             return self._recover(row, view)
         if row.asked and drone.assignment == row.id and drone.home == row.asked:
             return [HomeIs(row.id, row.asked)]
+        waited_s = view.waited_s.get(row.id, 0.0)
         match row.row.state:
+            case AssignmentState.ORDERED | AssignmentState.ABOARD if self._stands(waited_s):
+                return [TakeBack(row.id, f"not ready {waited_s:.0f} s after it was put out")]
             case AssignmentState.ORDERED if row.placed:
                 return self._send(row, view)
             case AssignmentState.WITHDRAWING if row.placed and self._silent(row, view):
@@ -168,6 +171,9 @@ class DayRun:
                 return self._in_flight(row, view)
             case _:
                 return []
+
+    def _stands(self, waited_s: float) -> bool:
+        return waited_s > self.params.ready_s
 
     def _silent(self, row: SortieRow, view: DayView) -> bool:
         silent_s = view.drone(row.vehicle).silent_s

@@ -12,7 +12,8 @@ from ground_station.core.sorties import SortieRow, Visit
 class DayRunParams:
     """When the desk departs from the plan. `late_s`: the truck is so much later than planned;
     `silent_s`: a drone says nothing; `take_off_s`: a launched drone leaves the ground in this time;
-    `lapse_s`: after its launch no drone can still be in the air (its time limit, and more).
+    `lapse_s`: after its launch no drone can still be in the air (its time limit, and more);
+    `ready_s`: put on its pad, a drone is ready in this time, or taken back.
     """
 
     late_s: float = 120.0
@@ -22,6 +23,7 @@ class DayRunParams:
     move_home_s: float = 60.0
     replan_again_s: float = 60.0
     launches: int = 3
+    ready_s: float = 300.0
     wind_sigmas: float = 2.0
 
 
@@ -58,7 +60,8 @@ class DroneView:
 class DayView:
     """The day now. `now_s`: since it began; `open`: orders that nobody has; `told`: the stop that
     the truck was last told to drive to. `wind_off_sigmas`: how far the measured wind is from the
-    planned one, in the forecast's standard deviations.
+    planned one, in the forecast's standard deviations; `tried_s`: when a new plan came to nothing;
+    `waited_s`: how long each drone on its pad has not been ready, by assignment.
     """
 
     now_s: float
@@ -73,6 +76,8 @@ class DayView:
     visits: Mapping[str, Visit] = field(default_factory=dict)
     replanning: bool = False
     plan_made_s: float = 0.0
+    tried_s: float = -1e9
+    waited_s: Mapping[str, float] = field(default_factory=dict)
     wind_off_sigmas: float = 0.0
 
     def drone(self, vehicle: str) -> DroneView:
@@ -134,15 +139,17 @@ class DayView:
             return 0.0
         stop = self.plan.stops[index]
         if not self.truck.driving:
-            begun_s = self._after_plan(self.visits[stop.id].arrived_us, stop.arrive_s, stop.id)
+            visit = self.visits.get(stop.id)
+            arrived_us = visit.arrived_us if visit is not None else None
+            begun_s = self._after_plan(arrived_us, stop.arrive_s)
             return max(begun_s, self.now_s - stop.depart_s)
         before = self.plan.stops[max(index - 1, 0)]
         visit = self.visits.get(before.id)
         left_us = visit.left_us if visit is not None else None
-        begun_s = self._after_plan(left_us, before.depart_s, before.id)
+        begun_s = self._after_plan(left_us, before.depart_s)
         return max(begun_s, self.now_s - stop.arrive_s)
 
-    def _after_plan(self, at_us: int | None, planned_s: float, stop: str) -> float:
-        if at_us is None or stop not in self.visits or self.day_s(at_us) < self.plan_made_s:
+    def _after_plan(self, at_us: int | None, planned_s: float) -> float:
+        if at_us is None or self.day_s(at_us) < self.plan_made_s:
             return 0.0
         return self.day_s(at_us) - planned_s

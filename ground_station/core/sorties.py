@@ -29,6 +29,7 @@ class SortieRow:
     lapsed: bool = False
     launched_us: int | None = None
     landed_us: int | None = None
+    used_wh: float | None = None
     launching: bool = False
     refused: int = 0
     recovering: bool = False

@@ -61,7 +61,7 @@ class Flyer:
             def take_seat(built: BuiltDay, where: Path) -> DeskHere:
                 plan = self._planned(built.data, seed, view.planning)
                 view.expect(plan.makespan_s)
-                return DeskHere.open(built, plan, where)
+                return DeskHere.open(built, plan, where, seed, self.trials)
 
             return fly_day(options, here(self.wish.loss, folder), take_seat, view.update)
 
