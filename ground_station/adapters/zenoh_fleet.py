@@ -185,6 +185,21 @@ def epoch_us() -> int:
     return time.time_ns() // 1000
 
 
+class WallClock:
+    """`core.fleet.Clock` of a running desk: its stamps do not jump where the wall clock is set."""
+
+    def __init__(self) -> None:
+        self._offset_us = epoch_us() - round(1e6 * monotonic_s())
+
+    def monotonic_s(self) -> float:
+        """For silences and waits."""
+        return monotonic_s()
+
+    def epoch_us(self) -> int:
+        """By the wall clock as it stood when this desk began."""
+        return self._offset_us + round(1e6 * monotonic_s())
+
+
 def leave_process(code: int) -> NoReturn:
     """End the process; past the interpreter's own shutdown where it was ever on zenoh.
 

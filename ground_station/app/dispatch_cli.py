@@ -5,7 +5,6 @@ import secrets
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.live import Live
@@ -15,20 +14,21 @@ from companion.core.errors import LeewayError
 from companion.core.messages import Answered, Recall
 from ground_station.adapters.day_files import read_day
 from ground_station.adapters.direct_line import return_to_launch
+from ground_station.adapters.plan_files import read_day_plan
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_s
 from ground_station.app.desk import Desk, DeskOptions
+from ground_station.app.open_desk import is_done, is_idle, left_over, open_desk, why_left
 from ground_station.app.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.order_cli import list_impossible, take_orders
 from ground_station.app.stopping import stop_signals
 from ground_station.app.views import report_of, report_table, watch_table
-from ground_station.core.choosing import Chooser, DispatchPlan
-from ground_station.core.orders import OrderState, Service
-from ground_station.core.picture import Picture
+from ground_station.core.truck import TRUCK
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
+ORDERS_LEFT = 3
 
 app = typer.Typer()
 
@@ -40,7 +40,10 @@ def dispatch(
     zenoh: ZenohFile = None,
     plan: Annotated[
         Path | None,
-        typer.Option(help="A dispatch-plan/1 JSON file; default: nearest feasible first."),
+        typer.Option(
+            help="A day-plan/1 JSON file (ground-station plan): drones from a truck; default: from"
+            " the depot, nearest feasible first."
+        ),
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
     launch: Annotated[bool, typer.Option(help="Authorise what is aboard and ready.")] = True,
@@ -48,34 +51,67 @@ def dispatch(
         float, typer.Option(min=0.0, help="Seconds between two launches at the depot.")
     ] = 20.0,
     until_done: Annotated[
-        bool, typer.Option("--until-done", help="End when no order is open or under way.")
+        bool,
+        typer.Option(
+            "--until-done", help="End when nothing is left to do; exit code 3: orders are left."
+        ),
     ] = False,
+    idle: Annotated[
+        float,
+        typer.Option(min=1.0, help="With --until-done: end, too, when nothing moved for so long."),
+    ] = 300.0,
 ) -> None:
     """Run the day: watch the fleet, assign, launch, keep everything. Ctrl-C stops the desk only:
     what flies flies on, and the same command carries on where it was.
 
-    ground-station dispatch params/days/harbour.toml --store sqlite:///desk.db
+    ground-station dispatch params/days/town.toml --plan plan.json --store sqlite:///desk.db
     """
     data = read_day(day)
-    chosen = None if plan is None else _read_plan(plan)
-    chooser = Chooser(data.day, data.airframes, chosen)
+    chosen = None if plan is None else read_day_plan(plan)
     opened = open_store(store)
     try:
         take_orders(opened, data.orders)
-        impossible = set(list_impossible(data))
-        fleet = ZenohFleet(data.day.fleet, zenoh)
+        impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
         options = DeskOptions(assigns=assign, launches=launch, launch_gap_s=launch_gap)
-        desk = Desk(opened, fleet, _say, options, data, chooser, Picture(data.airframes))
-        desk.begin()
-        typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops the desk")
+        fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
-            with stop_signals() as stopped:
-                while not stopped and not (until_done and _is_done(opened, impossible)):
-                    desk.turn(TURN_S)
+            desk = open_desk(data, chosen, opened, fleet, _say, options)
+            typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
+            through = _run(desk, impossible, idle if until_done else None)
         finally:
             fleet.close()
+        if through:
+            _end(desk)
     finally:
         opened.close()
+
+
+def _run(desk: Desk, impossible: frozenset[str], idle_s: float | None) -> bool:
+    """Turn until stopped, or (`idle_s` given) through; whether it was."""
+    desk.begin()
+    try:
+        with stop_signals() as stopped:
+            while not stopped:
+                if idle_s is not None and (is_done(desk, impossible) or is_idle(desk, idle_s)):
+                    return True
+                desk.turn(TURN_S)
+    finally:
+        if desk.day is not None:
+            desk.day.close()
+    return False
+
+
+def _end(desk: Desk) -> None:
+    """Say what is left, and end by it."""
+    left = left_over(desk)
+    if not left:
+        typer.echo("every order is delivered or cancelled")
+        return
+    table = Table("order", "state", "why", title="left")
+    for row in left:
+        table.add_row(row.order.id, row.state.value, why_left(desk, row))
+    Console().print(table)
+    raise typer.Exit(ORDERS_LEFT)
 
 
 @app.command()
@@ -205,7 +241,7 @@ def _recall(desk: Desk, store: Store, vehicle: str | None, wait_s: float) -> set
 
 def _here(desk: Desk, vehicle: str) -> bool:
     seen = desk.picture.of(vehicle)
-    return seen.state is not None and bool(seen.lives)
+    return seen.state is not None and bool(seen.lives) and vehicle != TRUCK
 
 
 def _past_the_companion(desk: Desk, vehicle: str, url: str, silent_for_s: float) -> set[str]:
@@ -221,22 +257,6 @@ def _past_the_companion(desk: Desk, vehicle: str, url: str, silent_for_s: float)
     done = return_to_launch(url)
     typer.echo(f"{vehicle}: autopilot {done.system} returns to launch, told past its companion")
     return {vehicle}
-
-
-def _is_done(store: Store, impossible: set[str]) -> bool:
-    return not store.outbox() and all(
-        row.state not in (OrderState.OPEN, OrderState.ASSIGNED)
-        or row.order.service is Service.TRUCK
-        or (row.state is OrderState.OPEN and row.order.id in impossible)
-        for row in store.orders()
-    )
-
-
-def _read_plan(path: Path) -> DispatchPlan:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=DispatchPlan)
-    except (OSError, msgspec.DecodeError) as error:
-        raise LeewayError(f"{path}: {error}") from error
 
 
 def _say(words: str) -> None:

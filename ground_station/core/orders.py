@@ -122,7 +122,6 @@ class CommandRow:
     answer: Answered | None
     reason: str
     life: str | None
-    tries: int
 
 
 def assignment_id(order: str, attempt: int) -> str:

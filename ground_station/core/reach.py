@@ -124,6 +124,17 @@ class Reach:
             return CanBring(spare_wh, need.time_s)
         return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
 
+    def time_s(
+        self, payload_kg: float, customer: Ned, charge_frac: float | None = None
+    ) -> float | None:
+        """How long a delivery from the depot takes; None: it cannot (reasons take longer)."""
+        if payload_kg > self.airframe.mass.max_payload_kg:
+            return None
+        depot = (0.0, 0.0, 0.0)
+        need = self.need(payload_kg, depot, customer, depot)
+        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
+        return need.time_s if need.flyable and spare_wh >= 0.0 else None
+
     def affordable(
         self,
         payload_kg: float,

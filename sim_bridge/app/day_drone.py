@@ -13,10 +13,11 @@ from typing import Protocol
 import numpy as np
 
 from sim_bridge.adapters.endpoint import bundled
-from sim_bridge.app.record import TruthRecord
+from sim_bridge.app.day_judge import Track
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.parameters import Parameter
+from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.terrain import Terrain
 from sim_bridge.truth.vehicle import Vehicle
@@ -81,7 +82,10 @@ class DroneWorld:
 
 @dataclass(slots=True)
 class PowerUp:
-    """From one battery to the next: what flew then, and where it stood. `t0_s`: switched on."""
+    """From one battery to the next: what flew then, and where it stood. `t0_s`: switched on.
+
+    `rows`: time of the day, north, east, down, airborne; five a second, from truth.
+    """
 
     t0_s: float
     pad_ne_m: tuple[float, float]
@@ -89,19 +93,28 @@ class PowerUp:
     charge_frac: float
     vehicle: Vehicle
     autopilot: Autopilot
-    record: TruthRecord = field(default_factory=TruthRecord)
+    rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    released_s: float | None = None
+    released_ned_m: tuple[float, float, float] | None = None
+    release_height_m: float | None = None
     steps: int = 0
+    _loaded: bool = False
 
     @property
     def t_s(self) -> float:
         """Since switched on."""
         return self.steps * PHYSICS_STEP_S
 
-    @property
-    def ne_m(self) -> tuple[float, float]:
-        """Where it is."""
-        north, east, _ = self.vehicle.truth.pos_ned_m
-        return north, east
+    def look(self) -> None:
+        """Write down where it truly is, and note its parcel's release."""
+        vehicle = self.vehicle
+        north, east, down = vehicle.pos_ned_m
+        t_s = self.t0_s + self.t_s
+        if self._loaded and not vehicle.parcel_aboard:
+            self.released_s, self.released_ned_m = t_s, (north, east, down)
+            self.release_height_m = vehicle.height_m
+        self._loaded = vehicle.parcel_aboard
+        self.rows.append((t_s, north, east, down, float(vehicle.is_airborne)))
 
 
 @dataclass(slots=True)
@@ -188,8 +201,7 @@ class DayDrone:
             autopilot.step(vehicle.step(autopilot.actuation, PHYSICS_STEP_S), PHYSICS_STEP_S)
             up.steps += 1
             if up.steps % RECORD_EVERY_STEPS == 0:
-                truth = vehicle.truth
-                up.record.add(truth, self.world.terrain.up_m(*truth.pos_ned_m[:2]))
+                up.look()
         self._mind_companion(t_s)
         self._talk(up)
 
@@ -218,6 +230,32 @@ class DayDrone:
         self.lost_frames += lost
         return lost
 
+    def track(self, up: PowerUp, reserve_frac: float) -> Track:
+        """What one pack's time came to, for the judge."""
+        rows = np.asarray(up.rows, float).reshape(-1, 5)
+        truth = up.vehicle.truth
+        pack = Battery(
+            self.airframe.battery,
+            temperature_c=self.temperature_c,
+            health_frac=self.battery_health_frac,
+        )
+        reserve_wh = reserve_frac * pack.usable_wh(up.vehicle.reference_draw_w)
+        return Track(
+            vehicle=self.name,
+            autopilot=self.flavour,
+            order=up.order,
+            pad_ne_m=up.pad_ne_m,
+            t_s=rows[:, 0],
+            ned_m=rows[:, 1:4],
+            airborne=rows[:, 4],
+            energy_used_wh=truth.energy_used_wh,
+            margin_wh=truth.usable_wh - reserve_wh,
+            crashed=truth.crashed,
+            released_s=up.released_s,
+            released_ned_m=up.released_ned_m,
+            release_height_m=up.release_height_m,
+        )
+
     def kill_companion(self, t_s: float) -> None:
         """SIGKILL; it starts again as its service does."""
         if self.companion is not None:
@@ -230,11 +268,21 @@ class DayDrone:
     @property
     def is_airborne(self) -> bool:
         """Whether it flies now."""
-        return self.up is not None and bool(self.up.record.rows) and self.up.record.rows[-1][-2] > 0
+        return self.up is not None and self.up.vehicle.is_airborne
+
+    def airborne_s(self, t_s: float) -> float:
+        """For how long it has been in the air now."""
+        rows = self.up.rows if self.up is not None else []
+        began_s = t_s
+        for row in reversed(rows):
+            if not row[4]:
+                break
+            began_s = row[0]
+        return t_s - began_s
 
     def standing_at(self, ne_m: tuple[float, float], within_m: float) -> bool:
         """Whether it is switched on and stands there, on the ground and disarmed."""
         up = self.up
         if up is None or self.is_airborne or up.autopilot.is_armed:
             return False
-        return math.dist(up.ne_m, ne_m) <= within_m
+        return math.dist(up.vehicle.pos_ned_m[:2], ne_m) <= within_m

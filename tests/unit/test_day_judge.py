@@ -101,7 +101,7 @@ def test_one_that_stands_while_the_other_flies_past_is_no_approach():
 
 def test_an_order_that_is_flown_again_after_it_was_delivered_is_found():
     again = out_and_back("d2", "o1", start_s=400.0)
-    again = replace(again, ned_m=again.ned_m + [0.0, 30.0, 0.0])
+    again = replace(again, ned_m=again.ned_m + np.array([0.0, 30.0, 0.0]))
     assert judge_day(day(out_and_back(), again)).twice == ["o1"]
 
 
