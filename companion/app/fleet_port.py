@@ -165,6 +165,7 @@ class FleetPort:
             return
         self.book.close(self.current.assignment)
         self.member.try_to_save_book()  # its outcome stands in the log of events all the same
+        self.member.remark = ""  # what was said of one flight is not said of the next
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None

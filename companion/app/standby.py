@@ -23,11 +23,15 @@ from companion.adapters.whole_file import settle_folder
 from companion.app.fleet_port import STANDBY, Assigned, FleetPort
 from companion.core.command_book import Verdict
 from companion.core.errors import LeewayError
+from companion.core.events import ClockStepped
 from companion.core.messages import Answered, Assign, Command, Launch, Recall, Withdraw
 from companion.core.situation import Situation
 
 WAIT_S = 0.1
 HEARTBEAT_S = 1.0
+SILENT_S = 5.0
+"""After so long nothing that was heard of the vehicle is told any more."""
+
 MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
 
 
@@ -51,6 +55,7 @@ class Standby:
         self._beat_s = -1e9
         self._taken: Assigned | None = None
         self._clock_s = clock_s
+        self._heard_s = clock_s()
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
@@ -68,6 +73,8 @@ class Standby:
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             self._send(_heartbeat())
+        if now_s - self._heard_s > SILENT_S:
+            self._now.forget()  # switched off: it may be carried elsewhere, and get another pack
         incoming = self._link.receive(WAIT_S)
         for message in self._codec.parse(incoming.data) if incoming is not None else []:
             self._hear(message, incoming.peer if incoming is not None else None)
@@ -78,6 +85,7 @@ class Standby:
     def _hear(self, message: Any, peer: Any) -> None:
         if message.get_srcComponent() == AUTOPILOT:
             self._link.answer_to(peer)
+            self._heard_s = self._clock_s()
             if message.get_type() == "TIMESYNC" and message.tc1 == 0:
                 self._clock.synchronise(message.ts1 / 1e9)
                 now_ns = max(1, round(self._clock.t_s * 1e9))
@@ -87,6 +95,8 @@ class Standby:
             self._autopilot.hear_time(message)
             return
         for event in self._autopilot.hear(message):
+            if isinstance(event, ClockStepped):
+                self._now.forget()
             self._now.hear(event)
         if self._autopilot.system_id is not None:
             self._codec.be_system(self._autopilot.system_id)

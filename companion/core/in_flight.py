@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from companion.core import moving_home
 from companion.core.actions import (
     SetGroundSpeed,
     Severity,
@@ -13,7 +14,7 @@ from companion.core.drop import observe_release, release, release_ends, watch_re
 from companion.core.flight_plan import DROP_S
 from companion.core.foresight import assess, assess_delivery, assess_departure, ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
-from companion.core.moving_home import mind
+from companion.core.home_aboard import home_now
 from companion.core.obedience import Purpose
 from companion.core.position_watch import mind_position
 from companion.core.progress import jump, last_resort, mind_foreign_moves, mind_the_jump
@@ -178,12 +179,13 @@ def _homeward(pilot: Pilot) -> None:
             return
     if pilot.phase is Phase.RETURN and _turn_again(pilot, here):
         return
-    if mind(pilot, here):
+    if moving_home.mind(pilot, here) or not pilot.options.gate_on:
         return
-    if pilot.phase is Phase.RETURN and pilot.options.gate_on:
-        rally = rally_instead(pilot, here)
-        if rally is not None and not pilot.now.troubles():
-            divert(pilot, rally, "the depot is out of the promise")
+    instead = rally_instead if pilot.phase is Phase.RETURN else moving_home.rally_instead
+    rally = instead(pilot, here)
+    if rally is not None and not pilot.now.troubles():
+        where = home_now(pilot) or "the depot"
+        divert(pilot, rally, f"{where} is out of the promise")
 
 
 def _turn_again(pilot: Pilot, here: Ned) -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from companion.core.actions import Answer, Reply, Severity
 from companion.core.ahead import ahead_away, ahead_returning
-from companion.core.foresight import here_ned, what_is_ahead
+from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.geo import LocalFrame, Ned, horizontal_m, over
 from companion.core.home_aboard import home_now
 from companion.core.obedience import Purpose
@@ -21,6 +21,7 @@ from companion.core.planner import Plan
 from companion.core.progress import jump
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.transitions import OUTWARD_PHASES, Phase
+from companion.core.turning_back import DIVERT_GAIN, rally_in_sight
 
 if TYPE_CHECKING:
     from companion.core.events import HomeMoved
@@ -118,6 +119,27 @@ def mind(pilot: Pilot, here: Ned) -> bool:
     pilot.decide("move_home", f"to {wanted}: {reason}")
     jump(pilot, item, Purpose.MOVE)
     return True
+
+
+def rally_instead(pilot: Pilot, here: Ned) -> str | None:
+    """On the way to a stop that home was moved to: the rally point that keeps the promise when the
+    stop does not any more. The old home is no choice: the truck may have left it.
+    """
+    flown, air, seen = pilot.flown, pilot.air, fresh_assessment(pilot)
+    if flown is None or seen is None or air.rally is None:
+        return None
+    stops = {stop.name for stop in flown.plan.stops}
+    if air.rally not in stops or seen.p_home >= 1.0 - pilot.judge.limits.max_loss:
+        return None
+    best, best_p = None, seen.p_home + DIVERT_GAIN
+    for rally in flown.plan.rally:
+        if rally.name in stops or not rally_in_sight(flown, rally.name, here):
+            continue
+        item, _ = flown.site_items(rally.name)
+        there = pilot.judge.assess(_ahead_by(pilot, here, flown.plan, item))
+        if there is not None and there.p_home > best_p:
+            best, best_p = rally.name, there.p_home
+    return best
 
 
 def _item_to(pilot: Pilot, here: Ned, name: str) -> int | None:

@@ -248,7 +248,8 @@ def last_resort(pilot: Pilot) -> None:
         pilot.decide("last_resort", "no RTL: its altitude is not known to clear the obstacles")
         return
     pilot.say(Severity.CRITICAL, "way home refused: RTL")
-    pilot.decide("last_resort", "RTL")
+    away = pilot.flown is not None and bool(pilot.flown.plan.away_ned_m)
+    pilot.decide("last_resort", "RTL: to the launch pad, which nobody promised" if away else "RTL")
     pilot.authority.order(Mode.RTL, pilot.now.state)
     pilot.do(SetMode(Mode.RTL))
 

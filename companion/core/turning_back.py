@@ -152,7 +152,7 @@ def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
 def divert(pilot: Pilot, rally: str, why: str) -> None:
     air, flown = pilot.air, pilot.flown
     assert flown is not None
-    air.rally = rally
+    air.rally, air.wanted = rally, None
     pilot.decide("divert", f"to {rally}: {why}")
     pilot.say(Severity.WARNING, f"diverting to {rally}: {why}")
     jump(pilot, flown.site_items(rally)[0], Purpose.HOME)

@@ -155,36 +155,37 @@ def _chosen(folders: list[Path], text: str | None) -> list[Path]:
 def day_plan(
     customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
     drones: Annotated[int, typer.Option(min=1, help="Drones on the truck.")] = 8,
-    seconds: Annotated[
-        float, typer.Option(min=0.1, help="Processor seconds for the default policy.")
-    ] = 30.0,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Trials of the search. Without: by the day's size.")
+    ] = None,
     wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
     seed: Annotated[int, typer.Option(help="Another seed, another day.")] = 0,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the default's plan into this PNG.")
     ] = None,
 ) -> None:
-    """How long a drawn day takes to plan, and what each policy makes of it.
+    """How long the whole plan of a drawn day takes, and what each policy makes of it.
 
-    Example: ground-station benchmark day-plan --customers 1000 --seconds 300
+    Example: ground-station benchmark day-plan --customers 1000
     """
     console = Console()
     if not keep_compiled_code():
         console.print("first run of these sources: compiling, some 20 s", highlight=False)
-    from ground_station.app.day_bench import DayParams, bench_day
-    from ground_station.app.day_report import draw_day, print_day
+    from ground_station.app.day_bench import DayParams, bench_day, drawn_day
+    from ground_station.app.day_picture import draw_day_plan
+    from ground_station.app.day_report import print_day
 
     params = DayParams(customers, drones, wind_mps, seed)
     with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
         bar = progress.add_task("planning", total=1.0)
         found = bench_day(
             params,
-            seconds,
+            trials,
             lambda frac, best_s: progress.update(
                 bar, completed=frac, description=f"best {best_s:.0f} s"
             ),
         )
     print_day(console, params, found)
     if picture is not None:
-        draw_day(found, picture)
+        draw_day_plan(drawn_day(params), found.search, picture)
         console.print(f"{picture}: the default policy's plan", highlight=False)

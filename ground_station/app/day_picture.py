@@ -11,8 +11,10 @@ from matplotlib.patches import Polygon
 from companion.core.flight_plan import frame_at
 from companion.core.geo import LocalFrame, obstacles_from_geojson, place_ned
 from ground_station.core.day_data import DayData
+from ground_station.core.day_nodes import obstacle_map
 from ground_station.core.day_plan import DayPlan
 from ground_station.core.order_rows import place_of
+from ground_station.core.ways import Ways
 
 COLOURS = (
     "tab:blue",
@@ -51,7 +53,7 @@ def draw_day_plan(data: DayData, plan: DayPlan, out: Path) -> None:
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
-    figure.savefig(out)
+    figure.savefig(out, bbox_inches="tight")
 
 
 def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:
@@ -73,20 +75,25 @@ def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:
 def _draw_sorties(axes: Axes, frame: LocalFrame, data: DayData, plan: DayPlan) -> None:
     orders = {order.id: order for order in data.orders}
     drones = sorted({sortie.vehicle for sortie in plan.sorties})
+    obstacles = obstacle_map(data)
     named: set[str] = set()
     for sortie in plan.sorties:
         drone = sortie.vehicle
         colour = COLOURS[drones.index(drone) % len(COLOURS)]
-        ends = [
+        launch, home = (
             place_ned(frame, plan.stop(id_).pads[drone]) for id_ in (sortie.launch, sortie.home)
-        ]
+        )
         customer = place_ned(frame, place_of(orders[sortie.order]))
         label = None if drone in named else drone
         named.add(drone)
-        for end, style in zip(ends, ("-", "--"), strict=True):
-            x, y = (end[1], customer[1]), (end[0], customer[0])
+        points = np.array([launch, customer, home])[:, :2]
+        ways = Ways(obstacles, points, data.day.mission.cruise_height_m)
+        for start, end, style in ((0, 1, "-"), (1, 2, "--")):
+            way = np.array([points[start], *ways.via(start, end), points[end]])
             shown = label if style == "-" else None
-            axes.plot(x, y, style, color=colour, linewidth=1.0, label=shown, zorder=2)
+            axes.plot(
+                way[:, 1], way[:, 0], style, color=colour, linewidth=1.0, label=shown, zorder=2
+            )
         axes.plot(customer[1], customer[0], "^", color=colour, markersize=6, zorder=4)
 
 

@@ -13,7 +13,7 @@ from ground_station.adapters.compiled_code import keep_compiled_code
 from ground_station.adapters.day_files import read_day
 from ground_station.adapters.plan_files import write_day_plan
 from ground_station.core.day_data import DayData
-from ground_station.core.day_plan import DayPlan, PlannedSortie
+from ground_station.core.day_plan import DayPlan
 
 app = typer.Typer()
 
@@ -98,16 +98,24 @@ def _planned(
 
 def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
     """The plan as a table, and what nobody can bring."""
-    table = Table(title=f"{plan.day}: {plan.makespan_s / 60.0:.1f} min")
-    for name in ("at", "from", "to", "served by truck", "launches", "homes"):
-        table.add_column(name, justify="right" if name in ("from", "to") else "left")
+    stops = Table(title=f"{plan.day}: {plan.makespan_s / 60.0:.1f} min")
+    for name in ("stop", "from", "to", "by truck", "launches", "homes"):
+        stops.add_column(name, justify="left" if name in ("stop", "by truck") else "right")
     for stop in plan.stops:
-        launches = [_said(s) for s in plan.sorties if s.launch == stop.id]
-        homes = [s.vehicle for s in plan.sorties if s.home == stop.id]
+        launches = sum(s.launch == stop.id for s in plan.sorties)
+        homes = sum(s.home == stop.id for s in plan.sorties)
         times = (_clock(stop.arrive_s), _clock(stop.depart_s))
-        cells = (", ".join(stop.serves), ", ".join(launches), ", ".join(homes))
-        table.add_row(stop.id, *times, *cells)
-    console.print(table)
+        stops.add_row(stop.id, *times, ", ".join(stop.serves), str(launches), str(homes))
+    console.print(stops)
+    sorties = Table("order", "drone", "from", "home")
+    for name in ("off", "down", "layer m", "Wh", "surely", "of"):
+        sorties.add_column(name, justify="right")
+    for sortie in plan.sorties:
+        names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
+        times = (_clock(sortie.launch_s), _clock(sortie.land_s))
+        figures = (sortie.outbound_height_m, sortie.energy_wh, sortie.sure_wh, sortie.usable_wh)
+        sorties.add_row(*names, *times, *(f"{figure:.0f}" for figure in figures))
+    console.print(sorties)
     by_truck = sum(len(stop.serves) for stop in plan.stops)
     spare = [100.0 * (1.0 - s.sure_wh / s.usable_wh) for s in plan.sorties]
     least = f"; at least {min(spare):.0f} % of a pack to spare" if spare else ""
@@ -122,10 +130,6 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
         for line in plan.unplanned:
             left.add_row(line.order, line.why, line.remedy)
         console.print(left)
-
-
-def _said(sortie: PlannedSortie) -> str:
-    return f"{sortie.vehicle} {sortie.order} {_clock(sortie.launch_s)}"
 
 
 def _clock(seconds: float) -> str:

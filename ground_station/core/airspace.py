@@ -24,18 +24,15 @@ class Airspace:
         self._cruise_m = data.day.mission.cruise_height_m
 
     def filled(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> Filled:
-        """What a sortie may fill: all ways between its pads, its customer and `others`."""
-        launch = stops[sortie.launch].pads[sortie.vehicle]
-        ends = [stops[id_].pads[sortie.vehicle] for id_ in (sortie.home, *sortie.others)]
-        here = place_ned(self.frame, launch)
+        """What a sortie may fill: all ways between its pads and its customer."""
+        here, home = (
+            place_ned(self.frame, stops[id_].pads[sortie.vehicle])
+            for id_ in (sortie.launch, sortie.home)
+        )
         customer = place_ned(self.frame, place_of(self._orders[sortie.order]))
-        homes = [place_ned(self.frame, end) for end in ends]
-        points = [here, customer, *homes]
+        points = [here, customer, home]
         ways = Ways(self._obstacles, np.array(points)[:, :2], self._cruise_m)
-        ground = [_ne(point) for point in points]
-        ground += ways.via(0, 1)
-        for number in range(2, len(points)):
-            ground += ways.via(1, number)
+        ground = [*map(_ne, points), *ways.via(0, 1), *ways.via(1, 2)]
         heights_m = [-here[2] + h for h in (sortie.outbound_height_m, sortie.return_height_m)]
         return Filled(
             sortie.vehicle,
@@ -56,8 +53,9 @@ class Airspace:
     ) -> str | None:
         """The desk's last check: why this sortie must wait; None: it may go.
 
-        `in_air_now`: each with the home that it is promised now, and in `others` any that it was
-        asked to move to and has not read back. The same check is asked before a home is moved.
+        `in_air_now`: each with the home that is promised now; one that was asked to move and has
+        not answered stands there twice, once for each home. Before a home is moved the same is
+        asked of the sortie with its new home, beside all others in the air.
         """
         mine = self.filled(sortie, stops)
         return may_launch(mine, [self.filled(other, stops) for other in in_air_now])

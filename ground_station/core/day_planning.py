@@ -1,8 +1,8 @@
 """From the day's data and where it stands to a day plan: who brings what, from where, and when."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,23 +12,23 @@ from companion.core.flight import Place
 from companion.core.geo import Ned, place_ned
 from ground_station.core.airspace import Airspace
 from ground_station.core.day_data import DEPOT, DayData
-from ground_station.core.day_forward import Drive, Driven
+from ground_station.core.day_forward import Drive, Driven, polished
 from ground_station.core.day_nodes import DayNodes, day_nodes, without
 from ground_station.core.day_pads import StopPads, ring_radius_m
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
-from ground_station.core.day_slots import Slot, SlotFinder
+from ground_station.core.day_slots import Slot, SlotFinder, Wish
 from ground_station.core.day_state import DayState
 from ground_station.core.day_unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
-from ground_station.core.truck_drones.edits import index_route, insert_stop
+from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.search import (
     Search,
     SearchParams,
     default_rounds,
     default_trials,
 )
-from ground_station.core.truck_drones.tables import LAUNCH, MEET, NOWHERE, Plan
+from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
 Tell = Callable[[float, float], None]
@@ -54,6 +54,11 @@ def plan_day(
     return _DayPlanner(data, start, params, tell).planned()
 
 
+def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
+    """The truck-and-drones problem that the policies are given."""
+    return _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None).nodes().problem
+
+
 class _DayPlanner:
     """One plan in the making."""
 
@@ -66,20 +71,40 @@ class _DayPlanner:
         self._trials = 0
 
     def planned(self) -> DayPlan:
-        nodes = self._nodes()
-        plan = self._searched(nodes)
+        nodes = self.nodes()
         while True:
-            driven = self._drive(nodes).driven(plan)
+            driven = self._driven(nodes)
             if not driven.lost:
                 return self._day_plan(nodes, driven)
-            customer = driven.lost[0]
-            if not _by_truck(nodes, plan, customer):
-                order = nodes.orders[customer - 1]
-                self._unplanned.append(no_slot(order))
-                nodes = without(nodes, {order.id})
-                plan = self._searched(nodes)
+            order = nodes.orders[driven.lost[0] - 1]
+            self._unplanned.append(no_slot(order))
+            nodes = without(nodes, {order.id})
 
-    def _nodes(self) -> DayNodes:
+    def _driven(self, nodes: DayNodes) -> Driven:
+        """The best of the policy's plans, driven forward."""
+        drive = self._drive(nodes)
+        found = [self._repaired(nodes, drive, plan) for plan in self._plans(nodes)]
+        route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
+        if self._params.policy == "dynamic":
+            return driven
+        return polished(drive, route, wishes, driven)
+
+    def _repaired(
+        self, nodes: DayNodes, drive: Drive, plan: Plan
+    ) -> tuple[list[int], list[Wish], Driven]:
+        """Who finds no slot is brought by the truck, where it may."""
+        route, wishes = drive.wished(plan)
+        driven = drive.driven(route, wishes)
+        while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
+            lost = driven.lost[0]
+            meet = next(wish.meet for wish in wishes if wish.customer == lost)
+            wishes = [wish for wish in wishes if wish.customer != lost]
+            at = max(1, route.index(meet))
+            route = [*route[:at], lost, *route[at:]]
+            driven = drive.driven(route, wishes)
+        return route, wishes, driven
+
+    def nodes(self) -> DayNodes:
         by_id = {order.id: order for order in self._data.orders}
         orders = [by_id[id_] for id_ in self._start.open]
         full = beyond_capacity(orders, self._data.day.truck.capacity_kg - self._aboard_kg(by_id))
@@ -113,26 +138,35 @@ class _DayPlanner:
         until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
         return until_s - self._t0_s
 
-    def _searched(self, nodes: DayNodes) -> Plan:
-        params, problem = self._params, nodes.problem
-        rng = np.random.default_rng(params.seed)
-        if params.policy == "dynamic":
-            return DynamicAssignment().plan(problem, rng)
-        search_params = SearchParams()
-        search = Search(problem, rng, search_params)
-        trials = params.trials or default_trials(problem.customers)
-        rounds = default_rounds(problem.customers)
+    def _plans(self, nodes: DayNodes) -> Iterator[Plan]:
+        """By the search: two, with drones met where they were launched, and met anywhere.
+
+        Neither knows of layers; the first loses least to them, the second reaches furthest.
+        """
+        problem = nodes.problem
+        rng = np.random.default_rng(self._params.seed)
+        if self._params.policy == "dynamic":
+            yield DynamicAssignment().plan(problem, rng)
+            return
+        trials = self._params.trials or default_trials(problem.customers)
         self._trials = trials
-        done = 0
-        for _ in range(rounds if problem.customers else 0):
-            of_round = 0
-            for_round = max(1, trials // rounds)
-            while of_round < for_round:
-                now = min(search_params.step_trials, for_round - of_round)
-                search.step(now, of_round / for_round, (of_round + now) / for_round)
-                of_round += now
+        yield self._searched(replace(problem, loops_only=True), rng, trials // 2, 0.0)
+        yield self._searched(problem, rng, trials - trials // 2, 0.5)
+
+    def _searched(
+        self, problem: TruckAndDrones, rng: np.random.Generator, trials: int, done_frac: float
+    ) -> Plan:
+        params = SearchParams()
+        search = Search(problem, rng, params)
+        rounds = default_rounds(problem.customers) if problem.customers else 0
+        for number in range(rounds):
+            done, of_round = 0, max(1, trials // rounds)
+            while done < of_round:
+                now = min(params.step_trials, of_round - done)
+                search.step(now, done / of_round, (done + now) / of_round)
                 done += now
-                self._tell(min(1.0, done / trials), search.best_s)
+                share = (number + done / of_round) / rounds
+                self._tell(done_frac + 0.5 * share, search.best_s)
         return search.best
 
     def _drive(self, nodes: DayNodes) -> Drive:
@@ -149,6 +183,7 @@ class _DayPlanner:
     def _day_plan(self, nodes: DayNodes, driven: Driven) -> DayPlan:
         start, params = self._start, self._params
         ids = self._stop_ids(driven)
+        sorties = [self._sortie(nodes, driven, slot, ids) for slot in driven.slots]
         stops = [*start.stops[:-1]]
         for number, stop in enumerate(driven.stops):
             order = nodes.orders[stop.node - 1] if 0 < stop.node <= len(nodes.orders) else None
@@ -171,7 +206,6 @@ class _DayPlanner:
                     pads=pads,
                 )
             stops.append(fresh)
-        sorties = [self._sortie(nodes, slot, ids) for slot in driven.slots]
         return DayPlan(
             format="day-plan/1",
             day=self._data.day.name,
@@ -204,7 +238,35 @@ class _DayPlanner:
             alt_amsl_m=round(alt_amsl_m, 2),
         )
 
-    def _sortie(self, nodes: DayNodes, slot: Slot, ids: dict[int, str]) -> PlannedSortie:
+    def _others(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> list[str]:
+        """Other stops that it could land at, with a pad: its launch, and the one after home."""
+        wish = slot.wish
+        route = [stop.node for stop in driven.stops]
+        after = route[route.index(wish.meet) + 1 :][:1]
+        found: list[str] = []
+        for node in [wish.launch, *after]:
+            pad = driven.pads[node].best(slot.drone, nodes.ned(wish.customer))
+            if node == wish.meet or pad is None:
+                continue
+            need = nodes.classes[wish.kind].reach.affordable(
+                nodes.orders[wish.customer - 1].mass_kg,
+                slot.from_pad_ned_m,
+                nodes.ned(wish.customer),
+                pad[1],
+                slot.filled.high_m,
+                nodes.ways.via(wish.launch, wish.customer),
+                nodes.ways.via(wish.customer, node),
+            )
+            if need is not None:
+                driven.pads[node].of[slot.drone] = pad[1]
+                found.append(ids[node])
+        return found
+
+    def _sortie(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> PlannedSortie:
         wish = slot.wish
         order = nodes.orders[wish.customer - 1]
         reach = nodes.classes[wish.kind].reach
@@ -229,19 +291,13 @@ class _DayPlanner:
             energy_wh=need.mean_wh,
             sure_wh=sure_wh,
             usable_wh=usable_wh,
+            others=self._others(nodes, driven, slot, ids),
         )
 
 
-def _by_truck(nodes: DayNodes, plan: Plan, customer: int) -> bool:
-    """Let the truck bring a customer whose sortie found no slot, where it may."""
-    if not nodes.problem.truck_can_serve[customer]:
-        return False
-    place = np.zeros(nodes.problem.nodes, dtype=np.int32)
-    index_route(plan, place)
-    meet = int(plan[MEET, customer])
-    plan[LAUNCH, customer] = plan[MEET, customer] = NOWHERE
-    insert_stop(plan, place, customer, max(1, int(place[meet])))
-    return True
+def _worth(driven: Driven) -> tuple[int, float]:
+    """Fewer orders lost, then sooner home."""
+    return len(driven.lost), driven.makespan_s
 
 
 def check_state(data: DayData, start: DayState) -> None:

@@ -144,7 +144,7 @@ def _blocked(a_ne_m: Floats, b_ne_m: Floats, grown: list[shapely.Polygon]) -> Fl
     same = a_ne_m is b_ne_m
     rows, columns = np.triu_indices(len(a_ne_m)) if same else np.indices(found.shape).reshape(2, -1)
     lines = shapely.linestrings(np.stack([a_ne_m[rows], b_ne_m[columns]], axis=1))
-    hits = np.zeros(len(lines), dtype=np.bool_)
+    hits = np.zeros(len(rows), dtype=np.bool_)
     for outline in grown:
         shapely.prepare(outline)
         hits |= shapely.intersects(outline, lines)

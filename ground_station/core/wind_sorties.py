@@ -191,9 +191,10 @@ def _rates(reach: Reach, payload_kg: float) -> _Rates:
         means, gradient = _priced(reach, [leg], [None])
         return _first(_with_std(reach, means, gradient))
 
-    sides = [[before] * COURSES] * 2
+    hovers = [before] * COURSES
+    near, far = cruises(SHORT_M), cruises(LONG_M)
     return _Rates(
-        cruise=_line(reach, cruises(SHORT_M), cruises(LONG_M), *sides, SHORT_M, LONG_M),
+        cruise=_line(reach, near, far, hovers, hovers, SHORT_M, LONG_M),
         climb=vertical(LegKind.CLIMB, None, None),
         descend=vertical(LegKind.DESCEND, after, after_high),
         land=vertical(LegKind.LAND, after, after_high),

@@ -45,7 +45,7 @@ def foresee_flight(
     steady = SteadyFlight(truth_airframe)
     itinerary = Itinerary(
         out_ne_m=[(0.0, 0.0), *out],
-        ways_back=_ways_back(plan, customer),
+        ways_back=ways_back(plan, customer),
         cruise_height_m=mission.cruise_height_m,
         return_height_m=mission.return_height_m or mission.cruise_height_m,
         drop_up_m=craft.terrain.up_m(*customer) + mission.drop_height_m,
@@ -91,7 +91,7 @@ def _route(craft: Craft, airframe: Airframe, obstacles: dict[str, Any] | None) -
     return {} if isinstance(flown, NoRoute) else plan_row(flown)
 
 
-def _ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:
+def ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:
     """The way to the depot, or the promised stop, and to each landing site that may be chosen from
     each waypoint that sees it: rally points, and a stop that home was moved to.
     """

@@ -61,7 +61,8 @@ def hand_to_drone(t, w, plan, place, customer, give_up_s, reach):
             continue
         plan[KIND, customer] = kind
         for launch in range(max(0, at - reach), min(last - 1, at + reach) + 1):
-            for meet in range(launch + (0 if t.pads else 1), min(last, launch + AHEAD) + 1):
+            furthest = launch if t.loops_only else min(last, launch + AHEAD)
+            for meet in range(launch + (0 if t.pads else 1), furthest + 1):
                 plan[LAUNCH, customer] = plan[ROUTE, launch]
                 plan[MEET, customer] = plan[ROUTE, meet]
                 cost_s = simulate(t, plan, w, best_s)

@@ -89,7 +89,9 @@ def put_on_drone(t, plan, place, customer, chance):
     drawn, also = uniform(chance), uniform(chance)
     launch = max(0, at - int(drawn * drawn * REACH))
     meet = min(last, at + int(also * also * REACH))
-    if launch == meet and not t.pads:
+    if t.loops_only:
+        launch = meet = at
+    elif launch == meet and not t.pads:
         if meet < last and (launch == 0 or below(chance, 2) == 0):
             meet += 1
         else:
@@ -130,6 +132,8 @@ def retime(t, plan, place, chance):
         launch += by
     if what != 0:
         meet += by
+    if t.loops_only:
+        meet = launch
     if what == 3:
         plan[KIND, customer] = any_kind(t, customer, chance)
     if launch < 0 or meet > place[plan.shape[1] - 1] or launch > meet:

@@ -61,6 +61,7 @@ class TruckAndDrones:
     `pads`: each drone has a pad of its own at each stop. It may be met where it was launched, lands
     by itself, `lead_s` after the truck has come or later, and waits on the ground. Without (the
     published mFSTSP) it is met at a later stop and hovers until the driver takes it.
+    `loops_only`: every drone is met where it was launched.
     `hold_s`: the truck does not leave the first node before. `release_s`, by customer: the driver
     does not begin to launch its drone before (a launch slot).
     """
@@ -73,6 +74,7 @@ class TruckAndDrones:
     """By node; a customer that no road reaches must be served by a drone."""
     pads: bool = False
     lead_s: float = 0.0
+    loops_only: bool = False
     hold_s: float = 0.0
     release_s: Floats | None = None
 

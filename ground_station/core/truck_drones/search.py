@@ -51,12 +51,18 @@ class Search:
     """A search that is under way: `step` as often as wanted, `best` at any time."""
 
     def __init__(
-        self, problem: TruckAndDrones, rng: np.random.Generator, params: SearchParams
+        self,
+        problem: TruckAndDrones,
+        rng: np.random.Generator,
+        params: SearchParams,
+        start: Plan | None = None,
     ) -> None:
+        """`start`: a plan to begin with, instead of the first plan."""
         self._problem, self._params = problem, params
         self._tables = tables_of(problem)
         self._work = work_for(self._tables)
-        self._plan = first_plan(problem, self._tables, self._work)
+        first = first_plan(problem, self._tables, self._work) if start is None else start
+        self._plan = first.copy()
         self._place = np.zeros(problem.nodes, dtype=np.int32)
         index_route(self._plan, self._place)
         self._spare_plan, self._spare_place = self._plan.copy(), self._place.copy()

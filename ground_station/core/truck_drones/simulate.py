@@ -61,7 +61,7 @@ def _index_sorties(t, plan, whole, times_s):
         meet, kind = plan[MEET, customer], plan[KIND, customer]
         if whole[PLACE, launch] < 0 or whole[PLACE, meet] < whole[PLACE, launch]:
             return False
-        if launch == meet and not t.pads:
+        if (launch == meet and not t.pads) or (launch != meet and t.loops_only):
             return False
         spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
             kind, customer, meet

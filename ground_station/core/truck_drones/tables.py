@@ -45,6 +45,7 @@ class Tables(NamedTuple):
     hold_s: float
     pads: bool
     lead_s: float
+    loops_only: bool
 
 
 class Work(NamedTuple):
@@ -98,6 +99,7 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         hold_s=problem.hold_s,
         pads=problem.pads,
         lead_s=problem.lead_s,
+        loops_only=problem.loops_only,
     )
 
 
