@@ -15,9 +15,6 @@ from sim_bridge.app.series import PROGRAM
 
 app = typer.Typer(add_completion=False)
 
-WITHIN = 1.6
-"""A day is broken off when it takes so much longer than its plan, and ten minutes."""
-
 
 @app.command()
 def day(
