@@ -181,6 +181,7 @@ def _row(
         ],
         "messages": {"sent": built.plumbing.network.sent, "lost": built.plumbing.network.lost},
         "frames_lost": sum(drone.lost_frames for drone in built.drones),
+        "disarmed_by_hand": sum(drone.disarmed_by_hand for drone in built.drones),
         "companions_started": sum(drone.companion_starts for drone in built.drones),
         "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
         "replans": len(plans) - 1,
