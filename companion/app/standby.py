@@ -1,7 +1,8 @@
 """A vehicle between missions: it listens to its autopilot, tells the desk, and waits for work.
 
-Nothing is ordered here: the autopilot hears heartbeats of ours and the answers to its TIMESYNC, no
-more.
+The autopilot hears heartbeats of ours, the answers to its TIMESYNC, and what telemetry we want
+(ArduPilot sends no position unasked, and the desk gives no mission to a drone that it does not see
+on its pad); nothing else is ordered here.
 """
 
 import json
@@ -21,6 +22,7 @@ from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.adapters.whole_file import settle_folder
 from companion.app.fleet_port import STANDBY, Assigned, FleetPort
+from companion.core.actions import AskTelemetry
 from companion.core.command_book import Verdict
 from companion.core.errors import LeewayError
 from companion.core.events import ClockStepped
@@ -31,6 +33,10 @@ WAIT_S = 0.1
 HEARTBEAT_S = 1.0
 SILENT_S = 5.0
 """After so long nothing that was heard of the vehicle is told any more."""
+TICK_S = 0.1
+POSITION_SILENT_S = 5.0
+ASK_AGAIN_S = 10.0
+"""Of the autopilot's time: longer than a dozen requests take, each sent again twice."""
 
 MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
 
@@ -56,6 +62,8 @@ class Standby:
         self._taken: Assigned | None = None
         self._clock_s = clock_s
         self._heard_s = clock_s()
+        self._ticked_s = -1e9
+        self._asked_s = -1e9
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
@@ -78,9 +86,24 @@ class Standby:
         incoming = self._link.receive(WAIT_S)
         for message in self._codec.parse(incoming.data) if incoming is not None else []:
             self._hear(message, incoming.peer if incoming is not None else None)
+        self._mind_telemetry()
         self._port.turn(self._carry_out)
         self._port.publish(STANDBY, self._now)
         return self._taken
+
+    def _mind_telemetry(self) -> None:
+        """Ask for what tells where it stands, and again while it does not come (a reboot)."""
+        if self._autopilot.system_id is None or not self._clock.known:
+            return
+        t_s, position = self._clock.t_s, self._now.position
+        if t_s - self._ticked_s < TICK_S:
+            return
+        self._ticked_s = t_s
+        silent = position is None or t_s - position.t_s > POSITION_SILENT_S
+        if silent and t_s - self._asked_s >= ASK_AGAIN_S:
+            self._asked_s = t_s
+            self._autopilot.order(AskTelemetry(), t_s)
+        self._autopilot.tick(t_s)
 
     def _hear(self, message: Any, peer: Any) -> None:
         if message.get_srcComponent() == AUTOPILOT:

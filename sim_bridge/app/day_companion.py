@@ -8,7 +8,6 @@ spot.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from companion.adapters.mavlink_codec import MavlinkCodec
 from companion.adapters.mavlink_link import Incoming, Link
@@ -55,7 +54,6 @@ class SteppedCompanion:
     """One life of a companion. `ended` is its exit code, once a run of it broke off."""
 
     port: FleetPort
-    folder: Path
     airframe: str
     link: MemoryLink
     clock_s: Callable[[], float]

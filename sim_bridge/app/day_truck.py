@@ -71,7 +71,7 @@ class Done:
 
 @dataclass(slots=True)
 class DayTruck:
-    """`drive_s(stop, from, to)` is what a drive takes on average; `late_s` befalls the first."""
+    """`drive_s(stop, from, to)` is what a drive takes on average; `late_s` befalls the second."""
 
     port: TruckPort
     frame: LocalFrame
@@ -136,7 +136,7 @@ class DayTruck:
         to = self._ne_of(task)
         apart_m = math.dist(self.ne_m, to) * self.detour_factor
         spread = float(np.exp(self.rng.normal(0.0, SPEED_STD_FRAC)))
-        late_s, self.late_s = self.late_s, 0.0
+        late_s = self.late_s if len(self.drives) == 1 else 0.0
         takes_s = self.drive_s(self._stop, task.id, apart_m) * spread + late_s
         self.drives.append(Drive(task.id, self.ne_m, to, t_s, t_s + takes_s))
         self._ends_s = t_s + takes_s
@@ -172,7 +172,7 @@ class DayTruck:
             case TaskKind.RECOVER if drone is not None:
                 if drone.up is None:
                     return ""  # it never left the truck
-                if not drone.standing_at(self._ne_of(task), ON_PAD_M):
+                if not drone.standing_at(t_s, self._ne_of(task), ON_PAD_M):
                     return f"{drone.name} does not stand there"
                 drone.switch_off()
             case TaskKind.SERVE:

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-
-from sim_bridge.app.day_bus import Bus
+from sim_bridge.app.day_build import Faults, Plumbing
+from sim_bridge.app.day_clock import DayClock
 from sim_bridge.app.day_drone import PHYSICS_STEP_S, DayDrone
 from sim_bridge.app.day_judge import Served, Stand, Told
 from sim_bridge.app.day_truck import DayTruck
@@ -19,24 +18,6 @@ DESK_AWAY_S = 20.0
 
 LEAST_UP_S = 15.0
 """A companion is killed well in the air, where it matters."""
-
-EPOCH_US = 1_780_000_000_000_000
-"""When every simulated day begins, by the wall clocks of all who are in it (June 2026)."""
-
-
-@dataclass(slots=True)
-class DayClock:
-    """The clock of everybody in the day (`ground_station.core.fleet.Clock`)."""
-
-    t_s: float = 0.0
-
-    def monotonic_s(self) -> float:
-        """Seconds since the day began."""
-        return self.t_s
-
-    def epoch_us(self) -> int:
-        """Microseconds since 1970."""
-        return EPOCH_US + round(self.t_s * 1e6)
 
 
 class Seat(Protocol):
@@ -61,21 +42,11 @@ class Seat(Protocol):
 
 
 @dataclass(slots=True)
-class Faults:
-    """What is to go wrong, drawn before the day; times are the day's."""
-
-    ground_kills_s: list[float] = field(default_factory=list)
-    companion_kills_s: list[float] = field(default_factory=list)
-    log: list[tuple[float, str]] = field(default_factory=list)
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-
-@dataclass(slots=True)
 class DayWorld:
     """`run` until the desk has nothing left to do, or `limit_s`."""
 
     clock: DayClock
-    bus: Bus
+    plumbing: Plumbing
     drones: list[DayDrone]
     truck: DayTruck
     seat: Seat
@@ -107,7 +78,7 @@ class DayWorld:
         """A tenth of a second."""
         self._steps += 1
         t_s = self.clock.t_s = self._steps * STEP_S
-        self.bus.deliver(t_s)
+        self.plumbing.network.deliver(t_s)
         for drone in self.drones:
             drone.advance(t_s, STEPS)
         self._note_homes(t_s)
@@ -116,9 +87,10 @@ class DayWorld:
         if self._desk_back_s is None and t_s >= self._desk_due_s:
             self._desk_due_s = t_s + DESK_EVERY_S - STEP_S / 2.0
             self.seat.turn()
+        self.plumbing.pace(t_s)
 
     def _note_homes(self, t_s: float) -> None:
-        for vehicle, state in self.bus.states.items():
+        for vehicle, state in self.plumbing.network.states.items():
             if self._home.get(vehicle) != state.home:
                 self._home[vehicle] = state.home
                 self.homes.append(Told(t_s, vehicle, state.home))
