@@ -46,7 +46,7 @@ def write_network(folder: Path) -> None:
         meeting = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     alone = {"scouting": {"multicast": {"enabled": False}}}
     retry = {"period_init_ms": 50, "period_max_ms": 500}
-    call = {"endpoints": [meeting], "retry": retry, "exit_on_failure": False, "timeout_ms": 0}
+    call = {"endpoints": [meeting], "retry": retry}
     listen: dict[str, list[str]] = {"endpoints": []}
     peer = alone | {"mode": "peer", "listen": listen, "connect": call}
     desk = alone | {"mode": "router", "listen": {"endpoints": [meeting]}}
