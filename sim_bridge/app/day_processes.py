@@ -194,6 +194,7 @@ class DeskProcess:
         """The desk's files, and its first start; `path` is the day's file."""
         (folder / PLAN).write_bytes(msgspec.json.format(msgspec.json.encode(plan)))
         seat = cls(folder, write_day_file(path, built.data, folder), built.clock)
+        built.faults.spread_over(plan.makespan_s)
         seat.start()
         return seat
 
