@@ -6,6 +6,7 @@ on its pad); nothing else is ordered here.
 """
 
 import json
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from companion.adapters.clock import AutopilotClock, wall_s
 from companion.adapters.files import read_flight, read_obstacle_document
 from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
+from companion.adapters.whole_file import settle_folder
 from companion.app.fleet_port import STANDBY, Assigned, FleetPort
 from companion.core.actions import AskTelemetry
 from companion.core.command_book import Verdict
@@ -168,11 +170,13 @@ def write_mission(deed: Assign, port: FleetPort) -> Path:
     if site.get("obstacles") is not None:
         raise LeewayError("site.obstacles: expected none, the command carries them itself")
     if deed.obstacles is not None:
-        (folder / OBSTACLES).write_text(json.dumps(deed.obstacles))
+        _settled(folder / OBSTACLES, json.dumps(deed.obstacles).encode())
         site["obstacles"] = OBSTACLES
     flight["site"] = site
     path = folder / MISSION
-    path.write_bytes(msgspec.json.encode(flight))
+    _settled(path, msgspec.json.encode(flight))
+    settle_folder(folder)
+    settle_folder(folder.parent)
     loaded = read_flight(path)
     read_obstacle_document(loaded, path)
     vehicle = loaded.vehicle
@@ -185,6 +189,14 @@ def write_mission(deed: Assign, port: FleetPort) -> Path:
     if loaded.site.depot is None:
         raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
     return path
+
+
+def _settled(path: Path, content: bytes) -> None:
+    """On the disk before `current.json` says that it is there, even after a power cut."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _heartbeat() -> Any:

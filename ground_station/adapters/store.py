@@ -29,6 +29,13 @@ from ground_station.core.orders import (
 
 DRIVER = (EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
 _IN_FORCE = [state.value for state in IN_FORCE]
+_ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: often asked
+_ASSIGNMENTS_IN_FORCE = _ASSIGNMENTS.where(t.assignments.c.state.in_(_IN_FORCE))
+_OUTBOX = (
+    sa.select(t.commands)
+    .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
+    .order_by(t.commands.c.n)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,11 +215,7 @@ class Store:
     def outbox(self) -> list[CommandRow]:
         """Commands to be sent: not held back, without a final answer; oldest first."""
         with self._database.read() as db:
-            found = db.execute(
-                sa.select(t.commands)
-                .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
-                .order_by(t.commands.c.n)
-            ).all()
+            found = db.execute(_OUTBOX).all()
         return [rows.command_row(row) for row in found]
 
     def commands(self) -> list[CommandRow]:
@@ -275,9 +278,7 @@ class Store:
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
         """Assignments as they were made; with `in_force` only those that are not over."""
-        query = sa.select(t.assignments).order_by(t.assignments.c.n)
-        if in_force:
-            query = query.where(t.assignments.c.state.in_(_IN_FORCE))
+        query = _ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS
         with self._database.read() as db:
             found = db.execute(query).all()
         return [rows.assignment_row(row) for row in found]

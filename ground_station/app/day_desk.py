@@ -46,10 +46,10 @@ from ground_station.core.day_run import (
 from ground_station.core.day_view import DayRunParams, DayView, DroneView, TruckView
 from ground_station.core.fleet import Clock
 from ground_station.core.measured_wind import MeasuredWind
-from ground_station.core.orders import AssignmentState, OrderState
+from ground_station.core.orders import AssignmentRow, AssignmentState, OrderState
 from ground_station.core.picture import STANDBY, Picture, VehicleSeen
 from ground_station.core.reach import Reach
-from ground_station.core.sorties import SortieRow
+from ground_station.core.sorties import SortieRow, Visit
 from ground_station.core.truck import DRIVING, TRUCK
 
 CHARGE_READ_FRAC = 0.05
@@ -58,6 +58,23 @@ CHARGE_READ_FRAC = 0.05
 OFF_PAD_M = 30.0
 OFF_GROUND_M = 2.0
 READY = "ready"
+
+
+ROWS_S = 5.0
+"""So old may be what was read of the store, where this desk has heard and done nothing since."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """What was read of the store at `read_s`."""
+
+    read_s: float
+    open: frozenset[str]
+    sorties: tuple[SortieRow, ...]
+    serves: tuple[AssignmentRow, ...]
+    told: str | None
+    visits: dict[str, Visit]
+    plan_made_us: int
 
 
 @dataclass(slots=True)
@@ -87,6 +104,8 @@ class DayDesk:
     _truck_stop: tuple[str, bool] | None = None
     _tried_s: float = -1e9
     _waits_s: dict[str, float] = field(default_factory=dict)
+    _began_us: int | None = None
+    _rows: _Rows | None = None
 
     def __post_init__(self) -> None:
         wind = self.day.wind()
@@ -131,36 +150,50 @@ class DayDesk:
         now = (state.stop, state.phase == DRIVING)
         if now != self._truck_stop:
             self.day.truck_is(None if now[1] else state.stop)
+            self._rows = None
             self._truck_stop = now
 
     def look(self, picture: Picture) -> DayView:
         """The day as it is now."""
         now_s = self.clock.monotonic_s()
         truck = picture.vehicles.get(TRUCK)
-        began_us = self.day.began_us()
-        if began_us is None:
-            heard = truck is not None and truck.present(now_s)
-            began_us = self.day.begin() if heard else self.clock.epoch_us()
-        day_s = (self.clock.epoch_us() - began_us) / 1e6
-        orders = self.store.orders()
-        sorties = tuple(self.day.sorties())
+        began_us = self._begun_us(truck is not None and truck.present(now_s))
+        rows = self._rows = self._rows or self._read(now_s)
         drones = {d.id: self._drone_view(picture.of(d.id), now_s) for d in self.data.day.drones}
         return DayView(
-            now_s=max(0.0, day_s),
+            now_s=max(0.0, (self.clock.epoch_us() - began_us) / 1e6),
             began_us=began_us,
             plan=self.plan,
             truck=_truck_view(truck, now_s),
             drones=drones,
+            open=rows.open,
+            sorties=rows.sorties,
+            serves=rows.serves,
+            told=rows.told,
+            visits=rows.visits,
+            replanning=self._asked is not None,
+            plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
+            tried_s=self._tried_s,
+            waited_s=self._waited(rows.sorties, drones, now_s),
+            wind_off_sigmas=self._wind.off_sigmas(now_s, self.data.day.forecast),
+        )
+
+    def _begun_us(self, truck_here: bool) -> int:
+        """The day begins when its truck is first heard."""
+        if self._began_us is None:
+            self._began_us = self.day.begin() if truck_here else self.day.began_us()
+        return self.clock.epoch_us() if self._began_us is None else self._began_us
+
+    def _read(self, now_s: float) -> _Rows:
+        orders = self.store.orders()
+        return _Rows(
+            read_s=now_s,
             open=frozenset(r.order.id for r in orders if r.state is OrderState.OPEN),
-            sorties=sorties,
+            sorties=tuple(self.day.sorties()),
             serves=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
             told=self.day.told(),
             visits={visit.stop: visit for visit in self.day.visits()},
-            replanning=self._asked is not None,
-            plan_made_s=max(0.0, (self.day.plan_made_us() - began_us) / 1e6),
-            tried_s=self._tried_s,
-            waited_s=self._waited(sorties, drones, now_s),
-            wind_off_sigmas=self._wind.off_sigmas(now_s, self.data.day.forecast),
+            plan_made_us=self.day.plan_made_us(),
         )
 
     def _waited(
@@ -207,8 +240,11 @@ class DayDesk:
 
     # --- what follows --------------------------------------------------------------------------
 
-    def turn(self, picture: Picture) -> bool:
-        """Do what is due; whether anything was."""
+    def turn(self, picture: Picture, *, stirred: bool) -> bool:
+        """Do what is due; whether anything was. `stirred`: the store may have changed."""
+        rows, now_s = self._rows, self.clock.monotonic_s()
+        if stirred or (rows is not None and now_s - rows.read_s > ROWS_S):
+            self._rows = None
         view = self.view = self.look(picture)
         self._note_energies(view)
         if view.truck is None:
@@ -218,6 +254,8 @@ class DayDesk:
         deeds = run.decide(view)
         for deed in deeds:
             self._carry_out(deed)
+        if deeds:
+            self._rows = None
         self.holds = run.holds(view)
         return bool(deeds) or view.replanning or (view.truck.present and self._under_way(view))
 
@@ -358,7 +396,7 @@ class DayDesk:
         self.day.take_plan(made, why, wind)
         in_force = self.day.plan()
         assert in_force is not None
-        self.plan, self._refused = in_force, None
+        self.plan, self._refused, self._rows = in_force, None, None
         self._note_stops(in_force)
         left = f", {len(made.unplanned)} by nobody" if made.unplanned else ""
         self.say(f"plan {made.revision} in force: {len(made.stops)} stops{left}")
@@ -368,6 +406,9 @@ class DayDesk:
         """The truck stands at its last stop and nothing is left that the plan would do."""
         view = self.view
         if view is None or view.here is None or view.replanning or self.holds:
+            return False
+        taken_meanwhile = self._read(view.now_s).open != view.open
+        if taken_meanwhile:
             return False
         last = view.plan.stops[-1].id == view.here.id
         under_way = any(not (row.aboard or row.gone) for row in view.sorties)

@@ -89,12 +89,13 @@ class Desk:
         now_s = self.clock.monotonic_s()
         if not self._stirred and now_s - self._looked_s < LOOK_S:
             return
-        if self._stirred:
+        stirred = self._stirred
+        if stirred:
             self.moved_s = now_s
         self._stirred, self._looked_s = False, now_s
         for row in self.store.assignments(in_force=True):
             self._mind(row)
-        if self.day is not None and self.day.turn(self.picture):
+        if self.day is not None and self.day.turn(self.picture, stirred=stirred):
             self.moved_s = now_s
         if self.options.assigns and self.chooser is not None and self.day is None:
             self._assign(self.chooser)
@@ -178,13 +179,17 @@ class Desk:
                 continue
             if now_s - self._asked_log_s.get(seen.vehicle, -1e9) < AGAIN_S:
                 continue
-            key = (seen.vehicle, state.log)
-            if self._seen_to.get(key, -1) >= state.last_seq:
-                continue
-            seen_to = self._seen_to[key] = self.store.seen_to(*key)
+            seen_to = self._known_to(seen.vehicle, state)
             if seen_to < state.last_seq:
                 self._asked_log_s[seen.vehicle] = now_s
                 self.fleet.ask_events(seen.vehicle, seen_to, ANSWER_S)
+
+    def _known_to(self, vehicle: str, state: State) -> int:
+        """The event up to which nothing is missing; the store is asked only while some are."""
+        key = (vehicle, state.log)
+        if self._seen_to.get(key, -1) < state.last_seq:
+            self._seen_to[key] = self.store.seen_to(*key)
+        return self._seen_to[key]
 
     # --- assignments ---------------------------------------------------------------------------
 
@@ -216,7 +221,7 @@ class Desk:
         return last.life != state.life or last.answer is Answered.INTERRUPTED
 
     def _forgotten(self, row: AssignmentRow, seen: VehicleSeen, state: State) -> bool:
-        told_all = self.store.seen_to(seen.vehicle, state.log) >= state.last_seq
+        told_all = self._known_to(seen.vehicle, state) >= state.last_seq
         return state.assignment != row.id and told_all
 
     def _launch(self, row: AssignmentRow, now_s: float) -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 from companion.core.errors import LeewayError
 from companion.core.messages import Answered, Recall
 from ground_station.adapters.day_files import read_day
+from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.direct_line import return_to_launch
 from ground_station.adapters.plan_files import read_day_plan
 from ground_station.adapters.store import Store
@@ -22,7 +23,7 @@ from ground_station.app.open_desk import is_done, is_idle, left_over, open_desk,
 from ground_station.app.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.order_cli import list_impossible, take_orders
 from ground_station.app.stopping import stop_signals
-from ground_station.app.views import report_of, report_table, watch_table
+from ground_station.app.views import day_shown, report_of, report_table, watch_table
 from ground_station.core.truck import TRUCK
 
 TURN_S = 0.2
@@ -131,11 +132,12 @@ def watch(
     ears = ZenohFleet(fleet, zenoh)
     desk = Desk(opened, ears, lambda words: None, DeskOptions(assigns=False))
     desk.begin()
-    console = Console()
+    console, day = Console(), DayStore(opened.database, epoch_us)
 
     def view() -> Table:
         rows = opened.assignments(in_force=True)
-        return watch_table(desk.picture, rows, opened.orders(), monotonic_s())
+        shown = day_shown(day, epoch_us())
+        return watch_table(desk.picture, rows, opened.orders(), monotonic_s(), shown)
 
     try:
         with stop_signals() as stopped:
@@ -208,7 +210,7 @@ def report(
     ground-station report --store sqlite:///desk.db
     """
     opened = open_store(store)
-    figures = report_of(opened)
+    figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()
     Console().print(report_table(figures))
     if json_file is not None:

@@ -15,9 +15,6 @@ from sim_bridge.app.series import PROGRAM
 
 app = typer.Typer(add_completion=False)
 
-WITHIN = 1.6
-"""A day is broken off when it takes so much longer than its plan, and ten minutes."""
-
 
 @app.command()
 def day(
@@ -62,6 +59,14 @@ def day(
     trials: Annotated[
         int | None, typer.Option(min=1, help="Of the plan's search; default: by the day's size.")
     ] = None,
+    processes: Annotated[
+        bool,
+        typer.Option(
+            "--processes",
+            help="Desk and companions as processes, MAVLink over UDP, the fleet over zenoh, real"
+            " time; --loss falls on MAVLink only.",
+        ),
+    ] = False,
     runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
     json_out: Annotated[
         Path | None, typer.Option("--json", help="Write the days here as JSON.")
@@ -96,7 +101,8 @@ def day(
     )
     data = read_day(path)
     console = Console()
-    flyer = day_fly.Flyer(console, path, data, wish, trials, runs, settings_of(path, wish, trials))
+    settings = settings_of(path, wish, trials)
+    flyer = day_fly.Flyer(console, path, data, wish, trials, runs, settings, processes)
     rows = [flyer.row(number, picture=picture) for number in _numbers(seed, seeds)]
     for row in rows[-1:] if len(rows) == 1 else []:
         print_day(console, row)

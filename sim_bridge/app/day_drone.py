@@ -56,6 +56,10 @@ class Companion(Protocol):
         ...
 
 
+BY_HAND_AFTER_S = 45.0
+"""The companion gives up its own tries to disarm before (`touchdown`), and says so."""
+
+
 @dataclass(frozen=True, slots=True)
 class Later:
     """The day's mean wind as a vehicle sees it that was switched on at `from_s`."""
@@ -138,6 +142,7 @@ class DayDrone:
     companion_starts: int = 0
     companion_due_s: float | None = None
     lost_frames: int = 0
+    disarmed_by_hand: int = 0
     _loss_rng: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
@@ -180,7 +185,8 @@ class DayDrone:
         self.companion_due_s = t_s + COMPANION_BOOT_S
 
     def switch_off(self) -> None:
-        """Power off: autopilot and companion with it."""
+        """Power off: autopilot and companion with it; an armed one is disarmed by hand first."""
+        self.disarmed_by_hand += self.up is not None and self.up.autopilot.is_armed
         if self.companion is not None:
             self.companion.kill()
             self.companion = None
@@ -280,9 +286,21 @@ class DayDrone:
             began_s = row[0]
         return t_s - began_s
 
-    def standing_at(self, ne_m: tuple[float, float], within_m: float) -> bool:
-        """Whether it is switched on and stands there, on the ground and disarmed."""
+    def standing_at(self, t_s: float, ne_m: tuple[float, float], within_m: float) -> bool:
+        """Whether a driver may walk up to it there: disarmed, or on the ground for a while.
+
+        An ArduCopter that never notices its landing (measured, wind on the ground) stays armed at
+        idle, and its companion says "disarm by hand": that is what the driver then does.
+        """
         up = self.up
-        if up is None or self.is_airborne or up.autopilot.is_armed:
+        if up is None or self.is_airborne:
+            return False
+        if up.autopilot.is_armed and self.grounded_s(t_s) < BY_HAND_AFTER_S:
             return False
         return math.dist(up.vehicle.pos_ned_m[:2], ne_m) <= within_m
+
+    def grounded_s(self, t_s: float) -> float:
+        """For how long it has been on the ground now."""
+        rows = self.up.rows if self.up is not None else []
+        last = next((row[0] for row in reversed(rows) if row[4]), None)
+        return t_s - last if last is not None else 0.0

@@ -18,11 +18,12 @@ from ground_station.core.day_planning import PlanParams, plan_day  # noqa: E402
 from ground_station.core.day_state import first_state  # noqa: E402
 from sim_bridge.app.day_build import BuiltDay, DayWish, here  # noqa: E402
 from sim_bridge.app.day_desk import DeskHere  # noqa: E402
+from sim_bridge.app.day_processes import DeskProcess, apart  # noqa: E402
 from sim_bridge.app.day_report import watched  # noqa: E402
-from sim_bridge.app.day_run import RESULT, DayOptions, fly_day  # noqa: E402
+from sim_bridge.app.day_run import RESULT, DayOptions, DeskSeat, fly_day  # noqa: E402
 
-LONGEST_S = 3600.0
-"""A day of the issue is an hour at most; one that takes twice that is broken off."""
+LONGEST_S = 5400.0
+"""A day is meant to take an hour at most; one that takes half as long again is broken off."""
 
 SETTINGS = "settings"
 
@@ -38,6 +39,7 @@ class Flyer:
     trials: int | None
     runs: Path
     settings: str
+    processes: bool = False
 
     def row(self, seed: int, *, picture: bool) -> dict[str, Any]:
         """One day's row: of the day that lies finished in its folder, or flown now."""
@@ -52,29 +54,33 @@ class Flyer:
             wish=self.wish,
             seed=seed,
             folder=folder,
-            limit_s=2.0 * LONGEST_S,
+            limit_s=LONGEST_S,
             settings=self.settings,
             picture=picture,
         )
         with watched(self.console, f"{self.data.day.name}, seed {seed}", LONGEST_S) as view:
 
-            def take_seat(built: BuiltDay, where: Path) -> DeskHere:
+            def take_seat(built: BuiltDay, where: Path) -> DeskSeat:
                 plan = self._planned(built.data, seed, view.planning)
                 view.expect(plan.makespan_s)
+                if self.processes:
+                    return DeskProcess.open(self.path, built, plan, where)
                 return DeskHere.open(built, plan, where, seed, self.trials)
 
-            return fly_day(options, here(self.wish.loss, folder), take_seat, view.update)
+            plumb = apart(folder) if self.processes else here(self.wish.loss, folder)
+            return fly_day(options, plumb, take_seat, view.update)
 
     def _marks(self) -> str:
         """Of the faults, so that a folder's name says what was flown."""
         wish = self.wish
-        marks = {
+        marks: dict[str, float] = {
             "loss": wish.loss,
             "companions": wish.companion_kills,
             "ground": wish.ground_kills,
             "late": wish.truck_late_s,
         }
-        return "".join(f"-{name}{value:g}" for name, value in marks.items() if value)
+        apart_ = "-processes" if self.processes else ""
+        return apart_ + "".join(f"-{name}{value:g}" for name, value in marks.items() if value)
 
     def _finished(self, folder: Path) -> dict[str, Any] | None:
         try:

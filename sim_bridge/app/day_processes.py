@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 from collections import deque
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -30,11 +31,12 @@ from ground_station.core.truck import TRUCK
 from sim_bridge.adapters.endpoint import EndpointSet
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.app.companion_process import CompanionProcess
-from sim_bridge.app.day_build import Plumb, Plumbing
+from sim_bridge.app.day_build import BuiltDay, Plumb, Plumbing
 from sim_bridge.app.day_clock import DayClock
+from sim_bridge.app.day_desk import LOG, Books, store_url
 from sim_bridge.app.day_drone import Companion, DayDrone
 
-DESK, PEER = "desk.json5", "peer.json5"
+DESK, PEER, PLAN = "desk.json5", "peer.json5", "plan.json"
 
 
 def write_network(folder: Path) -> None:
@@ -44,10 +46,11 @@ def write_network(folder: Path) -> None:
         meeting = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     alone = {"scouting": {"multicast": {"enabled": False}}}
     retry = {"period_init_ms": 50, "period_max_ms": 500}
-    call = {"endpoints": [meeting], "retry": retry, "exit_on_failure": False}
-    client = alone | {"mode": "client", "connect": call}
+    call = {"endpoints": [meeting], "retry": retry}
+    listen: dict[str, list[str]] = {"endpoints": []}
+    peer = alone | {"mode": "peer", "listen": listen, "connect": call}
     desk = alone | {"mode": "router", "listen": {"endpoints": [meeting]}}
-    (folder / PEER).write_text(json.dumps(client))
+    (folder / PEER).write_text(json.dumps(peer))
     (folder / DESK).write_text(json.dumps(desk))
 
 
@@ -182,27 +185,28 @@ class DeskProcess:
 
     folder: Path
     day_file: Path
-    first_plan: DayPlan
+    clock: DayClock
     _process: subprocess.Popen[bytes] | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
 
-    @property
-    def store_url(self) -> str:
-        """Where the day's truth is kept."""
-        return f"sqlite:///{self.folder / 'desk.db'}"
+    @classmethod
+    def open(cls, path: Path, built: BuiltDay, plan: DayPlan, folder: Path) -> "DeskProcess":
+        """The desk's files, and its first start; `path` is the day's file."""
+        (folder / PLAN).write_bytes(msgspec.json.format(msgspec.json.encode(plan)))
+        seat = cls(folder, write_day_file(path, built.data, folder), built.clock)
+        built.faults.spread_over(plan.makespan_s)
+        seat.start()
+        return seat
 
     def start(self) -> None:
         """The command that a person gives, first and after a kill."""
-        plan = self.folder / "plan.json"
-        if not plan.exists():
-            plan.write_bytes(msgspec.json.format(msgspec.json.encode(self.first_plan)))
         if self._output is None:
-            self._output = (self.folder / "desk.log").open("ab")
+            self._output = (self.folder / LOG).open("ab")
         arguments = [
             "dispatch",
             str(self.day_file),
-            f"--store={self.store_url}",
-            f"--plan={plan}",
+            f"--store={store_url(self.folder)}",
+            f"--plan={self.folder / PLAN}",
             f"--zenoh={self.folder / DESK}",
             "--until-done",
         ]
@@ -226,8 +230,20 @@ class DeskProcess:
 
     @property
     def is_done(self) -> bool:
-        """It has ended, in order."""
-        return self._process is not None and self._process.poll() == 0
+        """It has ended, in order (3: orders are left that nobody can bring)."""
+        return self._process is not None and self._process.poll() in (0, 3)
+
+    @property
+    def plans(self) -> list[DayPlan]:
+        """Every plan that was in force, as its store has them."""
+        with closing(Books.open(self.folder, self.clock)) as books:
+            return books.plans
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Each order's state, and why, as its store has them."""
+        with closing(Books.open(self.folder, self.clock)) as books:
+            return books.told
 
     def close(self) -> None:
         """SIGTERM, then SIGKILL; always leaves no process behind."""

@@ -172,7 +172,7 @@ class DayTruck:
             case TaskKind.RECOVER if drone is not None:
                 if drone.up is None:
                     return ""  # it never left the truck
-                if not drone.standing_at(self._ne_of(task), ON_PAD_M):
+                if not drone.standing_at(t_s, self._ne_of(task), ON_PAD_M):
                     return f"{drone.name} does not stand there"
                 drone.switch_off()
             case TaskKind.SERVE:
