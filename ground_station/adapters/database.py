@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
@@ -29,7 +30,8 @@ class Database:
         """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError."""
         self.shown = url
         try:
-            self._engine = _engine(url)
+            self._engine = _engine(url, "FULL")
+            self._unsettled = _engine(url, "NORMAL")
             self.shown = self._engine.url.render_as_string(hide_password=True)
         except (ArgumentError, NoSuchModuleError) as error:
             raise StoreError(
@@ -44,11 +46,19 @@ class Database:
     def close(self) -> None:
         """Give the connections back."""
         self._engine.dispose()
+        self._unsettled.dispose()
 
     @contextmanager
-    def write(self) -> Iterator[sa.Connection]:
-        """A transaction: on the disk when it ends well, undone when it does not."""
-        with self._translated("written"), self._engine.begin() as db:
+    def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
+        """A transaction: on the disk when it ends well, undone when it does not.
+
+        Without `settle` it outlives this process, but not a power cut before the next that does
+        settle: for what would be heard again.
+        """
+        engine = self._engine if settle else self._unsettled
+        with self._translated("written"), engine.begin() as db:
+            if not settle and engine.dialect.name == "postgresql":
+                db.exec_driver_sql("SET LOCAL synchronous_commit TO off")
             yield db
 
     @contextmanager
@@ -78,7 +88,7 @@ class Database:
             raise StoreError(f"store {self.shown}: schema {found}, expected {tables.SCHEMA}")
 
 
-def _engine(url: str) -> sa.Engine:
+def _engine(url: str, synchronous: str) -> sa.Engine:
     parsed = sa.make_url(url)
     if parsed.drivername in ("postgresql", "postgres"):
         parsed = parsed.set(drivername="postgresql+psycopg")
@@ -87,18 +97,18 @@ def _engine(url: str) -> sa.Engine:
         raise ArgumentError(f"unknown kind {kind}")
     engine = sa.create_engine(parsed, pool_pre_ping=kind == "postgresql")
     if kind == "sqlite":
-        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "connect", partial(_prepare_sqlite, synchronous))
         event.listen(engine, "begin", _begin_sqlite)
     return engine
 
 
-def _prepare_sqlite(raw: Any, record: Any) -> None:
+def _prepare_sqlite(synchronous: str, raw: Any, record: Any) -> None:
     raw.isolation_level = None  # transactions are begun by us, see `_begin_sqlite`
     cursor = raw.cursor()
     for pragma in (
         f"busy_timeout = {BUSY_MS}",
         "journal_mode = WAL",
-        "synchronous = FULL",  # an acknowledged order outlives a power cut
+        f"synchronous = {synchronous}",  # FULL: an acknowledged order outlives a power cut
         "foreign_keys = ON",
     ):
         cursor.execute(f"PRAGMA {pragma}")

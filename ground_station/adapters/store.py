@@ -250,14 +250,17 @@ class Store:
 
     def tried(self, command_id: str, reason: str) -> None:
         """A command was sent and not answered for good; it stays in the outbox."""
-        with self._database.write() as db:
+        with self._database.write(settle=False) as db:
             db.execute(
                 sa.update(t.commands).where(t.commands.c.id == command_id).values(reason=reason)
             )
 
     def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
-        """Note a final answer and what follows from it; False where it was answered before."""
-        with self._database.write() as db:
+        """Note a final answer and what follows from it; False where it was answered before.
+
+        No wait for the disk: after a power cut the command is sent again, and answered the same.
+        """
+        with self._database.write(settle=False) as db:
             row = db.execute(
                 sa.select(t.commands).where(t.commands.c.id == command_id)
             ).one_or_none()

@@ -4,8 +4,9 @@ what `DayRun` decides becomes transactions, and plans are made anew.
 Nothing here must survive a kill: plan, promises and orders to the truck are the store's.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 
@@ -387,10 +388,10 @@ class DayDesk:
         drones = [d.id for d in self.data.day.drones]
         start = standing(before, drones, self.data.day.truck.recover_s)
         wrong = made.reason if isinstance(made, NoPlan) else unfit(made, start)
+        self._tried_s = before.now_s
         if wrong is not None or isinstance(made, NoPlan):
             self._refused = why
             self.say(f"no new plan ({wrong}): the old one goes on")
-            self._tried_s = before.now_s
             return
         wind = self.data.day.forecast if "wind" in why else None
         self.day.take_plan(made, why, wind)
@@ -412,7 +413,8 @@ class DayDesk:
             return False
         last = view.plan.stops[-1].id == view.here.id
         under_way = any(not (row.aboard or row.gone) for row in view.sorties)
-        return last and not under_way and replan_reason(view, self.params) is None
+        why = replan_reason(view, replace(self.params, replan_again_s=-math.inf))
+        return last and not under_way and why in (None, self._refused)
 
     def close(self) -> None:
         """Give up a plan that is being made."""

@@ -209,8 +209,8 @@ class DayRun:
         comes_s = expected.get(row.promised, view.now_s) + max(0.0, view.delay_s())
         if comes_s <= lands_s + self.params.move_home_s or view.now_s >= lands_s:
             return []
-        moved = msgspec.structs.replace(row.sortie, home=here.id, others=[row.promised])
-        others = [_as_flown(other) for other in view.sorties if other.in_air and other != row]
+        moved = msgspec.structs.replace(row.sortie, home=here.id)
+        others = _in_air([other for other in view.sorties if other != row])
         if self.may_launch(moved, others) is not None:
             return []
         return [AskHome(row.id, here.id, f"the truck comes {comes_s - lands_s:.0f} s too late")]
@@ -230,7 +230,7 @@ class DayRun:
         here = view.here
         if here is None:
             return []
-        in_air = [_as_flown(row) for row in view.sorties if row.in_air]
+        in_air = _in_air(view.sorties)
         deeds: list[DayDeed] = []
         for row in sorted(view.sorties, key=lambda r: r.sortie.launch_s):
             if row.row.state is not AssignmentState.ABOARD or row.launching or not row.placed:
@@ -319,10 +319,10 @@ def landed_at(row: SortieRow, view: DayView) -> str | None:
     return min(near)[1] if near else None
 
 
-def _as_flown(row: SortieRow) -> PlannedSortie:
-    """A flight in the air as it is promised now."""
-    others = [row.asked] if row.asked else []
-    return msgspec.structs.replace(row.sortie, home=row.promised, others=others)
+def _in_air(rows: Sequence[SortieRow]) -> list[PlannedSortie]:
+    """Flights in the air, each with the home promised now, and once more with one asked for."""
+    homes = [(row, home) for row in rows if row.in_air for home in (row.promised, row.asked)]
+    return [msgspec.structs.replace(row.sortie, home=home) for row, home in homes if home]
 
 
 def distance_m(lat_deg: float | None, lon_deg: float | None, place: Place) -> float | None:

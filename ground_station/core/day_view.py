@@ -60,7 +60,7 @@ class DroneView:
 class DayView:
     """The day now. `now_s`: since it began; `open`: orders that nobody has; `told`: the stop that
     the truck was last told to drive to. `wind_off_sigmas`: how far the measured wind is from the
-    planned one, in the forecast's standard deviations; `tried_s`: when a new plan came to nothing;
+    planned one, in the forecast's standard deviations; `tried_s`: when a new plan was made last;
     `waited_s`: how long each drone on its pad has not been ready, by assignment.
     """
 

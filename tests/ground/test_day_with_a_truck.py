@@ -101,13 +101,13 @@ class MortalDatabase(Database):
         super().__init__(url)
 
     @contextmanager
-    def write(self) -> Iterator[sa.Connection]:
+    def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
         if self.dies_in is not None:
             self.dies_in -= 1
         dies = self.dies_in == 0
         if dies and not self.after:
             raise Killed
-        with super().write() as db:
+        with super().write(settle=settle) as db:
             yield db
         if dies:
             raise Killed
