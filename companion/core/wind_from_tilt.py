@@ -40,6 +40,7 @@ class Motion:
 
     velocity_n: float
     velocity_e: float
+    sink_mps: float
     accel_n: float
     accel_e: float
     thrust_n: float
@@ -79,12 +80,13 @@ class MotionWatch:
         self._thrusts = [*late, (seen.t_s, *thrust)]
         self._before = (seen.t_s, north, east)
         if before is None or since_s is None:
-            return Motion(north, east, 0.0, 0.0, *thrust, 0.0, None)
+            return Motion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
         start = self._thrust_at(before[0] - p.latency_s)
         end = self._thrust_at(seen.t_s - p.latency_s)
         return Motion(
             north,
             east,
+            down,
             (north - before[1]) / since_s,
             (east - before[2]) / since_s,
             0.5 * (start[0] + end[0]),
@@ -147,7 +149,7 @@ def drag_seen(
     air_n = motion.velocity_n - mean_n - gust_n
     air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
-    speed = max(math.hypot(forward, right), 1e-3)
+    speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
     k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
     q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
     drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
