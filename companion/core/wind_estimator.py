@@ -203,7 +203,7 @@ class WindEstimator:
                 state.x, state.cov = prior, prior_cov
                 rejected = rejected or state is believed
             elif known:
-                state.turbulence.corrected(
+                state.corrected(
                     taken.wind_step_ne_mps,
                     taken.wind_step_variance_m2ps2,
                     taken.surprise,
