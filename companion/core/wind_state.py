@@ -183,15 +183,14 @@ class WindState:
         keep = math.exp(-dt_s / self.gust_memory_s)
         taken = 1.0 - math.exp(-dt_s / p.lag_s)
         variance = self.gust_variance_m2ps2
+        left = 1.0 - taken
         move = _STILL.copy()
-        for axis in (0, 1):
-            lately = At.LATELY + axis
-            move[At.GUST + axis, At.GUST + axis] = keep
-            move[lately, lately] = 1.0 - taken
-            move[lately, At.MEAN + axis] = move[lately, At.GUST + axis] = taken
+        move.flat[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
         self.x = move @ self.x
         cov = move @ self.cov @ move.T
-        self.cov = 0.5 * (cov + cov.T)
+        cov += cov.T  # symmetric again
+        cov *= 0.5
+        self.cov = cov
         walk = self.mean_walk_m2ps3 * dt_s
         gust = variance * (1.0 - keep * keep)
         trim, gain = p.trim_walk_rad2ps * dt_s, p.gain_walk_per_s * dt_s
@@ -202,6 +201,12 @@ class WindState:
             *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
             *(new, new, 0.0, 0.0),
         )
+
+    def correct_both(self, gain: FloatArray, white: FloatArray) -> None:
+        """Kalman's correction by two scalars at once: `gain` (states, 2) is the covariance with the
+        innovations, whitened, and `white` (2,) the innovations themselves, whitened."""
+        self.x += gain @ white
+        self.cov -= gain @ gain.T  # a matrix by its own transpose is exactly symmetric
 
     def correct(self, row: FloatArray, innovation: float, noise: float) -> None:
         """Kalman's correction by one scalar; `row` is its derivative by the state."""
@@ -263,6 +268,17 @@ def _still() -> FloatArray:
 
 
 _STILL = _still()
+# Where waiting puts its numbers: gusts keep, lately keeps, takes of the mean, takes of the gust.
+_MOVED = [
+    STATES * (row + axis) + column + axis
+    for row, column in (
+        (At.GUST, At.GUST),
+        (At.LATELY, At.LATELY),
+        (At.LATELY, At.MEAN),
+        (At.LATELY, At.GUST),
+    )
+    for axis in (0, 1)
+]
 
 
 def gust_length_m(height_m: float) -> float:

@@ -136,9 +136,9 @@ def envelope_sheet(rows: Sequence[EnvelopeRow], seed: int, pitot: bool) -> Sheet
         " 10 s mean from 30 s of flight on. Within 1.3 of the bound:"
         f" {within} of {len(rows)}; NEES in the 95 % band of {rows[0].flights} flights at one time"
         f" ({low:.2f} to {high:.2f}): {inside} of {len(rows)}. The bound (Tichavsky 1998) is for"
-        " the simulated truth as wind_bound.py states it, from the same sensors, in each flight as it"
-        " was flown; it knows the gusts' spectrum and intensity, how fast the mean walks, and when"
-        " the step comes."
+        " the simulated truth as wind_bound.py states it, from the same sensors, in each flight as"
+        " it was flown; it knows the gusts' spectrum and intensity, how fast the mean walks, and"
+        " when the step comes."
     )
     return Sheet("Wind estimator over the envelope", head, cells, note)
 

@@ -230,7 +230,7 @@ def _shifted(cov: Floats) -> Floats:
     return _SHIFT @ cov @ _SHIFT.T
 
 
-# -- what is measured -------------------------------------------------------------------------------
+# -- what is measured ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
