@@ -68,11 +68,11 @@ class Front:
 
     The test: corrections are summed over about `MEMORY_S`, and so are the variances that were
     expected of them. Without a front the sum's square over the variance, both axes together, is
-    close to exponential with mean 1 (chi-square of 2 degrees, halved), so that `LIMIT` is passed by
-    chance in exp(-LIMIT) of independent windows: once in an hour and a half. Past it, the mean may
-    walk as a front makes it, and for `LASTS_S` on. Else a filter that holds the wind to be slow
-    takes what a front does to the tilt for trim, and for drag's gain: in a hover in 4 m/s a step of
-    5 m/s within 10 s left 2 m/s of error for as long as the heading stayed.
+    close to exponential with mean 1 (chi-square of 2 degrees, halved): past `LIMIT` for exp(-LIMIT)
+    of the time, which white corrections are about five times in an hour. Past it, the mean may walk
+    as a front makes it, and for `LASTS_S` on. Else a filter that holds the wind to be slow takes
+    what a front does to the tilt for trim, and for drag's gain: in a hover in 4 m/s a step of 5 m/s
+    within 10 s left 2 m/s of error for as long as the heading stayed.
     """
 
     north_mps: float = 0.0
