@@ -1,5 +1,6 @@
 """`companion`: flies a delivery beside an autopilot, checks beforehand that it can, and replays."""
 
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -269,9 +270,10 @@ def fit_wind_command(
         found = fit_wind(recordings, label, parts, others, console)
         show(found, Console())
         if out is not None:
-            more = f" --parts {parts}" if parts != 3 else ""
-            command = f"companion fit-wind {' '.join(p.name for p in logs)}{more} --out {out.name}"
-            write_process(found, logs, command, out)
+            words = ["companion", "fit-wind", *(p.name for p in logs), "--parts", str(parts)]
+            words += [part for other in beside or [] for part in ("--beside", Path(other).name)]
+            words += ["--name", label, "--out", out.name]
+            write_process(found, logs, shlex.join(words), out)
             typer.echo(f"wrote {out}", err=True)
     except LeewayError as error:
         _mistake(error)

@@ -1,5 +1,6 @@
 """`companion fit-wind`: recordings in, a wind process out, judged on wind that it did not see."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +107,10 @@ def _parameters(fit: WindFit) -> Table:
             _span(variance, float(fit.log_std[parts + i]), 2),
         )
     dof = process.tail_dof
-    table.caption = "tails: " + ("normal" if dof is None else f"Student's t, {dof:g} degrees")
+    tails = "normal" if dof is None else f"Student's t, {dof:g} degrees"
+    table.caption = (
+        f"tails: {tails}; log likelihood {fit.log_likelihood:.1f} nats of {fit.means} means"
+    )
     return table
 
 
@@ -118,7 +122,7 @@ def _span(value: float, log_std: float, digits: int) -> str:
 def _scores(holdout: Holdout) -> Table:
     title = f"held out: mean headwind over the next H s, {len(holdout.folds)} folds"
     table = Table(title=title)
-    for head in ("H s", "forecast by", "moments", "error m/s", "NLL nats"):
+    for head in ("H s", "forecast by", "moments", "error m/s", "stated", "kurtosis", "NLL nats"):
         table.add_column(head, justify="left" if head == "forecast by" else "right")
     for share in COVERAGES:
         table.add_column(f"in {100 * share:g} %", justify="right")
@@ -129,6 +133,8 @@ def _scores(holdout: Holdout) -> Table:
             s.method,
             str(s.count),
             f"{s.error_rms_mps:.2f}",
+            f"{s.stated_std_mps:.2f}",
+            f"{s.kurtosis:.1f}",
             f"{s.nll:.3f}",
             *(f"{100 * c:.1f}" for c in s.coverage),
             f"{s.upper99_ratio:.2f}",
@@ -161,14 +167,14 @@ def _toml(found: Fitted, sources: Sequence[str], command: str) -> str:
         for v, s in zip(process.variance_m2ps2, fit.log_std[parts:], strict=True)
     ]
     lines = [
-        f"# How wind changes, fitted to {', '.join(sources)} by",
-        f"#   {command}",
+        f"# How wind changes, fitted to {', '.join(map(_one_line, sources))} by",
+        f"#   {_one_line(command)}",
         f"# {fit.means} means of 10 s, by their likelihood. One sigma of each:",
         f"#   memories {'; '.join(spans)} s",
         f"#   variances {'; '.join(widths)} m2/s2",
         *_holdout_comment(found.holdout),
         'format = "wind-process/1"',
-        f'name = "{process.name}"',
+        f"name = {_toml_string(process.name)}",
         f"memory_s = [{', '.join(f'{m:.4g}' for m in process.memory_s)}] # [fit]",
         f"variance_m2ps2 = [{', '.join(f'{v:.4g}' for v in process.variance_m2ps2)}] # [fit]",
         f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the recordings",
@@ -180,6 +186,16 @@ def _toml(found: Fitted, sources: Sequence[str], command: str) -> str:
     if process.tail_dof is not None:
         lines.append(f"tail_dof = {process.tail_dof:g} # [fit] forecast errors up to 300 s ahead")
     return "\n".join(lines) + "\n"
+
+
+def _one_line(words: str) -> str:
+    """As it may stand in a comment: a name with a control character in it is spelt out."""
+    return words if words.isprintable() else ascii(words)
+
+
+def _toml_string(words: str) -> str:
+    """A basic string; its escapes are JSON's, but for DEL (TOML 1.0)."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _holdout_comment(holdout: Holdout | None) -> list[str]:

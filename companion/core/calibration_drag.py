@@ -80,8 +80,6 @@ class WindSeen:
     to_east_mps: FloatArray
     std_mps: FloatArray
     mean_mps: float
-    heading_error_rad: float
-    velocity_lag_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +320,7 @@ class _FlightModel:
             explained = np.sum(gain**2, axis=0)
             variance += 0.5 * np.maximum(np.diag(self._wind_cov) - explained, 0.0)
         mean = math.hypot(own[0], own[1])
-        return WindSeen(parts[0], parts[1], np.sqrt(variance), mean, float(own[2]), float(own[3]))
+        return WindSeen(parts[0], parts[1], np.sqrt(variance), mean)
 
     def unexplained(self, drag: FloatArray, own: FloatArray) -> FloatArray:
         """(n, 2) residuals with the predicted wind taken out; trim stays in."""

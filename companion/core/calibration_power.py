@@ -204,8 +204,6 @@ def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -
         wind.to_east_mps + 0.5 * wind.std_mps,
         wind.std_mps,
         wind.mean_mps,
-        wind.heading_error_rad,
-        wind.velocity_lag_s,
     )
     slope = predicted_w(airframe, blocks, shifted) - power
     return np.hypot(p.model_frac * flown.power_w, slope)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root_scalar
 from scipy.special import ndtr
 
 from companion.core.gate_paths import PathSampler
@@ -17,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 # Share of a delivery's worth that the next look is taken to be able to save (`Look.goes_on`).
 _WAITING_FRAC = 0.3
+_MARGIN_WH = 0.005  # how finely a margin is found
 _TIE = 0.002  # of probability: landing sites closer than this are ranked by their order
 
 
@@ -50,17 +50,22 @@ class Budget:
         return ndtr(left_wh / max(self.battery_std_wh, 1e-6))
 
     def margin_wh(self, need_wh: FloatArray, p: float) -> float:
-        """What is left above the energy at which the mean of `p_enough` would be just `p`."""
+        """What is left above the energy at which the mean of `p_enough` would be just `p`.
+
+        By halving, up to _MARGIN_WH too little and never too much: of the bracket's ends the one
+        that suffices is taken.
+        """
         need_wh = self.scale * need_wh
         spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
         low = float(need_wh.min()) - 9.0 * float(spread.max())
         high = float((need_wh + 9.0 * spread).max())
-
-        def short(energy_wh: float) -> float:
-            return float(ndtr((energy_wh - need_wh) / spread).mean()) - p
-
-        found = root_scalar(short, bracket=(low, high), method="brentq", xtol=0.005)
-        return float(self.left_wh) - float(found.root)
+        while high - low > _MARGIN_WH:
+            middle = 0.5 * (low + high)
+            if float(ndtr((middle - need_wh) / spread).mean()) >= p:
+                high = middle
+            else:
+                low = middle
+        return float(self.left_wh) - high
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,16 +7,18 @@ barometric heights: at 5 km the two differ by 2 m.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pymap3d
 import shapely
+from numpy.typing import NDArray
 
 from companion.core.errors import LeewayError
 from companion.core.flight import Place
 
 Ned = tuple[float, float, float]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +183,7 @@ def _lowest_up_m(
     return min(-(a[2] + (b[2] - a[2]) * f) for f in fractions)
 
 
-def wrap_pi(angle_rad: float) -> float:
+def wrap_pi(angle_rad: Angle) -> Angle:
     """The same angle in [-pi, pi)."""
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
 

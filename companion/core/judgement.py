@@ -1,6 +1,5 @@
 """What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
 
-import math
 import re
 from dataclasses import dataclass, replace
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from companion.core.airframe import Airframe
 from companion.core.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
-from companion.core.events import Flavour
+from companion.core.events import AutopilotWind, Flavour
 from companion.core.flight import Flight
 from companion.core.flight_plan import DROP_S
 from companion.core.gate import Ahead, Assessment, Gate, GateParams, turned_back
@@ -195,6 +194,7 @@ class Judgement:
                 autopilot_wind_to_ne_mps=(
                     (wind.to_n_mps, wind.to_e_mps) if wind and vehicle.autopilot_wind else None
                 ),
+                autopilot_wind_cov_m2ps2=_level_cov(wind),
                 height_m=position.height_rel_m if position else None,
             )
         )
@@ -233,8 +233,8 @@ class Judgement:
             return
         self._hurried_s = seen.t_s
         slow, fast = 0.0, fastest_airspeed_mps(self._airframe, self.payload_kg)
-        for tried in [fast] + [math.nan] * HURRY_HALVINGS:
-            speed = 0.5 * (slow + fast) if math.isnan(tried) else tried
+        for halvings in range(1 + HURRY_HALVINGS):
+            speed = fast if halvings == 0 else 0.5 * (slow + fast)
             faster = self._gate_for(energy).assess(
                 hurried(ahead, speed),
                 self.wind,
@@ -399,6 +399,13 @@ def _as_good(faster: Assessment, seen: Assessment, max_loss: float) -> bool:
     """Whether flying faster keeps the promise, and costs no more delivery than it may lose."""
     kept = faster.p_home >= 1.0 - max_loss and faster.turn_back == seen.turn_back
     return kept and faster.p_success >= seen.p_success - max_loss
+
+
+def _level_cov(wind: AutopilotWind | None) -> tuple[float, float, float] | None:
+    """(nn, ne, ee) of the autopilot's wind where it says how wrong it is, the same on both axes."""
+    if wind is None or wind.std_mps is None:
+        return None
+    return wind.std_mps**2, 0.0, wind.std_mps**2
 
 
 def _with_value(seen: Assessment, value: Reading | None) -> Assessment:

@@ -28,7 +28,7 @@ from companion.core.wind_from_airspeed import (
     pitot_seen,
     vector_seen,
 )
-from companion.core.wind_from_tilt import MotionWatch, has_tilt, take_tilt
+from companion.core.wind_from_tilt import MotionWatch, has_tilt, tilt_told
 from companion.core.wind_observation import WindBelief, WindObservation
 from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState, gust_length_m
 
@@ -196,17 +196,17 @@ class WindEstimator:
             return []
         believed, rejected = self._believed, False
         for state in self._states():
-            prior, prior_cov = state.x.copy(), state.cov.copy()
-            known = state.wind_std_mps < p.scalar_wind_std_mps
-            taken = take_tilt(state, self._airframe, p, seen, motion)
-            if taken.is_outlier(p.gate_sigmas):
-                state.x, state.cov = prior, prior_cov
+            told = tilt_told(state, self._airframe, p, seen, motion)
+            if told.is_outlier(p.gate_sigmas):
                 rejected = rejected or state is believed
-            elif known:
-                state.turbulence.corrected(
-                    taken.wind_step_ne_mps,
-                    taken.wind_step_variance_m2ps2,
-                    taken.surprise,
+                continue
+            known = state.wind_std_mps < p.scalar_wind_std_mps
+            state.correct_both(told.gain, told.white)
+            if known:
+                state.corrected(
+                    told.wind_step_ne_mps,
+                    told.wind_step_variance_m2ps2,
+                    told.surprise,
                     motion.since_s,
                 )
         if rejected:

@@ -40,6 +40,7 @@ class Motion:
 
     velocity_n: float
     velocity_e: float
+    sink_mps: float
     accel_n: float
     accel_e: float
     thrust_n: float
@@ -79,12 +80,13 @@ class MotionWatch:
         self._thrusts = [*late, (seen.t_s, *thrust)]
         self._before = (seen.t_s, north, east)
         if before is None or since_s is None:
-            return Motion(north, east, 0.0, 0.0, *thrust, 0.0, None)
+            return Motion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
         start = self._thrust_at(before[0] - p.latency_s)
         end = self._thrust_at(seen.t_s - p.latency_s)
         return Motion(
             north,
             east,
+            down,
             (north - before[1]) / since_s,
             (east - before[2]) / since_s,
             0.5 * (start[0] + end[0]),
@@ -127,13 +129,13 @@ def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
 @dataclass(frozen=True, slots=True)
 class DragSeen:
     """Drag acceleration along heading and right: measured, expected, its size by the airframe file
-    (m/s2), the airspeed, and the rows d(expected - measured)/dx."""
+    (m/s2), the airspeed, and the rows (2, states) of d(expected - measured)/dx."""
 
     measured: tuple[float, float]
     expected: tuple[float, float]
     size_mps2: float
     airspeed_mps: float
-    rows: tuple[FloatArray, FloatArray]
+    rows: FloatArray
 
 
 def drag_seen(
@@ -147,7 +149,7 @@ def drag_seen(
     air_n = motion.velocity_n - mean_n - gust_n
     air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
-    speed = max(math.hypot(forward, right), 1e-3)
+    speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
     k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
     q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
     drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
@@ -182,7 +184,7 @@ def drag_seen(
         expected=(-drag_f + g * trim_f, -drag_r + g * trim_r),
         size_mps2=math.hypot(drag_f, drag_r),
         airspeed_mps=speed,
-        rows=(np.array(row_f), np.array(row_r)),
+        rows=np.array([row_f, row_r]),
     )
 
 
@@ -191,86 +193,103 @@ def _gain(log_gain: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class TiltTaken:
-    """How surprising a tilt was: the innovation (m/s2) of either axis, and its variance; the
-    wind's correction, and the trace of the variance that the filter expected of it."""
+class TiltTold:
+    """What one measurement of drag says to a state: the innovation (m/s2) of both axes and its
+    covariance, and the correction that they make, weighed: `gain @ white` is added to the state,
+    `gain @ gain.T` taken off its covariance."""
 
     innovations: tuple[float, float]
     variances: tuple[float, float]
-    wind_step_ne_mps: tuple[float, float]
-    wind_step_variance_m2ps2: float
+    gain: FloatArray
+    white: FloatArray
 
     @property
     def surprise(self) -> float:
         """Mean normalised square of the innovation; 1 as expected."""
-        pairs = zip(self.innovations, self.variances, strict=True)
-        return 0.5 * sum(e * e / s for e, s in pairs)
+        (a, b), (s, t) = self.innovations, self.variances
+        return 0.5 * (a * a / s + b * b / t)
 
     def is_outlier(self, sigmas: float) -> bool:
         """Whether either axis is more than `sigmas` off."""
-        limit = sigmas**2
-        pairs = zip(self.innovations, self.variances, strict=True)
-        return any(e * e > limit * s for e, s in pairs)
+        (a, b), (s, t) = self.innovations, self.variances
+        return a * a > sigmas**2 * s or b * b > sigmas**2 * t
+
+    @property
+    def wind_step_ne_mps(self) -> tuple[float, float]:
+        """The correction of the wind, mean and gust together."""
+        mean_n, mean_e, gust_n, gust_e = (self.gain[:4] @ self.white).tolist()
+        return mean_n + gust_n, mean_e + gust_e
+
+    @property
+    def wind_step_variance_m2ps2(self) -> float:
+        """The trace of the variance that was expected of that correction."""
+        wind = self.gain[:2] + self.gain[2:4]
+        return float(np.vdot(wind, wind))
 
 
-def take_tilt(
+def tilt_told(
     state: WindState,
     airframe: Airframe,
     params: WindEstimatorParams,
     seen: WindObservation,
     motion: Motion,
-) -> TiltTaken:
-    """Correct `state` by one measurement of drag.
+) -> TiltTold:
+    """What one measurement of drag says to `state`.
 
     An extended filter's one linearisation, or more (Bell and Cathey 1993) while the wind is
     unknown: drag is quadratic, its slope in still air would throw the first estimate far out.
     """
-    prior, prior_cov = state.x.copy(), state.cov.copy()
-    rounds = 1 if state.wind_is_known else 6
-    innovations, noises = (0.0, 0.0), (0.0, 0.0)
-    rows: tuple[FloatArray, FloatArray] = (prior, prior)
-    for _ in range(rounds):
-        drag = drag_seen(airframe, seen.mass_kg, state.x, motion, seen.yaw_rad or 0.0)
-        rows = drag.rows
-        ahead = [float(row @ (prior - state.x)) for row in rows]
-        left = [drag.measured[i] - drag.expected[i] - ahead[i] for i in (0, 1)]
-        innovations = (left[0], left[1])
-        noises = (
-            _noise(state, airframe, params, drag, 0, motion),
-            _noise(state, airframe, params, drag, 1, motion),
-        )
-        state.airspeed_mps = drag.airspeed_mps
-        state.x, state.cov = prior.copy(), prior_cov.copy()
-        for i in (0, 1):
-            moved = float(rows[i] @ (state.x - prior))
-            state.correct(rows[i], innovations[i] - moved, noises[i])
-    step = (state.x - prior).tolist()
-    gained = prior_cov[:4, :4] - state.cov[:4, :4]
-    return TiltTaken(
-        innovations,
-        (
-            float(rows[0] @ prior_cov @ rows[0]) + noises[0],
-            float(rows[1] @ prior_cov @ rows[1]) + noises[1],
-        ),
-        (step[0] + step[2], step[1] + step[3]),
-        float(np.trace(gained) + 2.0 * (gained[0, 2] + gained[1, 3])),
-    )
+    known = state.wind_is_known
+    told = _told(state, state.x, airframe, params, seen, motion)
+    for _ in range(0 if known else 5):
+        told = _told(state, state.x + told.gain @ told.white, airframe, params, seen, motion)
+    return told
 
 
-def _noise(
+def _told(
+    state: WindState,
+    about: FloatArray,
+    airframe: Airframe,
+    params: WindEstimatorParams,
+    seen: WindObservation,
+    motion: Motion,
+) -> TiltTold:
+    """Linearised about a state that need not be the filter's own."""
+    drag = drag_seen(airframe, seen.mass_kg, about, motion, seen.yaw_rad or 0.0)
+    state.airspeed_mps = drag.airspeed_mps
+    rows = drag.rows
+    left_f = drag.measured[0] - drag.expected[0]
+    left_r = drag.measured[1] - drag.expected[1]
+    if about is not state.x:
+        ahead_f, ahead_r = (rows @ (state.x - about)).tolist()
+        left_f, left_r = left_f - ahead_f, left_r - ahead_r
+    across = state.cov @ rows.T
+    (ff, fr), (_, rr) = (rows @ across).tolist()
+    noise_f, noise_r = _noises(state, airframe, params, drag, motion)
+    ff, rr = ff + noise_f, rr + noise_r
+    # Cholesky's factor of the innovation's covariance, [[a, 0], [b, c]], and its inverse
+    a = math.sqrt(ff)
+    b = fr / a
+    c = math.sqrt(rr - b * b)
+    whitening = np.array([[1.0 / a, -b / (a * c)], [0.0, 1.0 / c]])
+    first = left_f / a
+    white = np.array([first, (left_r - b * first) / c])
+    return TiltTold((left_f, left_r), (ff, rr), across @ whitening, white)
+
+
+def _noises(
     state: WindState,
     airframe: Airframe,
     p: WindEstimatorParams,
     drag: DragSeen,
-    axis: int,
     motion: Motion,
-) -> float:
-    """Variance of one drag measurement: sensors, gusts too fast for the filter, what a transient's
-    delays do, and what the drag model errs by for seconds on end."""
-    row = drag.rows[axis]
-    gust = p.fast_gust_m2ps * state.scale * float(row[0] ** 2 + row[1] ** 2)
+) -> tuple[float, float]:
+    """Variance of a drag measurement along either axis: sensors, gusts too fast for the filter,
+    what a transient's delays do, and what the drag model errs by for seconds on end."""
     dt_s = max(motion.since_s or 0.1, 0.02)
     late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
     off = airframe.drag.model_std_frac * drag.size_mps2
-    model = 2.0 * p.model_memory_s * off**2
-    return (p.tilt_noise_m2ps3 + gust + model) / dt_s + late
+    steady = (p.tilt_noise_m2ps3 + 2.0 * p.model_memory_s * off**2) / dt_s + late
+    gust = p.fast_gust_m2ps * state.scale / dt_s
+    (fn, fe), (rn, re) = drag.rows[:, :2].tolist()
+    return steady + gust * (fn * fn + fe * fe), steady + gust * (rn * rn + re * re)

@@ -26,7 +26,7 @@ from companion.core.wind_score import (
 FloatArray = NDArray[np.float64]
 
 BLOCK_S = 1200.0
-JUDGED_BLOCKS = 2  # judged together: an hour of wind and a forecast of twenty minutes fit in them
+JUDGED_BLOCKS = 2  # judged together, so that a forecast of twenty minutes fits in
 MOST_FOLDS = 5
 SEEN_STD_MPS = 0.5  # what a vehicle's estimate is off at each look (evaluation.md, section 10)
 FITTED, GAUSSIAN = "fitted process", "fitted process, Gaussian tails"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.errors import LeewayError
+from companion.core.geo import wrap_pi
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -172,7 +173,7 @@ def _flips(samples: Samples) -> list[int]:
     if n <= _FLIP_SAMPLES:
         return []
     step_s = float(np.median(np.diff(samples.t_s)))
-    turn = np.abs(_wrapped(samples.from_rad[_FLIP_SAMPLES:] - samples.from_rad[:-_FLIP_SAMPLES]))
+    turn = np.abs(wrap_pi(samples.from_rad[_FLIP_SAMPLES:] - samples.from_rad[:-_FLIP_SAMPLES]))
     flips: list[int] = []
     window = max(round(_FLIP_WINDOW_S / step_s), 3)
     for k in np.flatnonzero(turn >= _FLIP_RAD):
@@ -185,7 +186,7 @@ def _flips(samples: Samples) -> list[int]:
 
 
 def _beyond(samples: Samples, a: int, b: int) -> bool:
-    return bool(abs(_wrapped(samples.from_rad[b] - samples.from_rad[a])) >= 0.5 * _FLIP_RAD)
+    return bool(abs(wrap_pi(samples.from_rad[b] - samples.from_rad[a])) >= 0.5 * _FLIP_RAD)
 
 
 def _is_flip(samples: Samples, i: int, window: int) -> bool:
@@ -229,7 +230,3 @@ def _name(said: list[str], lines: NDArray[np.int64], words: str) -> None:
         first = ", ".join(str(n) for n in lines[:_NAMED_MOST])
         more = f" and {lines.size - _NAMED_MOST} more" if lines.size > _NAMED_MOST else ""
         said.append(f"line{'s' if lines.size > 1 else ''} {first}{more}: {words}")
-
-
-def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi

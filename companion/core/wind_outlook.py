@@ -8,6 +8,7 @@ as the process itself would have it.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import msgspec
 import numpy as np
@@ -94,7 +95,8 @@ class WindOutlook:
         scale = self._scale(belief)
         decay = np.exp(-horizon_s[:, None] / self._memory_s)
         mean = decay @ parts
-        walk = (decay @ cov @ decay.T) + self._fresh(horizon_s, scale, averaged_s)
+        fresh = _fresh(self._process, tuple(horizon_s.tolist()), averaged_s)
+        walk = (decay @ cov @ decay.T) + scale * fresh
         noise = min(self._noise_m2ps2, float(np.linalg.eigvalsh(belief.cov_ne_m2ps2)[0]))
         error = belief.cov_ne_m2ps2 - noise * np.eye(2)
         return WindForecast(horizon_s, mean, walk, error, self._process.tail_dof)
@@ -143,20 +145,26 @@ class WindOutlook:
             cov = cov - np.outer(gain, gain) / total
         return parts, cov
 
-    def _fresh(self, horizon_s: FloatArray, scale: float, averaged_s: float) -> FloatArray:
-        """Covariance between horizons of what the processes add after now."""
-        earlier = np.minimum.outer(horizon_s, horizon_s)
-        apart = np.abs(np.subtract.outer(horizon_s, horizon_s))
-        memories = self._memory_s[:-1]
-        shares = scale * self._variance[:-1] * averaged_share(memories, averaged_s)
-        total = np.zeros_like(earlier)
-        for memory_s, variance in zip(memories, shares, strict=True):
-            total += variance * -np.expm1(-2.0 * earlier / memory_s) * np.exp(-apart / memory_s)
-        return total
-
     def _scale(self, belief: WindBelief) -> float:
         """Variance here over variance at the reference wind."""
         return self._process.variance_scale(speed_mps(belief.mean_to_ne_mps))
+
+
+@lru_cache(maxsize=32)  # a flight asks for the same few horizons, several times a second
+def _fresh(
+    process: WindProcessParams, horizon_s: tuple[float, ...], averaged_s: float
+) -> FloatArray:
+    """Covariance between horizons of what the processes add after now, at the reference wind."""
+    horizon = np.array(horizon_s)
+    earlier = np.minimum.outer(horizon, horizon)
+    apart = np.abs(np.subtract.outer(horizon, horizon))
+    memories = np.array(process.memory_s)
+    shares = np.array(process.variance_m2ps2) * averaged_share(memories, averaged_s)
+    total = np.zeros_like(earlier)
+    for memory_s, variance in zip(memories, shares, strict=True):
+        total += variance * -np.expm1(-2.0 * earlier / memory_s) * np.exp(-apart / memory_s)
+    total.setflags(write=False)
+    return total
 
 
 def tail_scale(dof: float, uniform: FloatArray) -> FloatArray:

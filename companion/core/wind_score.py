@@ -30,23 +30,26 @@ TAIL_DOFS = (5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0)
 _LINES = np.array([[math.cos(a), math.sin(a)] for a in np.arange(4) * math.pi / 4.0])
 _STEPS = round(max(HORIZONS_S) / MEAN_S)
 
-Forecasts = tuple[FloatArray, FloatArray, FloatArray]
-"""Errors m/s (n, 4), stated standard deviations m/s (n, 4), moment of each forecast (n,)."""
+Forecasts = tuple[FloatArray, FloatArray]
+"""Errors m/s (n, 4), stated standard deviations m/s (n, 4), a row for each moment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
     """One method at one horizon, over all moments and directions.
 
-    `nll` is the mean negative log density of what came, in nats; `coverage` the share of errors
-    within the stated COVERAGES intervals; `upper99_ratio` the 99th percentile of |error| over the
-    stated one: 1 where the tails are right.
+    `stated_std_mps` is what the forecasts said of their own errors (root mean square), `kurtosis`
+    that of the errors over it (3 where they are normal); `nll` is the mean negative log density of
+    what came, in nats; `coverage` the share of errors within the stated COVERAGES intervals;
+    `upper99_ratio` the 99th percentile of |error| over the stated one: 1 where the tails are right.
     """
 
     method: str
     horizon_s: float
     count: int
     error_rms_mps: float
+    stated_std_mps: float
+    kurtosis: float
     nll: float
     coverage: tuple[float, ...]
     upper99_ratio: float
@@ -63,7 +66,7 @@ class Judged:
 
 def score(method: str, horizon_s: float, found: Forecasts, tail_dof: float | None = None) -> Score:
     """Errors and stated spread, as a normal law or as Student's t of the same variance."""
-    error, std, _ = found
+    error, std = found
     z = np.abs(error) / std
     limits = [_quantile(0.5 + 0.5 * c, tail_dof) for c in COVERAGES]
     return Score(
@@ -71,6 +74,8 @@ def score(method: str, horizon_s: float, found: Forecasts, tail_dof: float | Non
         horizon_s=horizon_s,
         count=error.shape[0],
         error_rms_mps=float(np.sqrt(np.mean(error**2))),
+        stated_std_mps=float(np.sqrt(np.mean(std**2))),
+        kurtosis=float(np.mean(z**4) / np.mean(z**2) ** 2),
         nll=-float(np.mean(_log_density(z, tail_dof) - np.log(std))),
         coverage=tuple(float(np.mean(z <= limit)) for limit in limits),
         upper99_ratio=float(np.quantile(z, 0.99)) / limits[-1],
@@ -135,7 +140,7 @@ def outlook_forecasts(
                     error = ahead.mean(axis=0) - said.mean_to_ne_mps[:n].mean(axis=0)
                     spread = said.walk_cov_m2ps2[:n, :n].mean() + said.error_cov_m2ps2
                     variance = np.einsum("li,ij,lj->l", _LINES, spread * np.eye(2), _LINES)
-                    kept.add(horizon_s, _LINES @ error, np.sqrt(variance), float(t_s[i]))
+                    kept.add(horizon_s, _LINES @ error, np.sqrt(variance))
         outlook.observe(belief)
     return kept.forecasts()
 
@@ -156,14 +161,13 @@ def running_mean_errors(
             if ahead is not None:
                 low = max(i + 1 - back, 0)
                 error = ahead.mean(axis=0) - (total[i + 1] - total[low]) / (i + 1 - low)
-                moment = float(judged.means.t_s[i])
-                kept.add(horizon_s, _LINES @ error, np.ones(_LINES.shape[0]), moment)
+                kept.add(horizon_s, _LINES @ error, np.ones(_LINES.shape[0]))
     return kept.forecasts()
 
 
 def with_spread(found: Forecasts, std_mps: float) -> Forecasts:
     """The same errors with one stated standard deviation."""
-    return found[0], np.full_like(found[0], std_mps), found[2]
+    return found[0], np.full_like(found[0], std_mps)
 
 
 def joined(found: Sequence[dict[float, Forecasts]]) -> dict[float, Forecasts]:
@@ -172,8 +176,8 @@ def joined(found: Sequence[dict[float, Forecasts]]) -> dict[float, Forecasts]:
     for horizon_s in HORIZONS_S:
         here = [f[horizon_s] for f in found if horizon_s in f]
         if here:
-            errors, stds, moments = (np.concatenate(part) for part in zip(*here, strict=True))
-            merged[horizon_s] = (errors, stds, moments)
+            errors, stds = (np.concatenate(part) for part in zip(*here, strict=True))
+            merged[horizon_s] = (errors, stds)
     return merged
 
 
@@ -181,18 +185,14 @@ class _Kept:
     """Rows as they come, by horizon."""
 
     def __init__(self) -> None:
-        self._rows: dict[float, list[tuple[FloatArray, FloatArray, float]]] = {}
+        self._rows: dict[float, list[tuple[FloatArray, FloatArray]]] = {}
 
-    def add(self, horizon_s: float, error: FloatArray, std: FloatArray, moment_s: float) -> None:
-        self._rows.setdefault(horizon_s, []).append((error, std, moment_s))
+    def add(self, horizon_s: float, error: FloatArray, std: FloatArray) -> None:
+        self._rows.setdefault(horizon_s, []).append((error, std))
 
     def forecasts(self) -> dict[float, Forecasts]:
         return {
-            h: (
-                np.array([r[0] for r in rows]),
-                np.array([r[1] for r in rows]),
-                np.array([r[2] for r in rows]),
-            )
+            h: (np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))
             for h, rows in self._rows.items()
         }
 

@@ -20,12 +20,12 @@ bias (m/s), noise of the velocity reported last and of the one before, to north 
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.wind_turbulence import Front, Turbulence
 
 FloatArray = NDArray[np.float64]
 STATES = 17
@@ -100,62 +100,10 @@ class WindEstimatorParams:
     stale_after_s: float = 15.0
 
 
-@dataclass(slots=True)
-class Turbulence:
-    """How gusty it is here: the gusts' variance over the prior's, learned in flight.
-
-    A filter that is right about gusts corrects its wind, over some seconds, by as much as it
-    expects to (covariance matching, Mehra 1972). Where it corrects more, gusts are stronger. Where
-    single readings are better, or worse, than their stated noise, so are the corrections: that is
-    no gust.
-    """
-
-    ratio: float = 1.0
-    windows: int = 0
-    north_mps: float = 0.0
-    east_mps: float = 0.0
-    expected_m2ps2: float = 0.0
-    noise: float = 0.0
-    seconds: float = 0.0
-
-    WINDOW_S: ClassVar[float] = 2.0
-    PRIOR_WINDOWS: ClassVar[int] = 15
-    MOST_WINDOWS: ClassVar[int] = 60  # two minutes: weather changes
-    MOST_SURPRISE: ClassVar[float] = 9.0
-    LEAST_NOISE: ClassVar[float] = 0.05
-    RANGE: ClassVar[tuple[float, float]] = (0.05, 1.5)  # more would be the model's error, not gusts
-
-    def corrected(
-        self,
-        step_ne_mps: tuple[float, float],
-        expected_m2ps2: float,
-        surprise: float,
-        dt_s: float,
-    ) -> None:
-        """The wind was corrected by this much, where a variance of so much was expected;
-        `surprise` is the normalised square of the innovation, 1 as expected."""
-        self.north_mps += step_ne_mps[0]
-        self.east_mps += step_ne_mps[1]
-        self.expected_m2ps2 += expected_m2ps2
-        self.noise += surprise * dt_s
-        self.seconds += dt_s
-        if self.seconds < self.WINDOW_S:
-            return
-        size = self.north_mps**2 + self.east_mps**2
-        noise = max(self.noise / self.seconds, self.LEAST_NOISE)
-        excess = min(size / max(self.expected_m2ps2 * noise, 1e-9), self.MOST_SURPRISE)
-        self.windows = min(self.windows + 1, self.MOST_WINDOWS)
-        share = 1.0 / (self.PRIOR_WINDOWS + self.windows)
-        low, high = self.RANGE
-        self.ratio = min(max(self.ratio * (1.0 + share * (excess - 1.0)), low), high)
-        self.north_mps = self.east_mps = self.expected_m2ps2 = 0.0
-        self.noise = self.seconds = 0.0
-
-
 class WindState:
     """Mean and covariance of the 17 states; one hypothesis of what is so."""
 
-    __slots__ = ("_params", "airspeed_mps", "cov", "gust_length_m", "turbulence", "x")
+    __slots__ = ("_params", "airspeed_mps", "cov", "front", "gust_length_m", "turbulence", "x")
 
     def __init__(self, airframe: Airframe, params: WindEstimatorParams) -> None:
         self._params = params
@@ -164,6 +112,7 @@ class WindState:
         self.airspeed_mps = 0.0
         self.gust_length_m = params.gust_length_m
         self.turbulence = Turbulence()
+        self.front = Front()
 
     def copy(self) -> "WindState":
         """One that goes its own way from here."""
@@ -172,6 +121,7 @@ class WindState:
         other.x, other.cov = self.x.copy(), self.cov.copy()
         other.gust_length_m = self.gust_length_m
         other.airspeed_mps, other.turbulence = self.airspeed_mps, replace(self.turbulence)
+        other.front = replace(self.front)
         return other
 
     @property
@@ -198,10 +148,32 @@ class WindState:
         return self.turbulence.ratio * p.gust_frac**2 * p.reference_wind_mps**2 * self.scale
 
     @property
+    def mean_walk_m2ps3(self) -> float:
+        """How fast the slow mean walks: as the params say, slower where the air is calm, and as a
+        front makes it."""
+        return (
+            self._params.mean_walk_m2ps3 * self.scale * min(self.turbulence.ratio, 1.0)
+            + self.front.walk_m2ps3
+        )
+
+    @property
     def gust_memory_s(self) -> float:
         """How long an eddy lasts at this airspeed."""
         p = self._params
         return self.gust_length_m / max(self.airspeed_mps, p.least_wind_mps)
+
+    def corrected(
+        self,
+        step_ne_mps: tuple[float, float],
+        expected_m2ps2: float,
+        surprise: float,
+        dt_s: float,
+    ) -> None:
+        """Learn from a correction of the wind by tilt, see `Turbulence.corrected`."""
+        self.turbulence.corrected(step_ne_mps, expected_m2ps2, surprise, dt_s)
+        missed_m2ps2 = self.front.corrected(step_ne_mps, expected_m2ps2, dt_s)
+        if missed_m2ps2 > 0.0:
+            self.open_wind(missed_m2ps2)
 
     def wait(self, dt_s: float) -> None:
         """Let `dt_s` pass."""
@@ -211,16 +183,15 @@ class WindState:
         keep = math.exp(-dt_s / self.gust_memory_s)
         taken = 1.0 - math.exp(-dt_s / p.lag_s)
         variance = self.gust_variance_m2ps2
+        left = 1.0 - taken
         move = _STILL.copy()
-        for axis in (0, 1):
-            lately = At.LATELY + axis
-            move[At.GUST + axis, At.GUST + axis] = keep
-            move[lately, lately] = 1.0 - taken
-            move[lately, At.MEAN + axis] = move[lately, At.GUST + axis] = taken
+        move.flat[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
         self.x = move @ self.x
         cov = move @ self.cov @ move.T
-        self.cov = 0.5 * (cov + cov.T)
-        walk = p.mean_walk_m2ps3 * self.scale * dt_s
+        cov += cov.T  # symmetric again
+        cov *= 0.5
+        self.cov = cov
+        walk = self.mean_walk_m2ps3 * dt_s
         gust = variance * (1.0 - keep * keep)
         trim, gain = p.trim_walk_rad2ps * dt_s, p.gain_walk_per_s * dt_s
         pitot = p.pitot_walk_per_s * dt_s
@@ -230,6 +201,12 @@ class WindState:
             *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
             *(new, new, 0.0, 0.0),
         )
+
+    def correct_both(self, gain: FloatArray, white: FloatArray) -> None:
+        """Kalman's correction by two scalars at once: `gain` (states, 2) is the covariance with the
+        innovations, whitened, and `white` (2,) the innovations themselves, whitened."""
+        self.x += gain @ white
+        self.cov -= gain @ gain.T  # a matrix by its own transpose is exactly symmetric
 
     def correct(self, row: FloatArray, innovation: float, noise: float) -> None:
         """Kalman's correction by one scalar; `row` is its derivative by the state."""
@@ -254,7 +231,7 @@ class WindState:
         variance = self.gust_variance_m2ps2
         unforeseen = share**2 * variance * _mean_variance(ahead_s / memory_s)
         lag = 0.25 * _LAG_MISFIT_S * 2.0 * variance / memory_s
-        walked = p.mean_walk_m2ps3 * self.scale * (waited_s + ahead_s / 12.0)
+        walked = self.mean_walk_m2ps3 * (waited_s + ahead_s / 12.0)
         blown = 2.0 * variance * (1.0 - math.exp(-waited_s / memory_s))
         spread = unforeseen + lag + walked + blown + p.floor_std_mps**2
         cov = rows @ self.cov @ rows.T
@@ -291,6 +268,17 @@ def _still() -> FloatArray:
 
 
 _STILL = _still()
+# Where waiting puts its numbers: gusts keep, lately keeps, takes of the mean, takes of the gust.
+_MOVED = [
+    STATES * (row + axis) + column + axis
+    for row, column in (
+        (At.GUST, At.GUST),
+        (At.LATELY, At.LATELY),
+        (At.LATELY, At.MEAN),
+        (At.LATELY, At.GUST),
+    )
+    for axis in (0, 1)
+]
 
 
 def gust_length_m(height_m: float) -> float:

@@ -28,7 +28,7 @@ from sim_bridge.experiments.envelope_flight import Condition, fly_envelope
 from sim_bridge.experiments.envelope_score import judged, nees_band95, rmse_mps
 from sim_bridge.experiments.px4_drag_fusion import DragFusionParams, drag_fusion
 from sim_bridge.experiments.report import Sheet
-from sim_bridge.experiments.wind_bound import wind_bound
+from sim_bridge.experiments.wind_bound import wind_bound_mps
 from sim_bridge.truth.params import AirframeTruth
 
 Floats = NDArray[np.float64]
@@ -95,15 +95,13 @@ def fly_condition(job: EnvelopeJob) -> EnvelopeRow:
         for i in range(job.flights)
     ]
     errors = [judged(flight, job.airframe) for flight in flown]
-    bound = wind_bound(flown)
-    at = np.searchsorted(bound.t_s, errors[0].t_s - 1e-6)
     nees = np.array([e.nees.mean() for e in errors])
     half = 1.96 * float(nees.std(ddof=1)) / math.sqrt(len(nees)) if len(nees) > 1 else 0.0
     return EnvelopeRow(
         name=job.condition.name,
         rmse_mps=rmse_mps(errors),
         rmse_spread_mps=float(np.std([rmse_mps([e]) for e in errors])),
-        bound_mps=math.sqrt(float(np.mean(bound.rmse_mps[at] ** 2))),
+        bound_mps=wind_bound_mps(flown, errors[0].t_s[0], errors[0].t_s[-1]),
         nees=float(nees.mean()),
         nees_low=float(nees.mean()) - half,
         nees_high=float(nees.mean()) + half,
@@ -138,8 +136,9 @@ def envelope_sheet(rows: Sequence[EnvelopeRow], seed: int, pitot: bool) -> Sheet
         " 10 s mean from 30 s of flight on. Within 1.3 of the bound:"
         f" {within} of {len(rows)}; NEES in the 95 % band of {rows[0].flights} flights at one time"
         f" ({low:.2f} to {high:.2f}): {inside} of {len(rows)}. The bound (Tichavsky 1998) is for"
-        " the simulated truth as wind_bound.py states it, tilt and velocity only; it knows the"
-        " gusts' spectrum and intensity, and when the step comes."
+        " the simulated truth as wind_bound.py states it, from the same sensors, in each flight as"
+        " it was flown; it knows the gusts' spectrum and intensity, how fast the mean walks, and"
+        " when the step comes."
     )
     return Sheet("Wind estimator over the envelope", head, cells, note)
 

@@ -1,27 +1,39 @@
-"""The posterior Cramer-Rao bound of the wind's 10 s mean, for the simulated truth.
+"""The posterior Cramer-Rao bound of the wind's centred 10 s mean, for the simulated truth.
 
 Tichavsky, Muravchik, Nehorai, IEEE Trans. Signal Processing 46(5), 1998: the Fisher information of
 the state given all data so far follows a recursion; with linear state dynamics of known noise and a
 nonlinear measurement it is, by the matrix inversion lemma (their eq. 34),
-    J(k+1) = (Q + F J(k)^-1 F')^-1 + E[H' R^-1 H],
-the expectation over flights of H at the TRUE state. No filter and none of the companion's equations
-enter: H is differentiated numerically from the truth's own drag.
+    J(k+1) = (Q + F J(k)^-1 F')^-1 + E[H' R^-1 H].
+No filter and none of the companion's equations enter: H is differentiated numerically from the
+truth's own equation of motion.
 
-The model for which it is a bound: the mean wind is unknown (std 8 m/s an axis) and walks, or ramps
-besides for 10 s at a known time by an unknown vector; gusts are MIL-F-8785C's filters along and
-across the mean wind, of known intensity, scale and direction; each drag coefficient set is known to
-a common and an own factor; tilt carries a wandering bias and white noise, heading a constant one;
-velocity is sampled at 10 Hz with white noise. Thrust comes from the vertical balance, which
-vertical gusts disturb. What helps an estimator and is given to it for nothing: the velocity's
-latency, the heading's and the vertical velocity's noise, the time of the ramp. So no causal
-estimator in this world does better, on average over flights; one that reaches the bound may not
-exist.
+What the expectation is over. Heading, course and speed are the vehicle's own commands: an estimator
+knows them, so the bound is computed for each flight as it was flown, and the VARIANCES are averaged
+over flights. Averaging the information over flights that head otherwise would be a bound, too, but
+an empty one: it lets one estimator see all headings at once, which tells the tilt's bias from the
+wind as nothing in one flight does (hover in calm: 0.08 m/s for 0.5 m/s). What remains inside
+the expectation, H's own spread over gusts in one flight, is left at the flight's own value.
+
+What is unknown, with the prior that the truth draws it from: the mean wind (std 8 m/s an axis),
+which walks, and in a flight with a step ramps besides for 10 s by an unknown vector; the gusts,
+MIL-F-8785C's filters along and across the mean wind and down; a common and an own factor of
+either axis's drag; the tilt's wandering bias and white noise; the heading's bias; white noise of
+the velocities, 10 a second; with a pitot, its scale, its zero, and its noise. Thrust comes from the
+vertical balance, which vertical gusts disturb. What helps an estimator and is given for nothing:
+the gusts' spectrum, intensity and direction, how fast the mean walks, the drag's form, the
+velocity's latency, the noise of heading and of vertical velocity, and when the ramp comes. So no
+causal estimator in this world does better, on average over flights; one that reaches the bound may
+not exist, least of all about a step, which nobody announces.
+
+The error's quantity is the bound's: the mean of the wind at the vehicle over the 5 s before and the
+5 s after. The past half is kept as sums of half seconds, so the bound is known every half second.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,52 +48,68 @@ from sim_bridge.experiments.envelope_flight import (
     Sample,
     mean_walk_m2ps3,
 )
+from sim_bridge.truth.airframe import Airframe
+from sim_bridge.truth.atmosphere import GRAVITY_MPS2, air_density_kgpm3
 from sim_bridge.truth.dryden import dryden_intensities_mps, dryden_scales_m
-from sim_bridge.truth.params import AirframeTruth
+from sim_bridge.truth.params import AirframeTruth, SensorParams
 
 Floats = NDArray[np.float64]
 
 HALF_WINDOW = 50  # samples in 5 s
+BLOCK = 5  # samples that are kept as one sum
+BLOCKS = HALF_WINDOW // BLOCK
 PRIOR_WIND_STD_MPS = 8.0
-_GRAVITY_MPS2 = 9.80665
-_DENSITY_KGPM3 = 1.2041  # the vehicle's air: sea level, 20 deg C
+_DENSITY_KGPM3 = air_density_kgpm3(0.0, 20.0)  # the envelope's vehicles fly there
 _LEAST_SPEED_MPS = 0.5
 _ROOT3 = math.sqrt(3.0)
 _LATERAL = np.array([[0.5, 0.25], [0.25, 0.25]])  # stationary spread of the lateral filter's states
 _LATERAL_OUT = np.array([_ROOT3, 1.0 - _ROOT3])
 
 # Where a state stands: mean wind (along, across), its rate, the gusts' filters (one along, two
-# across, two down), velocity noise now and before (2 each), trims, log drag factors, heading bias;
-# then the wind at the last 50 samples, newest first, along and across in turn.
+# across, two down), velocity noise now and before (2 each), bias of pitch and roll, log drag
+# factors, heading's bias, log of the pitot's scale and its zero (Pa); then sums of the wind (along,
+# across) over the running block and over the last ten.
 MEAN, RATE, ALONG, ACROSS, DOWN, NOW, BEFORE, TRIM, GAIN, HEADING = 0, 2, 4, 5, 7, 9, 11, 13, 15, 17
-PAST = 18
-SIZE = PAST + 2 * HALF_WINDOW
+PITOT = 18
+PAST = 20
+SIZE = PAST + 2 * (1 + BLOCKS)
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Least RMSE of the vector (m/s) at each sample of the flights."""
+    """Least mean square error of the vector (m2/s2) every half second of one flight."""
 
     t_s: Floats
-    rmse_mps: Floats
+    mse_m2ps2: Floats
+
+    def mean_over(self, first_s: float, last_s: float) -> float:
+        """Least mean square error between two times."""
+        within = (self.t_s >= first_s - 1e-6) & (self.t_s <= last_s + 1e-6)
+        return float(np.mean(self.mse_m2ps2[within]))
 
 
-def wind_bound(flights: Sequence[EnvelopeFlight]) -> Bound:
-    """The bound over flights of one condition; they share their times."""
-    count = min(len(flight.samples) for flight in flights)
-    directions = [_direction(flight) for flight in flights]
-    cov = _prior(flights[0].params)
-    t_s = flights[0].t_s[:count]
-    rmse = np.empty(count)
-    for k in range(count):
-        gusts = _gusts(flights, k)
-        cov = _moved(cov, flights[0].params, gusts, float(t_s[k]))
-        information = np.mean(
-            [_information(f, k, d, gusts) for f, d in zip(flights, directions, strict=True)], axis=0
-        )
-        cov = _corrected(cov, information)
-        rmse[k] = math.sqrt(_mean_variance(cov, flights[0].params, gusts))
-    return Bound(t_s, rmse)
+def wind_bound_mps(flights: Sequence[EnvelopeFlight], first_s: float, last_s: float) -> float:
+    """Least RMSE of the vector over flights, between two times."""
+    return math.sqrt(float(np.mean([flight_bound(f).mean_over(first_s, last_s) for f in flights])))
+
+
+def flight_bound(flight: EnvelopeFlight) -> Bound:
+    """The bound in one flight, from the first whole window on."""
+    to_wind = _direction(flight)
+    truths = _Truths.of(flight.params)
+    cov = _prior(flight.params.sensors)
+    times, mse = [], []
+    for k, sample in enumerate(flight.samples):
+        gusts = _gusts_at(flight, k)
+        cov = _moved(cov, flight, gusts, sample.truth.t_s)
+        rows = _rows(truths, sample, to_wind, gusts, pitot=flight.condition.pitot)
+        cov = _corrected(cov, rows)
+        if (k + 1) % BLOCK == 0:
+            cov = _shifted(cov)
+            if k + 1 >= HALF_WINDOW:
+                times.append(sample.truth.t_s)
+                mse.append(_mean_variance(cov, flight, gusts, sample.truth.t_s))
+    return Bound(np.array(times), np.array(mse))
 
 
 def _direction(flight: EnvelopeFlight) -> Floats:
@@ -92,62 +120,62 @@ def _direction(flight: EnvelopeFlight) -> Floats:
     return np.array([[cos, sin], [-sin, cos]])
 
 
-def _prior(params: AirframeTruth) -> Floats:
-    sensors = params.sensors
-    trim = math.radians(sensors.tilt_bias_deg)
-    cov = np.zeros((SIZE, SIZE))
-    std = np.zeros(PAST)
+def _prior(sensors: SensorParams) -> Floats:
+    std = np.zeros(SIZE)
     std[MEAN : MEAN + 2] = PRIOR_WIND_STD_MPS
     std[RATE : RATE + 2] = WIND_STEP_MPS / WIND_STEP_LASTS_S / math.sqrt(2.0)
+    std[ALONG] = 1.0
     std[NOW : NOW + 4] = sensors.gnss_velocity_noise_mps
-    std[TRIM : TRIM + 2] = trim
+    std[TRIM : TRIM + 2] = math.radians(sensors.tilt_bias_deg)
     std[HEADING] = math.radians(sensors.heading_bias_deg)
-    cov[:PAST, :PAST] = np.diag(std**2)
-    cov[ALONG, ALONG] = 1.0
-    # the lateral filter's states, one behind the other, in their stationary spread
-    for at in (ACROSS, DOWN):
+    std[PITOT : PITOT + 2] = sensors.pitot_scale_error_frac, sensors.pitot_bias_pa
+    cov = np.diag(std**2)
+    for at in (ACROSS, DOWN):  # the lateral filter's states, one behind the other
         cov[at : at + 2, at : at + 2] = _LATERAL
     common, own = DRAG_STD_FRAC**2, AXIS_STD_FRAC**2
     cov[GAIN : GAIN + 2, GAIN : GAIN + 2] = [[common + own, common], [common, common + own]]
     return cov
 
 
+# -- how the wind and the sensors' errors move ----------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True)
 class _Gusts:
-    """Intensity (m/s) and memory (s) of the gusts, level and vertical, and the walk of the mean."""
+    """Intensity (m/s) and memory (s) of the gusts, level and vertical."""
 
     level_mps: float
     down_mps: float
     level_s: float
     down_s: float
-    mean_walk_m2ps3: float
+
+    @property
+    def wind_rows(self) -> Floats:
+        """The wind at the vehicle, along, across and down, by the states before PAST."""
+        rows = np.zeros((3, PAST))
+        rows[0, MEAN] = rows[1, MEAN + 1] = 1.0
+        rows[0, ALONG] = self.level_mps
+        rows[1, ACROSS : ACROSS + 2] = self.level_mps * _LATERAL_OUT
+        rows[2, DOWN : DOWN + 2] = self.down_mps * _LATERAL_OUT
+        return rows
 
 
-def _gusts(flights: Sequence[EnvelopeFlight], k: int) -> _Gusts:
-    """Over the flights."""
-    found = []
-    for flight in flights:
-        so = flight.samples[k].truth
-        height, wind = -so.pos_ned_m[2], float(np.linalg.norm(flight.mean_wind_ne_mps[k]))
-        speed = max(_airspeed(flight.samples[k]), _LEAST_SPEED_MPS)
-        level_m, down_m = dryden_scales_m(height)
-        walk = mean_walk_m2ps3(flight.condition.wind_mps)
-        found.append([*dryden_intensities_mps(height, wind), level_m / speed, down_m / speed, walk])
-    return _Gusts(*np.mean(found, axis=0).tolist())
+def _gusts_at(flight: EnvelopeFlight, k: int) -> _Gusts:
+    so = flight.samples[k].truth
+    height_m = -so.pos_ned_m[2]
+    speed = max(math.dist(so.vel_ned_mps, so.wind_to_ned_mps), _LEAST_SPEED_MPS)
+    level_m, down_m = dryden_scales_m(height_m)
+    wind_mps = math.hypot(*flight.mean_wind_ne_mps[k])
+    return _Gusts(*dryden_intensities_mps(height_m, wind_mps), level_m / speed, down_m / speed)
 
 
-def _airspeed(sample: Sample) -> float:
-    so = sample.truth
-    return math.dist(so.vel_ned_mps, so.wind_to_ned_mps)
-
-
-def _transition(params: AirframeTruth, gusts: _Gusts, *, ramping: bool) -> tuple[Floats, Floats]:
-    """F and Q of the states before PAST over one sample."""
-    sensors = params.sensors
+def _transition(flight: EnvelopeFlight, gusts: _Gusts, t_s: float) -> tuple[Floats, Floats]:
+    """F and Q of the states before PAST over the sample that ends at `t_s`."""
+    sensors = flight.params.sensors
     f, q = np.eye(PAST), np.zeros((PAST, PAST))
-    for axis in (0, 1):
-        q[MEAN + axis, MEAN + axis] = gusts.mean_walk_m2ps3 * SAMPLE_S
-    if ramping:
+    walk = mean_walk_m2ps3(flight.condition.wind_mps) * SAMPLE_S
+    q[MEAN, MEAN] = q[MEAN + 1, MEAN + 1] = walk
+    if _ramps(flight, t_s):
         f[MEAN, RATE] = f[MEAN + 1, RATE + 1] = SAMPLE_S
     f[ALONG, ALONG] = math.exp(-SAMPLE_S / gusts.level_s)
     q[ALONG, ALONG] = 1.0 - f[ALONG, ALONG] ** 2
@@ -169,129 +197,171 @@ def _transition(params: AirframeTruth, gusts: _Gusts, *, ramping: bool) -> tuple
     return f, q
 
 
-def _moved(cov: Floats, params: AirframeTruth, gusts: _Gusts, t_s: float) -> Floats:
-    ramping = WIND_STEP_AT_S < t_s <= WIND_STEP_AT_S + WIND_STEP_LASTS_S + 1e-6
-    f, q = _transition(params, gusts, ramping=ramping)
-    wind = _wind_rows(gusts)[:2]
-    whole = np.zeros((SIZE, SIZE))
+def _ramps(flight: EnvelopeFlight, t_s: float) -> bool:
+    """Whether the mean wind ramped over the sample that ends at `t_s`."""
+    since_s = t_s - WIND_STEP_AT_S
+    return flight.condition.wind_step and 1e-6 < since_s <= WIND_STEP_LASTS_S + 1e-6
+
+
+def _moved(cov: Floats, flight: EnvelopeFlight, gusts: _Gusts, t_s: float) -> Floats:
+    """One sample on; the new wind is added to the running block."""
+    f, q = _transition(flight, gusts, t_s)
+    wind = gusts.wind_rows[:2]
+    whole = np.eye(SIZE)
     whole[:PAST, :PAST] = f
     whole[PAST : PAST + 2, :PAST] = wind @ f
-    whole[PAST + 2 :, PAST:-2] = np.eye(SIZE - PAST - 2)
     lift = np.zeros((SIZE, PAST))
     lift[:PAST] = np.eye(PAST)
     lift[PAST : PAST + 2] = wind
     return whole @ cov @ whole.T + lift @ q @ lift.T
 
 
-def _wind_rows(gusts: _Gusts) -> Floats:
-    """The wind at the vehicle, along, across and down, as a function of the states before PAST."""
-    rows = np.zeros((3, PAST))
-    rows[0, MEAN] = rows[1, MEAN + 1] = 1.0
-    rows[0, ALONG] = gusts.level_mps
-    rows[1, ACROSS : ACROSS + 2] = gusts.level_mps * _LATERAL_OUT
-    rows[2, DOWN : DOWN + 2] = gusts.down_mps * _LATERAL_OUT
-    return rows
+def _shift() -> Floats:
+    """The running block becomes the newest of the whole ones, and begins again at 0."""
+    move = np.eye(SIZE)
+    move[PAST:, PAST:] = np.eye(SIZE - PAST, k=-2)
+    return move
 
 
-def _information(flight: EnvelopeFlight, k: int, to_wind: Floats, gusts: _Gusts) -> Floats:
-    """H' R^-1 H of the horizontal acceleration that tilt does not explain, at the true state.
-
-    That acceleration is the difference of two velocities less the thrust's, whose size the vertical
-    balance gives; so what drag does to that balance is in it, too.
-    """
-    sample = flight.samples[k]
-    so, params = sample.truth, flight.params
-    mass = params.empty_mass_kg
-    axes = _body_axes(sample)
-    lean = axes[2, :2] / axes[2, 2]  # horizontal over vertical thrust
-
-    def unexplained(shift_ned: Floats, factors: tuple[float, float]) -> Floats:
-        force = _drag_n(sample, params, axes, shift_ned, factors)
-        return (force[:2] - lean * force[2]) / mass
-
-    still = np.zeros(3)
-    slope = np.stack(
-        [
-            (unexplained(shift, (1.0, 1.0)) - unexplained(-shift, (1.0, 1.0))) / 2e-4
-            for shift in 1e-4 * np.eye(3)
-        ],
-        axis=1,
-    )
-    turn = np.eye(3)
-    turn[:2, :2] = to_wind.T
-    forward = np.array([math.cos(so.yaw_rad), math.sin(so.yaw_rad)])
-    right = np.array([-forward[1], forward[0]])
-    lift = _GRAVITY_MPS2
-    h = np.zeros((2, PAST))  # in north and east
-    h += -slope @ turn @ _wind_rows(gusts)
-    h[:, NOW : NOW + 2] = to_wind.T / SAMPLE_S
-    h[:, BEFORE : BEFORE + 2] = -to_wind.T / SAMPLE_S
-    h[:, TRIM], h[:, TRIM + 1] = lift * forward, lift * right
-    for axis, (up, down) in enumerate(
-        (((1.0001, 1.0), (0.9999, 1.0)), ((1.0, 1.0001), (1.0, 0.9999)))
-    ):
-        h[:, GAIN + axis] = (unexplained(still, up) - unexplained(still, down)) / 2e-4
-    h[:, HEADING] = lift * np.array([-lean[1], lean[0]])
-    noise = (lift * math.radians(params.sensors.tilt_noise_deg)) ** 2
-    return h.T @ h / noise
+_SHIFT = _shift()
 
 
-def _body_axes(sample: Sample) -> Floats:
-    """Forward, right and down of the body in NED, as rows."""
+def _shifted(cov: Floats) -> Floats:
+    return _SHIFT @ cov @ _SHIFT.T
+
+
+# -- what is measured ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Truths:
+    """The truth's own body, as it is and with more drag along one axis."""
+
+    params: AirframeTruth
+    usual: Airframe
+    more_drag: tuple[Airframe, Airframe]
+
+    MORE = 0.01
+
+    @classmethod
+    def of(cls, params: AirframeTruth) -> "_Truths":
+        drag, factor = params.drag, 1.0 + cls.MORE
+        forward = msgspec.structs.replace(
+            drag,
+            rotor_forward_nspm=drag.rotor_forward_nspm * factor,
+            parasite_forward_m2=drag.parasite_forward_m2 * factor,
+        )
+        right = msgspec.structs.replace(
+            drag,
+            rotor_sideways_nspm=drag.rotor_sideways_nspm * factor,
+            parasite_sideways_m2=drag.parasite_sideways_m2 * factor,
+        )
+        changed = [
+            Airframe(msgspec.structs.replace(params, drag=drag)) for drag in (forward, right)
+        ]
+        return cls(params, Airframe(params), (changed[0], changed[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Shift:
+    """What is otherwise than it was: wind (NED, m/s), and roll, pitch, yaw (rad)."""
+
+    wind_ned_mps: Floats
+    attitude_rad: Floats
+
+
+_NOWHERE = np.zeros(3)
+_DT_S = 1e-3
+_SMALL = 1e-4
+
+
+def _measured(body: Airframe, mass_kg: float, sample: Sample, shift: _Shift) -> Floats:
+    """North and east acceleration that the REPORTED attitude and the vertical balance leave
+    unexplained (m/s2), and the speed into the pitot (m/s), had the truth been shifted."""
     so = sample.truth
-    sr, cr = math.sin(so.roll_rad), math.cos(so.roll_rad)
-    sp, cp = math.sin(so.pitch_rad), math.cos(so.pitch_rad)
-    sy, cy = math.sin(so.yaw_rad), math.cos(so.yaw_rad)
+    lean = _lean(so.roll_rad, so.pitch_rad, so.yaw_rad)
+    body.north_mps, body.east_mps, body.down_mps = so.vel_ned_mps
+    body.roll_rad = so.roll_rad + shift.attitude_rad[0]
+    body.pitch_rad = so.pitch_rad + shift.attitude_rad[1]
+    body.yaw_rad = so.yaw_rad + shift.attitude_rad[2]
+    body.thrust_n = sample.thrust_n
+    north, east, down = (np.array(so.wind_to_ned_mps) + shift.wind_ned_mps).tolist()
+    body.move(sample.thrust_n, mass_kg, (north, east, down), _DENSITY_KGPM3, 0.0, _DT_S)
+    lift = (body.down_mps - so.vel_ned_mps[2]) / _DT_S - GRAVITY_MPS2
     return np.array(
         [
-            [cp * cy, cp * sy, -sp],
-            [sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp],
-            [cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp],
+            (body.north_mps - so.vel_ned_mps[0]) / _DT_S - lean[0] * lift,
+            (body.east_mps - so.vel_ned_mps[1]) / _DT_S - lean[1] * lift,
+            body.forward_airspeed_mps,
         ]
     )
 
 
-def _drag_n(
-    sample: Sample,
-    params: AirframeTruth,
-    axes: Floats,
-    shift_ned: Floats,
-    factors: tuple[float, float],
+def _lean(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float]:
+    """Horizontal over vertical part of the thrust's axis, north and east (ZYX Euler angles)."""
+    side = math.tan(roll_rad) / math.cos(pitch_rad)
+    along = math.tan(pitch_rad)
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return along * cos + side * sin, along * sin - side * cos
+
+
+def _rows(
+    truths: _Truths, sample: Sample, to_wind: Floats, gusts: _Gusts, *, pitot: bool
 ) -> Floats:
-    """The truth's drag force in NED (N) with the air velocity shifted: rotor drag linear along body
-    axes and growing with the root of thrust, parasite drag square (truth.airframe)."""
-    so, drag = sample.truth, params.drag
-    body = axes @ (np.array(so.vel_ned_mps) - np.array(so.wind_to_ned_mps) + shift_ned)
-    rotor = math.sqrt(max(sample.thrust_n, 0.0) / (params.empty_mass_kg * _GRAVITY_MPS2))
-    linear = rotor * np.array([drag.rotor_forward_nspm, drag.rotor_sideways_nspm, 0.0])
-    areas = [drag.parasite_forward_m2, drag.parasite_sideways_m2, drag.parasite_vertical_m2]
-    pressure = 0.5 * _DENSITY_KGPM3 * float(np.linalg.norm(body))
-    force = -(linear + pressure * np.array(areas)) * body * np.array([*factors, 1.0])
-    return axes.T @ force
+    """Derivatives of what is measured by the states before PAST, in the noise's unit."""
+    params = truths.params
+    mass, sensors = params.empty_mass_kg, params.sensors
+
+    def at(wind: Floats, attitude: Floats) -> Floats:
+        return _measured(truths.usual, mass, sample, _Shift(wind, attitude))
+
+    small = _SMALL * np.eye(3)
+    by_wind = [(at(d, _NOWHERE) - at(-d, _NOWHERE)) / (2.0 * _SMALL) for d in small]
+    # a reported angle is the true one and its bias, so the true one is the less
+    by_bias = [(at(_NOWHERE, -d) - at(_NOWHERE, d)) / (2.0 * _SMALL) for d in small]
+    usual = at(_NOWHERE, _NOWHERE)
+    unshifted = _Shift(_NOWHERE, _NOWHERE)
+    by_drag = [
+        (_measured(body, mass, sample, unshifted) - usual) / _Truths.MORE
+        for body in truths.more_drag
+    ]
+    turn = np.eye(3)
+    turn[:2, :2] = to_wind.T
+    h = np.zeros((3, PAST))
+    h += np.stack(by_wind, axis=1) @ turn @ gusts.wind_rows
+    h[:2, NOW : NOW + 2] = to_wind.T / SAMPLE_S
+    h[:2, BEFORE : BEFORE + 2] = -to_wind.T / SAMPLE_S
+    h[:, TRIM], h[:, TRIM + 1], h[:, HEADING] = by_bias[1], by_bias[0], by_bias[2]
+    h[:, GAIN], h[:, GAIN + 1] = by_drag
+    ram = float(usual[2])
+    pressure_per_mps = _DENSITY_KGPM3 * ram
+    h[2] *= pressure_per_mps
+    h[2, PITOT], h[2, PITOT + 1] = pressure_per_mps * ram, 1.0
+    h[:2] /= GRAVITY_MPS2 * math.radians(sensors.tilt_noise_deg)
+    h[2] /= sensors.pitot_noise_pa
+    return h if pitot and ram > 0.0 else h[:2]
 
 
-def _corrected(cov: Floats, information: Floats) -> Floats:
-    """(P^-1 + I)^-1, where I is known of the states before PAST only."""
-    values, vectors = np.linalg.eigh(information)
-    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
-    rows = np.sqrt(values[kept])[:, None] * vectors[:, kept].T  # I = rows' rows
+def _corrected(cov: Floats, rows: Floats) -> Floats:
+    """(P^-1 + H' R^-1 H)^-1 with noise of unit variance."""
     gain = cov[:, :PAST] @ rows.T
     s = rows @ gain[:PAST] + np.eye(len(rows))
     moved = cov - gain @ np.linalg.solve(s, gain.T)
     return 0.5 * (moved + moved.T)
 
 
-def _mean_variance(cov: Floats, params: AirframeTruth, gusts: _Gusts) -> float:
+def _mean_variance(cov: Floats, flight: EnvelopeFlight, gusts: _Gusts, t_s: float) -> float:
     """Variance, both axes together, of the mean over the 5 s past and the 5 s to come."""
-    f, q = _transition(params, gusts, ramping=False)
-    wind = _wind_rows(gusts)[:2]
+    wind = gusts.wind_rows[:2]
     rows = np.zeros((2, SIZE))
-    rows[0, PAST::2] = rows[1, PAST + 1 :: 2] = 1.0
+    rows[0, PAST + 2 :: 2] = rows[1, PAST + 3 :: 2] = 1.0
     to_come = np.zeros((2, 2))
-    later = wind  # what a noise adds to the sum of winds after it, the last noise first
-    for _ in range(HALF_WINDOW):
+    later = np.zeros((2, PAST))  # what the states at a sample add to the winds from it on
+    for step in range(HALF_WINDOW, 0, -1):
+        f, q = _transition(flight, gusts, t_s + step * SAMPLE_S)
+        later = later + wind
         to_come += later @ q @ later.T
-        later = wind + later @ f
-    rows[:, :PAST] = later - wind
+        later = later @ f
+    rows[:, :PAST] = later
     size = 2 * HALF_WINDOW
     return float(np.trace(rows @ cov @ rows.T + to_come)) / size**2

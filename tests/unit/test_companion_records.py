@@ -324,7 +324,16 @@ def test_the_transition_table_can_be_printed():
 
 
 def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
-    heavy = ("matplotlib", "torch", "filterpy", "pandas", "pyulog", "sqlalchemy", "zenoh")
+    heavy = (
+        "matplotlib",
+        "torch",
+        "filterpy",
+        "pandas",
+        "pyulog",
+        "sqlalchemy",
+        "zenoh",
+        "scipy.optimize",
+    )
     code = f"import sys; import companion.app.cli; print([m for m in {heavy} if m in sys.modules])"
     seen = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

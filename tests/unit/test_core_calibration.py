@@ -334,7 +334,7 @@ def test_published_curves_are_met(vehicle):
         "airborne": np.ones(len(speeds), bool),
     }
     curve = Blocks(name=vehicle, density_kgpm3=1.225, **arrays)
-    fit = fit_power([curve], [WindSeen(zero, zero, zero + 0.1, 0.0, 0.0, 0.0)], start)
+    fit = fit_power([curve], [WindSeen(zero, zero, zero + 0.1, 0.0)], start)
     fitted = msgspec.structs.replace(
         start,
         power_rotor=msgspec.structs.replace(

@@ -12,6 +12,7 @@ from scipy.stats import norm
 from companion.core.airframe import airframe_from_dict
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.gate import Ahead, Assessment, Gate, GateParams, Stage, WayHome
+from companion.core.gate_chances import Budget
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindForecast, WindOutlook
@@ -101,6 +102,16 @@ def judge(
     return gate.assess(
         ahead, believed(*wind, std), wind_seen, energy(left_wh), weighs_worth=weighs_worth
     )
+
+
+@pytest.mark.parametrize("p", [0.5, 0.9, 0.99, 0.999])
+@pytest.mark.parametrize("left_wh", [10.0, 47.3, 80.0])
+def test_a_margin_is_the_normal_distributions_and_never_more(p: float, left_wh: float) -> None:
+    # One need: what suffices with probability p is its quantile, in closed form.
+    budget = Budget(left_wh, battery_std_wh=2.0, model_std_frac=0.04, scale=1.1)
+    spread = math.hypot(2.0, 0.04 * 1.1 * 40.0)
+    exact = left_wh - (1.1 * 40.0 + float(norm.ppf(p)) * spread)
+    assert exact - 0.005 <= budget.margin_wh(np.full(3, 40.0), p) <= exact
 
 
 RETURN = Ahead((home_from(1500.0, 0.0),), (), delivered=True)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.adapters.files import read_airframe, read_flight, read_wind_process
 from companion.core import events as ev
@@ -55,6 +56,19 @@ def test_the_mass_that_the_wind_estimate_needs_follows_the_parcel():
     assert judge.payload_kg == FLIGHT.vehicle.payload_kg
     kept = judge.snapshot()
     assert kept["payload_kg"] == FLIGHT.vehicle.payload_kg
+
+
+def test_the_autopilots_wind_is_believed_as_far_as_it_says():
+    vehicle = replace(FLIGHT.vehicle, autopilot_wind=True)
+    flight = replace(FLIGHT, vehicle=vehicle)
+    spread = []
+    for std_mps in (0.5, 3.0):
+        judge = Judgement(flight, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
+        judge.observe(standing(1.0, ev.AutopilotWind(1.0, 5.0, 2.0, std_mps)), ev.Flavour.PX4)
+        assert judge.wind is not None
+        spread.append(float(np.trace(judge.wind.cov_ne_m2ps2)))
+    # Its words repeat for 10 s at 1 Hz: ten times the variance, against a prior of 10 m/s.
+    assert spread[0] < 2.0 * 10.0 * (0.5**2 + 0.3**2) < 2.0 * 10.0 * 1.5**2 < spread[1]
 
 
 def test_two_battery_messages_make_one_picture_and_old_fields_fade():

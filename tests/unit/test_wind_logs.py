@@ -177,16 +177,20 @@ def test_fit_wind_writes_a_process_that_loads(tmp_path: Path) -> None:
     ]
     table[70] = [70.0, math.nan, 0.0]
     path, out = written(tmp_path, table), tmp_path / "yard.toml"
-    result = CliRunner().invoke(app, ["fit-wind", str(path), "--out", str(out), "--parts", "2"])
+    name = 'my "yard" \\ 1'
+    result = CliRunner().invoke(
+        app, ["fit-wind", str(path), "--out", str(out), "--parts", "2", "--name", name]
+    )
     assert result.exit_code == 0, result.output
     assert "line 72: wind_speed_mps = 'nan', not a number: left out" in result.output
     assert "memory s" in result.output
+    assert "log likelihood" in result.output
     text = out.read_text()
-    assert "site.csv" in text
+    assert f"companion fit-wind site.csv --parts 2 --name '{name}' --out yard.toml" in text
     assert str(tmp_path) not in text
     from companion.adapters.files import read_wind_process
 
-    assert read_wind_process(str(out)).name == "yard"
+    assert read_wind_process(str(out)).name == name
 
 
 def test_fit_wind_refuses_what_it_cannot_fit_with_one_line(tmp_path: Path) -> None:
