@@ -298,10 +298,12 @@ def power_and_slope(
     value = at(power)
     slopes = np.zeros(len(power))
     for i in range(len(power)):
-        step = _STEP * max(abs(power[i]), 0.01)
+        step = -_STEP * max(abs(power[i]), 0.01)  # down: efficiency may stand at its greatest
+        if power[i] + step < 0.0:
+            step = -step
         moved = power.copy()
-        moved[i] -= step
-        slopes[i] = (value - at(moved)) / step
+        moved[i] += step
+        slopes[i] = (at(moved) - value) / step
     return value, slopes
 
 
