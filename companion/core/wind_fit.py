@@ -1,10 +1,10 @@
 """A wind process fitted to recordings, by the likelihood of their 10 s means.
 
 The 10 s means of each axis are jointly Gaussian under the process: their likelihood is exact, the
-averaging and gaps and all, by one Cholesky factor for each window of two hours. Against least squares on a variogram,
-which is the other way: neighbouring lags of a variogram repeat one another, so that its slow end
-rests on a handful of independent values that look like dozens; the likelihood weighs each second
-once, and its curvature says how well a parameter is known.
+averaging and gaps and all, by one Cholesky factor for each window of two hours. Against least
+squares on a variogram, which is the other way: neighbouring lags of a variogram repeat one another,
+so that its slow end rests on a handful of independent values that look like dozens; the likelihood
+weighs each second once, and its curvature says how well a parameter is known.
 
 Weak priors (a factor of two on each memory, of e on each variance) keep parts apart that a short
 recording cannot tell apart. Both axes share the parameters and are independent.

@@ -69,9 +69,7 @@ def result_of(world: World, fitted: list[Fitted], flights: Iterable[list[GateFli
 def _ends(world: World, flown: list[GateFlight], numbers: Ints, policy: int) -> Ends:
     count = world.setting.missions
     turn_s, go = np.zeros(count), np.zeros(count, np.bool_)
-    turn_s[numbers] = [
-        np.inf if f.turn_s[policy] is None else f.turn_s[policy] for f in flown
-    ]
+    turn_s[numbers] = [np.inf if f.turn_s[policy] is None else f.turn_s[policy] for f in flown]
     go[numbers] = [f.go[policy] for f in flown]
     return ends_of(world.drawn.flown, turn_s, go).of(numbers)
 
