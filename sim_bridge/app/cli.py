@@ -16,6 +16,7 @@ from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
     campaign_cli,
     conform_cli,
+    day_cli,
     experiments_cli,
     plan_flight_cli,
     promise_cli,
@@ -273,6 +274,7 @@ app.registered_commands += experiments_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
+app.registered_commands += day_cli.app.registered_commands
 
 
 def main() -> None:
