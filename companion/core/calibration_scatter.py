@@ -17,7 +17,7 @@ def clustered_covariance(
     Residuals of one cluster are as good as one: they are summed before they are squared (Liang and
     Zeger, Biometrika 73, 1986). Rows in no cluster, a prior's, count as they should.
     """
-    bread = np.linalg.pinv(design.T @ design)
+    bread = np.asarray(np.linalg.pinv(design.T @ design), np.float64)
     meat = np.zeros_like(bread)
     alone = np.ones(len(left), np.bool_)
     for rows in clusters:
