@@ -100,7 +100,7 @@ def promise(
     kept = Journal(out / f"{name}.partial", digest_of(works), list[flying.GateFlight])
     try:
         flown = run_journaled("missions", works, flying.fly, jobs, kept)
-    except typer.Exit:
+    except (typer.Exit, SystemExit):  # Ctrl-C, and SIGTERM
         if done := kept.read():
             so_far = sheets.result_of(world, fitted, done.values())
             typer.echo(sheets.rules_sheet(world, so_far).markdown())
