@@ -2,6 +2,7 @@
 
 import datetime
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,16 @@ from companion.adapters.qgc_plan import write_plan
 from companion.core.airframe import Airframe
 from companion.core.calibration import Calibration, Holdout, calibrate, predict
 from companion.core.calibration_drag import DRAG_KEYS
-from companion.core.calibration_flight import PlanOptions, calibration_items, square_speeds_mps
+from companion.core.calibration_flight import (
+    DISCHARGE_CHARGE_FRAC,
+    DISCHARGE_HEIGHT_M,
+    PlanItem,
+    PlanOptions,
+    calibration_items,
+    discharge_items,
+    discharge_stop_v,
+    square_speeds_mps,
+)
 from companion.core.calibration_power import POWER_KEYS
 from companion.core.calibration_records import Blocks, prepare
 from companion.core.errors import LeewayError
@@ -80,20 +90,44 @@ def write_calibration_plan(
     out: Path, home: str, airframe: str, autopilot: str, options: PlanOptions
 ) -> None:
     """Write the flight that identifies an airframe as a QGroundControl plan."""
+    _write_plan(out, home, airframe, autopilot, lambda a: calibration_items(a, options))
+    typer.echo(
+        f"{out}: written; it climbs to {options.height_m + 30.0:.0f} m within a"
+        f" {options.side_m:.0f} m square"
+    )
+
+
+def write_discharge_plan(
+    out: Path, home: str, airframe: str, autopilot: str, payload_kg: float
+) -> None:
+    """Write the hover that measures usable energy, and say what has to end it."""
+    believed = _write_plan(out, home, airframe, autopilot, lambda a: discharge_items(a, payload_kg))
+    stop_v = discharge_stop_v(believed, payload_kg)
+    typer.echo(
+        f"{out}: written; it hovers at {DISCHARGE_HEIGHT_M:g} m until {stop_v:.1f} V under load"
+        f" ({100.0 * DISCHARGE_CHARGE_FRAC:.0f} % as believed). Before you take off set"
+        f" BATT_LOW_VOLT {stop_v:.1f}, BATT_LOW_TIMER 5, BATT_FS_LOW_ACT 1 (ArduPilot: it lands by"
+        " itself); on PX4 be ready to switch to Land at that voltage"
+    )
+
+
+def _write_plan(
+    out: Path,
+    home: str,
+    airframe: str,
+    autopilot: str,
+    items: Callable[[Airframe], list[PlanItem]],
+) -> Airframe:
     try:
         frame = _frame(home)
         if autopilot not in ("px4", "ardupilot"):
             raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
         believed = read_airframe(airframe)
-        speed = square_speeds_mps(believed)[1]
-        write_plan(out, calibration_items(believed, options), frame, autopilot, speed)
+        write_plan(out, items(believed), frame, autopilot, square_speeds_mps(believed)[1])
     except LeewayError as error:
         typer.echo(f"companion: {error}", err=True)
         raise typer.Exit(2) from error
-    typer.echo(
-        f"{out}: written; it climbs to {options.height_m + 30.0:.0f} m within a"
-        f" {options.side_m:.0f} m square"
-    )
+    return believed
 
 
 def _frame(words: str) -> LocalFrame:
@@ -224,10 +258,16 @@ def _sources(done: Calibration) -> dict[tuple[str, str], str]:
     battery = done.battery
     if any(q.name == "pack's resistance" and q.identified for q in done.quantities):
         found["battery", "resistance_ohm"] = f"fitted, ± {battery.resistance_std_ohm:.2g}"
-    if battery.usable_frac is not None:
-        words = f"{battery.discharge_log}, full to cut-off"
-        found["battery", "usable_frac"] = f"measured: {words}"
-        found["battery", "usable_at_w"] = "mean draw of that discharge"
+    usable = battery.usable
+    if usable is not None:
+        found["battery", "usable_frac"] = (
+            f"discharged in {', '.join(usable.logs)}, ± {usable.std_frac:.2g}; the last"
+            f" {100.0 * usable.extrapolated_frac:.1f} % by the believed curve"
+        )
+        found["battery", "usable_at_w"] = "mean draw of the lightest discharge"
+        found["battery", "usable_std_frac"] = "of that fit"
+        if len(usable.logs) > 1:
+            found["battery", "usable_loss_per_w"] = f"fitted, ± {usable.loss_std_per_w:.2g}"
     return found
 
 

@@ -81,15 +81,28 @@ def plan_command(
     mirrored: Annotated[
         bool, typer.Option("--mirrored", help="The square south-west of the place instead.")
     ] = False,
+    discharge: Annotated[
+        bool,
+        typer.Option(
+            "--discharge",
+            help="Instead: a low hover from full to 10 %, which tells usable energy.",
+        ),
+    ] = False,
+    payload_kg: Annotated[float, typer.Option(min=0.0, help="Aboard, with --discharge.")] = 0.0,
 ) -> None:
     """Write the flight that calibration needs as a QGroundControl plan: a square at three speeds.
 
     Fly it three times: empty, with the heaviest parcel, and with a lighter one and the nose held
     on one heading (docs/calibrate.md). Example:
     companion calibrate-plan --home 55.47,8.45,12 --airframe m100 --autopilot px4
+
+    With --discharge, the hover that tells usable energy; fly it empty and with --payload-kg.
     """
-    from companion.app.calibrate import write_calibration_plan
+    from companion.app.calibrate import write_calibration_plan, write_discharge_plan
     from companion.core.calibration_flight import PlanOptions
 
+    if discharge:
+        write_discharge_plan(out, home, airframe, autopilot, payload_kg)
+        return
     options = PlanOptions(height_m, side_m, duration_s, mirrored)
     write_calibration_plan(out, home, airframe, autopilot, options)

@@ -37,6 +37,7 @@ _LEAST_MODEL_STD_FRAC = 0.03
 _LEAST_GAIN_STD_FRAC = 0.05
 """Drag goes with the air's density: 5 % are 15 degrees, between the days of logs and of use."""
 _RESISTANCE_LIMIT_FRAC = 0.25
+_UNMEASURED_USABLE_STD_FRAC = 0.1  # [est] of a pack that nobody discharged
 _FASTEST_PERCENTILE = 98.0
 _REACH_FRAC = 0.95
 _STEP = 1e-5
@@ -237,21 +238,33 @@ def _quantities(
             "log the pack at rest before take-off, and fly the square with a climb",
         )
     )
-    usable = battery.usable_frac or start.battery.usable_frac
-    std = start.battery.usable_std_frac if battery.usable_frac is None else battery.usable_std_frac
-    found.append(
-        Quantity(
-            "usable energy",
-            "of the label",
-            usable,
-            float(std or 0.0),
-            start.battery.usable_std_frac if battery.usable_frac is None else 0.1,
-            0.05,
-            False,
-            "discharge from full to cut-off in hover (low, over soft ground, or on a bench load)",
-        )
-    )
+    found += _usable_quantities(battery, start)
     return tuple(found)
+
+
+def _usable_quantities(battery: BatteryFit, start: Airframe) -> list[Quantity]:
+    """Usable energy at the lightest draw, and what each watt more takes of it."""
+    pack, usable = start.battery, battery.usable
+    level, level_std = pack.usable_frac, pack.usable_std_frac
+    loss, loss_std = pack.usable_loss_per_w, pack.usable_loss_per_w
+    if usable is not None:
+        level, level_std = usable.frac, usable.std_frac
+        loss, loss_std = usable.loss_per_w, usable.loss_std_per_w
+    hover = "hover from full to 10 %, low over soft ground (companion calibrate-plan --discharge)"
+    prior = pack.usable_std_frac if usable is None else _UNMEASURED_USABLE_STD_FRAC
+    return [
+        Quantity("usable energy", "of the label", level, level_std, prior, 0.05, False, hover),
+        Quantity(
+            "usable energy lost",
+            "per W",
+            loss,
+            loss_std,
+            pack.usable_loss_per_w,
+            1.0,
+            False,
+            "two such hovers, empty and with the heaviest parcel",
+        ),
+    ]
 
 
 def _linear(
@@ -298,10 +311,12 @@ def power_and_slope(
     value = at(power)
     slopes = np.zeros(len(power))
     for i in range(len(power)):
-        step = _STEP * max(abs(power[i]), 0.01)
+        step = -_STEP * max(abs(power[i]), 0.01)  # down: efficiency may stand at its greatest
+        if power[i] + step < 0.0:
+            step = -step
         moved = power.copy()
-        moved[i] -= step
-        slopes[i] = (value - at(moved)) / step
+        moved[i] += step
+        slopes[i] = (at(moved) - value) / step
     return value, slopes
 
 
@@ -332,9 +347,14 @@ def _assembled(
     pack = start.battery
     if identified["pack's resistance"]:
         pack = replace(pack, resistance_ohm=battery.resistance_ohm)
-    if battery.usable_frac is not None and battery.usable_at_w is not None:
-        frac = min(battery.usable_frac, 1.0)
-        pack = replace(pack, usable_frac=frac, usable_at_w=battery.usable_at_w)
+    if (usable := battery.usable) is not None:
+        pack = replace(
+            pack,
+            usable_frac=min(usable.frac, 1.0),
+            usable_at_w=usable.at_w,
+            usable_loss_per_w=usable.loss_per_w,
+            usable_std_frac=usable.std_frac,
+        )
     return replace(fitted, battery=pack), tuple(notes)
 
 

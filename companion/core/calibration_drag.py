@@ -12,6 +12,7 @@ The wind over the flight is then the best linear prediction from the same residu
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.optimize import least_squares
 
 from companion.core.airframe import Airframe
 from companion.core.calibration_records import BLOCK_S, Blocks
+from companion.core.calibration_scatter import widened_covariance
 from companion.core.power import GRAVITY_MPS2
 
 FloatArray = NDArray[np.float64]
@@ -168,33 +170,20 @@ def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: b
         x = solution.x
     assert solution is not None
     drag, own = split(x)
-    cov = _covariance(solution.jac, solution.fun, models, globals_)
+    cov = widened_covariance(solution.jac, solution.fun, _clusters(models), _OPTIMISM)
+    cov = cov[:globals_, :globals_]
     winds = tuple(m.wind(drag, mine) for m, mine in zip(models, own, strict=True))
     left = tuple(m.unexplained(drag, mine) for m, mine in zip(models, own, strict=True))
     return DragFit(drag, cov, prior_cov, winds, left)
 
 
-def _covariance(
-    jac: FloatArray, fun: FloatArray, models: list["_FlightModel"], globals_: int
-) -> FloatArray:
-    """Model covariance, widened where minutes of whitened residuals scatter more than they should.
-
-    The sandwich over clusters of a minute (Liang and Zeger 1986), applied as a factor of at least
-    one on each standard deviation; and what that still leaves out (_OPTIMISM).
-    """
-    bread = np.linalg.inv(jac.T @ jac)
-    meat = np.zeros_like(bread)
+def _clusters(models: list["_FlightModel"]) -> Iterator[NDArray[np.int64]]:
+    """Rows of all flights, minute by minute."""
     at = 0
     for model in models:
         for rows in model.clusters():
-            score = jac[at + rows].T @ fun[at + rows]
-            meat += np.outer(score, score)
+            yield at + rows
         at += model.size
-    meat += jac[at:].T @ jac[at:]
-    sandwich = bread @ meat @ bread
-    factor = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(bread), 1.0)) * _OPTIMISM
-    cov = np.asarray(bread * np.outer(factor, factor), np.float64)
-    return cov[:globals_, :globals_]
 
 
 class _FlightModel:

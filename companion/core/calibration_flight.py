@@ -8,11 +8,18 @@ wind and from trim (course and speed change faster than those do), hover and cli
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from companion.core.airframe import Airframe
+from companion.core.power import multirotor_power_w
 
 TAKEOFF, WAYPOINT, LOITER_TIME, LAND, CHANGE_SPEED = 22, 16, 19, 21, 178
 GROUND_SPEED = 1.0  # DO_CHANGE_SPEED's type
 _SLOW_FRAC, _MIDDLE_FRAC, _FAST_FRAC = 0.35, 0.6, 0.9
+DISCHARGE_CHARGE_FRAC = 0.10
+"""What a discharge is flown down to: the steep end begins there, a landing takes 1 to 2 %."""
+DISCHARGE_HEIGHT_M = 3.0
+_LONGEST_FRAC = 1.3  # of the believed hovering time: the plan lands then, whatever the voltage
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,3 +113,28 @@ def _fly_legs(
             PlanItem(WAYPOINT, (*_corner(number, options), height_m)),
         ]
     return items
+
+
+def discharge_stop_v(airframe: Airframe, payload_kg: float) -> float:
+    """Loaded voltage of the pack in hover at which DISCHARGE_CHARGE_FRAC is left, as believed."""
+    pack = airframe.battery
+    resting = pack.cells * float(
+        np.interp(DISCHARGE_CHARGE_FRAC, pack.ocv_charge_frac, pack.ocv_cell_v)
+    )
+    draw_w = float(multirotor_power_w(airframe, airframe.mass_kg(payload_kg), 0.0))
+    inside = max(resting**2 - 4.0 * pack.resistance_ohm * draw_w, 0.0)
+    return max(0.5 * (resting + math.sqrt(inside)), pack.low_v)
+
+
+def discharge_items(airframe: Airframe, payload_kg: float) -> list[PlanItem]:
+    """A hover low over the take-off place until the autopilot's own voltage failsafe lands it."""
+    pack = airframe.battery
+    draw_w = float(multirotor_power_w(airframe, airframe.mass_kg(payload_kg), 0.0))
+    believed_s = pack.nominal_wh * pack.usable_frac / draw_w * 3600.0
+    place = (0.0, 0.0, DISCHARGE_HEIGHT_M)
+    wait = (round(_LONGEST_FRAC * believed_s), 0.0, 0.0, math.nan)
+    return [
+        PlanItem(TAKEOFF, place),
+        PlanItem(LOITER_TIME, place, wait),
+        PlanItem(LAND, (0.0, 0.0, 0.0)),
+    ]

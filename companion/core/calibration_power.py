@@ -6,7 +6,8 @@ it); so is flight sideways through the air, where the model's nose-on drag does 
 flight has a factor of its own for its current sensor's scale.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.optimize import least_squares
 from companion.core.airframe import Airframe
 from companion.core.calibration_drag import DRAG_KEYS, WindSeen
 from companion.core.calibration_records import Blocks
+from companion.core.calibration_scatter import by_minute, widened_covariance
 from companion.core.power import multirotor_power_w
 
 FloatArray = NDArray[np.float64]
@@ -69,10 +71,10 @@ def power_values(airframe: Airframe) -> FloatArray:
 
 def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airframe:
     """An airframe with these numbers of DRAG_KEYS and POWER_KEYS in it."""
-    replace = msgspec.structs.replace
-    rotor = replace(airframe.power_rotor, **dict(zip(POWER_KEYS, map(float, power), strict=True)))
-    own = replace(airframe.drag, **dict(zip(DRAG_KEYS, map(float, drag), strict=True)))
-    return replace(airframe, drag=own, power_rotor=rotor)
+    changed = msgspec.structs.replace
+    rotor = changed(airframe.power_rotor, **dict(zip(POWER_KEYS, map(float, power), strict=True)))
+    own = changed(airframe.drag, **dict(zip(DRAG_KEYS, map(float, drag), strict=True)))
+    return changed(airframe, drag=own, power_rotor=rotor)
 
 
 def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[FloatArray, FloatArray]:
@@ -84,16 +86,49 @@ def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[FloatArray, FloatArray]:
 
 def predicted_w(airframe: Airframe, blocks: Blocks, wind: WindSeen) -> FloatArray:
     """Power by the airframe over a flight's airborne blocks, as the companion would plan it."""
-    b = blocks.pick(blocks.airborne)
-    airspeed, _ = air_speeds(blocks, wind)
-    power = np.zeros_like(airspeed)
+    return _priced_w(airframe, blocks.pick(blocks.airborne), air_speeds(blocks, wind)[0])
+
+
+def _priced_w(airframe: Airframe, b: Blocks, airspeed_mps: FloatArray) -> FloatArray:
+    power = np.zeros_like(airspeed_mps)
     for payload_kg in np.unique(b.payload_kg):
         at = b.payload_kg == payload_kg
         mass_kg = airframe.mass_kg(float(payload_kg))
         power[at] = multirotor_power_w(
-            airframe, mass_kg, airspeed[at], b.climb_mps[at], b.density_kgpm3
+            airframe, mass_kg, airspeed_mps[at], b.climb_mps[at], b.density_kgpm3
         )
     return power
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """One flight's settled blocks with what does not change while the fit goes on."""
+
+    blocks: Blocks
+    airspeed_mps: FloatArray
+    kinetic_w: FloatArray
+    noise_w: FloatArray
+
+    @staticmethod
+    def of(
+        blocks: Blocks,
+        wind: WindSeen,
+        settled: NDArray[np.int64],
+        airframe: Airframe,
+        priors: PowerPriors,
+    ) -> "_Piece":
+        """The settled ones among a flight's airborne blocks."""
+        return _Piece(
+            blocks.pick(np.flatnonzero(blocks.airborne)[settled]),
+            air_speeds(blocks, wind)[0][settled],
+            _kinetic_w(blocks, wind, airframe)[settled],
+            _noise(airframe, blocks, wind, priors)[settled],
+        )
+
+    def expected_w(self, airframe: Airframe) -> FloatArray:
+        """Power by an airframe, what goes into speed included."""
+        level = _priced_w(airframe, self.blocks, self.airspeed_mps)
+        return level + self.kinetic_w / airframe.power_rotor.drive_efficiency
 
 
 def fit_power(
@@ -110,16 +145,16 @@ def fit_power(
     settled = [_settled(b, w) for b, w in zip(flights, winds, strict=True)]
     standing = [_standing(b, airframe) for b in flights]
     drag = np.array([getattr(airframe.drag, key) for key in DRAG_KEYS])
-    kinetic = [_kinetic_w(b, w, airframe) for b, w in zip(flights, winds, strict=True)]
-    noise = [_noise(airframe, b, w, p)[s] for b, w, s in zip(flights, winds, settled, strict=True)]
+    pieces = [
+        _Piece.of(b, w, at, airframe, p) for b, w, at in zip(flights, winds, settled, strict=True)
+    ]
 
     def residuals(x: FloatArray) -> FloatArray:
         tried = with_values(airframe, drag, x[:4])
-        parts = []
-        for i, (b, w, at, sigma) in enumerate(zip(flights, winds, settled, noise, strict=True)):
-            kinetic_w = kinetic[i][at] / x[1]
-            expected = (predicted_w(tried, b, w)[at] + kinetic_w) * (1.0 + x[4 + i])
-            parts.append((flown[i].power_w[at] - expected) / sigma)
+        parts = [
+            (piece.blocks.power_w - piece.expected_w(tried) * (1.0 + scale)) / piece.noise_w
+            for piece, scale in zip(pieces, x[4:], strict=True)
+        ]
         for i, seen in enumerate(standing):
             if seen is not None:
                 mean_w, volt_v = seen
@@ -142,13 +177,11 @@ def fit_power(
         f_scale=2.0,
     )
     x = solution.x
-    cov = _covariance(solution.jac, residuals(x), flown, settled)
+    cov = widened_covariance(solution.jac, residuals(x), _clusters(flown, settled))
     tried = with_values(airframe, drag, x[:4])
     left = tuple(
-        flown[i].power_w[at]
-        / ((predicted_w(tried, b, w)[at] + kinetic[i][at] / x[1]) * (1.0 + x[4 + i]))
-        - 1.0
-        for i, (b, w, at) in enumerate(zip(flights, winds, settled, strict=True))
+        piece.blocks.power_w / (piece.expected_w(tried) * (1.0 + scale)) - 1.0
+        for piece, scale in zip(pieces, x[4:], strict=True)
     )
     return PowerFit(
         values=x[:4],
@@ -199,33 +232,18 @@ def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -
     """Standard deviation of one block's power: the model's, and what the wind's error makes."""
     flown = blocks.pick(blocks.airborne)
     power = predicted_w(airframe, blocks, wind)
-    shifted = WindSeen(
-        wind.to_north_mps + 0.5 * wind.std_mps,
-        wind.to_east_mps + 0.5 * wind.std_mps,
-        wind.std_mps,
-        wind.mean_mps,
+    shifted = replace(
+        wind,
+        to_north_mps=wind.to_north_mps + 0.5 * wind.std_mps,
+        to_east_mps=wind.to_east_mps + 0.5 * wind.std_mps,
     )
     slope = predicted_w(airframe, blocks, shifted) - power
     return np.hypot(p.model_frac * flown.power_w, slope)
 
 
-def _covariance(
-    jac: FloatArray, fun: FloatArray, flown: list[Blocks], settled: list[NDArray[np.int64]]
-) -> FloatArray:
-    """As for drag: the model's covariance, widened where minutes scatter more than they should.
-
-    Residuals of one minute are as good as one: they are summed before they are squared.
-    """
-    bread = np.linalg.inv(jac.T @ jac)
-    meat, at = np.zeros_like(bread), 0
+def _clusters(flown: list[Blocks], settled: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+    """Settled rows of all flights, minute by minute."""
+    at = 0
     for b, rows in zip(flown, settled, strict=True):
-        minute = (b.t_s[rows] // 60.0).astype(int)
-        for m in np.unique(minute):
-            picked = at + np.flatnonzero(minute == m)
-            score = jac[picked].T @ fun[picked]
-            meat += np.outer(score, score)
+        yield from by_minute(b.t_s[rows], at)
         at += len(rows)
-    meat += jac[at:].T @ jac[at:]
-    sandwich = bread @ meat @ bread
-    factor = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(bread), 1.0))
-    return np.asarray(bread * np.outer(factor, factor), np.float64)

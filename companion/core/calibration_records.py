@@ -4,7 +4,7 @@ A record is what any log gives; what is unknown is NaN. What is missing, cut off
 unit is said with the flight's name and row; what is left is used as far as it goes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -78,14 +78,9 @@ class Blocks:
     airborne: BoolArray
     density_kgpm3: float
 
-    def pick(self, keep: BoolArray) -> "Blocks":
-        """The blocks that are kept."""
-        arrays: dict[str, Any] = {
-            name: getattr(self, name)[keep]
-            for name in self.__slots__
-            if isinstance(getattr(self, name), np.ndarray)
-        }
-        return Blocks(name=self.name, density_kgpm3=self.density_kgpm3, **arrays)
+    def pick(self, keep: BoolArray | NDArray[np.int64]) -> "Blocks":
+        """The blocks that are kept, by truth or by number."""
+        return replace(self, **_picked(self, keep))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +141,13 @@ def _in_order(record: FlightRecord, notes: list[str]) -> FlightRecord:
         notes.append(
             f"{record.name}: row {row}: time does not rise; rows up to the old time left out"
         )
-    rows = {
-        name: getattr(record, name)[rising]
-        for name in FlightRecord.__slots__
-        if isinstance(getattr(record, name), np.ndarray)
-    }
-    return FlightRecord(name=record.name, density_kgpm3=record.density_kgpm3, **rows)
+    return replace(record, **_picked(record, rising))
+
+
+def _picked(table: FlightRecord | Blocks, keep: BoolArray | NDArray[np.int64]) -> dict[str, Any]:
+    """Rows of every column."""
+    columns = {name: getattr(table, name) for name in table.__slots__}
+    return {name: c[keep] for name, c in columns.items() if isinstance(c, np.ndarray)}
 
 
 def _check_units(record: FlightRecord, hover_w: float, cells: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.gate_paths import PathSampler
-from companion.core.geo import course_rad, horizontal_m, wrap_pi
+from companion.core.geo import Ned, course_rad, horizontal_m, wrap_pi
 from companion.core.remaining import Ahead, Stage
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_estimator import WindBelief
@@ -169,7 +169,7 @@ class LegTable:
         for way in ahead.ways_home_now:
             last = None
             if moving is not None and moving.kind is LegKind.CRUISE and way.legs:
-                last = replace(moving, to_ned_m=way.legs[0].from_ned_m)
+                last = _ended_at(moving, way.legs[0].from_ned_m)
             self._ways[0].append(self._add(way.legs, last))
         last = None
         for stage in ahead.stages:
@@ -272,6 +272,16 @@ class LegTable:
                 else tuple(take(point, [way]) for way in self._ways[self.stages]),
             )
         return np.array(legs), np.array(origin)
+
+
+def _ended_at(leg: Leg, place: Ned) -> Leg:
+    """The same leg moved along so that it ends at a place: its course is what a turn begins from.
+
+    A leg under way begins where the vehicle is, so it cannot simply be cut off there.
+    """
+    moved = tuple(p - to for p, to in zip(place, leg.to_ned_m, strict=True))
+    north, east, down = (f + m for f, m in zip(leg.from_ned_m, moved, strict=True))
+    return replace(leg, from_ned_m=(north, east, down), to_ned_m=place)
 
 
 def _least(needs: list[Need]) -> Need:

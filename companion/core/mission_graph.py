@@ -178,7 +178,13 @@ class _Builder:
         before: Leg | None = None
         for j, here in enumerate(points):
             edges += [
-                Edge(self._back[j], ACCOUNT, empty, self._to_rally(here, r.ground_ned_m, empty))
+                Edge(
+                    self._back[j],
+                    ACCOUNT,
+                    empty,
+                    self._to_rally(here, r.ground_ned_m, empty),
+                    before,
+                )
                 for r in self._plan.rally
                 if j in r.from_return
             ]
@@ -186,7 +192,8 @@ class _Builder:
                 legs = self._cruise(here, points[j + 1], empty)
                 edges.append(Edge(self._back[j], self._back[j + 1], empty, legs, before))
                 before = legs[-1] if legs else before
-        edges.append(Edge(self._back[-1], ACCOUNT, empty, (self._land(points[-1], empty),)))
+        landing = (self._land(points[-1], empty),)
+        edges.append(Edge(self._back[-1], ACCOUNT, empty, landing, before))
         return edges
 
     def _cruise(self, a: Ned, b: Ned, empty: bool) -> tuple[Leg, ...]:

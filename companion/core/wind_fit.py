@@ -1,10 +1,10 @@
 """A wind process fitted to recordings, by the likelihood of their 10 s means.
 
-The 10 s means of each axis are jointly Gaussian under the process: their likelihood is exact, gaps
-and all, by one Cholesky factor for each window of two hours. Against least squares on a variogram,
-which is the other way: neighbouring lags of a variogram repeat one another, so that its slow end
-rests on a handful of independent values that look like dozens; the likelihood weighs each second
-once, and its curvature says how well a parameter is known.
+The 10 s means of each axis are jointly Gaussian under the process: their likelihood is exact, the
+averaging and gaps and all, by one Cholesky factor for each window of two hours. Against least
+squares on a variogram, which is the other way: neighbouring lags of a variogram repeat one another,
+so that its slow end rests on a handful of independent values that look like dozens; the likelihood
+weighs each second once, and its curvature says how well a parameter is known.
 
 Weak priors (a factor of two on each memory, of e on each variance) keep parts apart that a short
 recording cannot tell apart. Both axes share the parameters and are independent.
@@ -184,7 +184,8 @@ def _window_likelihood(
     parts = x.size // 2
     memory, variance = np.exp(x[:parts]), scale * np.exp(x[parts:])
     lag = np.abs(np.subtract.outer(t_s, t_s))
-    each = [v * np.exp(-lag / m) for m, v in zip(memory, variance, strict=True)]
+    shares = [_share_of_means(m, lag) for m in memory]
+    each = [v * share for v, (share, _) in zip(variance, shares, strict=True)]
     cov = np.sum(each, axis=0) + _LEVEL_STD_MPS**2
     cov[np.diag_indices(t_s.size)] += _INSTRUMENT_VARIANCE_M2PS2
     factor = cho_factor(cov, lower=True, overwrite_a=True, check_finite=False)
@@ -195,9 +196,26 @@ def _window_likelihood(
     value = -0.5 * float((wind * weighed).sum())
     value -= axes * (half_log_det + 0.5 * t_s.size * math.log(2.0 * math.pi))
     push = 0.5 * (weighed @ weighed.T - axes * inverse)
-    slope = [float((push * e * lag).sum()) / m for m, e in zip(memory, each, strict=True)]
+    slope = [float((push * v * its).sum()) for v, (_, its) in zip(variance, shares, strict=True)]
     slope += [float((push * e).sum()) for e in each]
     return value, np.array(slope)
+
+
+def _share_of_means(memory_s: float, lag_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance of two MEAN_S means so far apart over the process's variance; its slope in log T.
+
+    Exact for means that do not overlap, `(2 r sinh(1 / 2 r))^2 exp(-lag / T)` with r = T / MEAN_S,
+    and for a mean with itself (Taylor 1921). A mean taken for the process itself would make
+    a gust of 20 s look like one of 35.
+    """
+    r = memory_s / MEAN_S
+    apart = (2.0 * r * math.sinh(0.5 / r)) ** 2 * np.exp(-lag_s / memory_s)
+    apart_slope = apart * (lag_s / memory_s + 2.0 - 1.0 / (r * math.tanh(0.5 / r)))
+    left = math.exp(-1.0 / r)
+    itself = 2.0 * r * (1.0 - r * (1.0 - left))
+    itself_slope = 2.0 * r * (1.0 - 2.0 * r * (1.0 - left) + left)
+    same = lag_s < 0.5 * MEAN_S
+    return np.where(same, itself, apart), np.where(same, itself_slope, apart_slope)
 
 
 def _log_std(posterior: _Posterior, x: FloatArray, step: float = 1e-3) -> FloatArray:

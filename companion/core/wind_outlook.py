@@ -27,6 +27,8 @@ LEG_S = 60.0
 """What a leg meets of gusts is an average over about a minute."""
 
 _OBSERVE_EVERY_S = 5.0
+_MEAN_WIND_S = 60.0
+"""Parts that remember longer make up the mean wind, which turbulence grows with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,7 @@ class WindOutlook:
         # The last part is the level: it keeps what it is.
         self._memory_s = np.array([*process.memory_s, math.inf])
         self._variance = np.array([*process.variance_m2ps2, process.level_std_mps**2])
+        self._slow = self._memory_s > _MEAN_WIND_S
         self._noise_m2ps2 = process.seen_noise_std_mps**2
         self._t_s: float | None = None
         self._parts = np.zeros((self._memory_s.size, 2))
@@ -146,8 +149,14 @@ class WindOutlook:
         return parts, cov
 
     def _scale(self, belief: WindBelief) -> float:
-        """Variance here over variance at the reference wind."""
-        return self._process.variance_scale(speed_mps(belief.mean_to_ne_mps))
+        """Variance here over variance at the reference wind.
+
+        By the mean wind of the history; a lull or a gust of the moment says nothing of it. Taken
+        from the wind of the moment, a lull was called steady just when it was about to end.
+        """
+        if self._t_s is None:
+            return self._process.variance_scale(speed_mps(belief.mean_to_ne_mps))
+        return self._process.variance_scale(speed_mps(self._parts[self._slow].sum(axis=0)))
 
 
 @lru_cache(maxsize=32)  # a flight asks for the same few horizons, several times a second

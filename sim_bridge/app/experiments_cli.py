@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from companion.core.errors import LeewayError
 from sim_bridge.app.campaign_cli import INTERRUPTED
 from sim_bridge.experiments.journal import Journal, Result, Work, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet
@@ -59,11 +58,6 @@ def run_journaled(
             raise typer.Exit(INTERRUPTED) from None
 
 
-def _refuse(error: LeewayError) -> typer.Exit:
-    typer.echo(f"sim-bridge: {error}", err=True)
-    return typer.Exit(2)
-
-
 @app.command()
 def table1(
     out: Out = OUT,
@@ -92,10 +86,7 @@ def table1(
 
     params = GUSTY_PARAMS if gusty else Table1Params()
     params = replace(params, rounds=rounds, graphs=graphs, seed=seed)
-    try:
-        wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
-    except LeewayError as error:
-        raise _refuse(error) from None
+    wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
     title = "Table 1" + (", gusty set (ours)" if gusty else "")
     title += f", recording {wind_log.stem}" if wind_log else ""
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
@@ -152,10 +143,7 @@ def energy_speed(
     from companion.adapters.files import read_airframe
     from sim_bridge.experiments import energy_speed as experiment
 
-    try:
-        believed = read_airframe(airframe)
-    except LeewayError as error:
-        raise _refuse(error) from None
+    believed = read_airframe(airframe)
     found = experiment.curves(believed)
     _finish(experiment.sheet(found, believed), out, "energy_speed")
     experiment.draw(found, out / "energy_speed.png")
@@ -174,15 +162,11 @@ def speed_to_fly(
     """
     from companion.adapters.files import params_dir, read_airframe
     from sim_bridge.experiments import speed_to_fly as experiment
-    from sim_bridge.truth.errors import TruthError
     from sim_bridge.truth.params import load_airframe
 
     for name in airframe or ["m100"]:
-        try:
-            believed = read_airframe(name)
-            truth = load_airframe(params_dir() / "truth" / f"{believed.name}.toml")
-        except (LeewayError, TruthError) as error:
-            raise _refuse(LeewayError(str(error))) from None
+        believed = read_airframe(name)
+        truth = load_airframe(params_dir() / "truth" / f"{believed.name}.toml")
         with _bar() as bar:
             shown = bar.add_task(name, total=len(experiment.LOADS_FRAC))
             cells = experiment.envelope(believed, truth, lambda b=bar, t=shown: b.advance(t))
@@ -267,24 +251,21 @@ def estimator_bench(
     from sim_bridge.experiments.anemometer_flight import read_recording
     from sim_bridge.truth.params import load_airframe
 
-    try:
-        believed = read_airframe(airframe)
-        path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
-        if anemometer is None and not path.exists():
-            typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
-        else:
-            recording = read_recording(path, believed.mass_kg(0.0))
-            with _bar() as bar:
-                bar.add_task("real flight", total=None)
-                rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
-            out.mkdir(parents=True, exist_ok=True)
-            _finish(bench.flight_sheet(rows), out, "estimator_flight")
-            bench.draw_flight(recording, rows, out / "estimator_flight.png")
-            for name, airspeed in (("tilt only", False), ("with airspeed", True)):
-                median, most = bench.update_us(recording, believed, airspeed=airspeed)
-                typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
-    except LeewayError as error:
-        raise _refuse(error) from None
+    believed = read_airframe(airframe)
+    path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
+    if anemometer is None and not path.exists():
+        typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
+    else:
+        recording = read_recording(path, believed.mass_kg(0.0))
+        with _bar() as bar:
+            bar.add_task("real flight", total=None)
+            rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
+        out.mkdir(parents=True, exist_ok=True)
+        _finish(bench.flight_sheet(rows), out, "estimator_flight")
+        bench.draw_flight(recording, rows, out / "estimator_flight.png")
+        for name, airspeed in (("tilt only", False), ("with airspeed", True)):
+            median, most = bench.update_us(recording, believed, airspeed=airspeed)
+            typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
     if not envelope:
         return
     truth = load_airframe(params_dir() / "truth" / "m100.toml")

@@ -46,6 +46,10 @@ def fly_plan_command(
     nose_held: Annotated[
         bool, typer.Option("--nose-held", help="One heading throughout: tells drag sideways.")
     ] = False,
+    param: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE, an autopilot's parameter; repeat it for several."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Gusts follow it.")] = 1,
     vehicle_seed: Annotated[
         int,
@@ -67,6 +71,7 @@ def fly_plan_command(
     mean = mean_wind(wind, Path())
     home, items = read_plan(plan)
     settings = _SETTINGS[flavour] | (_NOSE_HELD[flavour] if nose_held else {})
+    settings |= dict(map(_setting, param or []))
     served = stand_up(
         flavour,
         load_airframe(params_dir() / "truth" / f"{airframe}.toml"),
@@ -91,3 +96,13 @@ def fly_plan_command(
         f" {flown.wind_mean_mps:.1f} m/s, {payload_kg:g} kg",
         soft_wrap=True,
     )
+
+
+def _setting(words: str) -> tuple[str, float]:
+    name, equals, value = words.partition("=")
+    try:
+        if not equals:
+            raise ValueError
+        return name, float(value)
+    except ValueError:
+        raise LeewayError(f"--param {words}: NAME=VALUE expected") from None

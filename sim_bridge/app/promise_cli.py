@@ -63,7 +63,7 @@ def promise(
 
     Straight out, deliver, straight back, thousands of times; PX4's time rule, fixed thresholds and
     a clairvoyant fly the same missions. The gate learns its spread and its risk only from blocks
-    that are not judged. Ctrl-C keeps what is done: the same command goes on.
+    that are not judged. Ctrl-C prints what was flown so far and keeps it: the same command goes on.
 
     Example: sim-bridge promise --wind-log site.csv --tier hard --missions 1000 --json promise.json
     """
@@ -98,12 +98,19 @@ def promise(
     fitted = run_journaled("fitting", folds, flying.fit_fold, jobs, learned)
     works = flying.works_of(world, fitted)
     kept = Journal(out / f"{name}.partial", digest_of(works), list[flying.GateFlight])
-    flown = run_journaled("missions", works, flying.fly, jobs, kept)
+    try:
+        flown = run_journaled("missions", works, flying.fly, jobs, kept)
+    except (typer.Exit, SystemExit):  # Ctrl-C, and SIGTERM
+        if done := kept.read():
+            so_far = sheets.result_of(world, fitted, done.values())
+            typer.echo(sheets.rules_sheet(world, so_far).markdown())
+            typer.echo(sheets.reliability_sheet(so_far).markdown())
+        raise
     result = sheets.result_of(world, fitted, flown)
     rules, reliability = sheets.rules_sheet(world, result), sheets.reliability_sheet(result)
     written = [*rules.write(out, "rules"), *reliability.write(out, "reliability")]
     picture = out / "reliability.png"
-    sheets.draw(result, sheets.title_of(world), picture)
+    sheets.draw(result, sheets.title_of(world, setting.missions), picture)
     if json is not None:
         content = msgspec.json.format(msgspec.json.encode(result.verdict), indent=1)
         write_whole(json, content + b"\n")

@@ -37,6 +37,9 @@ def test_a_stopped_call_goes_on_and_says_the_same(tmp_path, monkeypatch) -> None
     stopped = run(tmp_path, "again")
     assert stopped.exit_code == 130
     assert "the same command goes on" in stopped.output
+    got_to = len(flown[0].missions)
+    assert 0 < got_to < 9
+    assert f"STOPPED after {got_to} of 9 missions" in stopped.output
     assert not (tmp_path / "again.json").exists()
 
     def rest(work):

@@ -13,6 +13,7 @@ from companion.adapters.files import read_airframe
 from companion.core.route_energy import RouteEnergy
 from sim_bridge.app.experiments_cli import app
 from sim_bridge.experiments.speed_to_fly import GOAL, Cell, TrueCosts, cell_at
+from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
@@ -71,5 +72,5 @@ def test_an_airframe_without_a_truth_is_refused_by_name(tmp_path: Path) -> None:
     result = CliRunner().invoke(
         app, ["speed-to-fly", "--out", str(tmp_path), "--airframe", "px4_sih"]
     )
-    assert result.exit_code == 2
-    assert "px4_sih.toml" in result.output
+    assert isinstance(result.exception, TruthError)  # one line and exit code 2: cli.main
+    assert "px4_sih.toml" in str(result.exception)

@@ -256,15 +256,17 @@ def test_rows_of_nan_and_a_clock_that_jumps_back_are_left_out_and_said():
     assert np.isfinite(prepared.blocks.thrust_forward_mps2).all()
 
 
-def discharge(draw_w, charge_frac=1.0, until_cutoff=True):
-    """A hover at a constant draw on the simulator's pack."""
+def discharge(draw_w, charge_frac=1.0, down_to=0.0, sensor=1.0):
+    """A hover at a constant draw on the simulator's pack, landed at a charge; the sensor's factor
+    is on the current.
+    """
     pack = Battery(TRUTH.battery, charge_frac=charge_frac)
     rows = []
     for second in range(3000):
         pack.step(15.0 if second < 30 else draw_w, 1.0)
-        if pack.cut_off or (not until_cutoff and second > 600):
+        if pack.cut_off or pack.charge_frac < down_to:
             break
-        rows.append((pack.voltage_v, pack.current_a, second >= 30))
+        rows.append((pack.voltage_v, sensor * pack.current_a, second >= 30))
     volts, amps, aloft = map(np.array, zip(*rows[: len(rows) // 2 * 2], strict=True))
     volts, amps = volts.reshape(-1, 2).mean(1), amps.reshape(-1, 2).mean(1)
     zero = np.zeros(len(volts))
@@ -276,22 +278,48 @@ def discharge(draw_w, charge_frac=1.0, until_cutoff=True):
         "power_w": volts * amps,
         "airborne": aloft[::2],
     }
-    return Blocks(name="discharge", density_kgpm3=1.225, **arrays), pack.delivered_j / 3600.0
+    return Blocks(name=f"{draw_w:.0f} W", density_kgpm3=1.225, **arrays), pack.delivered_j / 3600.0
+
+
+# The planner's pack with the simulator's cut-off: what "usable" ends at has to be the same thing.
+PACK = msgspec.structs.replace(read_airframe("m100").battery, cutoff_cell_v=3.2)
+
+
+def true_usable_wh(draw_w):
+    """What the simulator's pack delivers from full to cut-off, flown to its very end."""
+    return discharge(draw_w)[1]
 
 
 def test_a_discharge_to_cut_off_gives_the_usable_energy():
-    battery = msgspec.structs.replace(read_airframe("m100").battery, cutoff_cell_v=3.2)
     flown, delivered_wh = discharge(478.0)
-    fit = fit_battery([flown], battery)
-    assert fit.usable_frac is not None
-    assert fit.usable_frac * battery.nominal_wh == pytest.approx(delivered_wh, rel=0.02)
-    assert fit.usable_at_w == pytest.approx(478.0, rel=0.01)
+    fit = fit_battery([flown], PACK).usable
+    assert fit is not None
+    assert fit.frac * PACK.nominal_wh == pytest.approx(delivered_wh, rel=0.02)
+    assert fit.at_w == pytest.approx(478.0, rel=0.01)
+    assert fit.loss_per_w == pytest.approx(PACK.usable_loss_per_w)  # one draw tells no slope
 
 
-@pytest.mark.parametrize("how", [{"charge_frac": 0.7}, {"until_cutoff": False}])
+@pytest.mark.parametrize("sensor", [0.98, 1.0, 1.02])
+def test_two_discharges_landed_at_a_tenth_recover_the_truths_usable_energy(sensor):
+    """By the stated intervals: the sensor is off by its own one sigma, the guess by 10 %."""
+    guess = msgspec.structs.replace(PACK, usable_frac=0.87, usable_loss_per_w=2.4e-4)
+    flown = [discharge(draw, down_to=0.09, sensor=sensor)[0] for draw in (478.0, 700.0)]
+    fit = fit_battery(flown, guess).usable
+    assert fit is not None
+    assert 0.02 < fit.extrapolated_frac < 0.12
+    label = guess.nominal_wh
+    light, heavy = true_usable_wh(478.0) / label, true_usable_wh(700.0) / label
+    assert abs(fit.frac - light) < 2.0 * fit.std_frac
+    assert fit.std_frac < 0.04
+    slope = (light - heavy) / (700.0 - 478.0)
+    assert abs(fit.loss_per_w - slope) < 2.0 * fit.loss_std_per_w
+    assert fit.loss_std_per_w < 0.6 * guess.usable_loss_per_w  # told by the logs, not by the guess
+
+
+@pytest.mark.parametrize("how", [{"charge_frac": 0.7}, {"down_to": 0.4}])
 def test_half_a_discharge_leaves_usable_energy_as_believed(how):
     flown, _ = discharge(478.0, **how)
-    assert fit_battery([flown], read_airframe("m100").battery).usable_frac is None
+    assert fit_battery([flown], read_airframe("m100").battery).usable is None
 
 
 def test_an_airframe_file_reads_back_as_it_was_written(tmp_path, done):

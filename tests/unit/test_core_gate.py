@@ -483,3 +483,29 @@ def test_in_a_wind_that_stays_p_success_is_whether_the_energy_does_for_the_whole
     sigmas = spare_frac * need / math.hypot(2.0, MODEL_STD * need)
     assert answer.p_success <= norm.cdf(sigmas) + 0.01
     assert answer.p_success >= norm.cdf(sigmas - norm.ppf(0.99)) - 0.01
+
+
+def turned(north: float, east: float) -> Ahead:
+    """The same way out and home, laid along another course from the depot."""
+
+    def at(metres: float, down: float = UP) -> tuple[float, float, float]:
+        return north * metres, east * metres, down
+
+    def home(metres: float) -> WayHome:
+        land = Leg(LegKind.LAND, at(0.0), at(0.0, 0.0), PARCEL)
+        return WayHome("depot", (Leg(LegKind.CRUISE, at(metres), at(0.0), PARCEL), land))
+
+    out = Leg(LegKind.CRUISE, at(1500.0), at(2500.0), PARCEL)
+    return Ahead((home(1500.0),), (Stage((out,), (home(2500.0),)),))
+
+
+@pytest.mark.parametrize(("north", "east"), [(-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.6, 0.8)])
+def test_in_calm_air_turning_round_costs_the_same_on_every_course(north, east) -> None:
+    # By symmetry: no wind knows north from south.
+    gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=0.0))
+    said = [
+        gate.assess(turned(*way), believed(0.0, 0.0), StillWind(WIND_PROCESS), energy(25.0))
+        for way in ((1.0, 0.0), (north, east))
+    ]
+    assert 0.02 < said[0].p_home_now < 0.98  # on the slope, where a tenth of a Wh shows
+    assert said[1].p_home_now == pytest.approx(said[0].p_home_now, abs=1e-6)

@@ -19,7 +19,8 @@ def written(tmp_path: Path, rows: list[str], head: str = HEAD) -> Path:
 
 
 def steady(first: int, last: int, speed: float = 8.0, from_deg: float = 90.0) -> list[str]:
-    return [f"{t},{speed},{from_deg}" for t in range(first, last)]
+    """A last digit that moves: the very same reading for a minute is a vane that froze."""
+    return [f"{t},{speed},{from_deg + 1e-9 * ((t + 1) % 2):.9f}" for t in range(first, last)]
 
 
 def test_wind_from_the_east_moves_west(tmp_path: Path) -> None:
@@ -51,6 +52,7 @@ def test_what_is_no_number_is_named_and_bridged(tmp_path: Path) -> None:
     rows[200] = "200,8,east"
     found = read_recording(written(tmp_path, rows))
     assert [s.seconds for s in found.stretches] == [299]
+    assert found.troubles[0].startswith(f"{tmp_path / 'site.csv'}: line 102: ")
     assert "line 102: wind_speed_mps = 'nan'" in found.troubles[0]
     assert "line 202: wind_from_deg = 'east'" in found.troubles[1]
 
@@ -59,13 +61,13 @@ def test_many_bad_rows_are_counted_not_listed(tmp_path: Path) -> None:
     rows = [row if k % 3 else f"{k},,90" for k, row in enumerate(steady(0, 300))]
     troubles = read_recording(written(tmp_path, rows)).troubles
     assert len(troubles) == 6
-    assert troubles[-1].endswith("95 more rows")
+    assert "95 more rows" in troubles[-1]
 
 
 def test_a_gap_ends_a_stretch(tmp_path: Path) -> None:
     found = read_recording(written(tmp_path, [*steady(0, 300), *steady(500, 700)]))
     assert [(s.start_s, s.seconds) for s in found.stretches] == [(0.0, 299), (500.0, 199)]
-    assert "line 302: nothing from t_s = 299 to 500" in found.troubles[0]
+    assert "line 302: 201 s without a sample" in found.troubles[0]
 
 
 def test_a_clock_that_jumps_back_begins_a_new_stretch(tmp_path: Path) -> None:
@@ -85,7 +87,7 @@ def test_a_station_that_turns_round_for_minutes_is_left_out_while_it_does(tmp_pa
     found = read_recording(written(tmp_path, rows))
     assert [(s.start_s, s.seconds) for s in found.stretches] == [(0.0, 399), (600.0, 399)]
     assert "lines 402 to 601" in found.troubles[0]
-    assert "200 s" in found.troubles[0]
+    assert "for 199 s" in found.troubles[0]
 
 
 def test_a_wind_that_veers_by_itself_is_kept(tmp_path: Path) -> None:
@@ -101,8 +103,8 @@ def test_a_wind_that_veers_by_itself_is_kept(tmp_path: Path) -> None:
         ("t_s,u_mps,v_mps", ["0,1,2"], "column 'u_mps'"),
         ("t_s,wind_speed_mps", ["0,1"], "column wind_from_deg"),
         (HEAD, steady(0, 40), "no stretch of 120 s"),
-        (HEAD, ["0,99,90"] * 3, "expected 0 to 75"),
-        (HEAD, [], "no stretch"),
+        (HEAD, ["0,99,90"] * 3, "expected m/s (km/h?"),
+        (HEAD, [], "0 rows of numbers"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, head, rows, words) -> None:
@@ -113,7 +115,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, head, rows, words)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LeewayError, match=r"nowhere\.csv: cannot be read"):
+    with pytest.raises(LeewayError, match=r"nowhere\.csv: No such file"):
         read_recording(tmp_path / "nowhere.csv")
 
 

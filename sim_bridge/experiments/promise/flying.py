@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import zip_longest
 
 import numpy as np
 from msgspec.structs import replace
@@ -231,15 +232,17 @@ def _departures(
 
 
 def works_of(world: World, fitted: list[Fitted]) -> list[FlyWork]:
-    """The missions in pieces, fold by fold."""
-    works: list[FlyWork] = []
+    """The missions in pieces, from all folds in turn: a call that is stopped has seen each."""
+    by_fold: list[list[FlyWork]] = []
     for fold in fitted:
         mine = np.nonzero(world.fold_of_mission == fold.fold)[0].tolist()
-        works += [
-            FlyWork(world.setting, fold, tuple(mine[k : k + CHUNK]))
-            for k in range(0, len(mine), CHUNK)
-        ]
-    return works
+        by_fold.append(
+            [
+                FlyWork(world.setting, fold, tuple(mine[k : k + CHUNK]))
+                for k in range(0, len(mine), CHUNK)
+            ]
+        )
+    return [work for turn in zip_longest(*by_fold) for work in turn if work is not None]
 
 
 def fly(work: FlyWork) -> list[GateFlight]:

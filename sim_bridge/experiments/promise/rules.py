@@ -27,6 +27,10 @@ class Ends:
     delivered: Bools
     margin_wh: Floats
 
+    def of(self, numbers: NDArray[np.int64]) -> "Ends":
+        """Some of the missions."""
+        return Ends(self.go[numbers], self.delivered[numbers], self.margin_wh[numbers])
+
     @property
     def home(self) -> Bools:
         """Went, and came home."""

@@ -1,5 +1,6 @@
 """`promise` as people read it: tables and the reliability diagram."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from sim_bridge.experiments.promise.world import World, block_words
 from sim_bridge.experiments.report import Sheet
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 RULES = ("px4_time", "threshold_25", "threshold_35", "clairvoyant")
 BOUND = "bound: the same information, the true process"
@@ -44,18 +46,19 @@ class Result:
     """On simulated wind: the bound's SUC count at the loss that is accepted."""
 
 
-def result_of(world: World, fitted: list[Fitted], flights: list[list[GateFlight]]) -> Result:
-    """Judge what was flown."""
+def result_of(world: World, fitted: list[Fitted], flights: Iterable[list[GateFlight]]) -> Result:
+    """Judge what was flown, all missions or those that a stopped call got to."""
     names = tuple(world.accepted_losses)
-    by_number = {flight.mission: flight for part in flights for flight in part}
-    flown = [by_number[number] for number in range(world.setting.missions)]
-    ends = {name: _ends(world, flown, k) for k, name in enumerate(names)}
+    flown = sorted((f for part in flights for f in part), key=lambda f: f.mission)
+    numbers = np.array([f.mission for f in flown], np.int64)
+    ends = {name: _ends(world, flown, numbers, k) for k, name in enumerate(names)}
     gate = ends["gate"]
     said = np.array([[np.nan if p is None else p for p in f.said[0]] for f in flown])
-    unit = world.unit_of_mission
+    unit = world.unit_of_mission[numbers]
     rng = np.random.default_rng([world.setting.seed, _BOOTSTRAP_SEED])
     statements = statements_of(said, gate, unit)
-    rules = {"gate": rule_row(gate), **{name: rule_row(world.rules[name]) for name in RULES}}
+    fixed = {name: rule_row(world.rules[name].of(numbers)) for name in RULES}
+    rules = {"gate": rule_row(gate), **fixed}
     verdict = Verdict(rules, bins_of(statements, rng), go_of(gate, unit, rng))
     matched = {name: rule_row(each) for name, each in ends.items() if name != "gate"}
     best = np.array([f.p_bound for f in flown if f.p_bound is not None])
@@ -63,23 +66,26 @@ def result_of(world: World, fitted: list[Fitted], flights: list[list[GateFlight]
     return Result(verdict, statements, matched, said_by_phase(said, gate), fitted, most)
 
 
-def _ends(world: World, flown: list[GateFlight], policy: int) -> Ends:
-    turn_s = np.array(
-        [np.inf if f.turn_s[policy] is None else f.turn_s[policy] for f in flown], float
-    )
-    go = np.array([f.go[policy] for f in flown])
-    return ends_of(world.drawn.flown, turn_s, go)
+def _ends(world: World, flown: list[GateFlight], numbers: Ints, policy: int) -> Ends:
+    count = world.setting.missions
+    turn_s, go = np.zeros(count), np.zeros(count, np.bool_)
+    turn_s[numbers] = [np.inf if f.turn_s[policy] is None else f.turn_s[policy] for f in flown]
+    go[numbers] = [f.go[policy] for f in flown]
+    return ends_of(world.drawn.flown, turn_s, go).of(numbers)
 
 
-def title_of(world: World) -> str:
+def title_of(world: World, missions: int) -> str:
     """What was flown, in a line."""
     setting = world.setting
     where = ", ".join(Path(name).stem for name in setting.wind_logs)
     where = where or f"{setting.simulated_days} simulated days"
-    return (
+    title = (
         f"Is the promise kept? {where}, {setting.tier}, {world.profile.airspeed_mps:.1f} m/s"
         f" (wind/air {world.wind_over_air:.2f}), max loss {setting.max_loss:g}"
     )
+    if missions < setting.missions:
+        title += f"; STOPPED after {missions} of {setting.missions} missions"
+    return title
 
 
 def rules_sheet(world: World, result: Result) -> Sheet:
@@ -92,8 +98,9 @@ def rules_sheet(world: World, result: Result) -> Sheet:
         for name, row in result.matched.items()
     ]
     if result.most_SUC is not None:
-        share = 100.0 * result.most_SUC / world.setting.missions
-        below = 100.0 * best / world.setting.missions - share
+        missions = rules["gate"].missions
+        share = 100.0 * result.most_SUC / missions
+        below = 100.0 * best / missions - share
         rows.append(
             (
                 BOUND,
@@ -126,7 +133,7 @@ def rules_sheet(world: World, result: Result) -> Sheet:
         f" a single decision may risk {accepted}."
     )
     head = ("rule", "go %", "home % of go", "loss %", "SUC %", "below clairvoyant", "margin Wh")
-    return Sheet(title_of(world), head, rows, note)
+    return Sheet(title_of(world, rules["gate"].missions), head, rows, note)
 
 
 def _cells(name: str, row: RuleRow, best: int) -> tuple[str, ...]:
