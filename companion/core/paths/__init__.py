@@ -1,1 +1,1 @@
-"""Row 2 and 11: paths that a vehicle with a turn radius and climb limits can fly, in steady wind."""
+"""Rows 2 and 11: paths that a vehicle with a turn radius can fly, in steady wind."""
