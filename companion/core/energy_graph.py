@@ -37,7 +37,7 @@ class EnergyGraph:
     """What obstacles make of the wind on each edge: factors on its speed for D equal sectors of
     where it blows to, the first centred on east; shape (E, D). None: open ground."""
     turning_s: Floats | None = None
-    """What turning into each edge costs on the average, seconds; less than 0 where corners are cut;
+    """What turning into each edge is counted to cost, seconds; less than 0 where corners are cut;
     shape (E,). None: nothing. An edge never takes less than `LEAST_SHARE` of its length's time."""
 
     @property

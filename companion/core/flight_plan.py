@@ -182,6 +182,7 @@ def make_plan(
         drop_s=DROP_S,
         energy=energy,
         reserve_frac=reserve_frac,
+        corner_tolerance_m=mission.corner_tolerance_m,
     )
     plan = planner.plan(request)
     if isinstance(plan, NoRoute):

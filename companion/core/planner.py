@@ -6,6 +6,7 @@ airframe's energy model. Whether to fly on along it is the gate's question, and 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.geo import Ned, ObstacleMap, horizontal_m, over
 from companion.core.graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.paths.smooth_route import smooth_route
 from companion.core.planners.routes import RouteFinder, path_to
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_outlook import WindForecast
@@ -84,6 +86,7 @@ class PlanRequest:
     energy: EnergyBelief | None
     reserve_frac: float
     forecast: WindForecast | None = None
+    corner_tolerance_m: float | None = None
 
 
 class Planner(Protocol):
@@ -149,8 +152,8 @@ class BerPlanner:
         wind: FloatArray,
         cov: FloatArray,
     ) -> Plan | NoRoute:
-        outbound = [graph.point(v) for v in out]
-        homeward = [graph.point(v) for v in back]
+        outbound = self._smooth(request, [graph.point(v) for v in out], legs_out, wind)
+        homeward = self._smooth(request, [graph.point(v) for v in back], legs_back, wind)
         obstacles, leg_m = request.site.obstacles, request.leg_length_m
         entry = entries(outbound[1:], homeward[1:], obstacles, leg_m)
         if entry is None:  # the way out, flown backwards, can be joined from every waypoint
@@ -175,6 +178,23 @@ class BerPlanner:
         to_rally = self._to_rally_wh(request, plan, homeward, wind)
         short = self._return_not_ok(request, energy_out, min(energy_back, to_rally))
         return plan if short is None else short
+
+    def _smooth(
+        self,
+        request: PlanRequest,
+        points: list[Ned],
+        legs_of: Callable[[PlanRequest, list[Ned]], tuple[Leg, ...]],
+        wind: FloatArray,
+    ) -> list[Ned]:
+        """With rounded corners where the operator allows them and they cost less."""
+        if request.corner_tolerance_m is None:
+            return points
+        smooth = smooth_route(points, request.corner_tolerance_m, request.site.obstacles)
+        sharp_wh, smooth_wh = (
+            float(self.route_energy.costs(legs_of(request, way), wind[None, :]).energy_wh.sum())
+            for way in (points, smooth)
+        )
+        return smooth if smooth_wh < sharp_wh else points
 
     def _to_rally_wh(
         self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: FloatArray

@@ -59,7 +59,7 @@ ACCEL_MPS2 = 2.5  # ArduCopter WPNAV_ACCEL default; what a corner that is not ro
 SETTING = GeneratorParams(
     vertices=40,
     sides_m=((2000.0, 1.0),),
-    budget_wh=75.0,
+    budget_wh=85.0,
     loaded_w=1700.0,
     empty_w=1300.0,
     rose=WindRose(directions=16, speeds_mps=(3.0, 8.0), dwell_s=120.0, jumps="neighbour"),

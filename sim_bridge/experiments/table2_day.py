@@ -27,8 +27,8 @@ DRONES = 4
 TRUCK_MPS = 8.0
 CAPACITY_KG = 1000.0
 PARCEL_KG = 1.0
-REACH_FRAC = 0.8
-"""A delivery is within reach where its mean energy leaves a fifth of B for the wind's whims."""
+REACH_FRAC = 0.9
+"""A delivery is within reach where its mean energy leaves a tenth of B for the wind's whims."""
 
 
 @dataclass(frozen=True)

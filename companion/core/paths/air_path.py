@@ -55,9 +55,8 @@ class AirPaths:
         """All the turning, whichever way."""
         return (np.abs(self.turn) * self.length_m).sum(axis=1) / self.radius_m
 
-    def one(self, index: int) -> "AirPaths":
-        """A single path of them."""
-        at = slice(index, index + 1)
+    def some(self, at: NDArray[np.int64]) -> "AirPaths":
+        """Some of them."""
         return AirPaths(
             self.start[at],
             self.turn[at],
@@ -66,8 +65,12 @@ class AirPaths:
             self.level_mps[at],
             self.climb_mps[at],
             self.wind_to_ne_mps[at],
-            self.word[at],
+            tuple(self.word[i] for i in at),
         )
+
+    def one(self, index: int) -> "AirPaths":
+        """A single path of them."""
+        return self.some(np.array([index]))
 
     def at(self, time_s: Floats) -> Floats:
         """Pose at each time: `time_s` (n, k) gives (n, k, 4), north, east, down m, air heading."""

@@ -42,6 +42,7 @@ Ints = NDArray[np.int64]
 _CHUNK = 4096  # paths at a time: many enough for numpy, few enough for the cache
 _CALM_MPS = 1e-6
 _MOST_CIRCLES = 1000
+_LATER = 2.0  # a word that was asked for may take this many times the quickest
 
 
 def join_poses(
@@ -50,9 +51,11 @@ def join_poses(
     limits: FlightLimits,
     wind_to_ne_mps: ArrayLike = (0.0, 0.0),
     radius_m: ArrayLike | None = None,
+    words: ArrayLike | None = None,
 ) -> AirPaths:
     """The quickest path from each start to each goal; poses (n, 4): north, east, down m, AIR
-    heading rad. Winds (2,) or (n, 2), where the air moves to. `radius_m` (n,) widens turns.
+    heading rad. Winds (2,) or (n, 2), where the air moves to. `radius_m` (n,) widens turns. `words`
+    (n,) names the word of each path, -1 for any; where that word does not lead there, any may.
 
     There is always one. Raises LeewayError for poses that are not numbers, for wind as fast as
     the airspeed, and for a radius under the limit.
@@ -68,6 +71,7 @@ def join_poses(
         raise LeewayError(f"pose {row}: expected finite numbers")
     wind = np.broadcast_to(np.asarray(wind_to_ne_mps, float), (len(start), 2))
     radius = _radii(radius_m, limits, len(start))
+    word = np.broadcast_to(np.asarray(-1 if words is None else words, np.int64), (len(start),))
     require_air_faster(limits.airspeed_mps, wind)
     steepest = np.where(start[:, 2] >= goal[:, 2], limits.climb_rad, limits.descent_rad)
     # Horizontal speed in the steepest climb is what must outrun the wind there.
@@ -76,7 +80,9 @@ def join_poses(
         slowest = limits.airspeed_mps * math.cos(max(limits.climb_rad, limits.descent_rad))
         require_air_faster(slowest, wind[climbs])
     chunks = [
-        _joined(start[at], goal[at], wind[at], radius[at], steepest[at], limits.airspeed_mps)
+        _joined(
+            start[at], goal[at], wind[at], radius[at], steepest[at], limits.airspeed_mps, word[at]
+        )
         for at in (slice(i, i + _CHUNK) for i in range(0, len(start), _CHUNK))
     ]
     return chunks[0] if len(chunks) == 1 else concatenated(chunks)
@@ -114,7 +120,13 @@ def _radii(radius_m: ArrayLike | None, limits: FlightLimits, count: int) -> Floa
 
 
 def _joined(
-    start: Floats, goal: Floats, wind: Floats, radius: Floats, steepest: Floats, airspeed: float
+    start: Floats,
+    goal: Floats,
+    wind: Floats,
+    radius: Floats,
+    steepest: Floats,
+    airspeed: float,
+    wanted: Ints,
 ) -> AirPaths:
     away = goal - start
     meeting = Meeting(
@@ -123,7 +135,7 @@ def _joined(
     )  # fmt: skip
     # No climb is over sooner than at the steepest angle.
     needed_s = np.abs(meeting.climb_m) / (airspeed * np.sin(steepest))
-    time, word = quickest(meeting, np.zeros(len(start)))
+    time, word = quickest(meeting, np.zeros(len(start)), wanted)
     longer = Stretched.none(len(start))
     steep = np.flatnonzero(time < needed_s)
     if len(steep):
@@ -131,12 +143,14 @@ def _joined(
         longer.put(steep, stretched(sub, least_s, airspeed * np.cos(steepest[steep])))
         left = np.flatnonzero(~longer.found[steep])
         if len(left):
-            time[steep[left]], word[steep[left]] = quickest(sub.take(left), least_s[left])
+            time[steep[left]], word[steep[left]] = quickest(
+                sub.take(left), least_s[left], wanted[steep[left]]
+            )
     return _laid_out(start, meeting, time, word, longer)
 
 
-def quickest(meeting: Meeting, not_before_s: Floats) -> tuple[Floats, Ints]:
-    """Least time at or after `not_before_s` and its word, by path."""
+def quickest(meeting: Meeting, not_before_s: Floats, wanted: Ints) -> tuple[Floats, Ints]:
+    """Least time at or after `not_before_s` and its word, by path; the wanted one where it fits."""
     nothing = np.zeros(len(not_before_s))
     straight = chase_time_s(meeting, meeting.away_n, meeting.away_e, nothing)
     earliest = np.maximum(straight * (1.0 - 1e-9) - 1e-9, not_before_s)
@@ -147,10 +161,15 @@ def quickest(meeting: Meeting, not_before_s: Floats) -> tuple[Floats, Ints]:
         late = np.flatnonzero(np.isinf(times[word]))
         times[word, late] = _equal_turns(meeting, word, not_before_s, late, 1)
     _more_circles(meeting, not_before_s, times)
+    asked = wanted >= 0
     latest = times[:2].min(axis=0)
+    latest = np.where(asked, _LATER * latest, latest)
     for word in range(2, len(WORDS)):
         times[word] = _other_word(meeting, word, earliest, latest)
     best = np.argmin(times, axis=0)
+    if asked.any():
+        fits = asked & np.isfinite(times[wanted, np.arange(times.shape[1])])
+        best = np.where(fits, wanted, best)
     return times[best, np.arange(times.shape[1])], best
 
 

@@ -168,3 +168,8 @@ def stopping_s(turn_rad: Floats, speed_mps: float, accel_mps2: float) -> Floats:
     again, as `route_energy` prices it.
     """
     return 0.5 * (1.0 - np.cos(turn_rad)) * speed_mps / accel_mps2
+
+
+def hover_turn_s(turn_rad: Floats, limits: FlightLimits, accel_mps2: float) -> Floats:
+    """Time lost at a corner by stopping there and turning as slowly as a turn in flight does."""
+    return limits.airspeed_mps / accel_mps2 + turn_rad / limits.turn_rate_rps
