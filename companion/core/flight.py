@@ -139,7 +139,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
     `return_height_m` absent: the way back is flown at cruise height too.
     `wind_process` names how wind changes at the site: a file of params/wind, or a path.
-    `corner_tolerance_m`: corners may be rounded by as much where that costs less; absent: never.
+    `corner_tolerance_m`: how far the way home may cut corners where that costs less; absent: never.
     """
 
     max_loss: float = 0.01

@@ -6,7 +6,6 @@ airframe's energy model. Whether to fly on along it is the gate's question, and 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -152,8 +151,10 @@ class BerPlanner:
         wind: FloatArray,
         cov: FloatArray,
     ) -> Plan | NoRoute:
-        outbound = self._smooth(request, [graph.point(v) for v in out], legs_out, wind)
-        homeward = self._smooth(request, [graph.point(v) for v in back], legs_back, wind)
+        outbound = [graph.point(v) for v in out]
+        # The way out keeps its corners: at each of its waypoints the companion sends the autopilot
+        # onward, and ArduCopter brakes there.
+        homeward = self._smooth(request, [graph.point(v) for v in back], wind, cov)
         obstacles, leg_m = request.site.obstacles, request.leg_length_m
         entry = entries(outbound[1:], homeward[1:], obstacles, leg_m)
         if entry is None:  # the way out, flown backwards, can be joined from every waypoint
@@ -180,21 +181,26 @@ class BerPlanner:
         return plan if short is None else short
 
     def _smooth(
-        self,
-        request: PlanRequest,
-        points: list[Ned],
-        legs_of: Callable[[PlanRequest, list[Ned]], tuple[Leg, ...]],
-        wind: FloatArray,
+        self, request: PlanRequest, points: list[Ned], wind: FloatArray, cov: FloatArray
     ) -> list[Ned]:
-        """With rounded corners where the operator allows them and they cost less."""
-        if request.corner_tolerance_m is None:
+        """The way home with rounded corners where the operator allows them and they cost less.
+
+        Round buildings it passes wider by the tolerance first: an arc cuts back inside.
+        """
+        tolerance_m = request.corner_tolerance_m
+        if tolerance_m is None:
             return points
-        smooth = smooth_route(points, request.corner_tolerance_m, request.site.obstacles)
-        sharp_wh, smooth_wh = (
-            float(self.route_energy.costs(legs_of(request, way), wind[None, :]).energy_wh.sum())
-            for way in (points, smooth)
+        graph = build_graph(
+            request.site, request.cruise_height_m, request.leg_length_m, tolerance_m
         )
-        return smooth if smooth_wh < sharp_wh else points
+        wide = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.depot)
+        ways = [points, *([[graph.point(v) for v in wide]] if wide is not None else [])]
+        ways += [smooth_route(way, tolerance_m, request.site.obstacles) for way in ways]
+        costs = [
+            float(self.route_energy.costs(legs_back(request, way), wind[None, :]).energy_wh.sum())
+            for way in ways
+        ]
+        return ways[costs.index(min(costs))]
 
     def _to_rally_wh(
         self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: FloatArray

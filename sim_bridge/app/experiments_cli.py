@@ -113,16 +113,35 @@ def table1(
 def table2(
     out: Out = OUT,
     jobs: Jobs = 0,
-    trials: Annotated[int, typer.Option(help="trials")] = 10,
+    trials: Annotated[int, typer.Option(help="trials", min=1)] = 10,
+    seed: Annotated[int, typer.Option(help="of towns, customers and winds", min=0)] = 2611,
+    llm_url: Annotated[
+        str | None, typer.Option(help="an OpenAI-compatible server: a row clustered by its LLM")
+    ] = None,
+    llm_model: Annotated[str | None, typer.Option(help="the model's name there")] = None,
+    llm_key: Annotated[Path | None, typer.Option(help="a file with the key, if any")] = None,
 ) -> None:
-    """Table 2: what BER's parts are worth, as far as they are built."""
+    """Table 2: what each part is worth, over days of 20 customers, 4 drones and one truck.
+
+    Example: sim-bridge table2 --trials 2 --jobs 2
+    """
+    from ground_station.adapters.llm import LlmParams
     from sim_bridge.experiments import table2 as experiment
 
-    work = experiment.trials_of(trials)
+    if (llm_url is None) != (llm_model is None):
+        raise _refuse(LeewayError("--llm-url and --llm-model: expected both or neither"))
+    llm = None
+    if llm_url is not None and llm_model is not None:
+        try:
+            key = None if llm_key is None else llm_key.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise _refuse(LeewayError(f"--llm-key {llm_key}: {error}")) from None
+        llm = LlmParams(llm_url, llm_model, key)
+    work = experiment.trials_of(trials, seed, llm)
     kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
     measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
     found = experiment.by_variant(work, measured)
-    _finish(experiment.sheet(found), out, "table2")
+    _finish(experiment.sheet(found, seed), out, "table2")
     experiment.draw(found, out / "table2.png")
     kept.remove()
 

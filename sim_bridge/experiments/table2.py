@@ -249,8 +249,8 @@ def _fly_sortie(
         seed=seed,
         wind_classes=8,
         max_loss=1.0 if variant == "without budget gate" else MAX_LOSS,
-        levels=140,
-        tuning=TuningParams(fewest_missions=5_000, most_missions=5_000),
+        levels=100,
+        tuning=TuningParams(fewest_missions=3_000, most_missions=3_000),
     )
     graph: EnergyGraph = with_turning(build_energy_graph(scenario), how)
     bench = Workbench(scenario, params, graph)

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.energy_graph import EnergyGraph, least_energy_wh
+from ground_station.adapters.compiled_code import keep_compiled_code
 from ground_station.adapters.llm import LlmParams
 from ground_station.app.clusters import cluster_by_llm
 from ground_station.core.clustering.methods import conditioned, k_means, no_clusters
 from ground_station.core.clustering.problem import Clustered, Conditions, Problem
-from ground_station.core.truck_drones.tour import improve_tour
 
 Floats = NDArray[np.float64]
 
@@ -101,6 +101,9 @@ def plan_day(graph: EnergyGraph, problem: Problem, method: str, llm: LlmParams |
 
 def truck_tour(graph: EnergyGraph, stops: list[int]) -> tuple[int, ...]:
     """A short tour from the depot over the stops and back."""
+    keep_compiled_code()
+    from ground_station.core.truck_drones.tour import improve_tour
+
     places = graph.vertices_m[[graph.depot, *stops, graph.depot], :2]
     travel = np.hypot(*(places[:, None, :] - places[None, :, :]).transpose(2, 0, 1)) / TRUCK_MPS
     far = travel + np.diag(np.full(len(travel), np.inf))

@@ -1,9 +1,9 @@
 """A path between two poses that keeps clear of buildings and no-fly areas, or why there is none.
 
 Obstacle screening first, then synthesis (arXiv 2604.13441, IV-C): the quickest path if it is clear;
-else, cheapest remedy first, other words and wider turns, via-points at the corners of what stands
-in the way (the planner's visibility graph), and the way over it. Every remedy's candidates are
-joined and screened as one batch; the quickest clear one is kept.
+else other words and wider turns, via-points at the corners of what stands in the way (the planner's
+visibility graph), and the way over it. A remedy's candidates are joined and screened as one batch;
+the quickest clear path of all is kept.
 """
 
 import math
@@ -92,10 +92,14 @@ def clear_path(
     hit = int(obstacles.first_hits(_sampled(direct, STEP_M)[..., :3])[0])
     if hit < 0:
         return ClearPath(direct, "")
-    for remedy, chains in _remedies(start, goal, limits, obstacles, ceiling_m):
-        found = _quickest_clear(chains, limits, wind_to_ne_mps, obstacles)
-        if found is not None:
-            return ClearPath(found, remedy)
+    remedies = _remedies(start, goal, limits, obstacles, ceiling_m)
+    tried = [
+        ClearPath(found, remedy)
+        for remedy, chains in remedies
+        if (found := _quickest_clear(chains, limits, wind_to_ne_mps, obstacles)) is not None
+    ]
+    if tried:
+        return min(tried, key=lambda path: path.time_s)
     return NoPath(
         f"goal: no path with turns of {limits.turn_radius_m:.0f} m gets there clear of"
         f" {obstacles.obstacles[hit].name}: tried other words, wider turns, its corners"

@@ -119,7 +119,8 @@ def _radius_of_length(
     c = length_m**2 - away_n**2 - away_e**2
     with np.errstate(invalid="ignore", divide="ignore"):
         # The lesser root, in the form that does not cancel.
-        return c / (b + np.sqrt(b**2 - a * c))
+        radius = c / (b + np.sqrt(b**2 - a * c))
+    return np.where(np.isfinite(radius), radius, np.nan)
 
 
 def _by_arc(
