@@ -16,12 +16,13 @@ a corner; the hover at the customer is none.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from companion.core.energy_graph import EnergyGraph, build_energy_graph
 from companion.core.mission_model import ChainWinds, Flown, Outcome, fly_missions
@@ -91,13 +92,13 @@ class Measured(msgspec.Struct, frozen=True):
     energy_wh: float
     margin_wh: float
     time_s: float
-    max_turn_deg: float
+    max_turn_deg: float | None  # None: no flight had a corner
     flights: int
     makespan_s: float
-    off_m: float
+    off_m: float | None
     notes: tuple[str, ...] = ()
 
-    def columns(self) -> list[float]:
+    def columns(self) -> list[float | None]:
         return [
             self.success,
             self.abort,
@@ -233,12 +234,16 @@ def fly_trial(asked: Trial) -> Measured:
         energy_wh=flights.mean("energy"),
         margin_wh=flights.mean("margin"),
         time_s=flights.mean("time"),
-        max_turn_deg=float(np.degrees(np.mean(flights.turn_rad))),
+        max_turn_deg=_mean_or_none(np.degrees(flights.turn_rad)),
         flights=len(flights.mean_s),
         makespan_s=makespan_s(town, day, flights.mean_s),
-        off_m=float(np.mean(flights.off_m)),
+        off_m=_mean_or_none(flights.off_m),
         notes=day.notes,
     )
+
+
+def _mean_or_none(values: ArrayLike) -> float | None:
+    return float(np.mean(values)) if np.size(values) else None
 
 
 def _fly_sortie(
@@ -279,11 +284,16 @@ def sheet(found: dict[str, list[Measured]], seed: int = TABLE2_SEED) -> Sheet:
         if variant not in found:
             rows.append([variant, *["not configured"] * 7, theirs])
             continue
-        columns = np.array([m.columns() for m in found[variant]])
-        rows.append([variant, *(mean_std(columns[:, i]) for i in range(7)), theirs])
+        columns = zip(*(m.columns() for m in found[variant]), strict=True)
+        rows.append([variant, *(_cell(column) for column in columns), theirs])
     head = ["variant", "SUC %", "ABRT %", "FAIL %", "energy Wh", "margin Wh", "time s"]
     head += ["max turn deg", "paper: the same seven"]
     return Sheet("Table 2", head, rows, _note(found, seed))
+
+
+def _cell(values: Iterable[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return mean_std(known) if known else "no corner"
 
 
 def _note(found: dict[str, list[Measured]], seed: int) -> str:
@@ -294,7 +304,8 @@ def _note(found: dict[str, list[Measured]], seed: int) -> str:
         for variant in (FULL, "with k-means", "without LLM")
         if variant in found
     )
-    off = mean_std([m.off_m for m in found.get(FULL, [])] or [0.0])
+    off = _cell(m.off_m for m in found.get(FULL, []))
+    cornered = sum(m.max_turn_deg is not None for m in found.get(FULL, []))
     return (
         f"Mean ± std over trials (seed {seed}): a town of {SETTING.vertices} vertices on"
         f" {SETTING.sides_m[0][0] / 1000:g} km, {CUSTOMERS} customers, {DRONES} drones, one truck,"
@@ -302,8 +313,9 @@ def _note(found: dict[str, list[Measured]], seed: int) -> str:
         f" {SETTING.budget_wh:g} Wh, BER's bound {100 * MAX_LOSS:g} %, 8 classes. A stop's own"
         " customer is the truck's and not counted. Energy, margin and time are of vehicles that"
         " left; margin of those that came home. FAIL is every vehicle lost. Max turn: largest"
-        " change of the vehicle's heading within 2 s, over flights with a corner, the hover at the"
-        f" customer left out; bank limit {math.degrees(BANK_LIMIT_RAD):g} deg, so turns of"
+        " change of the vehicle's heading within 2 s, over flights with a corner"
+        f" ({cornered} of the full row's trials had any), the hover at the customer left out;"
+        f" bank limit {math.degrees(BANK_LIMIT_RAD):g} deg, so turns of"
         f" {limits.turn_radius_m:.0f} m at {SETTING.airspeed_mps:g} m/s. Rounded corners pass"
         f" their waypoint at {off} m (mean of each flight's farthest). BER (full) clusters by ours,"
         f" an LLM's clusters are a row of their own. The truck's day: {days}."
@@ -319,7 +331,7 @@ def draw(found: dict[str, list[Measured]], path: Path) -> None:
 
     figure, axis = plt.subplots(figsize=(7, 4))
     for i, trials in enumerate(found.values()):
-        mean = np.mean([m.columns() for m in trials], axis=0)
+        mean = np.mean([(m.success, m.abort, m.fail) for m in trials], axis=0)
         names = ("home and delivered", "lost", "home, not delivered") if i == 0 else (None,) * 3
         axis.bar(i, mean[0], color="tab:green", label=names[0])
         axis.bar(i, mean[2], bottom=mean[0], color="tab:red", label=names[1])
