@@ -8,7 +8,7 @@ from companion.core.flight import Flight
 from companion.core.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission_items import Part
-from companion.core.release import ReleaseWatch
+from companion.core.release import observe_hover, watch_for
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.situation import Situation
@@ -226,25 +226,13 @@ class _Drop:
     """Whether the parcel went, by the companion's own watch."""
 
     def __init__(self, route_energy: RouteEnergy, payload_kg: float) -> None:
-        loaded_w = route_energy.hover_power_w(payload_kg)
-        empty_w = route_energy.hover_power_w(0.0)
-        mass_kg = route_energy.airframe.mass_kg(payload_kg)
-        self._parcel = payload_kg > 0.0
-        self._watch = ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
+        self._watch = watch_for(route_energy, payload_kg) if payload_kg > 0.0 else None
 
     def look(self, now: Situation, *, released: bool) -> str:
         """Take the moment in; returns what shows that the parcel went, `""` while nothing does."""
-        if not self._parcel:
+        if self._watch is None:
             return "there was no parcel to weigh" if released else ""
         if released:
             self._watch.begin(now.t_s)
-        battery, position = now.battery, now.position
-        still = position is not None and (
-            math.hypot(position.vel_n_mps, position.vel_e_mps) < 1.5
-            and abs(position.vel_d_mps) < 0.6
-        )
-        if still and battery is not None and battery.voltage_v and battery.current_a:
-            self._watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
-        if still and now.throttle is not None:
-            self._watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)
+        observe_hover(self._watch, now)
         return self._watch.evidence(now.t_s) or ""
