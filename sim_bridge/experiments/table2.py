@@ -22,7 +22,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from companion.core.energy_graph import EnergyGraph, build_energy_graph
 from companion.core.mission_model import ChainWinds, Flown, Outcome, fly_missions
@@ -234,7 +234,7 @@ def fly_trial(asked: Trial) -> Measured:
         energy_wh=flights.mean("energy"),
         margin_wh=flights.mean("margin"),
         time_s=flights.mean("time"),
-        max_turn_deg=_mean_or_none(np.degrees(flights.turn_rad)),
+        max_turn_deg=_mean_or_none(np.degrees(flights.turn_rad).tolist()),
         flights=len(flights.mean_s),
         makespan_s=makespan_s(town, day, flights.mean_s),
         off_m=_mean_or_none(flights.off_m),
@@ -242,8 +242,8 @@ def fly_trial(asked: Trial) -> Measured:
     )
 
 
-def _mean_or_none(values: ArrayLike) -> float | None:
-    return float(np.mean(values)) if np.size(values) else None
+def _mean_or_none(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
 def _fly_sortie(
