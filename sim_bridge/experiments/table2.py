@@ -83,7 +83,7 @@ CLUSTERS = {LLM: "llm", "without LLM": "none", "with k-means": "k-means"}
 
 class Measured(msgspec.Struct, frozen=True):
     """One trial of one variant: the paper's seven columns; flights a day, the truck's day, how far
-    from its waypoint a flight's widest corner passes (mean), and the clustering's notes.
+    from its waypoint a flight's widest corner passes (mean), and which method clustered.
     """
 
     success: float
@@ -96,7 +96,7 @@ class Measured(msgspec.Struct, frozen=True):
     flights: int
     makespan_s: float
     off_m: float | None
-    notes: tuple[str, ...] = ()
+    method: str
 
     def columns(self) -> list[float | None]:
         return [
@@ -238,7 +238,7 @@ def fly_trial(asked: Trial) -> Measured:
         flights=len(flights.mean_s),
         makespan_s=makespan_s(town, day, flights.mean_s),
         off_m=_mean_or_none(flights.off_m),
-        notes=day.notes,
+        method=day.method,
     )
 
 
@@ -319,7 +319,14 @@ def _note(found: dict[str, list[Measured]], seed: int) -> str:
         f" {limits.turn_radius_m:.0f} m at {SETTING.airspeed_mps:g} m/s. Rounded corners pass"
         f" their waypoint at {off} m (mean of each flight's farthest). BER (full) clusters by ours,"
         f" an LLM's clusters are a row of their own. The truck's day: {days}."
+        + "".join(f" {words}" for words in _stood_in(found.get(LLM, [])))
     )
+
+
+def _stood_in(asked: list[Measured]) -> list[str]:
+    """On how many days the LLM gave nothing usable, so that ours made its clusters."""
+    without = [m for m in asked if m.method != "llm"]
+    return [f"On {len(without)} of {len(asked)} days ours stood in for the LLM."] if asked else []
 
 
 def draw(found: dict[str, list[Measured]], path: Path) -> None:

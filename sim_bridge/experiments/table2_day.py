@@ -46,7 +46,6 @@ class Day:
     stops: tuple[int, ...]
     sorties: tuple[tuple[Sortie, ...], ...]
     method: str
-    notes: tuple[str, ...]
 
 
 def delivery_energy_wh(
@@ -96,7 +95,7 @@ def plan_day(graph: EnergyGraph, problem: Problem, method: str, llm: LlmParams |
         tuple(Sortie(stop, c) for c in sorted(groups[stop], key=lambda c: _away_m(graph, stop, c)))
         for stop in stops
     )
-    return Day(stops, sorties, made.method, made.notes)
+    return Day(stops, sorties, made.method)
 
 
 def truck_tour(graph: EnergyGraph, stops: list[int]) -> tuple[int, ...]:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -122,20 +123,27 @@ def test_a_delivery_costs_the_cheapest_way_out_and_back():
 def test_the_truck_waits_for_the_last_of_four_drones():
     graph = elbow()
     sorties = tuple(Sortie(1, c) for c in range(10, 15))
-    day = Day((1,), (sorties,), "ours", ())
+    day = Day((1,), (sorties,), "ours")
     flights = dict(zip(sorties, (100.0, 80.0, 60.0, 40.0, 50.0), strict=True))
     # 600 m there and back at 8 m/s; the fifth flies when the 40 s are over: 90 s; the first: 100.
     assert makespan_s(graph, day, flights) == pytest.approx(2 * 600.0 / 8.0 + 100.0)
 
 
 def test_the_llms_row_says_that_no_server_is_configured():
-    one = table2.Measured(90.0, 5.0, 5.0, 60.0, 10.0, 140.0, 11.0, 15, 1200.0, 30.0)
+    one = table2.Measured(90.0, 5.0, 5.0, 60.0, 10.0, 140.0, 11.0, 15, 1200.0, 30.0, "ours")
     rows = {trial.variant: [one, one] for trial in table2.trials_of(1)}
     sheet = table2.sheet(rows)
     cells = {row[0]: row[1:8] for row in sheet.rows}
     assert set(cells.pop(table2.LLM)) == {"not configured"}
     assert len(cells) == 7
     assert all(cell == "90.0 ± 0.0" for cell, *_ in cells.values())
+    assert "stood in" not in sheet.note
+    fallen = table2.sheet({**rows, table2.LLM: [one, replace_method(one, "llm")]})
+    assert "On 1 of 2 days ours stood in for the LLM." in fallen.note
+
+
+def replace_method(one, method):
+    return msgspec.structs.replace(one, method=method)
 
 
 def test_the_bank_limit_was_fixed_by_the_papers_max_turn():
