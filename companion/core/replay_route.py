@@ -1,9 +1,10 @@
 """What is left to fly at a moment of a recorded flight: with the flight's own plan, or without."""
 
 import math
+from dataclasses import replace
 from typing import Protocol
 
-from companion.core.ahead import DEPOT, ahead_delivering, ahead_outbound, ahead_returning
+from companion.core.ahead import ahead_away, ahead_delivering, ahead_outbound, ahead_returning
 from companion.core.flight import Flight
 from companion.core.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.geo import LocalFrame, Ned, horizontal_m
@@ -85,6 +86,7 @@ class Planned:
         self._drop = _Drop(route_energy, flight.vehicle.payload_kg)
         self._leg = 0
         self._return_index: int | None = None
+        self._away_index: int | None = None
         self._nearest_m = math.inf
         self._landing = False
         self._rally: str | None = None
@@ -128,9 +130,16 @@ class Planned:
             return ahead_outbound(plan, here, self._leg, payload_kg, drop_m, DROP_S)
         if self.stage in ("deliver", "release") and not self.delivered:
             return ahead_delivering(plan, here, payload_kg, drop_m, DROP_S)
-        index = None if self._landing else self._nearest_return(here)
         delivered = bool(self.delivered)
+        if self._away_index is not None:
+            return ahead_away(plan, here, self._away_index, payload_kg, delivered)
+        index = None if self._landing else self._nearest_return(here)
         return ahead_returning(plan, here, index, payload_kg, delivered, self._rally)
+
+    @property
+    def landing(self) -> str:
+        """The name of where the plan's way back ends."""
+        return self._flown.plan.landing
 
     @property
     def items(self) -> int:
@@ -144,7 +153,8 @@ class Planned:
     def depot_only(self, here: Ned, payload_kg: float) -> Ahead | None:
         """The same without the rally points: `None` where no way leads to the depot."""
         ahead = self.ahead(here, payload_kg)
-        ways = tuple(way for way in ahead.ways_home_now if way.landing == DEPOT)
+        landing = self._flown.plan.landing
+        ways = tuple(way for way in ahead.ways_home_now if way.landing == landing)
         return Ahead(ways, (), bool(self.delivered)) if ways else None
 
     def _nearest_return(self, here: Ned) -> int:
@@ -162,7 +172,10 @@ class Planned:
             self.another_mission = progress.total
             return False
         index = progress.index
+        self._away_index = mission.away.index(index) if index in mission.away else None
         match mission.part_at(index):
+            case Part.RETURN if index not in mission.returning:
+                self.stage = "return"
             case Part.TAKEOFF | Part.SETTLE:
                 self.stage = "settle"
                 if index >= mission.settle and self._settled_s is None:
@@ -180,6 +193,7 @@ class Planned:
                 self._return_index = max(0, mission.returning.index(index) - 1)
             case Part.RALLY:
                 self.stage, self._rally = "divert", self._rally_at(index)
+                self._promise(self._rally)
                 self._return_index = None
             case Part.RALLY_LAND:
                 self.stage, self._landing = "land", True
@@ -190,11 +204,14 @@ class Planned:
                 return False
         return True
 
+    def _promise(self, stop: str | None) -> None:
+        """A stop that was flown to had been promised."""
+        if stop is not None:
+            plan = self._flown.plan.promised(stop)
+            self._flown = replace(self._flown, plan=plan)
+
     def _rally_at(self, index: int) -> str | None:
-        for number, items in enumerate(self._flown.mission.rally):
-            if index in items:
-                return self._flown.plan.rally[number].name
-        return None
+        return self._flown.site_of_item(index)
 
     def _by_place(self, here: Ned) -> None:
         """Follow the way that was flown along the plan's points."""

@@ -154,12 +154,14 @@ class WayBack:
 class Itinerary:
     """What is to be flown. Heights are above the depot; `hover_s` is spent at the drop.
 
-    `ways_back` are alternatives; each starts over the customer.
+    The way back is flown at `return_height_m`. `ways_back` are alternatives; each starts over the
+    customer.
     """
 
     out_ne_m: list[Ne]
     ways_back: list[WayBack]
     cruise_height_m: float
+    return_height_m: float
     drop_up_m: float
     settle_s: float
     hover_s: float
@@ -206,13 +208,13 @@ def _deliver(plan: Itinerary, flyer: _Flyer) -> bool:
     flyer.to_height(plan.drop_up_m, plan.descent_mps)
     flyer.hover(plan.hover_s)
     flyer.payload_kg = 0.0
-    flyer.to_height(plan.cruise_height_m, plan.climb_mps)
+    flyer.to_height(plan.return_height_m, plan.climb_mps)
     return not flyer.battery.cut_off
 
 
 def _end(plan: Itinerary, way: WayBack, means: Means, flyer: _Flyer, start_s: float) -> Foresight:
     flown = _fly(flyer, way.path_ne_m, plan.speeds)
-    slow_from_m = min(way.ground_up_m + plan.slow_below_m, plan.cruise_height_m)
+    slow_from_m = min(way.ground_up_m + plan.slow_below_m, plan.return_height_m)
     flyer.to_height(slow_from_m, plan.descent_mps)
     flyer.to_height(way.ground_up_m, plan.landing_mps)
     margin_wh = flyer.battery.usable_wh(means.reference_draw_w) - means.reserve_wh

@@ -16,6 +16,7 @@ from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
     campaign_cli,
     conform_cli,
+    day_cli,
     experiments_cli,
     paths_cli,
     plan_flight_cli,
@@ -275,6 +276,7 @@ app.registered_commands += paths_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
+app.registered_commands += day_cli.app.registered_commands
 
 
 def main() -> None:
