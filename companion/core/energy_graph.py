@@ -16,6 +16,7 @@ from companion.core.scenario import Scenario
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 WH_PER_J = 1.0 / 3600.0
+LEAST_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,9 @@ class EnergyGraph:
     wind_factor: Floats | None = None
     """What obstacles make of the wind on each edge: factors on its speed for D equal sectors of
     where it blows to, the first centred on east; shape (E, D). None: open ground."""
+    turning_s: Floats | None = None
+    """What turning into each edge is counted to cost, seconds; less than 0 where corners are cut;
+    shape (E,). None: nothing. An edge never takes less than `LEAST_SHARE` of its length's time."""
 
     @property
     def vertex_count(self) -> int:
@@ -92,6 +96,9 @@ class EnergyGraph:
         speed = self.ground_speed_mps(wind_en_mps)
         length = self.length_m.reshape(-1, *(1,) * (speed.ndim - 1))
         duration = length / np.where(np.isnan(speed), 1.0, speed)
+        if self.turning_s is not None:
+            turning = self.turning_s.reshape(length.shape)
+            duration = np.maximum(duration + turning, LEAST_SHARE * duration)
         return np.where((length > 0.0) & np.isnan(speed), np.inf, duration)
 
     def energy_wh(self, wind_en_mps: ArrayLike, delivered: bool) -> Floats:
@@ -192,7 +199,14 @@ def prune(graph: EnergyGraph, energy_wh: Floats, budget_wh: float) -> Pruned:
     kept = np.flatnonzero(np.minimum(out, back) <= budget_wh)
     kept = kept if len(kept) else np.arange(1)  # arrays of nothing serve nobody
     factor = None if graph.wind_factor is None else graph.wind_factor[kept]
-    left = replace(graph, tail=graph.tail[kept], head=graph.head[kept], wind_factor=factor)
+    turning = None if graph.turning_s is None else graph.turning_s[kept]
+    left = replace(
+        graph,
+        tail=graph.tail[kept],
+        head=graph.head[kept],
+        wind_factor=factor,
+        turning_s=turning,
+    )
     return Pruned(left, kept)
 
 

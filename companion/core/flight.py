@@ -142,6 +142,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
     `return_height_m` absent: the way back is flown at cruise height too.
     `wind_process` names how wind changes at the site: a file of params/wind, or a path.
+    `corner_tolerance_m`: how far the way home may cut corners where that costs less; absent: never.
     """
 
     max_loss: float = 0.01
@@ -155,6 +156,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     cruise_airspeed_mps: float | None = None
     speed: SpeedRule | None = None
     wind_process: str = "coast"
+    corner_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
         check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
@@ -168,6 +170,8 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         check_range("mission.time_limit_s", self.time_limit_s, 10.0, 24 * 3600.0)
         if self.cruise_airspeed_mps is not None:
             check_range("mission.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
+        if self.corner_tolerance_m is not None:
+            check_range("mission.corner_tolerance_m", self.corner_tolerance_m, 0.5, 200.0)
 
     @property
     def speed_rule(self) -> SpeedRule:

@@ -210,6 +210,7 @@ def make_plan(
         energy=energy,
         reserve_frac=reserve_frac,
         return_height_m=mission.return_height_m,
+        corner_tolerance_m=mission.corner_tolerance_m,
     )
     plan = planner.plan(request)
     if isinstance(plan, NoRoute):

@@ -49,7 +49,10 @@ class LocalFrame:
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """A prism from the ground to `height_m` above the depot; ring as (north, east) metres."""
+    """A prism from the ground to `height_m` above the depot; ring as (north, east) metres.
+
+    Infinitely high: a no-fly area.
+    """
 
     name: str
     ring_ne_m: tuple[tuple[float, float], ...]
@@ -67,7 +70,8 @@ def place_ned(frame: LocalFrame, place: Place) -> Ned:
 
 
 def obstacles_from_geojson(frame: LocalFrame, document: dict[str, Any]) -> tuple[Obstacle, ...]:
-    """Polygons of a GeoJSON FeatureCollection (lon, lat degrees; property `height_m` above depot).
+    """Polygons of a GeoJSON FeatureCollection (lon, lat degrees; property `height_m` above depot,
+    or `no_fly: true` for an area that no height clears).
 
     Raises LeewayError naming the feature that breaks the format.
     """
@@ -86,7 +90,8 @@ def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obst
     try:
         geometry, properties = feature["geometry"], feature["properties"]
         kind, coordinates = geometry["type"], geometry["coordinates"]
-        height_m = float(properties["height_m"])
+        no_fly = properties.get("no_fly", False) is True
+        height_m = math.inf if no_fly else float(properties["height_m"])
         polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
         rings = [[(float(lon), float(lat)) for lon, lat, *_ in outer[0]] for outer in polygons]
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -99,7 +104,7 @@ def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obst
         finite = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)
         if len(ring) < 4 or ring[0] != ring[-1] or not finite:
             raise LeewayError(f"{where}: expected a closed ring of at least 4 [lon, lat] degrees")
-        if not 0.0 < height_m < 10_000.0:
+        if not (no_fly or 0.0 < height_m < 10_000.0):
             raise LeewayError(f"{where}.height_m = {height_m!r}: expected a height above 0 m")
         corners = tuple(
             frame.to_ned(math.radians(lat), math.radians(lon), frame.alt_amsl_m)[:2]
@@ -123,9 +128,15 @@ class ObstacleMap:
         self.obstacles = obstacles
         self.clearance_m = clearance_m
         self.clearance_up_m = clearance_up_m
-        self._grown = [shapely.Polygon(o.ring_ne_m).buffer(clearance_m) for o in obstacles]
+        outlines = [shapely.Polygon(o.ring_ne_m) for o in obstacles]
+        for obstacle, outline in zip(obstacles, outlines, strict=True):
+            if not outline.is_valid:
+                raise LeewayError(f"{obstacle.name}: the polygon crosses itself")
+        self._grown = [outline.buffer(clearance_m) for outline in outlines]
         for grown in self._grown:
             shapely.prepare(grown)
+        self._tree = shapely.STRtree(self._grown)
+        self._tops_m = np.array([o.height_m for o in obstacles])
 
     def blocking(self, a_ned_m: Ned, b_ned_m: Ned) -> Obstacle | None:
         """The first obstacle within clearance of the segment a-b, or None.
@@ -134,23 +145,37 @@ class ObstacleMap:
         """
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         length = line.length
-        for obstacle, grown in zip(self.obstacles, self._grown, strict=True):
-            if not grown.intersects(line):
-                continue
+        for index in np.sort(self._tree.query(line, predicate="intersects")):
+            obstacle, grown = self.obstacles[index], self._grown[index]
             lowest = _lowest_up_m(a_ned_m, b_ned_m, line, length, grown)
             if lowest < obstacle.height_m + self.clearance_up_m:
                 return obstacle
         return None
 
+    def first_hits(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Of n lines through k points each, (n, k, 3), the first obstacle that each comes near.
+
+        Indices into `obstacles`, in the order of the way; -1: clear. Between two points a line
+        counts as low as the lower of them, so steps should be short where it slopes.
+        """
+        lines, points = points_ned_m.shape[:2]
+        hit = np.full(lines, -1, dtype=np.int64)
+        if not self.obstacles or points < 2:
+            return hit
+        steps = np.stack([points_ned_m[:, :-1, :2], points_ned_m[:, 1:, :2]], axis=2)
+        segments = shapely.linestrings(steps.reshape(-1, 2, 2))
+        at, obstacle = self._tree.query(segments, predicate="intersects")
+        lowest_m = -np.maximum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
+        low = lowest_m[at] < self._tops_m[obstacle] + self.clearance_up_m
+        at, obstacle = at[low], obstacle[low]
+        order = np.lexsort((obstacle, at))[::-1]  # the earliest is written last
+        hit[at[order] // (points - 1)] = obstacle[order]
+        return hit
+
     def highest_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
         """Height above the depot of the tallest obstacle within clearance of a-b (0 if none)."""
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
-        heights = [
-            obstacle.height_m
-            for obstacle, grown in zip(self.obstacles, self._grown, strict=True)
-            if grown.intersects(line)
-        ]
-        return max(heights, default=0.0)
+        return float(self._tops_m[self._tree.query(line, predicate="intersects")].max(initial=0.0))
 
     def grown_at(self, height_m: float) -> list[shapely.Polygon]:
         """Outlines with clearance, north and east, of what blocks level flight at this height."""

@@ -123,12 +123,18 @@ def surrogate_wh(
     return energy + risk_weight * np.sqrt(np.maximum(variance, 0.0))
 
 
-def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> WaypointGraph:
+def build_graph(
+    site: SiteMap,
+    cruise_height_m: float,
+    leg_length_m: float,
+    corner_beyond_m: float = _CORNER_BEYOND_M,
+) -> WaypointGraph:
     """Waypoints no further than `leg_length_m` apart that keep clear of every obstacle.
 
     The visibility graph over depot, customer, rally points, a home elsewhere and the corners of
-    what stands higher than the cruise height, each line cut into equal legs. Raises LeewayError
-    when one of these places stands inside an obstacle's clearance.
+    what stands higher than the cruise height (`corner_beyond_m` outside the clearance), each line
+    cut into equal legs. Raises LeewayError when one of these places stands inside an obstacle's
+    clearance.
     """
     places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m), *site.rally_ned_m]
     if site.home_is_away:
@@ -140,7 +146,7 @@ def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> W
         if blocking is not None:
             raise LeewayError(_inside(name, blocking, site.obstacles))
         knots.append(over)
-    for ring in site.obstacles.outlines_ne_m(cruise_height_m, _CORNER_BEYOND_M):
+    for ring in site.obstacles.outlines_ne_m(cruise_height_m, corner_beyond_m):
         corners = [(north, east, -cruise_height_m) for north, east in ring]
         knots.extend(c for c in corners if site.obstacles.blocking(c, c) is None)
     graph = _cut_into_legs(knots, _visible_pairs(knots, site.obstacles), len(places), leg_length_m)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.geo import Ned, ObstacleMap, horizontal_m, over
 from companion.core.graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.paths.smooth_route import smooth_route
 from companion.core.planners.routes import RouteFinder, path_to
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind_outlook import WindForecast
@@ -133,6 +134,7 @@ class PlanRequest:
     energy: EnergyBelief | None
     reserve_frac: float
     forecast: WindForecast | None = None
+    corner_tolerance_m: float | None = None
     return_height_m: float | None = None
 
     @property
@@ -214,6 +216,9 @@ class BerPlanner:
     ) -> Plan | NoRoute:
         # All in the lower layer, where obstacles are screened; then each at its own height.
         outbound, homeward, away = ([graph.point(v) for v in way] for way in ways)
+        # The way out keeps its corners: at each of its waypoints the companion sends the autopilot
+        # onward, and ArduCopter brakes there.
+        homeward = self._smooth(request, homeward, wind, cov)
         site, obstacles, leg_m = request.site, request.site.obstacles, request.leg_length_m
         entry = entries(outbound[1:], homeward[1:], obstacles, leg_m)
         if entry is None:  # the way out, flown backwards, can be joined from every waypoint
@@ -246,6 +251,26 @@ class BerPlanner:
         to_rally = self._to_rally_wh(request, plan, homeward, wind)
         short = self._return_not_ok(request, energy_out, min(energy_back, to_rally))
         return plan if short is None else short
+
+    def _smooth(
+        self, request: PlanRequest, points: list[Ned], wind: FloatArray, cov: FloatArray
+    ) -> list[Ned]:
+        """The way home with rounded corners where the operator allows them and they cost less.
+
+        Round buildings it passes wider by the tolerance first: an arc cuts back inside.
+        """
+        tolerance_m = request.corner_tolerance_m
+        if tolerance_m is None:
+            return points
+        graph = build_graph(request.site, request.low_height_m, request.leg_length_m, tolerance_m)
+        wide = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.home)
+        ways = [points, *([[graph.point(v) for v in wide]] if wide is not None else [])]
+        ways += [smooth_route(way, tolerance_m, request.site.obstacles) for way in ways]
+        costs = [
+            float(self.route_energy.costs(legs_back(request, way), wind[None, :]).energy_wh.sum())
+            for way in ways
+        ]
+        return ways[costs.index(min(costs))]
 
     def _to_rally_wh(
         self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: FloatArray

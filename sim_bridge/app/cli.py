@@ -18,6 +18,7 @@ from sim_bridge.app import (
     conform_cli,
     day_cli,
     experiments_cli,
+    paths_cli,
     plan_flight_cli,
     promise_cli,
     serve_cli,
@@ -271,6 +272,7 @@ def bench_dispatch(
 app.registered_commands += serve_cli.app.registered_commands
 app.registered_commands += campaign_cli.app.registered_commands
 app.registered_commands += experiments_cli.app.registered_commands
+app.registered_commands += paths_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands

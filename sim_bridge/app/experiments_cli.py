@@ -26,13 +26,13 @@ def _cores(jobs: int) -> int:
     return jobs or len(os.sched_getaffinity(0))
 
 
-def _finish(sheet: Sheet, out: Path, stem: str) -> None:
+def finish(sheet: Sheet, out: Path, stem: str) -> None:
     written = sheet.write(out, stem)
     typer.echo(sheet.markdown())
     typer.echo("wrote " + ", ".join(str(path) for path in written), err=True)
 
 
-def _bar() -> Progress:
+def progress_bar() -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -47,7 +47,7 @@ def run_journaled(
     title: str, work: Sequence[Work], do: Callable[[Work], Result], jobs: int, kept: Journal[Result]
 ) -> list[Result]:
     """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
-    with _bar() as bar:
+    with progress_bar() as bar:
         shown = bar.add_task(title, total=len(work))
         try:
             return journaled_map(
@@ -93,7 +93,7 @@ def table1(
     work = jobs_of(params, wind)
     kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
     cells = cells_of(run_journaled(title, work, fly, jobs, kept), params)
-    _finish(
+    finish(
         sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
     )
     draw(cells, title, out / f"{stem}.png")
@@ -104,16 +104,35 @@ def table1(
 def table2(
     out: Out = OUT,
     jobs: Jobs = 0,
-    trials: Annotated[int, typer.Option(help="trials")] = 10,
+    trials: Annotated[int, typer.Option(help="trials", min=1)] = 10,
+    seed: Annotated[int, typer.Option(help="of towns, customers and winds", min=0)] = 2611,
+    llm_url: Annotated[
+        str | None, typer.Option(help="an OpenAI-compatible server: a row clustered by its LLM")
+    ] = None,
+    llm_model: Annotated[str | None, typer.Option(help="the model's name there")] = None,
+    llm_key: Annotated[Path | None, typer.Option(help="a file with the key, if any")] = None,
 ) -> None:
-    """Table 2: what BER's parts are worth, as far as they are built."""
+    """Table 2: what each part is worth, over days of 20 customers, 4 drones and one truck.
+
+    Example: sim-bridge table2 --trials 2 --jobs 2
+    """
+    from ground_station.adapters.llm import LlmParams
     from sim_bridge.experiments import table2 as experiment
 
-    work = experiment.trials_of(trials)
+    if (llm_url is None) != (llm_model is None):
+        raise _refuse(LeewayError("--llm-url and --llm-model: expected both or neither"))
+    llm = None
+    if llm_url is not None and llm_model is not None:
+        try:
+            key = None if llm_key is None else llm_key.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise _refuse(LeewayError(f"--llm-key {llm_key}: {error}")) from None
+        llm = LlmParams(llm_url, llm_model, key)
+    work = experiment.trials_of(trials, seed, llm)
     kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
     measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
     found = experiment.by_variant(work, measured)
-    _finish(experiment.sheet(found), out, "table2")
+    finish(experiment.sheet(found, seed), out, "table2")
     experiment.draw(found, out / "table2.png")
     kept.remove()
 
@@ -130,7 +149,7 @@ def lambda_sweep(
     work = experiment.jobs_of(graphs)
     kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.Part])
     points = experiment.points_of(run_journaled("lambda sweep", work, experiment.fly, jobs, kept))
-    _finish(experiment.sheet(points), out, "lambda_sweep")
+    finish(experiment.sheet(points), out, "lambda_sweep")
     experiment.draw(points, out / "lambda_sweep.png")
     kept.remove()
 
@@ -145,7 +164,7 @@ def energy_speed(
 
     believed = read_airframe(airframe)
     found = experiment.curves(believed)
-    _finish(experiment.sheet(found, believed), out, "energy_speed")
+    finish(experiment.sheet(found, believed), out, "energy_speed")
     experiment.draw(found, out / "energy_speed.png")
 
 
@@ -167,11 +186,11 @@ def speed_to_fly(
     for name in airframe or ["m100"]:
         believed = read_airframe(name)
         truth = load_airframe(params_dir() / "truth" / f"{believed.name}.toml")
-        with _bar() as bar:
+        with progress_bar() as bar:
             shown = bar.add_task(name, total=len(experiment.LOADS_FRAC))
             cells = experiment.envelope(believed, truth, lambda b=bar, t=shown: b.advance(t))
         stem = f"speed_to_fly_{believed.name}"
-        _finish(experiment.sheet(cells, believed), out, stem)
+        finish(experiment.sheet(cells, believed), out, stem)
         experiment.write_cells(cells, out / f"{stem}_all.csv")
         experiment.draw(believed, truth, out / f"{stem}.png")
 
@@ -193,7 +212,7 @@ def towns(
     kept = Journal(out / "towns.partial", digest_of(work), dict[str, list[float]])
     flown = run_journaled("towns", work, urban_table.fly_town, jobs, kept)
     found = urban_table.by_planner(flown, rounds)
-    _finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
+    finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
     town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
     urban_table.draw_town(town, out / "towns.png")
     kept.remove()
@@ -212,7 +231,7 @@ def frontier(
     cases = check.cases(graphs, seed)
     kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
     found = run_journaled("frontier", cases, check.check, jobs, kept)
-    _finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
+    finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
     kept.remove()
 
 
@@ -223,7 +242,7 @@ def planner_bench(
     """Speed and size of planners and campaigns beside their plain alternatives."""
     from sim_bridge.experiments import planner_bench as bench
 
-    _finish(bench.sheet(large), out, "planner_bench")
+    finish(bench.sheet(large), out, "planner_bench")
 
 
 @app.command()
@@ -257,11 +276,11 @@ def estimator_bench(
         typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
     else:
         recording = read_recording(path, believed.mass_kg(0.0))
-        with _bar() as bar:
+        with progress_bar() as bar:
             bar.add_task("real flight", total=None)
             rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
         out.mkdir(parents=True, exist_ok=True)
-        _finish(bench.flight_sheet(rows), out, "estimator_flight")
+        finish(bench.flight_sheet(rows), out, "estimator_flight")
         bench.draw_flight(recording, rows, out / "estimator_flight.png")
         for name, airspeed in (("tilt only", False), ("with airspeed", True)):
             median, most = bench.update_us(recording, believed, airspeed=airspeed)
@@ -273,5 +292,5 @@ def estimator_bench(
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
     found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
-    _finish(bench.envelope_sheet(found, seed, pitot), out, stem)
+    finish(bench.envelope_sheet(found, seed, pitot), out, stem)
     kept.remove()

@@ -17,7 +17,6 @@ from sim_bridge.experiments import (
     lambda_sweep,
     planner_bench,
     table1,
-    table2,
 )
 from sim_bridge.experiments.journal import Journal, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet, interval95, mean_std
@@ -100,15 +99,6 @@ def test_the_wind_of_a_town_differs_from_edge_to_edge_and_with_where_it_blows():
     scaled = [town.graph.duration_s([[8.0 * f, 0.0]])[e, 0] for e, f in enumerate(factor[:, 0])]
     assert np.isfinite(east).any()
     assert len(scaled) == len(east)
-
-
-def test_table_2_says_not_built_where_nothing_is_built():
-    one = table2.Measured(90.0, 5.0, 5.0, 60.0, 10.0, 140.0, 95.0)
-    sheet = table2.sheet({variant: [one, one] for variant in table2.BUILT})
-    rows = {row[0]: row for row in sheet.rows}
-    assert set(rows["without LLM"][1:8]) == {"not built"}
-    assert rows["without risk"][1] == "90.0 ± 0.0"
-    assert all(len(row) == 9 for row in sheet.rows)
 
 
 def test_the_sweep_over_lambda_has_every_cell_and_shares_that_sum_up():

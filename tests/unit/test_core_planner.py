@@ -16,6 +16,7 @@ from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.geo import LocalFrame, Obstacle, ObstacleMap, horizontal_m
 from companion.core.graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.paths.smooth_route import largest_turn_rad
 from companion.core.planner import BerPlanner, NoRoute, Plan, PlanRequest
 from companion.core.planners.routes import RouteFinder, path_to
 from companion.core.route_energy import LegKind, RouteEnergy
@@ -261,3 +262,16 @@ def test_a_rally_point_that_can_be_reached_is_a_way_back_that_holds_return_ok() 
     left = 0.82 * whole.energy_wh + 0.15 * 118.0
     assert isinstance(BerPlanner(ROUTE).plan(request(without, left_wh=left)), NoRoute)
     assert isinstance(BerPlanner(ROUTE).plan(request(near, left_wh=left)), Plan)
+
+
+def test_the_way_home_is_rounded_where_the_operator_allows_it_and_it_costs_less() -> None:
+    where = site(WALL)
+    sharp, smooth = (planned(where, corner_tolerance_m=m, leg_length_m=600.0) for m in (None, 25.0))
+    assert smooth.outbound_ned_m == sharp.outbound_ned_m
+    assert smooth.energy_wh < sharp.energy_wh
+    over = sharp.outbound_ned_m[-1]
+    turns = [largest_turn_rad([over, *plan.return_ned_m]) for plan in (sharp, smooth)]
+    assert turns[1] < 0.7 * turns[0]
+    for a, b in pairwise([over, *smooth.return_ned_m]):
+        assert where.obstacles.blocking(a, b) is None
+    assert len(smooth.entry) == len(smooth.outbound_ned_m)
