@@ -20,6 +20,7 @@ from sim_bridge.app import (
     plan_flight_cli,
     promise_cli,
     serve_cli,
+    train_cli,
 )
 from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
@@ -273,6 +274,7 @@ app.registered_commands += experiments_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
+app.registered_commands += train_cli.app.registered_commands
 
 
 def main() -> None:

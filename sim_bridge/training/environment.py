@@ -152,7 +152,9 @@ class AvoidEnvironment:
         w.hit_drone |= hits[1]
         return np.where(active, self.reward(flown), 0.0)
 
-    def _flown(self, active: NDArray[np.bool_], before: Floats, refused: Floats, wind: Floats) -> Flown:
+    def _flown(
+        self, active: NDArray[np.bool_], before: Floats, refused: Floats, wind: Floats
+    ) -> Flown:
         w = self.world
         away = w.pos_m[:, :, None, :2] - w.pos_m[:, None, :, :2]
         distance = np.linalg.norm(away, axis=-1)

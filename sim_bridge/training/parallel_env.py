@@ -22,7 +22,9 @@ class AvoidParallelEnv(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
         self, agents: int = 4, wind: bool = True, reward: Reward | None = None, scenes: int = 4
     ) -> None:
         drawn = [make_scene(np.random.default_rng([515, k])) for k in range(scenes)]
-        self._batch = AvoidEnvironment(World(drawn, agents, wind), reward or PaperReward(), Frame.NORTH)
+        self._batch = AvoidEnvironment(
+            World(drawn, agents, wind), reward or PaperReward(), Frame.NORTH
+        )
         self.possible_agents = [f"drone_{i}" for i in range(agents)]
         self.agents: list[str] = []
         self.render_mode = None

@@ -89,7 +89,9 @@ def draw_start(scene: Scene, agents: int, random: np.random.Generator) -> Start:
     for i in range(agents):
         ring = CUSTOMERS_M if returning[i] else TRUCK_SLOTS_M
         starts[i] = _place(scene, ring, starts[:i], random)
-        goals[i] = scene.truck_ne_m if returning[i] else _place(scene, CUSTOMERS_M, goals[:0], random)
+        goals[i] = (
+            scene.truck_ne_m if returning[i] else _place(scene, CUSTOMERS_M, goals[:0], random)
+        )
     return Start(starts, goals, returning)
 
 

@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 DECISION_S = 2.0
 TICK_S = 0.2
-TICKS = int(round(DECISION_S / TICK_S))
+TICKS = round(DECISION_S / TICK_S)
 INSTANTS = 4  # looked at in a tick by the judge of separation
 GOAL_M = 20.0
 MAX_SPEED_MPS = 15.0
@@ -142,7 +142,7 @@ class World:
         return safe, refused.reshape(self.active.shape)
 
     def tick(self, velocity_mps: Floats) -> None:
-        """Fly 0.2 s towards these velocities (as far as acceleration and wind let it), and judge."""
+        """Fly 0.2 s towards these velocities, as far as acceleration lets it, and judge."""
         new = self._attainable(velocity_mps)
         start, gust = self.pos_m, self.gust_m
         keep = np.exp(-TICK_S / GUST_S)
