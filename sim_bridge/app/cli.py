@@ -14,6 +14,7 @@ from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
+    avoid_cli,
     campaign_cli,
     conform_cli,
     experiments_cli,
@@ -274,6 +275,7 @@ app.registered_commands += experiments_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
+app.registered_commands += avoid_cli.app.registered_commands
 app.registered_commands += train_cli.app.registered_commands
 
 

@@ -21,6 +21,12 @@ def train_avoid(
     reward: Annotated[str, typer.Option(help="paper, or sharper (ours)")] = "sharper",
     seed: Annotated[int, typer.Option(min=0, help="of networks, noise and episodes")] = 1,
     steps: Annotated[int, typer.Option(min=1, help="decisions of each of 12 episodes")] = 4000,
+    filtered: Annotated[
+        bool, typer.Option("--filtered", help="learn behind the safety filter")
+    ] = False,
+    begin_with: Annotated[
+        Path | None, typer.Option(help="checkpoint.pt whose networks to start from")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="checkpoint.pt and curve.csv; default: by reward and seed")
     ] = None,
@@ -38,8 +44,16 @@ def train_avoid(
 
     if reward not in REWARDS:
         raise LeewayError(f"--reward {reward}: expected one of {', '.join(REWARDS)}")
-    folder = out or Path("logs") / "avoid" / f"{reward}-{seed}"
-    params = TrainParams(reward=reward, seed=seed, steps=steps)
+    folder = out or Path("logs") / "avoid" / f"{reward}-{seed}{'-filtered' * filtered}"
+    if begin_with is not None and not begin_with.exists():
+        raise LeewayError(f"--begin-with {begin_with}: no such checkpoint")
+    params = TrainParams(
+        reward=reward,
+        seed=seed,
+        filtered=filtered,
+        begin_with=str(begin_with or ""),
+        steps=steps,
+    )
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     console = Console(stderr=True)
     with Progress(*columns, TimeRemainingColumn(), console=console) as bar:

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from companion.core.avoidance_policy import VECTOR_SCALE_M, pooled
+from companion.core.separation_filter import SeparationFilter
 from sim_bridge.training.environment import REWARDS, AvoidEnvironment, Frame, Observation
 from sim_bridge.training.scenes import make_scene
 from sim_bridge.training.world import World
@@ -35,21 +36,26 @@ class TrainParams:
 
     reward: str = "sharper"
     seed: int = 1
+    filtered: bool = False  # flies behind the safety filter while it learns
+    begin_with: str = ""  # checkpoint whose networks it starts from
     agents: int = 8
     episodes: int = 12  # flown side by side
     steps: int = 4000  # decisions of every episode
     longest: int = 45  # decisions, then all start anew
-    warm_up: int = 60
+    warm_up: int = 100
     updates: int = 2  # a step
-    critic_first: int = 400  # updates before the actor follows a critic that knows nothing
+    critic_first: int = 500  # updates before the actor follows a critic that knows nothing
     batch: int = 64  # joint transitions
     replay: int = 1200  # steps of all episodes
     discount: float = 0.95
     target_rate: float = 0.01
-    actor_rate: float = 1e-4
+    actor_rate: float = 2e-4
     critic_rate: float = 1e-3
-    noise_heading: float = 0.12
+    noise_heading: float = 0.15
     noise_speed: float = 0.25
+    random_frac: float = 0.25  # decisions drawn evenly; without them the critic guesses, wrongly
+    saturation: float = 1e-2  # what the actor pays for the square of what goes into its tanh
+    reward_scale: float = 0.2
     check_every: int = 150
     check_episodes: int = 24
 
@@ -81,7 +87,11 @@ class Actor(nn.Module):
         self.out.bias.data = torch.tensor([0.0, 1.0])
 
     def forward(self, view: Tensor, vectors_m: Tensor) -> Tensor:
-        return torch.tanh(self.out(functional.relu(self.hidden(self.encoder(view, vectors_m)))))
+        return torch.tanh(self.wished(view, vectors_m))
+
+    def wished(self, view: Tensor, vectors_m: Tensor) -> Tensor:
+        """What goes into the tanh."""
+        return self.out(functional.relu(self.hidden(self.encoder(view, vectors_m))))
 
 
 class Critic(nn.Module):
@@ -90,13 +100,15 @@ class Critic(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.encoder = Encoder()
-        self.joined = nn.Linear(66, 64)
+        self.joined = nn.Linear(67, 64)
         self.hidden = nn.Linear(128, 64)
         self.out = nn.Linear(64, 1)
 
     def forward(self, view: Tensor, vectors_m: Tensor, action: Tensor, flying: Tensor) -> Tensor:
         """`flying` (B, N) tells who counts; returns (B, N)."""
-        own = torch.cat([self.encoder(view, vectors_m), action], dim=1)
+        angle = torch.pi * action[:, :1]  # so that left about and right about are the same
+        turned = torch.cat([torch.cos(angle), torch.sin(angle), action[:, 1:]], dim=1)
+        own = torch.cat([self.encoder(view, vectors_m), turned], dim=1)
         own = functional.relu(self.joined(own)).view(*flying.shape, 64)
         there = own * flying[..., None]
         count = (flying.sum(dim=1, keepdim=True) - flying).clamp(min=1.0)
@@ -182,7 +194,7 @@ class Learner:
             action = self.slow_actor(next_view, next_vectors)
             ahead = self.slow_critic(next_view, next_vectors, action, batch["next_flying"])
             goes_on = (1.0 - batch["done"]) * self.params.discount
-            target = batch["reward"] + goes_on * ahead
+            target = self.params.reward_scale * batch["reward"] + goes_on * ahead
         value = self.critic(view, vectors, _flat(batch["action"]), flying)
         error = functional.smooth_l1_loss(value, target, reduction="none")
         critic_loss = (error * flying).sum() / count
@@ -190,9 +202,10 @@ class Learner:
         self._follow(self.slow_critic, self.critic)
         self.updates += 1
         if self.updates > self.params.critic_first:
-            chosen = self.actor(view, vectors)
-            worth = self.critic(view, vectors, chosen, flying)
-            self._step(self.actor_step, self.actor, -(worth * flying).sum() / count)
+            wished = self.actor.wished(view, vectors)
+            worth = self.critic(view, vectors, torch.tanh(wished), flying)
+            large = self.params.saturation * (wished**2).sum(dim=1).view_as(flying)
+            self._step(self.actor_step, self.actor, ((large - worth) * flying).sum() / count)
             self._follow(self.slow_actor, self.actor)
         return float(critic_loss.detach())
 
@@ -230,7 +243,8 @@ class CurvePoint:
 def environment_of(params: TrainParams, power_w: Callable[..., Any] | None) -> AvoidEnvironment:
     scenes = [make_scene(np.random.default_rng([1, k])) for k in range(TRAIN_SCENES)]
     world = World(scenes, params.agents, wind=True)
-    return AvoidEnvironment(world, REWARDS[params.reward], Frame.GOAL, power_w=power_w)
+    separation = SeparationFilter() if params.filtered else None
+    return AvoidEnvironment(world, REWARDS[params.reward], Frame.GOAL, separation, power_w)
 
 
 def check(learner: Learner, env: AvoidEnvironment, step: int, seen: int, loss: float) -> CurvePoint:
@@ -274,6 +288,8 @@ def train(
         _same_settings(params, state["params"], kept)
         learner.load(state["nets"])
         done, seen, began = state["step"], state["agent_steps"], state["began"]
+    elif params.begin_with:
+        learner.load(torch.load(Path(params.begin_with), weights_only=True)["nets"])
     random = np.random.default_rng([params.seed, done])
     replay, loss, losses = Replay(params), 0.0, []
     flight = _Flight(env, learner, random, began)
@@ -320,6 +336,8 @@ class _Flight:
         if explore:
             noise = self.random.standard_normal(action.shape) * [p.noise_heading, p.noise_speed]
             action = np.clip(action + noise, -1.0, 1.0)
+            drawn = self.random.random(flying.shape) < p.random_frac
+            action[drawn] = self.random.uniform(-1.0, 1.0, (int(drawn.sum()), 2))
         reward = self.env.step(action)
         self.age += 1
         over = self.age >= p.longest or world.active.mean() < 0.15
@@ -341,7 +359,7 @@ class _Flight:
 
 def _same_settings(params: TrainParams, kept: dict[str, Any], path: Path) -> None:
     new = asdict(params)
-    other = {k for k in new if k != "steps" and new[k] != kept.get(k)}
+    other = {k for k in new if k != "steps" and new[k] != kept.get(k, new[k])}
     if other:
         words = ", ".join(f"{k} {kept.get(k)} (now {new[k]})" for k in sorted(other))
         raise ValueError(f"{path} was learned with {words}; name another --out")

@@ -7,7 +7,6 @@ east, down about the middle of the town; the flight height is 0.
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +34,6 @@ GUST_S = 3.0
 WIND_MAX_MPS = 8.0
 LAYER_M = 8.0  # between the layers that the filter dodges to
 LAYERS = np.array([-1.0, 1.0, 0.0, -2.0, 2.0])
-
-
-class Guide(Protocol):
-    """Velocity (E, N, 3) that each agent wants now; asked at every tick."""
-
-    def wanted(self, world: "World") -> Floats: ...
 
 
 @dataclass
@@ -125,9 +118,14 @@ class World:
         scene = self.scene_of[agents // self.agents].reshape(-1, *[1] * (cells.ndim - 2))
         return self.clearance_rasters[scene, cells[..., 0], cells[..., 1]]
 
-    def filtered(self, wanted_mps: Floats, separation: SeparationFilter) -> tuple[Floats, Floats]:
-        """Safe velocities (E, N, 3) and the share of agents whose wish was not granted (E, N)."""
-        rows = np.flatnonzero(self.active)
+    def filtered(
+        self,
+        wanted_mps: Floats,
+        separation: SeparationFilter,
+        only: NDArray[np.int64] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Safe velocities (E, N, 3) and whose wish was not granted (E, N); of `only`, or of all."""
+        rows = np.flatnonzero(self.active) if only is None else only
         flat = [x.reshape(-1, 3)[rows] for x in (self.pos_m, self.vel_mps, wanted_mps)]
         found = separation.safe(
             *flat,
