@@ -13,6 +13,7 @@ Arrays are batched: A vehicles, J neighbours each. Positions and velocities are 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from companion.core.errors import LeewayError
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Clearance = Callable[[Floats, NDArray[np.int64]], Floats]
 """Points (a, ..., 3) of the vehicles `rows` (a,) -> a lower bound of the way to an obstacle, m."""
 
@@ -28,7 +30,7 @@ CREEP_MPS = 1.0  # speed at which one may back out of a place too close to be ce
 CREEP_SLACK = 0.1  # of the way made; backing out leads straight away, within some 25 degrees
 RIGHT_BIAS_MPS = 0.3  # both give way to the right, as the rules of the air have it (SERA.3210)
 DODGE_WEIGHT = 0.3  # of a vertical metre a second beside a horizontal one
-IN_CACHE = 40_000  # numbers worked on at once
+IN_CACHE = 60_000  # numbers worked on at once
 ESCAPE_S = 3.0  # how far an escape looks ahead
 
 
@@ -117,8 +119,9 @@ class SeparationFilter:
         first = _reach(vel_ned_mps, np.nan_to_num(wanted_ned_mps), p)[:, None, :]
         heard = _relevant(pos_ned_m, vel_ned_mps, neighbours, p)
         paths = _paths(pos_ned_m, vel_ned_mps, first, p)
-        slack = _slack(paths, _braking(pos_ned_m, vel_ned_mps, p), _reports(heard, p), p)
-        fine = (slack >= 0.0) & _clear(paths, rows, clearance, p)
+        braking, reports = _braking(pos_ned_m, vel_ned_mps, p), _reports(heard, p)
+        slack = _slack(paths, braking, reports, p)
+        fine = (slack.min(axis=-1, initial=np.inf) >= 0.0) & _clear(paths, rows, clearance, p)
         velocity, verdict = first[:, 0, :].copy(), np.zeros(len(rows), dtype=np.int64)
         blocked = np.flatnonzero(~fine[:, 0])
         if len(blocked):
@@ -126,7 +129,8 @@ class SeparationFilter:
                 pos_ned_m[blocked],
                 vel_ned_mps[blocked],
                 np.nan_to_num(wanted_ned_mps[blocked]),
-                heard.picked(blocked),
+                *_nearest(heard.picked(blocked), reports.picked(blocked), slack[blocked, 0], p),
+                braking[blocked],
                 layer_down_m[blocked],
                 (lambda points, sub: clearance(points, blocked[sub])) if clearance else None,
             )
@@ -138,6 +142,8 @@ class SeparationFilter:
         vel: Floats,
         wanted: Floats,
         heard: Neighbours,
+        reports: "_Reports",
+        braking: Floats,
         layer_down_m: Floats,
         clearance: Clearance | None,
     ) -> tuple[Floats, NDArray[np.int64]]:
@@ -146,12 +152,8 @@ class SeparationFilter:
         rows = np.arange(len(pos))
         dodge = _towards_layer(pos, vel, layer_down_m, p)
         fan = _fan(vel, wanted, dodge, p)
-        paths, braking, reports = (
-            _paths(pos, vel, fan, p),
-            _braking(pos, vel, p),
-            _reports(heard, p),
-        )
-        slack = _slack(paths, braking, reports, p)
+        paths = _paths(pos, vel, fan, p)
+        slack = _slack(paths, braking, reports, p).min(axis=-1, initial=np.inf)
         moved = np.linalg.norm(paths - braking[:, None], axis=-1).max(axis=-1)
         clear = _clear(paths, rows, clearance, p)
         brake_slack = slack[:, -1:]
@@ -160,9 +162,8 @@ class SeparationFilter:
         fine = clear & ((slack >= 0.0) | creeping)
         cost = np.where(fine, _cost(fan, wanted, dodge), np.inf)
         choice = cost.argmin(axis=1)
-        braked = ~np.isfinite(cost[rows, choice])
-        choice[braked] = fan.shape[1] - 1
-        verdict = np.where(braked | (choice == fan.shape[1] - 1), Verdict.BRAKED, Verdict.BENT)
+        choice[~np.isfinite(cost[rows, choice])] = fan.shape[1] - 1
+        verdict = np.where((choice == fan.shape[1] - 1), Verdict.BRAKED, Verdict.BENT)
         lost = _evidently_broken(braking, reports, p)
         if lost.any():
             away = np.where(clear, _escape_margin(paths, heard, p), -np.inf)
@@ -184,11 +185,17 @@ def _reach(vel: Floats, wanted: Floats, p: SeparationParams) -> Floats:
     return vel + change
 
 
+def _flat(vectors: Floats) -> Floats:
+    """Horizontal lengths; (...)."""
+    return np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
+
+
 def _shorter(vectors: Floats, most: float) -> Floats:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = _flat(vectors)[..., None]
     return vectors * np.minimum(1.0, most / np.maximum(length, 1e-9))
 
 
+@lru_cache
 def _times_s(p: SeparationParams) -> Floats:
     """Ends of ticks until everybody stands; (T,)."""
     return p.tick_s * np.arange(int(np.ceil(p.stop_s / p.tick_s)) + 2)
@@ -196,7 +203,7 @@ def _times_s(p: SeparationParams) -> Floats:
 
 def _brake_by(vel: Floats, after_s: Floats, p: SeparationParams) -> Floats:
     """The way made while braking from `vel` (..., 3) for `after_s` (T,); (..., T, 3)."""
-    speed = np.linalg.norm(vel[..., :2], axis=-1)
+    speed = _flat(vel)
     climb = np.abs(vel[..., 2])
     t_h = np.minimum(after_s, (speed / p.accel_mps2)[..., None])
     t_v = np.minimum(after_s, (climb / p.climb_accel_mps2)[..., None])
@@ -230,6 +237,9 @@ class _Reports:
     error_vertical_m: Floats
     absent: NDArray[np.bool_]
 
+    def picked(self, *index: NDArray[np.int64]) -> "_Reports":
+        return _Reports(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
 
 def _reports(heard: Neighbours, p: SeparationParams) -> _Reports:
     """A report of age t: half a t^2 and a t more than its own errors in position and velocity.
@@ -251,12 +261,13 @@ def _reports(heard: Neighbours, p: SeparationParams) -> _Reports:
     braking = now[..., None, :] + _brake_by(vel, times, p)
     return _Reports(
         braking,
-        spread(heard.pos_std_m, np.hypot(vel[..., 0], vel[..., 1]), p.accel_mps2),
+        spread(heard.pos_std_m, _flat(vel), p.accel_mps2),
         spread(heard.alt_std_m, np.abs(vel[..., 2]), p.climb_accel_mps2),
         ~heard.present,
     )
 
 
+@lru_cache
 def _cylinder(p: SeparationParams) -> tuple[Floats, float]:
     """Separation to hold at the instants looked at, so that it holds between them; (T,) and m.
 
@@ -271,31 +282,73 @@ def _cylinder(p: SeparationParams) -> tuple[Floats, float]:
 
 
 def _slack(paths: Floats, braking: Floats, reports: _Reports, p: SeparationParams) -> Floats:
-    """Least of: nearer to my braking path than to a neighbour's, less one separation; (A, C)."""
+    """How much nearer to my braking path than to each neighbour's, less a separation; (A, C, J)."""
+    count, neighbours = paths.shape[1], reports.absent.shape[1]
+    found = np.full((*paths.shape[:2], neighbours), np.inf)
+    if not neighbours:
+        return found
     horizontal, vertical = _cylinder(p)
-    own = paths - braking[:, None]
-    near = np.maximum(
-        np.hypot(own[..., 0], own[..., 1]) / horizontal, np.abs(own[..., 2]) / vertical
-    )
-    least = np.full(paths.shape[:2], np.inf)
-    if not reports.absent.shape[1]:
-        return least
-    at_once = max(1, IN_CACHE // (paths.shape[1] * paths.shape[2] * reports.absent.shape[1]))
+    flat_share, high_share = np.float32(1.0 / horizontal), np.float32(1.0 / vertical)
+    near = _separations(_components(paths - braking[:, None]), flat_share, high_share)
+    start = braking[:, :1]
+    own = _components(paths - start[:, None])
+    theirs = _components(reports.braking - start[:, None])
+    unsure = reports.error_m * flat_share, reports.error_vertical_m * high_share
+    at_once = max(1, IN_CACHE // (count * paths.shape[2] * neighbours))
     for first in range(0, len(paths), at_once):
         some = slice(first, first + at_once)
-        away = paths[some, :, None] - reports.braking[some, None]
-        flat = np.hypot(away[..., 0], away[..., 1])
-        flat -= reports.error_m[some, None]
-        flat /= horizontal
-        high = np.abs(away[..., 2])
-        high -= reports.error_vertical_m[some, None]
-        high /= vertical
-        np.maximum(flat, high, out=flat)
-        flat -= near[some, :, None]
-        slack = flat.min(axis=-1)
-        slack[np.broadcast_to(reports.absent[some, None], slack.shape)] = np.inf
-        least[some] = slack.min(axis=-1) - 1.0
-    return least
+        away = tuple(o[some, :, None] - t[some, None] for o, t in zip(own, theirs, strict=True))
+        apart = _separations(away, flat_share, high_share, [u[some, None] for u in unsure])
+        apart -= near[some, :, None]
+        found[some] = apart.min(axis=-1) - 1.0
+    found[np.broadcast_to(reports.absent[:, None], found.shape)] = np.inf
+    return found
+
+
+@lru_cache
+def _most_change(p: SeparationParams) -> float:
+    """By how much slack can differ between two velocities within reach of the same tick."""
+    flat = 2.0 * p.accel_mps2 * p.tick_s * (p.stop_s + p.tick_s) / _cylinder(p)[0].min()
+    high = 2.0 * p.climb_accel_mps2 * p.tick_s * (p.stop_s + p.tick_s) / _cylinder(p)[1]
+    return 2.0 * float(flat + high)
+
+
+def _nearest(
+    heard: Neighbours, reports: _Reports, slack: Floats, p: SeparationParams
+) -> tuple[Neighbours, _Reports]:
+    """Without those neighbours that no velocity within reach can bring near."""
+    near = slack < _most_change(p)
+    most = int(near.sum(axis=1).max(initial=0))
+    order = np.argsort(~near, axis=1, kind="stable")[:, :most]
+    rows = np.arange(len(slack))[:, None]
+    kept = near[rows, order]
+    return (
+        replace(heard.picked(rows, order), present=kept),
+        replace(reports.picked(rows, order), absent=~kept),
+    )
+
+
+def _components(vectors: Floats) -> tuple[Singles, ...]:
+    """North, east and down by themselves: four times as fast, and as exact as it has to be."""
+    return tuple(np.ascontiguousarray(vectors[..., k], dtype=np.float32) for k in range(3))
+
+
+def _separations(
+    away: tuple[Singles, ...],
+    flat_share: Singles,
+    high_share: np.float32,
+    unsure: list[Floats] | None = None,
+) -> Singles:
+    """The cylinder's norm of these vectors, less what is not known of them."""
+    north, east, down = away
+    flat = np.sqrt(north * north + east * east)
+    flat *= flat_share
+    high = np.abs(down)
+    high *= high_share
+    if unsure is not None:
+        flat -= unsure[0].astype(np.float32)
+        high -= unsure[1].astype(np.float32)
+    return np.maximum(flat, high, out=flat)
 
 
 def _evidently_broken(braking: Floats, reports: _Reports, p: SeparationParams) -> NDArray[np.bool_]:
@@ -327,7 +380,7 @@ def _clear(
     """Whether each path stays out of buildings, between the instants too; (A, C)."""
     if clearance is None:
         return np.ones(paths.shape[:2], dtype=bool)
-    step = np.linalg.norm(np.diff(paths[..., :2], axis=2), axis=-1)
+    step = _flat(np.diff(paths, axis=2))
     half = 0.5 * np.maximum(
         np.pad(step, ((0, 0), (0, 0), (1, 0))), np.pad(step, ((0, 0), (0, 0), (0, 1)))
     )
@@ -382,7 +435,7 @@ def _cost(fan: Floats, wanted: Floats, dodge: Floats) -> Floats:
     right = np.stack([-wanted[:, 1], wanted[:, 0]], axis=-1)
     right /= np.maximum(np.linalg.norm(right, axis=-1, keepdims=True), 1e-9)
     aim = wanted[:, :2] + RIGHT_BIAS_MPS * right
-    off = np.linalg.norm(fan[..., :2] - aim[:, None], axis=-1)
+    off = _flat(fan[..., :2] - aim[:, None])
     return off + DODGE_WEIGHT * np.abs(fan[..., 2] - dodge[:, None])
 
 
@@ -392,15 +445,15 @@ def _relevant(pos: Floats, vel: Floats, heard: Neighbours, p: SeparationParams) 
     age = np.clip(heard.age_s, 0.0, p.max_age_s)
     fast = p.error_sigmas * heard.vel_std_mps + p.accel_mps2 * age
     unsure = p.error_sigmas * heard.pos_std_m + fast * (age + p.stop_s)
-    own = np.linalg.norm(vel[:, :2], axis=-1) + p.accel_mps2 * p.tick_s
-    theirs = np.linalg.norm(heard.vel_ned_mps[..., :2], axis=-1)
+    own = _flat(vel) + p.accel_mps2 * p.tick_s
+    theirs = _flat(heard.vel_ned_mps)
     flown = own * p.tick_s + 0.5 * own**2 / p.accel_mps2
     reach = flown[:, None] + theirs * age + 0.5 * theirs**2 / p.accel_mps2 + unsure
     # What a tick's acceleration changes of the braking path, and the separation itself.
     beside = 2.0 * p.accel_mps2 * p.tick_s * p.stop_s + p.max_speed_mps * p.tick_s
     reach = reach + beside + _cylinder(p)[0].max()
     away = heard.pos_ned_m - pos[:, None]
-    near = heard.present & sound & (np.linalg.norm(away[..., :2], axis=-1) < reach)
+    near = heard.present & sound & (_flat(away) < reach)
     most = int(near.sum(axis=1).max(initial=0))
     order = np.argsort(~near, axis=1, kind="stable")[:, :most]
     rows = np.arange(len(pos))[:, None]
