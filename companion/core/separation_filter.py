@@ -153,13 +153,15 @@ class SeparationFilter:
         dodge = _towards_layer(pos, vel, layer_down_m, p)
         fan = _fan(vel, wanted, dodge, p)
         paths = _paths(pos, vel, fan, p)
-        slack = _slack(paths, braking, reports, p).min(axis=-1, initial=np.inf)
+        slacks = _slack(paths, braking, reports, p)
+        slack = slacks.min(axis=-1, initial=np.inf)
+        level = _only_changes_level(fan, braking, reports, p)
         moved = np.linalg.norm(paths - braking[:, None], axis=-1).max(axis=-1)
         clear = _clear(paths, rows, clearance, p)
         brake_slack = slack[:, -1:]
         creeping = (np.linalg.norm(fan, axis=-1) <= CREEP_MPS) & (brake_slack < 0.0)
         creeping &= slack >= brake_slack - CREEP_SLACK * moved / p.horizontal_m
-        fine = clear & ((slack >= 0.0) | creeping)
+        fine = clear & (((slacks >= 0.0) | level).all(axis=-1) | creeping)
         cost = np.where(fine, _cost(fan, wanted, dodge), np.inf)
         choice = cost.argmin(axis=1)
         choice[~np.isfinite(cost[rows, choice])] = fan.shape[1] - 1
@@ -349,6 +351,24 @@ def _separations(
         flat -= unsure[0].astype(np.float32)
         high -= unsure[1].astype(np.float32)
     return np.maximum(flat, high, out=flat)
+
+
+def _only_changes_level(
+    fan: Floats, braking: Floats, reports: _Reports, p: SeparationParams
+) -> NDArray[np.bool_]:
+    """Whether a velocity brakes, and climbs or sinks out of a neighbour's way; (A, C, J).
+
+    Over the ground it is the braking path, so it harms only who counts on the height between: no
+    one does while that is too little, and no one suffers while it grows.
+    """
+    brakes = (np.abs(fan[..., :2] - fan[:, -1:, :2]) < 1e-9).all(axis=-1)
+    apart = braking[:, None, :, 2] - reports.braking[..., 2]
+    reach = 2.0 * p.climb_accel_mps2 * p.tick_s * (p.max_climb_mps / p.climb_accel_mps2 + p.tick_s)
+    most = np.abs(apart) + reports.error_vertical_m + reach
+    little = (most < p.vertical_m + 2.0 * p.tracking_vertical_m).all(axis=-1)
+    moves = fan[..., 2] - fan[:, -1:, 2]
+    grows = moves[..., None] * apart[:, None, :, 0] >= 0.0
+    return brakes[..., None] & (little[:, None] | grows | reports.absent[:, None])
 
 
 def _evidently_broken(braking: Floats, reports: _Reports, p: SeparationParams) -> NDArray[np.bool_]:
