@@ -200,7 +200,7 @@ def _shorter(vectors: Floats, most: float) -> Floats:
 @lru_cache
 def _times_s(p: SeparationParams) -> Floats:
     """Ends of ticks until everybody stands; (T,)."""
-    return p.tick_s * np.arange(int(np.ceil(p.stop_s / p.tick_s)) + 2)
+    return p.tick_s * np.arange(int(np.ceil(p.stop_s / p.tick_s)) + 2, dtype=np.float64)
 
 
 def _brake_by(vel: Floats, after_s: Floats, p: SeparationParams) -> Floats:
@@ -290,7 +290,7 @@ def _slack(paths: Floats, braking: Floats, reports: _Reports, p: SeparationParam
     if not neighbours:
         return found
     horizontal, vertical = _cylinder(p)
-    flat_share, high_share = np.float32(1.0 / horizontal), np.float32(1.0 / vertical)
+    flat_share, high_share = (1.0 / horizontal).astype(np.float32), np.float32(1.0 / vertical)
     near = _separations(_components(paths - braking[:, None]), flat_share, high_share)
     start = braking[:, :1]
     own = _components(paths - start[:, None])
@@ -361,14 +361,15 @@ def _only_changes_level(
     Over the ground it is the braking path, so it harms only who counts on the height between: no
     one does while that is too little, and no one suffers while it grows.
     """
-    brakes = (np.abs(fan[..., :2] - fan[:, -1:, :2]) < 1e-9).all(axis=-1)
+    brakes = np.asarray(np.abs(fan[..., :2] - fan[:, -1:, :2]) < 1e-9).all(axis=-1)
     apart = braking[:, None, :, 2] - reports.braking[..., 2]
     reach = 2.0 * p.climb_accel_mps2 * p.tick_s * (p.max_climb_mps / p.climb_accel_mps2 + p.tick_s)
     most = np.abs(apart) + reports.error_vertical_m + reach
-    little = (most < p.vertical_m + 2.0 * p.tracking_vertical_m).all(axis=-1)
+    little = np.asarray(most < p.vertical_m + 2.0 * p.tracking_vertical_m).all(axis=-1)
     moves = fan[..., 2] - fan[:, -1:, 2]
     grows = moves[..., None] * apart[:, None, :, 0] >= 0.0
-    return brakes[..., None] & (little[:, None] | grows | reports.absent[:, None])
+    free = np.logical_or(little[:, None] | reports.absent[:, None], grows)
+    return np.logical_and(brakes[..., None], free)
 
 
 def _evidently_broken(braking: Floats, reports: _Reports, p: SeparationParams) -> NDArray[np.bool_]:
@@ -377,7 +378,7 @@ def _evidently_broken(braking: Floats, reports: _Reports, p: SeparationParams) -
     flat = (np.hypot(away[..., 0], away[..., 1]) + reports.error_m) / p.horizontal_m
     high = (np.abs(away[..., 2]) + reports.error_vertical_m) / p.vertical_m
     close = (np.maximum(flat, high) < 1.0).any(axis=-1) & ~reports.absent
-    return close.any(axis=1)
+    return np.asarray(close.any(axis=1))
 
 
 def _escape_margin(paths: Floats, heard: Neighbours, p: SeparationParams) -> Floats:
@@ -404,7 +405,7 @@ def _clear(
     half = 0.5 * np.maximum(
         np.pad(step, ((0, 0), (0, 0), (1, 0))), np.pad(step, ((0, 0), (0, 0), (0, 1)))
     )
-    return (clearance(paths, rows) >= p.obstacle_m + half).all(axis=-1)
+    return np.asarray(np.all(clearance(paths, rows) >= p.obstacle_m + half, axis=-1))
 
 
 def _towards_layer(pos: Floats, vel: Floats, layer_down_m: Floats, p: SeparationParams) -> Floats:

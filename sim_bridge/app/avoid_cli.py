@@ -68,7 +68,7 @@ def avoid(
     separation = SeparationFilter() if policy in FILTERED else None
     world = evaluation.evaluation_world(agents, wind)
     seeds = [SEEDS_APART * (seed + 50) + k for k in range(episodes)]
-    found, stopped = None, False
+    found, timed, stopped = None, None, False
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
@@ -83,7 +83,7 @@ def avoid(
                 _draw(policy, agents, wind, seeds[0], card, picture)
         except KeyboardInterrupt:
             stopped = True
-    if found is None:
+    if found is None or timed is None:
         console.print("stopped before the first episodes were down: nothing to show")
         raise typer.Exit(INTERRUPTED)
     flown = len(found.arrived) // agents

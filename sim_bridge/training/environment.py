@@ -212,7 +212,7 @@ def observe(world: World, frame: Frame) -> Observation:
 
 def _offsets() -> Floats:
     """Cells' centres about the drone, metres: up and right; row 0 is the farthest up."""
-    span = (np.arange(VIEW_CELLS) - VIEW_CELLS // 2) * CELL_M
+    span = (np.arange(VIEW_CELLS, dtype=np.float64) - VIEW_CELLS // 2) * CELL_M
     up, right = np.meshgrid(-span, span, indexing="ij")
     return np.stack([up, right], axis=-1)
 

@@ -29,7 +29,7 @@ class AvoidParallelEnv(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
         self.agents: list[str] = []
         self.render_mode = None
         cells = (CHANNELS, VIEW_CELLS, VIEW_CELLS)
-        self.observation_spaces = {
+        self.observation_spaces: dict[str, gymnasium.spaces.Space[Any]] = {
             name: gymnasium.spaces.Dict(
                 {
                     "view": gymnasium.spaces.Box(0, 1, cells, np.uint8),
@@ -38,7 +38,7 @@ class AvoidParallelEnv(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
             )
             for name in self.possible_agents
         }
-        self.action_spaces = {
+        self.action_spaces: dict[str, gymnasium.spaces.Space[Any]] = {
             name: gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32) for name in self.possible_agents
         }
 

@@ -116,7 +116,7 @@ class World:
         """Metres from points (A, ..., 2 or 3) of these agents (flat) to the next building."""
         cells = cells_of(points[..., :2])
         scene = self.scene_of[agents // self.agents].reshape(-1, *[1] * (cells.ndim - 2))
-        return self.clearance_rasters[scene, cells[..., 0], cells[..., 1]]
+        return self.clearance_rasters[scene, cells[..., 0], cells[..., 1]].astype(np.float64)
 
     def filtered(
         self,
@@ -126,9 +126,10 @@ class World:
     ) -> tuple[Floats, Floats]:
         """Safe velocities (E, N, 3) and whose wish was not granted (E, N); of `only`, or of all."""
         rows = np.flatnonzero(self.active) if only is None else only
-        flat = [x.reshape(-1, 3)[rows] for x in (self.pos_m, self.vel_mps, wanted_mps)]
         found = separation.safe(
-            *flat,
+            self.pos_m.reshape(-1, 3)[rows],
+            self.vel_mps.reshape(-1, 3)[rows],
+            wanted_mps.reshape(-1, 3)[rows],
             self.neighbours(rows),
             self.layer_down_m.reshape(-1)[rows],
             lambda points, some: self.clearance(points, rows[some]),

@@ -79,9 +79,9 @@ class Orca:
 
 
 def _simulator(world: World, e: int, i: int) -> Any:
-    from pyrvo import RVOSimulator
+    import pyrvo
 
-    simulator = RVOSimulator()
+    simulator: Any = pyrvo.RVOSimulator()  # pyright: ignore[reportAttributeAccessIssue]
     simulator.set_time_step(TICK_S)
     for j in range(world.agents):
         simulator.add_agent(
