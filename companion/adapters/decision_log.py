@@ -90,6 +90,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "remaining_frac": MAYBE,
         "temperature_c": MAYBE,
     },
+    "heard_throttle": {"t_s": NUMBER, "throttle_frac": NUMBER},
     "heard_airspeed": {"t_s": NUMBER, "forward_mps": NUMBER, "is_magnitude": FLAG},
     "heard_wind": {"t_s": NUMBER, "to_n_mps": NUMBER, "to_e_mps": NUMBER, "std_mps": MAYBE},
     "heard_progress": {

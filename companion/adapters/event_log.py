@@ -28,7 +28,7 @@ what comes must not bear their numbers, or the desk would take it for known.
 BATCH = 200
 """Events handed out at one asking; who wants more asks again."""
 
-SETTLED = (EventKind.OUTCOME,)
+SETTLED = (EventKind.OUTCOME, EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
 """What the desk must hear even after a power cut; the rest is for people."""
 
 

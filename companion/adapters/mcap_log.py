@@ -19,6 +19,7 @@ from companion.core.events import (
     Identified,
     MissionProgress,
     Position,
+    Throttle,
     VehicleState,
 )
 from companion.core.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
@@ -32,6 +33,7 @@ HEARD: dict[str, tuple[str, type[Event]]] = {
     "gnss": ("heard_gnss", GnssFix),
     "home": ("heard_home", Home),
     "battery": ("heard_battery", Battery),
+    "throttle": ("heard_throttle", Throttle),
     "airspeed": ("heard_airspeed", Airspeed),
     "wind": ("heard_wind", AutopilotWind),
     "progress": ("heard_progress", MissionProgress),

@@ -15,6 +15,7 @@ from companion.core.events import (
     ControlHandedBack,
     ControlTaken,
     Event,
+    HomeMoved,
     LimitsChanged,
 )
 from companion.core.judgement import Limits
@@ -103,6 +104,10 @@ class OperatorPort:
                 return ControlTaken(t_s, by)
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return AbortOrdered(t_s, by)
+            case mavlink.MAV_CMD_DO_SET_HOME if message.param1 != 1.0:
+                # Not the autopilot's home, where its RTL goes: the truck's stop at this place.
+                lat_deg, lon_deg = _place_of(message)
+                return HomeMoved(t_s, by, lat_deg=lat_deg, lon_deg=lon_deg)
             case _:
                 return None
 
@@ -147,3 +152,10 @@ class OperatorPort:
                 PARAMETERS.index(name),
             )
         )
+
+
+def _place_of(message: Any) -> tuple[float, float]:
+    """Latitude and longitude of a command, degrees."""
+    if message.get_type() == "COMMAND_INT":
+        return message.x / 1e7, message.y / 1e7
+    return float(message.param5), float(message.param6)

@@ -18,9 +18,10 @@ from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.parameters import decode_bytewise
 from companion.adapters.px4 import Px4
 from companion.adapters.telemetry import FlavourWords, boot_s, translate
+from companion.adapters.vehicle_types import vehicle_of
 from companion.core.errors import LeewayError
 from companion.core.events import Event
-from companion.core.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
+from companion.core.recorded_flight import LogFinding, RecordedFlight
 
 STAMP_BYTES = 8
 V1, V2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
@@ -55,15 +56,6 @@ FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
     mavlink.MAV_AUTOPILOT_PX4: Px4,
 }
-MULTIROTORS = (
-    mavlink.MAV_TYPE_QUADROTOR,
-    mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR,
-    mavlink.MAV_TYPE_TRICOPTER,
-    mavlink.MAV_TYPE_COAXIAL,
-    mavlink.MAV_TYPE_DECAROTOR,
-    mavlink.MAV_TYPE_DODECAROTOR,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +92,12 @@ def read_tlog(path: Path) -> RecordedFlight:
     if others:
         what = f"other systems speak too: {', '.join(map(str, others))}"
         findings.append(LogFinding("log", what, f"only system {system} is read"))
-    name = mavlink.enums["MAV_TYPE"][beat.type].name.removeprefix("MAV_TYPE_").lower()
     return RecordedFlight(
         source="tlog",
         events=tuple(reader.events),
         findings=tuple(findings),
         flavour=reader.words.flavour,
-        vehicle=MULTIROTOR if beat.type in MULTIROTORS else name.replace("_", " "),
+        vehicle=vehicle_of(beat.type),
         firmware=reader.firmware,
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.adapters.ulog_filter import wanted_part
+from companion.adapters.vehicle_types import vehicle_of
 from companion.core.errors import LeewayError
 from companion.core.events import (
     Airspeed,
@@ -74,22 +75,6 @@ ARMED = 2
 SENSORS = (1, 2, 3)
 """airspeed_validated: 0 is ground speed less wind, 4 is synthetic, -1 switched off: no sensor."""
 
-MAV_TYPES = {
-    1: "fixed wing",
-    2: MULTIROTOR,
-    3: MULTIROTOR,
-    4: "helicopter",
-    10: "rover",
-    11: "boat",
-    12: "submarine",
-    13: MULTIROTOR,
-    14: MULTIROTOR,
-    15: MULTIROTOR,
-    19: "VTOL",
-    20: "VTOL",
-    21: "VTOL",
-    22: "VTOL",
-}
 AIRFRAMES = {
     0: MULTIROTOR,
     1: "fixed wing",
@@ -116,9 +101,7 @@ def read_ulog(path: Path) -> RecordedFlight:
     values: dict[str, Any] = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         values[name] = value
-    vehicle = MAV_TYPES.get(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(
-        values.get("CA_AIRFRAME", -1)
-    )
+    vehicle = vehicle_of(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(values.get("CA_AIRFRAME", -1))
     events: list[Event] = []
     for rows in topics.get("vehicle_attitude", [])[:1]:
         events += _attitudes(rows)
@@ -126,7 +109,7 @@ def read_ulog(path: Path) -> RecordedFlight:
     for name, take in _TAKERS.items():
         for rows in topics.get(name, [])[:1]:
             events += take(rows)
-    if values.get("EKF2_DRAG_CTRL") or vehicle != MULTIROTOR:
+    if values.get("EKF2_DRAG_CTRL") or vehicle not in (MULTIROTOR, None):
         for name in ("wind", "wind_estimate"):
             for rows in topics.get(name, [])[:1]:
                 events += _winds(rows)

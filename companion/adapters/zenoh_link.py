@@ -10,41 +10,19 @@ import queue
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any, NoReturn
 
 import zenoh
 
 from companion.core.errors import LeewayError
+from companion.core.fleet_link import Ask, Asked
 from companion.core.topics import VehicleKeys, life_of
 
 OPEN_AGAIN_S = 5.0
 WAITING = 256
 LEAVING = 4096
 AFTER = "after"
-
-
-class Ask(Enum):
-    """What somebody on zenoh wants of the vehicle."""
-
-    COMMAND = "command"
-    EVENTS = "events"
-    TWIN = "twin"
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A command's bytes, the events after a number, or notice that another life bears our name.
-
-    `answer` sends replies, and no more after the first call.
-    """
-
-    ask: Ask
-    answer: Callable[[list[bytes]], None]
-    payload: bytes = b""
-    after: int = 0
 
 
 def read_config(path: Path | None) -> zenoh.Config:

@@ -1,6 +1,7 @@
 """`companion check` as its user reads it: what is missing, what to set, what is well."""
 
 from companion.core.before_flight import live_findings
+from companion.core.geo import horizontal_m
 from companion.core.pilot import Pilot
 from companion.core.preflight import Finding
 
@@ -15,7 +16,7 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
     held = len(ground.requirements) - len(ground.findings)
     if held > 0:
         lines.append(f"ok       {held} settings of the autopilot are as the promise needs them")
-    lines += _battery(pilot) + _route(pilot)
+    lines += _battery(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):
         lines.append("set them yourself, or fly with --configure: it sets them for the flight only")
@@ -54,3 +55,19 @@ def _route(pilot: Pilot) -> list[str]:
     reserve_wh = pilot.judge.limits.reserve_frac * energy.usable_full_wh
     spare_wh = energy.mean_wh - reserve_wh - plan.energy_wh
     return [f"{line}: {spare_wh:.0f} Wh to spare above the reserve of {reserve_wh:.0f} Wh"]
+
+
+def _home(pilot: Pilot) -> list[str]:
+    """Where a flight to a promised stop ends, and what is no promise."""
+    if pilot.flown is None or pilot.flown.plan.home is None:
+        return []
+    plan = pilot.flown.plan
+    away_m = horizontal_m(plan.landing_ned_m, plan.depot_ned_m)
+    others = ", ".join(stop.name for stop in plan.stops) or "none"
+    lines = [
+        f"ok       home: {plan.home}, {away_m:.0f} m from here;"
+        f" other stops aboard, to be promised in flight: {others}"
+    ]
+    if plan.away_ned_m:
+        lines.append("note     RTL, the last resort, comes back here, where nobody promises to be")
+    return lines

@@ -4,9 +4,9 @@ It turns commands into the very events that an operator's MAVLink commands becom
 (operator_port.py), so safety rule 1 is the pilot's and nobody else's.
 """
 
-import secrets
+import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,19 @@ import msgspec
 from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.event_log import EventLog
 from companion.adapters.whole_file import read_whole, settle_folder, write_whole
-from companion.adapters.zenoh_link import Ask, Asked, ZenohLink
-from companion.core.actions import Action, Decision, Finished, PhaseChanged, Reply, Say, Severity
+from companion.app.fleet_member import FleetMember
+from companion.core.actions import (
+    Action,
+    Answer,
+    Decision,
+    Finished,
+    PhaseChanged,
+    Reply,
+    Say,
+    Severity,
+)
 from companion.core.airframe import Airframe
-from companion.core.command_book import ONCE, CommandBook, Verdict, book_from_dict
+from companion.core.command_book import CommandBook, Verdict
 from companion.core.errors import LeewayError
 from companion.core.events import (
     AbortOrdered,
@@ -26,35 +35,31 @@ from companion.core.events import (
     ControlHandedBack,
     ControlTaken,
     Event,
+    HomeMoved,
     LimitsChanged,
 )
+from companion.core.fleet_link import MemberLink
+from companion.core.home_aboard import home_now
 from companion.core.messages import (
     Answered,
     Assign,
     Command,
-    Drive,
     EventKind,
-    FleetEvent,
     HandBack,
     HandsOff,
     Launch,
     MoveHome,
     Recall,
-    Refused,
-    Result,
-    Serve,
     SetLimits,
-    State,
+    TruckDeed,
     Withdraw,
-    decode_command,
-    encode,
 )
 from companion.core.pilot import Pilot
 from companion.core.situation import Situation
 from companion.core.transitions import GROUND_PHASES, Phase
 
 STATE_S = 1.0
-BOOK, EVENTS, CURRENT = "commands.json", "events.jsonl", "current.json"
+CURRENT = "current.json"
 STANDBY = "standby"
 ASSESSMENT_MAX_AGE_S = 2.5
 
@@ -76,20 +81,12 @@ class Assigned(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 class FleetPort:
     """One life of a companion in a fleet. `vehicle` and `airframe` are what it announces."""
 
-    vehicle: str
+    member: FleetMember
     airframe_name: str
-    airframe: Airframe
-    folder: Path
-    link: ZenohLink
-    life: str
-    book: CommandBook
-    log: EventLog
-    current: Assigned | None
     max_payload_kg: float
-    _born_s: float = field(default_factory=wall_s)
+    current: Assigned | None
     _told_s: float = -1e9
     _told_phase: str = ""
-    _text: str = ""
 
     @classmethod
     def open(
@@ -98,95 +95,58 @@ class FleetPort:
         airframe_name: str,
         airframe: Airframe,
         folder: Path,
-        link_of: Callable[[str], ZenohLink],
+        link_of: Callable[[str], MemberLink],
+        clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
     ) -> "FleetPort":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
 
         Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
         not take new ones.
         """
-        folder.mkdir(parents=True, exist_ok=True)
-        kept = read_whole(folder / BOOK, "book of commands")
-        book = CommandBook() if kept is None else book_from_dict(kept, str(folder / BOOK))
         table = read_whole(folder / CURRENT, "assignment")
-        life = secrets.token_hex(6)
-        return cls(
-            vehicle=vehicle,
-            airframe_name=airframe_name,
-            airframe=airframe,
-            folder=folder,
-            link=link_of(life),
-            life=life,
-            book=book,
-            log=EventLog(folder / EVENTS),
-            current=None if table is None else msgspec.convert(table, Assigned),
-            max_payload_kg=airframe.mass.max_payload_kg,
-        )
+        current = None if table is None else msgspec.convert(table, Assigned)
+        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
+        return cls(member, airframe_name, airframe.mass.max_payload_kg, current)
+
+    @property
+    def vehicle(self) -> str:
+        """Its name in the fleet."""
+        return self.member.vehicle
+
+    @property
+    def folder(self) -> Path:
+        """Where everything is kept through restarts."""
+        return self.member.folder
+
+    @property
+    def link(self) -> MemberLink:
+        """Its way to the desk."""
+        return self.member.link
+
+    @property
+    def life(self) -> str:
+        """This start of the companion."""
+        return self.member.life
+
+    @property
+    def book(self) -> CommandBook:
+        """Commands taken."""
+        return self.member.book
+
+    @property
+    def log(self) -> EventLog:
+        """Events kept."""
+        return self.member.log
 
     @property
     def uptime_s(self) -> float:
         """Seconds of this life."""
-        return wall_s() - self._born_s
-
-    # --- commands ------------------------------------------------------------------------------
+        return self.member.uptime_s
 
     def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
         """Answer everything that was asked."""
-        for asked in self.link.asked():
-            match asked.ask:
-                case Ask.COMMAND:
-                    asked.answer([encode(self._answered(asked, carry_out))])
-                case Ask.EVENTS:
-                    asked.answer([encode(event) for event in self.log.after(asked.after)])
-                case Ask.TWIN:
-                    self._text = f"another life of {self.vehicle} is on the network"
-                    self.tell(EventKind.SAID, self._text)
-
-    def _answered(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> Result:
-        command = decode_command(asked.payload)
-        if isinstance(command, Refused):
-            return self._result("", Verdict(Answered.REFUSED, command.reason))
-        if command.vehicle != self.vehicle:
-            words = f"meant for {command.vehicle}, this is {self.vehicle}"
-            return self._result(command.id, Verdict(Answered.REFUSED, words))
-        verdict = self.book.look(command, self.life, self.uptime_s)
-        if verdict is None:
-            verdict = self._carry_out(command, carry_out)
-        return self._result(command.id, verdict)
-
-    def _carry_out(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
-        once = isinstance(command.deed, ONCE)
-        if once:  # the rest, done twice, is the same as done once
-            self.book.begin(command)
-            try:
-                self._save_book()
-            except OSError as error:
-                self.book.end(command, Verdict(Answered.LATER))
-                return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
-        verdict = carry_out(command)
-        self.book.end(command, verdict)
-        self._try_to_save_book(settle=once)
-        said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
-        self.tell(EventKind.COMMAND, said.strip())
-        return verdict
-
-    def _try_to_save_book(self, *, settle: bool = True) -> None:
-        try:
-            self._save_book(settle=settle)
-        except OSError as error:
-            self._text = f"book of commands not written: {error.strerror}"
-
-    def _save_book(self, *, settle: bool = True) -> None:
-        write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()), settle=settle)
-
-    def _result(self, id_: str, verdict: Verdict) -> Result:
-        return Result(
-            id=id_,
-            vehicle=self.vehicle,
-            life=self.life,
-            answer=verdict.answer,
-            reason=verdict.reason[:500],
-        )
+        self.member.turn(carry_out)
 
     # --- assignments ---------------------------------------------------------------------------
 
@@ -204,7 +164,8 @@ class FleetPort:
         if self.current is None:
             return
         self.book.close(self.current.assignment)
-        self._try_to_save_book()  # its outcome stands in the log of events all the same
+        self.member.try_to_save_book()  # its outcome stands in the log of events all the same
+        self.member.remark = ""  # what was said of one flight is not said of the next
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None
@@ -221,7 +182,7 @@ class FleetPort:
                 promise = {"p_home": _share(action.p_home), "margin_wh": action.margin_wh}
                 self.tell(EventKind.DECISION, words, **promise)
             case Say() if action.severity <= Severity.NOTICE:
-                self._text = action.text
+                self.member.remark = action.text
                 self.tell(EventKind.SAID, action.text)
             case Finished():
                 self.tell(
@@ -238,38 +199,28 @@ class FleetPort:
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:
         """Write an event down, then tell it."""
         here = self.current
-        event = FleetEvent(
-            vehicle=self.vehicle,
-            log=self.log.log,
-            seq=1,  # the log gives it its number
-            epoch_us=epoch_us(),
-            kind=kind,
-            text=text[:500],
+        self.member.tell(
+            kind,
+            text,
             assignment=here.assignment if here else None,
             order=here.order if here else None,
             **more,
         )
-        self.link.publish_event(encode(self.log.append(event)))
 
     def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
         """Tell the state when it is due: once a second, and at once in a new phase."""
-        if phase == self._told_phase and wall_s() - self._told_s < STATE_S:
+        now_s = self.member.clock_s()
+        if phase == self._told_phase and now_s - self._told_s < STATE_S:
             return
-        self._told_phase, self._told_s = phase, wall_s()
+        self._told_phase, self._told_s = phase, now_s
         here, position = self.current, now.position
         speed = None
         if position is not None:
             speed = (position.vel_n_mps**2 + position.vel_e_mps**2) ** 0.5
-        state = State(
-            vehicle=self.vehicle,
-            life=self.life,
-            uptime_s=self.uptime_s,
-            epoch_us=epoch_us(),
-            airframe=self.airframe_name,
-            max_payload_kg=self.max_payload_kg,
-            phase=phase,
-            log=self.log.log,
-            last_seq=self.log.last_seq,
+        self.member.publish(
+            self.airframe_name,
+            self.max_payload_kg,
+            phase,
             assignment=here.assignment if here else None,
             order=here.order if here else None,
             armed=now.state.armed if now.state is not None else None,
@@ -278,36 +229,33 @@ class FleetPort:
             height_rel_m=position.height_rel_m if position else None,
             ground_speed_mps=speed,
             voltage_v=now.battery.voltage_v if now.battery else None,
-            text=(self.log.trouble or self._text)[:500],
             **(_promise(pilot) if pilot is not None else {}),
         )
-        self.link.publish_state(encode(state))
 
     def close(self) -> None:
         """Leave the network and end the files."""
-        self.link.close()
-        self.log.close()
+        self.member.close()
 
     def in_mission(
-        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Reply]
+        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Answer]
     ) -> Callable[[Command], Verdict]:
         """How commands are carried out while a mission runs."""
 
         def carry_out(command: Command) -> Verdict:
             here = self.current.assignment if self.current is not None else None
             deed, by = command.deed, command.by
-            if isinstance(deed, MoveHome | Drive | Serve):
+            if isinstance(deed, TruckDeed):
                 return Verdict(Answered.REFUSED, "not what this vehicle can do")
             if isinstance(deed, Assign):
                 if deed.assignment == here:
                     return Verdict(Answered.DONE, "aboard")
                 return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
-            if isinstance(deed, Launch | Withdraw) and deed.assignment != here:
+            if isinstance(deed, Launch | Withdraw | MoveHome) and deed.assignment != here:
                 return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
             if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
                 return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
-            answer = ANSWER[ask(_event_of(deed, t_s, by))]
-            reason = f"phase {pilot.phase.value}"
+            told = ask(_event_of(deed, t_s, by))
+            answer, reason = ANSWER[told.reply], told.reason or f"phase {pilot.phase.value}"
             if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
                 return Verdict(Answered.LATER, "no autopilot is heard yet")
             return Verdict(answer, reason)
@@ -321,6 +269,8 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
             return Authorised(t_s, by)
         case Recall() | Withdraw():
             return AbortOrdered(t_s, by)
+        case MoveHome():
+            return HomeMoved(t_s, by, deed.home)
         case HandsOff():
             return ControlTaken(t_s, by)
         case HandBack():
@@ -334,7 +284,7 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
 def _promise(pilot: Pilot) -> dict[str, Any]:
     """What the pilot believes, where it is fresh."""
     seen, wind, energy = pilot.assessment, pilot.judge.wind, pilot.judge.energy
-    told: dict[str, Any] = {"delivered": pilot.air.delivered}
+    told: dict[str, Any] = {"delivered": pilot.air.delivered, "home": _id(home_now(pilot))}
     if energy is not None:
         told["energy_left_wh"] = energy.mean_wh
     if wind is not None and wind.valid:
@@ -346,9 +296,10 @@ def _promise(pilot: Pilot) -> dict[str, Any]:
     return told
 
 
+def _id(name: str | None) -> str | None:
+    """A place's name as messages allow it: a rally point's may hold anything."""
+    return None if name is None else re.sub(r"[^A-Za-z0-9._:-]", "-", name)[:64]
+
+
 def _share(p: float | None) -> float | None:
     return None if p is None else min(max(p, 0.0), 1.0)
-
-
-def _name_of(command: Command) -> str:
-    return f"{type(command.deed).__name__.lower()} ({command.id})"

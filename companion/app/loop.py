@@ -15,7 +15,7 @@ from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.adapters.operator_port import OperatorPort
 from companion.app.recorder import Recorder
-from companion.app.table_worker import TableWorker
+from companion.app.table_worker import Tables
 from companion.core.actions import (
     Action,
     Answer,
@@ -77,10 +77,12 @@ class Loop:
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
-    tables: TableWorker | None = None
+    tables: Tables | None = None
     """None: no value table is ever made, and the return budget alone decides."""
     port: "FleetPort | None" = None
     """None: no dispatcher's desk; operators still speak MAVLink."""
+    wall_clock_s: Callable[[], float] = wall_s
+    """For silences; a world that simulates many companions at once brings its own."""
     _system_known: bool = False
     _ticked_s: float = -1e9
     _synced_s: float = -1e9
@@ -92,7 +94,7 @@ class Loop:
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
-    _reply: Reply = Reply.DENIED
+    _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
     _outgoing: list[bytes] = field(default_factory=list)
     _outgoing_bytes: int = 0
 
@@ -106,6 +108,7 @@ class Loop:
         *,
         system_id: int | None,
         silence_limit_s: float,
+        wall_clock_s: Callable[[], float] = wall_s,
     ) -> "Loop":
         """Connect the parts."""
         clock = AutopilotClock()
@@ -130,9 +133,10 @@ class Loop:
             silence_limit_s=silence_limit_s,
             autopilot=AutopilotPort(send, clock, system_id),
             operator=OperatorPort(send, ask, lambda: pilot.judge.limits, say),
+            wall_clock_s=wall_clock_s,
         )
         made.append(loop)
-        loop._heard_wall_s = wall_s()
+        loop._heard_wall_s = wall_clock_s()
         loop._heard_s = clock.t_s
         return loop
 
@@ -141,7 +145,7 @@ class Loop:
     def step(self) -> None:
         """Wait a moment for bytes and handle them."""
         alone = self._silent or not self._system_known
-        if alone and wall_s() - self._beat_wall_s >= HEARTBEAT_S:
+        if alone and self.wall_clock_s() - self._beat_wall_s >= HEARTBEAT_S:
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there
         incoming = self.link.receive(WAIT_S)
         self._mind_silence()
@@ -156,7 +160,7 @@ class Loop:
 
     def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
-            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask))
+            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
         port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:
@@ -217,7 +221,7 @@ class Loop:
     def _is_behind(self) -> bool:
         """Tell whether to hear more before anything is decided."""
         late = self.link.waiting() > BEHIND
-        return late and wall_s() - self._decided_wall_s < BEHIND_LIMIT_S
+        return late and self.wall_clock_s() - self._decided_wall_s < BEHIND_LIMIT_S
 
     def _tick(self) -> None:
         t_s = self.clock.t_s
@@ -226,7 +230,7 @@ class Loop:
         if self._is_behind():
             self._give([Tick(t_s, late=True)])
         else:
-            self._decided_wall_s = wall_s()
+            self._decided_wall_s = self.wall_clock_s()
             self._publish_next()
             self._give(self.autopilot.tick(t_s))
             table = self.tables.due(t_s) if self.tables is not None else None
@@ -244,15 +248,19 @@ class Loop:
 
     def ask(self, event: Event) -> Reply:
         """Give the mission an operator's order and return its reply."""
-        self._reply = Reply.ACCEPTED
+        return self.ask_why(event).reply
+
+    def ask_why(self, event: Event) -> Answer:
+        """The reply with its reason."""
+        self._answer = Answer(Reply.ACCEPTED)
         self._give([event])
-        return self._reply
+        return self._answer
 
     # --- silence -------------------------------------------------------------------------------
 
     def _heard(self, peer: Any) -> None:
         self.link.answer_to(peer)
-        self._heard_wall_s = wall_s()
+        self._heard_wall_s = self.wall_clock_s()
         if self._silent:
             self._silent = False
             self.recorder.note(self.clock.t_s, "heard again")
@@ -260,7 +268,7 @@ class Loop:
             self._give([LinkBack(self.clock.t_s, 0.0)])
 
     def _mind_silence(self) -> None:
-        silent_s = wall_s() - self._heard_wall_s
+        silent_s = self.wall_clock_s() - self._heard_wall_s
         if silent_s > SILENT_S and not self._silent and self._system_known:
             self._silent = True
             self._give([LinkSilent(self.clock.t_s)])
@@ -289,7 +297,7 @@ class Loop:
                 case Publish():
                     self._to_publish.update(action.values)
                 case Answer():
-                    self._reply = action.reply
+                    self._answer = action
                 case PhaseChanged():
                     self._heartbeat()
                 case Finished():
@@ -310,7 +318,7 @@ class Loop:
         )
 
     def _heartbeat(self) -> None:
-        self._beat_wall_s = wall_s()
+        self._beat_wall_s = self.wall_clock_s()
         phase = self.pilot.phase
         if phase is Phase.IDENTIFY:
             state = mavlink.MAV_STATE_BOOT

@@ -13,7 +13,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.adapters.clock import cpu_s, wall_s
 from companion.adapters.files import (
-    params_dir,
     read_airframe,
     read_flight,
     read_obstacle_document,
@@ -164,7 +163,7 @@ def _terms(asked: _Asked, log: RecordedFlight) -> ReplayTerms:
         return ReplayTerms(
             airframe, flight, _process(asked, flight), True, True, obstacles, asked.every_s
         )
-    airframe = _airframe(asked)
+    airframe = read_airframe(asked.airframe or UNKNOWN_AIRFRAME, asked.params)
     flight = _with_limits(asked, _unplanned(asked, airframe, log))
     known = asked.airframe is not None
     process = _process(asked, flight)
@@ -173,13 +172,6 @@ def _terms(asked: _Asked, log: RecordedFlight) -> ReplayTerms:
 
 def _process(asked: _Asked, flight: Flight) -> WindProcessParams:
     return read_wind_process(asked.wind_process or flight.mission.wind_process, asked.params)
-
-
-def _airframe(asked: _Asked) -> Airframe:
-    if asked.airframe is not None:
-        return read_airframe(asked.airframe, asked.params)
-    generic = params_dir(asked.params) / "airframes" / f"{UNKNOWN_AIRFRAME}.toml"
-    return read_airframe(UNKNOWN_AIRFRAME if generic.is_file() else "m100", asked.params)
 
 
 def _unplanned(asked: _Asked, airframe: Airframe, log: RecordedFlight) -> Flight:

@@ -3,12 +3,14 @@
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
 from companion.adapters.ardupilot import ArduPilot
 from companion.adapters.checkpoint import read_checkpoint
+from companion.adapters.clock import wall_s
 from companion.adapters.files import (
     digest_of,
     read_airframe,
@@ -17,11 +19,11 @@ from companion.adapters.files import (
     read_wind_process,
 )
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
-from companion.adapters.mavlink_link import open_link
+from companion.adapters.mavlink_link import Link, open_link
 from companion.adapters.px4 import Px4
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
-from companion.app.table_worker import LOCKSTEP_WAIT_S, TableWorker
+from companion.app.table_worker import LOCKSTEP_WAIT_S, Tables, TableWorker
 from companion.core.actions import Action, Say, Severity
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
@@ -68,59 +70,114 @@ def run(
 
     Raises LeewayError for a mistake in the input, before anything is opened.
     """
-    flight = read_flight(options.mission)
-    airframe = read_airframe(options.airframe, options.params)
-    wind_process = read_wind_process(
-        options.wind_process or flight.mission.wind_process, options.params
-    )
-    obstacles = read_obstacle_document(flight, options.mission)
-    key = read_signing_key(options.signing_key) if options.signing_key is not None else None
-    digest = digest_of(options.mission, airframe, wind_process)
-    kept, trouble = _kept(options, digest)
-    pilot = Pilot(
-        flight,
-        airframe,
-        wind_process,
-        obstacles=obstacles,
-        requirements=requirements,
-        digest=digest,
-        options=options.pilot,
-        kept=kept,
-    )
-    link = open_link(options.link)
-    recorder = Recorder(
-        options.run_dir,
-        continues=kept is not None and not kept.finished,
-        keep_checkpoints=not options.pilot.check_only,
-    )
-    codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
-    if options.system_id is not None:
-        codec.be_system(options.system_id)
-    loop = Loop.wire(
-        link,
-        codec,
-        recorder,
-        pilot,
-        system_id=options.system_id,
-        silence_limit_s=options.silence_limit_s,
-    )
-    loop.on_action = on_action
-    loop.port = port
-    if port is not None:
-        port.link.be_woken(link.wake)
-    if not options.pilot.check_only:
-        loop.tables = TableWorker(LOCKSTEP_WAIT_S if options.lockstep else 0.0)
-    recorder.note(
-        pilot.now.t_s,
-        f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}",
-    )
-    if trouble:
-        recorder.note(pilot.now.t_s, trouble)
-    if not options.pilot.gate_on:
-        recorder.note(pilot.now.t_s, "GATE OFF: never turns back, for comparison only")
-    if kept is not None and not kept.finished:
-        recorder.note(pilot.now.t_s, f"going on from a checkpoint in phase {kept.phase}")
-    return _fly(loop, recorder, pilot), pilot
+    flown = Run.begin(options, open_link, on_action=on_action, port=port)
+    return _fly(flown), flown.pilot
+
+
+@dataclass(slots=True)
+class Run:
+    """One flight: `step` until that returns an exit code, then `end` with it."""
+
+    loop: Loop
+    recorder: Recorder
+    pilot: Pilot
+
+    @classmethod
+    def begin(
+        cls,
+        options: RunOptions,
+        open_link: Callable[[str], Link],
+        *,
+        on_action: Callable[[Action], None] | None = None,
+        port: "FleetPort | None" = None,
+        make_tables: Callable[[], Tables] | None = None,
+        wall_clock_s: Callable[[], float] = wall_s,
+    ) -> "Run":
+        """Read the files, take up what an earlier run kept, open link and record.
+
+        `make_tables`: who makes value tables, if not a process beside this one. Raises LeewayError
+        for a mistake in the input, before anything is opened.
+        """
+        flight = read_flight(options.mission)
+        airframe = read_airframe(options.airframe, options.params)
+        wind_process = read_wind_process(
+            options.wind_process or flight.mission.wind_process, options.params
+        )
+        obstacles = read_obstacle_document(flight, options.mission)
+        key = read_signing_key(options.signing_key) if options.signing_key is not None else None
+        digest = digest_of(options.mission, airframe, wind_process)
+        kept, trouble = _kept(options, digest)
+        pilot = Pilot(
+            flight,
+            airframe,
+            wind_process,
+            obstacles=obstacles,
+            requirements=requirements,
+            digest=digest,
+            options=options.pilot,
+            kept=kept,
+        )
+        link = open_link(options.link)
+        continues = kept is not None and not kept.finished
+        recorder = Recorder(
+            options.run_dir,
+            continues=continues,
+            keep_checkpoints=not options.pilot.check_only,
+        )
+        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
+        if options.system_id is not None:
+            codec.be_system(options.system_id)
+        loop = Loop.wire(
+            link,
+            codec,
+            recorder,
+            pilot,
+            system_id=options.system_id,
+            silence_limit_s=options.silence_limit_s,
+            wall_clock_s=wall_clock_s,
+        )
+        loop.on_action = on_action
+        loop.port = port
+        if port is not None:
+            port.link.be_woken(link.wake)
+        if not options.pilot.check_only:
+            make = make_tables or partial(TableWorker, LOCKSTEP_WAIT_S if options.lockstep else 0.0)
+            loop.tables = make()
+        names = f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}"
+        recorder.note(pilot.now.t_s, names)
+        if trouble:
+            recorder.note(pilot.now.t_s, trouble)
+        if not options.pilot.gate_on:
+            recorder.note(pilot.now.t_s, "GATE OFF: never turns back, for comparison only")
+        if kept is not None and continues:
+            recorder.note(pilot.now.t_s, f"going on from a checkpoint in phase {kept.phase}")
+        return cls(loop, recorder, pilot)
+
+    def step(self) -> int | None:
+        """Handle what one wait brings; the exit code once the mission is over or the link lost."""
+        self.loop.step()
+        if self.loop.finished is not None:
+            return DONE if self.pilot.phase is Phase.DONE else GROUNDED
+        if self.loop.lost:
+            self.recorder.note(self.loop.clock.t_s, "no autopilot heard: giving up the link")
+            return NO_LINK
+        return None
+
+    def end(self, code: int) -> None:
+        """Let out what is left to say, write the result, close everything."""
+        loop, recorder, pilot = self.loop, self.recorder, self.pilot
+        loop.flush()
+        recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
+        recorder.write_result(
+            delivered=pilot.air.delivered,
+            flown=pilot.flown,
+            phase=pilot.phase.value,
+            findings=pilot.ground.findings,
+        )
+        if loop.tables is not None:
+            loop.tables.stop()
+        loop.link.close()
+        recorder.close()
 
 
 def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]:
@@ -139,15 +196,16 @@ def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:
         return None, f"checkpoint not used: {error}"
 
 
-def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
+def _fly(flown: Run) -> int:
     stopped: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
         stopped.append(number)
 
+    loop, recorder = flown.loop, flown.recorder
     before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
-        code = _until_the_end(loop, recorder, pilot, stopped)
+        code = _until_the_end(flown, stopped)
     except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
         # The safe action is none: the autopilot holds a mission that ends at home.
         recorder.trouble(loop.clock.t_s, error)
@@ -157,29 +215,16 @@ def _fly(loop: Loop, recorder: Recorder, pilot: Pilot) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    loop.flush()
-    recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
-    recorder.write_result(
-        delivered=pilot.air.delivered,
-        flown=pilot.flown,
-        phase=pilot.phase.value,
-        findings=pilot.ground.findings,
-    )
-    if loop.tables is not None:
-        loop.tables.stop()
-    loop.link.close()
-    recorder.close()
+    flown.end(code)
     return code
 
 
-def _until_the_end(loop: Loop, recorder: Recorder, pilot: Pilot, stopped: list[int]) -> int:
+def _until_the_end(flown: Run, stopped: list[int]) -> int:
+    loop, recorder = flown.loop, flown.recorder
     while True:
-        loop.step()
-        if loop.finished is not None:
-            return DONE if pilot.phase is Phase.DONE else GROUNDED
-        if loop.lost:
-            recorder.note(loop.clock.t_s, "no autopilot heard: giving up the link")
-            return NO_LINK
+        code = flown.step()
+        if code is not None:
+            return code
         if stopped:
             recorder.note(loop.clock.t_s, f"signal {stopped[0]}: leaving; the mission stays aboard")
             loop.carry_out([Say(Severity.WARNING, "companion stopped: mission goes home")])

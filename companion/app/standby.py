@@ -1,7 +1,8 @@
 """A vehicle between missions: it listens to its autopilot, tells the desk, and waits for work.
 
-Nothing is ordered here: the autopilot hears heartbeats of ours and the answers to its TIMESYNC, no
-more.
+The autopilot hears heartbeats of ours, the answers to its TIMESYNC, and what telemetry we want
+(ArduPilot sends no position unasked, and the desk gives no mission to a drone that it does not see
+on its pad); nothing else is ordered here.
 """
 
 import json
@@ -19,13 +20,23 @@ from companion.adapters.files import read_flight, read_obstacle_document
 from companion.adapters.mavlink_codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Link
 from companion.app.fleet_port import STANDBY, Assigned, FleetPort
+from companion.core.actions import AskTelemetry
 from companion.core.command_book import Verdict
 from companion.core.errors import LeewayError
+from companion.core.events import ClockStepped
 from companion.core.messages import Answered, Assign, Command, Launch, Recall, Withdraw
 from companion.core.situation import Situation
 
 WAIT_S = 0.1
 HEARTBEAT_S = 1.0
+SILENT_S = 5.0
+"""After so long nothing that was heard of the vehicle is told any more."""
+
+TICK_S = 0.1
+POSITION_SILENT_S = 5.0
+ASK_AGAIN_S = 10.0
+"""Of the autopilot's time: longer than a dozen requests take, each sent again twice."""
+
 MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
 
 
@@ -33,7 +44,12 @@ class Standby:
     """Waits on a link for an assignment; `wait` returns it, or `None` when told to stop."""
 
     def __init__(
-        self, port: FleetPort, link: Link, codec: MavlinkCodec, system_id: int | None = None
+        self,
+        port: FleetPort,
+        link: Link,
+        codec: MavlinkCodec,
+        system_id: int | None = None,
+        clock_s: Callable[[], float] = wall_s,
     ) -> None:
         self._port = port
         self._link = link
@@ -43,24 +59,55 @@ class Standby:
         self._now = Situation()
         self._beat_s = -1e9
         self._taken: Assigned | None = None
+        self._clock_s = clock_s
+        self._heard_s = clock_s()
+        self._ticked_s = -1e9
+        self._asked_s = -1e9
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
         self._port.link.be_woken(self._link.wake)
         while self._taken is None and not stopped():
-            if wall_s() - self._beat_s >= HEARTBEAT_S:
-                self._beat_s = wall_s()
-                self._send(_heartbeat())
-            incoming = self._link.receive(WAIT_S)
-            for message in self._codec.parse(incoming.data) if incoming is not None else []:
-                self._hear(message, incoming.peer if incoming is not None else None)
-            self._port.turn(self._carry_out)
-            self._port.publish(STANDBY, self._now)
+            self.turn()
         return self._taken
+
+    def turn(self) -> Assigned | None:
+        """Wait a moment for bytes, handle them, talk to the desk; the assignment once it is aboard.
+
+        No more turns after that.
+        """
+        now_s = self._clock_s()
+        if now_s - self._beat_s >= HEARTBEAT_S:
+            self._beat_s = now_s
+            self._send(_heartbeat())
+        if now_s - self._heard_s > SILENT_S:
+            self._now.forget()  # switched off: it may be carried elsewhere, and get another pack
+        incoming = self._link.receive(WAIT_S)
+        for message in self._codec.parse(incoming.data) if incoming is not None else []:
+            self._hear(message, incoming.peer if incoming is not None else None)
+        self._mind_telemetry()
+        self._port.turn(self._carry_out)
+        self._port.publish(STANDBY, self._now)
+        return self._taken
+
+    def _mind_telemetry(self) -> None:
+        """Ask for what tells where it stands, and again while it does not come (a reboot)."""
+        if self._autopilot.system_id is None or not self._clock.known:
+            return
+        t_s, position = self._clock.t_s, self._now.position
+        if t_s - self._ticked_s < TICK_S:
+            return
+        self._ticked_s = t_s
+        silent = position is None or t_s - position.t_s > POSITION_SILENT_S
+        if silent and t_s - self._asked_s >= ASK_AGAIN_S:
+            self._asked_s = t_s
+            self._autopilot.order(AskTelemetry(), t_s)
+        self._autopilot.tick(t_s)
 
     def _hear(self, message: Any, peer: Any) -> None:
         if message.get_srcComponent() == AUTOPILOT:
             self._link.answer_to(peer)
+            self._heard_s = self._clock_s()
             if message.get_type() == "TIMESYNC" and message.tc1 == 0:
                 self._clock.synchronise(message.ts1 / 1e9)
                 now_ns = max(1, round(self._clock.t_s * 1e9))
@@ -70,6 +117,8 @@ class Standby:
             self._autopilot.hear_time(message)
             return
         for event in self._autopilot.hear(message):
+            if isinstance(event, ClockStepped):
+                self._now.forget()
             self._now.hear(event)
         if self._autopilot.system_id is not None:
             self._codec.be_system(self._autopilot.system_id)

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from companion.adapters.clock import wall_s
 from companion.core.actions import MakeTable
@@ -22,6 +23,22 @@ COMMAND = (sys.executable, "-m", "companion.app.table_worker")
 
 NICE = 5
 """The worker yields to the loop, to MAVLink and to whatever else flies; not where they wait."""
+
+
+class Tables(Protocol):
+    """Who makes value tables for a loop."""
+
+    def order(self, action: MakeTable, t_s: float) -> None:
+        """Start on a table."""
+        ...
+
+    def due(self, t_s: float) -> TableMade | None:
+        """The answer, once its time has come by the autopilot's clock; asked at every tick."""
+        ...
+
+    def stop(self) -> None:
+        """There is no more to be made."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +107,36 @@ class TableWorker:
         return subprocess.Popen(
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
+
+
+class TablesHere:
+    """Makes them in the process of who asks, when they are due: for worlds whose time stands
+    still meanwhile. The same tables at the same times as the worker's in lockstep.
+    """
+
+    def __init__(self) -> None:
+        self._asked: tuple[MakeTable, float] | None = None
+
+    def order(self, action: MakeTable, t_s: float) -> None:
+        """Start on a table; an earlier one is dropped."""
+        self._asked = (action, t_s)
+
+    def due(self, t_s: float) -> TableMade | None:
+        """The answer, once its time has come."""
+        if self._asked is None:
+            return None
+        action, asked_s = self._asked
+        if asked_s <= t_s < asked_s + action.allowed_s:
+            return None
+        self._asked = None
+        if t_s < asked_s:
+            return TableMade(t_s, None, "the autopilot's clock went back")
+        made = answer_to(action.request)
+        return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
+
+    def stop(self) -> None:
+        """Nothing runs."""
+        self._asked = None
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:

@@ -176,9 +176,10 @@ class Reply(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Answer(Action):
-    """The reply to the operator's order that was just heard."""
+    """The reply to the operator's order that was just heard, with its reason where one is told."""
 
     reply: Reply
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from companion.core.actions import (
@@ -13,52 +12,27 @@ from companion.core.actions import (
 from companion.core.foresight import assess
 from companion.core.obedience import Purpose
 from companion.core.progress import jump
-from companion.core.release import ReleaseWatch
-from companion.core.situation import (
-    BATTERY_MAX_AGE_S,
-    THROTTLE_MAX_AGE_S,
-)
+from companion.core.release import ReleaseWatch, observe_hover, watch_for
 from companion.core.transitions import Phase, Trigger
 
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
 RELEASE_AGAIN_S = 3.6
-HOVER_SPEED_MPS = 1.5
-HOVER_CLIMB_MPS = 0.6
 
 
 def watch_release(pilot: Pilot) -> ReleaseWatch:
+    """The watch over this flight's drop."""
     air = pilot.air
     if air.release is None:
-        power = pilot.judge.route_energy
-        payload_kg = pilot.flight.vehicle.payload_kg
-        loaded_w, empty_w = power.hover_power_w(payload_kg), power.hover_power_w(0.0)
-        mass_kg = pilot.airframe.mass_kg(payload_kg)
-        air.release = ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
+        air.release = watch_for(pilot.judge.route_energy, pilot.flight.vehicle.payload_kg)
     return air.release
 
 
 def observe_release(pilot: Pilot) -> None:
-    if pilot.phase not in (Phase.DELIVER, Phase.RELEASE) or pilot.flight.vehicle.payload_kg <= 0.0:
-        return
-    now = pilot.now
-    battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
-    watch = watch_release(pilot)
-    if not _hovers(pilot):
-        return  # climbing, sinking and moving on change the power too
-    if battery is not None and battery.voltage_v is not None and battery.current_a is not None:
-        watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
-    if now.throttle is not None and now.is_fresh(now.throttle, THROTTLE_MAX_AGE_S):
-        watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)
-
-
-def _hovers(pilot: Pilot) -> bool:
-    position = pilot.now.position
-    if position is None or not pilot.now.is_fresh(position, 1.0):
-        return False
-    speed = math.hypot(position.vel_n_mps, position.vel_e_mps)
-    return speed < HOVER_SPEED_MPS and abs(position.vel_d_mps) < HOVER_CLIMB_MPS
+    """Show the watch what is heard now, over the customer."""
+    if pilot.phase in (Phase.DELIVER, Phase.RELEASE) and pilot.flight.vehicle.payload_kg > 0.0:
+        observe_hover(watch_release(pilot), pilot.now)
 
 
 def release(pilot: Pilot) -> None:

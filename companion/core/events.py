@@ -311,6 +311,16 @@ class LimitsChanged(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class HomeMoved(Event):
+    """The truck promises another stop: by its name, or by where its pad is."""
+
+    by: str
+    stop: str | None = None
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class OtherComputer(Event):
     """Another onboard computer (component 191) speaks on this system."""
 

@@ -98,6 +98,9 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             raise LeewayError("site.stops: expected a name of its own for each")
         if self.home is not None and self.home not in names:
             raise LeewayError(f"site.home = {self.home!r}: expected the name of one of site.stops")
+        shared = set(names) & {place.name for place in self.rally}
+        if shared:
+            raise LeewayError(f"site.stops: {min(shared)!r} is a rally point's name already")
         if self.depot is not None and self.depot.lat_deg is None:
             raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
 

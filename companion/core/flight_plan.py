@@ -17,9 +17,10 @@ from companion.core.geo import (
     ObstacleMap,
     horizontal_m,
     obstacles_from_geojson,
+    over,
     place_ned,
 )
-from companion.core.graph import SiteMap
+from companion.core.graph import SAME_PAD_M, SiteMap
 from companion.core.mission_items import DeadMansMission, Spot, build_dead_mans_mission
 from companion.core.planner import NoRoute, Plan, Planner, PlanRequest
 from companion.core.preflight import RouteFacts
@@ -73,23 +74,47 @@ class FlightPlan:
         """Tell whether the straight line from a to b keeps clear of every obstacle."""
         return self.site.obstacles.blocking(a_ned_m, b_ned_m) is None
 
-    def entry_from(self, here_ned_m: Ned) -> int | None:
-        """Which return waypoint to fly to straight from here for the shortest way home.
+    def sees(self, a_ned_m: Ned, b_ned_m: Ned) -> bool:
+        """Tell whether a straight line on which the layer may change is clear.
+
+        One autopilot climbs along it, the other first: all of it is looked at from its lower end.
+        """
+        if not self.plan.layered:
+            return self.is_clear(a_ned_m, b_ned_m)
+        if a_ned_m[2] > b_ned_m[2]:
+            return self.is_clear(a_ned_m, over(b_ned_m, a_ned_m))
+        return self.is_clear(over(a_ned_m, b_ned_m), b_ned_m)
+
+    def item_home_from(self, here_ned_m: Ned) -> int | None:
+        """Which item of the way home to fly to straight from here for the shortest way.
 
         Among equals the latest; `None` when every straight line comes too near an obstacle.
         """
-        points = [
-            self.spot_ned(s) for i in self.mission.returning if (s := self.mission.spot_at(i))
-        ]
-        ahead_m = [0.0] * len(points)
-        for i in range(len(points) - 2, -1, -1):
-            ahead_m[i] = ahead_m[i + 1] + horizontal_m(points[i], points[i + 1])
+        mission = self.mission
         best, best_m = None, math.inf
-        for i, point in enumerate(points):
-            total_m = horizontal_m(here_ned_m, point) + ahead_m[i]
-            if total_m <= best_m + 0.5 and self.is_clear(here_ned_m, point):
-                best, best_m = i, min(best_m, total_m)
+        # The way from the launch pad joins the way back over home, its last waypoint.
+        ways = [(*mission.away, mission.returning[-1])] if mission.away else []
+        for items in (*ways, mission.returning):
+            points = [self.spot_ned(s) for i in items if (s := mission.spot_at(i))]
+            ahead_m = [0.0] * len(points)
+            for i in range(len(points) - 2, -1, -1):
+                ahead_m[i] = ahead_m[i + 1] + horizontal_m(points[i], points[i + 1])
+            for i, point in enumerate(points):
+                total_m = horizontal_m(here_ned_m, point) + ahead_m[i]
+                if total_m <= best_m + 0.5 and self.sees(here_ned_m, point):
+                    best, best_m = items[i], min(best_m, total_m)
         return best
+
+    def site_items(self, name: str) -> tuple[int, int]:
+        """The items over a landing site beside home, and on its ground."""
+        return self.mission.rally[[site.name for site in self.plan.sites].index(name)]
+
+    def site_of_item(self, index: int) -> str | None:
+        """The landing site beside home that an item leads to."""
+        for site, (above, down) in zip(self.plan.sites, self.mission.rally, strict=True):
+            if above <= index <= down + 1:  # the jump to the end behind it too
+                return site.name
+        return None
 
 
 def ned_of(frame: LocalFrame, position: Position) -> Ned:
@@ -148,7 +173,18 @@ def site_map(
         place_ned(drawn, flight.site.customer),
         rally,
         ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M),
+        flight.site.home,
+        _stops(flight, drawn),
     )
+
+
+def _stops(flight: Flight, drawn: LocalFrame) -> tuple[tuple[str, Ned], ...]:
+    """The truck's stops, where one is promised; who lands where it stands lands on its pad."""
+    if flight.site.home is None:
+        return ()
+    stops = [(stop.name, place_ned(drawn, stop)) for stop in flight.site.stops]
+    here = (0.0, 0.0, 0.0)
+    return tuple((n, here if horizontal_m(g, here) <= SAME_PAD_M else g) for n, g in stops)
 
 
 def make_plan(
@@ -160,18 +196,9 @@ def make_plan(
 ) -> FlightPlan | NoRoute:
     """Plan the flight before take-off, when no wind is known yet."""
     mission = flight.mission
-    if flight.site.home is not None or mission.return_height_m is not None:
-        return NoRoute(
-            "site.home and mission.return_height_m: this version flies home to the depot"
-        )
-    for name, ground in (("customer", site.customer_ned_m), *site.rally_ned_m):
-        room_m = mission.cruise_height_m + ground[2]
-        least_m = (mission.drop_height_m if name == "customer" else 0.0) + LEAST_ROOM_M
-        if room_m < least_m:
-            return NoRoute(
-                f"mission.cruise_height_m = {mission.cruise_height_m:g}: {room_m:.0f} m above the"
-                f" ground at {name}, expected {least_m:.0f} m or more"
-            )
+    trouble = _too_low(flight, site) or _home_built_in(site)
+    if trouble:
+        return NoRoute(trouble)
     request = PlanRequest(
         site=site,
         cruise_height_m=mission.cruise_height_m,
@@ -182,11 +209,42 @@ def make_plan(
         drop_s=DROP_S,
         energy=energy,
         reserve_frac=reserve_frac,
+        return_height_m=mission.return_height_m,
     )
     plan = planner.plan(request)
     if isinstance(plan, NoRoute):
         return plan
     return FlightPlan(site, plan, lay_out(flight, site, plan))
+
+
+def _too_low(flight: Flight, site: SiteMap) -> str:
+    """Say which place's ground comes too near to a layer; `""`: none."""
+    mission = flight.mission
+    heights = {"cruise_height_m": mission.cruise_height_m}
+    if mission.return_height_m is not None:
+        heights["return_height_m"] = mission.return_height_m
+    places = (("customer", site.customer_ned_m), *site.rally_ned_m, *site.stops_ned_m)
+    for key, height_m in heights.items():
+        for name, ground in places:
+            room_m = height_m + ground[2]
+            least_m = (mission.drop_height_m if name == "customer" else 0.0) + LEAST_ROOM_M
+            if room_m < least_m:
+                return (
+                    f"mission.{key} = {height_m:g}: {room_m:.0f} m above the"
+                    f" ground at {name}, expected {least_m:.0f} m or more"
+                )
+    return ""
+
+
+def _home_built_in(site: SiteMap) -> str:
+    """Say what stands too near the promised stop to come down there; `""`: nothing."""
+    if not site.home_is_away:
+        return ""
+    blocking = site.obstacles.blocking(site.home_ned_m, site.home_ned_m)
+    if blocking is None:
+        return ""
+    clearance_m = site.obstacles.clearance_m
+    return f"site.home = {site.home}: within {clearance_m:g} m of {blocking.name}"
 
 
 def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
@@ -199,24 +257,24 @@ def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
             round(math.degrees(lat_rad), 7), round(math.degrees(lon_rad), 7), round(-ned_m[2], 2)
         )
 
-    over_customer = plan.outbound_ned_m[-1]
-    cruise_down_m = over_customer[2]
+    over_customer = plan.over_customer_ned_m
     drop_down_m = plan.customer_ned_m[2] - flight.mission.drop_height_m
     return build_dead_mans_mission(
-        depot=spot(plan.depot_ned_m),
+        depot=spot(plan.landing_ned_m),
         outbound=[spot(p) for p in plan.outbound_ned_m],
         drop=spot((over_customer[0], over_customer[1], drop_down_m)),
         returning=[spot(over_customer), *(spot(p) for p in plan.return_ned_m)],
         entries=[entry + 1 for entry in plan.entry],
         rally=[
-            (spot((r.ground_ned_m[0], r.ground_ned_m[1], cruise_down_m)), spot(r.ground_ned_m))
-            for r in plan.rally
+            (spot(over(r.ground_ned_m, over_customer)), spot(r.ground_ned_m)) for r in plan.sites
         ],
         settle_s=math.ceil(flight.mission.wind_settle_s + SETTLE_SLACK_S),
         hold_s=CUSTOMER_HOLD_S,
         weigh_s=WEIGH_S,
         delay_s=RELEASE_S,
         home_speed_mps=plan.home_ground_speed_mps,
+        start=spot(over(plan.depot_ned_m, plan.outbound_ned_m[0])),
+        away=[spot(p) for p in plan.away_ned_m],
     )
 
 
@@ -237,6 +295,8 @@ def plan_row(flown: FlightPlan) -> dict[str, Any]:
             }
             for r in plan.rally
         ],
+        "home": plan.landing,
+        "home_ned_m": plan.landing_ned_m,
         "home_ground_speed_mps": plan.home_ground_speed_mps,
         "energy_wh": plan.energy_wh,
         "time_s": plan.time_s,
@@ -247,7 +307,7 @@ def plan_row(flown: FlightPlan) -> dict[str, Any]:
 def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteFacts:
     """What the autopilot's settings are judged against on this flight."""
     plan = flown.plan
-    points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.rally)]
+    points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.sites)]
     # RTL flies straight from anywhere on the route: what stands on any of those lines counts.
     highest_m = max(
         (flown.site.obstacles.highest_m(p, plan.depot_ned_m) for p in points), default=0.0
@@ -261,7 +321,7 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
     speeds = airframe.speeds
     return RouteFacts(
         highest_obstacle_m=highest_m,
-        cruise_height_m=flight.mission.cruise_height_m,
+        cruise_height_m=max(-plan.outbound_ned_m[-1][2], -plan.return_ned_m[-1][2]),
         farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
         first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),
         max_ground_mps=speeds.max_ground_mps,

@@ -43,6 +43,10 @@ class FlightState:
     leg: int = 0
     index: int | None = None
     rally: str | None = None
+    home: str | None = None
+    """Where what is aboard ends were we to die now; only on flights to a promised stop."""
+    wanted: str | None = None
+    """The stop that the truck wants to be the end; `None`: the one that it is."""
     moved_to: Move | None = None
     jump: JumpWatch | None = None
     course: CourseWatch | None = None
@@ -50,6 +54,7 @@ class FlightState:
     release_asked_again: bool = False
     turned_again: int = 0
     looked_again_s: float = -1e9
+    looked_home_s: float = -1e9
     speed_mps: float | None = None
     speed_s: float = -1e9
     speed_index: int | None = None

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from companion.core.ahead import ahead_delivering, ahead_outbound, ahead_returning
+from companion.core.ahead import ahead_away, ahead_delivering, ahead_outbound, ahead_returning
 from companion.core.flight_plan import DROP_S
 from companion.core.gate import Ahead, Assessment
 from companion.core.geo import Ned, horizontal_m
+from companion.core.planner import Plan
 from companion.core.situation import (
     POSITION_MAX_AGE_S,
 )
@@ -41,10 +42,11 @@ def here_ned(pilot: Pilot) -> Ned | None:
     return pilot.flown.ned_of(position)
 
 
-def what_is_ahead(pilot: Pilot, here: Ned) -> Ahead:
+def what_is_ahead(pilot: Pilot, here: Ned, plan: Plan | None = None) -> Ahead:
+    """What is left to fly; `plan`: were it this one."""
     flown, air = pilot.flown, pilot.air
     assert flown is not None
-    plan, payload_kg = flown.plan, pilot.judge.payload_kg
+    plan, payload_kg = plan or flown.plan, pilot.judge.payload_kg
     drop_m = pilot.flight.mission.drop_height_m
     match pilot.phase:
         case Phase.CLIMB | Phase.MEASURE:
@@ -57,6 +59,9 @@ def what_is_ahead(pilot: Pilot, here: Ned) -> Ahead:
             return ahead_delivering(plan, here, payload_kg, drop_m, DROP_S)
         case Phase.LAND:
             return ahead_returning(plan, here, None, payload_kg, air.delivered, air.rally)
+        case _ if air.index is not None and air.index in flown.mission.away:
+            index = flown.mission.away.index(air.index)
+            return ahead_away(plan, here, index, payload_kg, air.delivered)
         case _:
             return ahead_returning(
                 plan, here, _return_index(pilot, here), payload_kg, air.delivered, air.rally

@@ -150,6 +150,14 @@ class ObstacleMap:
         ]
         return max(heights, default=0.0)
 
+    def grown_at(self, height_m: float) -> list[shapely.Polygon]:
+        """Outlines with clearance, north and east, of what blocks level flight at this height."""
+        return [
+            grown
+            for obstacle, grown in zip(self.obstacles, self._grown, strict=True)
+            if obstacle.height_m + self.clearance_up_m > height_m
+        ]
+
     def outlines_ne_m(self, height_m: float, beyond_m: float) -> list[list[tuple[float, float]]]:
         """Corner rings to fly around at this height: outlines grown by clearance + `beyond_m`."""
         rings: list[list[tuple[float, float]]] = []

@@ -1,7 +1,7 @@
 """Row 4: the directed waypoint graph of one site, and what its edges cost in wind."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import networkx as nx
@@ -18,22 +18,42 @@ FloatArray = NDArray[np.float64]
 _CORNER_BEYOND_M = 2.0  # waypoints stand this much further out than the clearance
 
 
+SAME_PAD_M = 3.0
+"""A stop's pad so near the launch pad is the launch pad."""
+
+
 @dataclass(frozen=True, slots=True)
 class SiteMap:
-    """The site in the local frame. Ground points: down is minus the ground's height."""
+    """The site in the local frame. Ground points: down is minus the ground's height.
+
+    `depot_ned_m` is the launch pad. `home` names the promised one of `stops_ned_m`; without it home
+    is the launch pad, and stops mean nothing.
+    """
 
     frame: LocalFrame
     depot_ned_m: Ned
     customer_ned_m: Ned
     rally_ned_m: tuple[tuple[str, Ned], ...]
     obstacles: ObstacleMap
+    home: str | None = None
+    stops_ned_m: tuple[tuple[str, Ned], ...] = ()
+
+    @property
+    def home_ned_m(self) -> Ned:
+        """The ground point at which the flight ends."""
+        return dict(self.stops_ned_m)[self.home] if self.home is not None else self.depot_ned_m
+
+    @property
+    def home_is_away(self) -> bool:
+        """Tell whether the flight ends elsewhere than on its launch pad."""
+        return horizontal_m(self.home_ned_m, self.depot_ned_m) > SAME_PAD_M
 
 
 @dataclass(frozen=True, slots=True)
 class WaypointGraph:
     """Vertices (n, 3) NED at cruise height; directed edges as index arrays, by (tail, head).
 
-    `depot`, `customer` and `rally` are vertex indices (rally in the site's order).
+    `depot`, `customer`, `rally` and `home` are vertex indices (rally in the site's order).
     """
 
     vertices_ned_m: FloatArray
@@ -42,6 +62,7 @@ class WaypointGraph:
     depot: int
     customer: int
     rally: tuple[int, ...]
+    home: int = 0
 
     def point(self, vertex: int) -> Ned:
         """A vertex's position."""
@@ -105,11 +126,13 @@ def surrogate_wh(
 def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> WaypointGraph:
     """Waypoints no further than `leg_length_m` apart that keep clear of every obstacle.
 
-    The visibility graph over depot, customer, rally points and the corners of what stands higher
-    than the cruise height, each line cut into equal legs. Raises LeewayError when depot, customer
-    or a rally point stand inside an obstacle's clearance.
+    The visibility graph over depot, customer, rally points, a home elsewhere and the corners of
+    what stands higher than the cruise height, each line cut into equal legs. Raises LeewayError
+    when one of these places stands inside an obstacle's clearance.
     """
     places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m), *site.rally_ned_m]
+    if site.home_is_away:
+        places.append((site.home or "home", site.home_ned_m))
     knots: list[Ned] = []
     for name, (north, east, _) in places:
         over = (north, east, -cruise_height_m)
@@ -120,7 +143,9 @@ def build_graph(site: SiteMap, cruise_height_m: float, leg_length_m: float) -> W
     for ring in site.obstacles.outlines_ne_m(cruise_height_m, _CORNER_BEYOND_M):
         corners = [(north, east, -cruise_height_m) for north, east in ring]
         knots.extend(c for c in corners if site.obstacles.blocking(c, c) is None)
-    return _cut_into_legs(knots, _visible_pairs(knots, site.obstacles), len(places), leg_length_m)
+    graph = _cut_into_legs(knots, _visible_pairs(knots, site.obstacles), len(places), leg_length_m)
+    rally = tuple(range(2, 2 + len(site.rally_ned_m)))
+    return replace(graph, rally=rally, home=len(places) - 1 if site.home_is_away else graph.depot)
 
 
 def _inside(name: str, obstacle: Obstacle, obstacles: ObstacleMap) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from companion.core import moving_home
 from companion.core.actions import (
     SetGroundSpeed,
     Severity,
@@ -13,6 +14,7 @@ from companion.core.drop import observe_release, release, release_ends, watch_re
 from companion.core.flight_plan import DROP_S
 from companion.core.foresight import assess, assess_delivery, assess_departure, ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
+from companion.core.home_aboard import home_now
 from companion.core.obedience import Purpose
 from companion.core.position_watch import mind_position
 from companion.core.progress import jump, last_resort, mind_foreign_moves, mind_the_jump
@@ -177,10 +179,13 @@ def _homeward(pilot: Pilot) -> None:
             return
     if pilot.phase is Phase.RETURN and _turn_again(pilot, here):
         return
-    if pilot.phase is Phase.RETURN and pilot.options.gate_on:
-        rally = rally_instead(pilot, here)
-        if rally is not None and not pilot.now.troubles():
-            divert(pilot, rally, "the depot is out of the promise")
+    if moving_home.mind(pilot, here) or not pilot.options.gate_on:
+        return
+    instead = rally_instead if pilot.phase is Phase.RETURN else moving_home.rally_instead
+    rally = instead(pilot, here)
+    if rally is not None and not pilot.now.troubles():
+        where = home_now(pilot) or "the depot"
+        divert(pilot, rally, f"{where} is out of the promise")
 
 
 def _turn_again(pilot: Pilot, here: Ned) -> bool:
@@ -195,7 +200,7 @@ def _turn_again(pilot: Pilot, here: Ned) -> bool:
         return False
     outbound = flown.plan.outbound_ned_m
     ahead = (min(air.leg + 1, len(outbound) - 1), air.leg)
-    leg = next((k for k in ahead if flown.is_clear(here, outbound[k])), None)
+    leg = next((k for k in ahead if flown.sees(here, outbound[k])), None)
     if leg is None or now.t_s - air.looked_again_s < ASSESS_S:
         return False
     air.looked_again_s = now.t_s

@@ -12,6 +12,9 @@ from companion.core.planner import Plan
 class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A checkpoint's content. `flight` is a digest of flight file and airframe.
 
+    `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
+    for.
+
     `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
     authorisation has been used. `settings_before` are autopilot parameters to put back.
     """
@@ -31,6 +34,8 @@ class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     plan: Plan | None
     frame: LocalFrame | None
     rally: str | None
+    home: str | None = None
+    wanted: str | None = None
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

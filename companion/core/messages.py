@@ -21,8 +21,8 @@ VERSION = 1
 LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096}
 """A command may carry a site's obstacles; the others are a few hundred bytes."""
 
-Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
-Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*$")]
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
+Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*\Z")]
 Words = Annotated[str, Meta(max_length=500)]
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
@@ -78,13 +78,18 @@ class State(_Message, frozen=True, kw_only=True):
 
 
 class EventKind(Enum):
-    """What an event tells."""
+    """What an event tells; the last three are a truck driver's: a drone placed on its pad, taken
+    aboard, or why that cannot be.
+    """
 
     PHASE = "phase"
     DECISION = "decision"
     SAID = "said"
     COMMAND = "command"
     OUTCOME = "outcome"
+    PLACED = "placed"
+    RECOVERED = "recovered"
+    CANNOT = "cannot"
 
 
 class FleetEvent(_Message, frozen=True, kw_only=True):
@@ -103,7 +108,7 @@ class FleetEvent(_Message, frozen=True, kw_only=True):
     order: Id | None = None
     p_home: Probability | None = None
     margin_wh: float | None = None
-    outcome: Annotated[str, Meta(pattern="^(SUC|DEL|FAIL|ABRT)$")] | None = None
+    outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT)\Z")] | None = None
     delivered: bool | None = None
     home: bool | None = None
 
@@ -167,6 +172,28 @@ class Serve(_Deed, frozen=True, kw_only=True, tag="serve"):
     order: Id
 
 
+class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
+    """To a truck at a stop: put this drone with this parcel on its pad, switch it on, step back.
+
+    An event of kind `placed` says that nobody is near its rotors any more.
+    """
+
+    assignment: Id
+    order: Id
+    vehicle: Name
+    lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+
+
+class Recover(_Deed, frozen=True, kw_only=True, tag="recover"):
+    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is."""
+
+    assignment: Id
+    vehicle: Name
+    lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+
+
 class HandsOff(_Deed, frozen=True, kw_only=True, tag="hands_off"):
     """Send the autopilot nothing more; somebody else flies."""
 
@@ -182,9 +209,8 @@ class SetLimits(_Deed, frozen=True, kw_only=True, tag="set_limits"):
     reserve_frac: Annotated[float, Meta(ge=0.0, le=0.6)] | None = None
 
 
-Deed = (
-    Assign | Launch | Withdraw | Recall | MoveHome | HandsOff | HandBack | SetLimits | Drive | Serve
-)
+TruckDeed = Drive | Serve | PutOut | Recover
+Deed = Assign | Launch | Withdraw | Recall | MoveHome | HandsOff | HandBack | SetLimits | TruckDeed
 
 
 class Command(_Message, frozen=True, kw_only=True):

@@ -10,6 +10,7 @@ draws the battery's own error, and the edge to home costs what was drawn. Energy
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,7 @@ class _Builder:
         self._back = tuple(range(self._drop + 1, self._drop + 1 + len(plan.return_ned_m)))
         last = plan.outbound_ned_m[-1]
         self._low = (last[0], last[1], plan.customer_ned_m[2] - drop_height_m)
+        self._level = plan.return_ned_m[-1]
         self._drop_s = drop_s
         self._start = over(plan.depot_ned_m, plan.outbound_ned_m[0])
 
@@ -118,26 +120,42 @@ class _Builder:
     def _outward(self) -> list[Edge]:
         """Loaded: onward, into the return branch, to a rally point, from every decision point."""
         plan = self._plan
-        edges = [Edge(OVER_DEPOT, ACCOUNT, False, (self._land(self._start, False),))]
+        edges = [Edge(OVER_DEPOT, ACCOUNT, False, self._not_gone())]
         here, tail, before = self._start, OVER_DEPOT, None
         for i, there in enumerate(plan.outbound_ned_m):
             onward = self._cruise(here, there, False)
             edges.append(Edge(tail, self._out[i], False, onward, before))
             here, tail, before = there, self._out[i], (onward[-1] if onward else before)
-            edges += self._turning(i, False, before)
+            edges += self._turning(i, False, self._change(there), before)
         return edges
 
-    def _turning(self, i: int, empty: bool, before: Leg | None) -> list[Edge]:
+    def _not_gone(self) -> tuple[Leg, ...]:
+        """Home from over the launch pad: straight down, or to where it is."""
+        points = (*self._plan.away_ned_m, self._plan.return_ned_m[-1])
+        legs = [leg for a, b in pairwise(points) for leg in self._cruise(a, b, False)]
+        above = points[-1] if self._plan.layered or legs else self._start
+        return (*self._change(self._start), *legs, self._land(above, False))
+
+    def _change(self, here: Ned) -> tuple[Leg, ...]:
+        """From the layer of the way out to that of the way back, loaded; none if they are one."""
+        if not self._plan.layered:
+            return ()
+        kind = LegKind.CLIMB if self._level[2] < here[2] else LegKind.DESCEND
+        return (Leg(kind, here, over(here, self._level), self._parcel),)
+
+    def _turning(
+        self, i: int, empty: bool, change: tuple[Leg, ...], before: Leg | None
+    ) -> list[Edge]:
         """Ways home from an outbound waypoint (empty: once more over the customer)."""
-        plan, here, tail = self._plan, self._plan.outbound_ned_m[i], self._out[i]
+        plan, tail = self._plan, self._out[i]
+        here = over(plan.outbound_ned_m[i], self._level)
         entry = plan.entry[i]
-        joining = self._cruise(here, plan.return_ned_m[entry], empty)
+        joining = (*change, *self._cruise(here, plan.return_ned_m[entry], empty))
         edges = [Edge(tail, self._back[entry], empty, joining, before)]
-        edges += [
-            Edge(tail, ACCOUNT, empty, self._to_rally(here, rally.ground_ned_m, empty), before)
-            for rally in plan.rally
-            if i in rally.from_outbound
-        ]
+        for rally in plan.rally:
+            if i in rally.from_outbound:
+                legs = (*change, *self._to_rally(here, rally.ground_ned_m, empty))
+                edges.append(Edge(tail, ACCOUNT, empty, legs, before))
         return edges
 
     def _delivery(self) -> list[Edge]:
@@ -147,15 +165,15 @@ class _Builder:
             Leg(LegKind.DESCEND, above, low, self._parcel),
             Leg(LegKind.HOVER, low, low, self._parcel, self._drop_s),
         )
-        up = Leg(LegKind.CLIMB, low, above, 0.0)
+        up = Leg(LegKind.CLIMB, low, self._plan.over_customer_ned_m, 0.0)
         return [
             Edge(last, self._drop, False, down),
             Edge(self._drop, last, True, (up,), down[-1]),
-            *self._turning(len(self._out) - 1, True, up),
+            *self._turning(len(self._out) - 1, True, (), up),
         ]
 
     def _homeward(self, empty: bool) -> list[Edge]:
-        """Along the return branch to the depot, or to a rally point that is seen from it."""
+        """Along the return branch to its end, or to a rally point that is seen from it."""
         points, edges = self._plan.return_ned_m, list[Edge]()
         before: Leg | None = None
         for j, here in enumerate(points):
@@ -180,7 +198,7 @@ class _Builder:
         return (*self._cruise(here, above, empty), land)
 
     def _land(self, above: Ned, empty: bool) -> Leg:
-        return Leg(LegKind.LAND, above, self._plan.depot_ned_m, 0.0 if empty else self._parcel)
+        return Leg(LegKind.LAND, above, self._plan.landing_ned_m, 0.0 if empty else self._parcel)
 
 
 @dataclass(frozen=True)

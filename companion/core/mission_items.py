@@ -3,10 +3,11 @@
 ```
  TAKEOFF over the depot; LOITER_TIME
  SPEED home; JUMP over depot                    <- nobody says go: lands at the depot
+   (home elsewhere: SPEED home; WAYPOINTs over the launch pad ...; JUMP over home)
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
- for each rally point:  WAYPOINT over it;  LAND;  JUMP to the end
+ for each rally point, and each other stop of the truck:  WAYPOINT over it;  LAND;  JUMP to the end
  DELIVER: WAYPOINT at drop height, held; RELEASE; LOITER_TIME; SPEED home
- ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over depot;  LAND at the depot
+ ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over home;  LAND at home
  SPEED: the end, which goes nowhere
 ```
 Every LAND leads to the end: PX4 (1.18, flown) goes on to the item after a LAND that it has
@@ -95,6 +96,7 @@ class DeadMansMission:
     returning: tuple[int, ...]
     land: int
     rally: tuple[tuple[int, int], ...]
+    away: tuple[int, ...] = ()
 
     def part_at(self, index: int) -> Part | None:
         """Return the part of the flight at an item, `None` when it is not one of ours."""
@@ -143,11 +145,15 @@ def build_dead_mans_mission(
     weigh_s: float,
     delay_s: float,
     home_speed_mps: float,
+    start: Spot | None = None,
+    away: Sequence[Spot] = (),
 ) -> DeadMansMission:
     """Lay out the mission above.
 
     `outbound` ends over the customer at cruise height; `returning` starts there (the climb-out)
-    and ends over the depot. From `outbound[i]` the way home enters at `returning[entries[i]]`.
+    and ends over `depot`, the ground where it lands. `start` is where it takes off to (`None`: over
+    that same depot), `away` the way from there to the last of `returning` where that is elsewhere.
+    From `outbound[i]` the way home enters at `returning[entries[i]]`.
     Over the customer the vehicle holds for `hold_s`, so that leave to descend can be given there;
     at the drop for `weigh_s` before the release and `delay_s` after it (safety rule 5).
     `rally` holds (over it, its ground). Raises LeewayError where these do not fit together.
@@ -160,8 +166,8 @@ def build_dead_mans_mission(
     if not (math.isfinite(home_speed_mps) and home_speed_mps > 0.0):
         raise LeewayError(f"mission: home speed {home_speed_mps!r}: expected more than 0 m/s")
 
-    over_depot = returning[-1]
-    out_start = 4
+    over_depot = returning[-1] if start is None else start
+    out_start = 4 + len(away)
     rally_start = out_start + 3 * len(outbound)
     deliver = rally_start + 3 * len(rally)
     ret_start = deliver + 4
@@ -171,8 +177,13 @@ def build_dead_mans_mission(
         MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", over_depot),
         MissionItem(ItemKind.LOITER_TIME, Part.SETTLE, "settle", over_depot, settle_s),
         MissionItem(ItemKind.SPEED, Part.SETTLE, "home speed", None, home_speed_mps),
-        MissionItem(ItemKind.JUMP, Part.SETTLE, "no go", None, float(land - 1)),
     ]
+    items += [
+        MissionItem(ItemKind.WAYPOINT, Part.RETURN, f"away {number}", spot)
+        for number, spot in enumerate(away)
+    ]
+    left = Part.RETURN if away else Part.SETTLE
+    items.append(MissionItem(ItemKind.JUMP, left, "no go", None, float(land - 1)))
     for number, (spot, entry) in enumerate(zip(outbound, entries, strict=True)):
         wait_s = hold_s if number == len(outbound) - 1 else 0.0
         items += [
@@ -213,6 +224,7 @@ def build_dead_mans_mission(
         returning=tuple(range(ret_start, land)),
         land=land,
         rally=tuple(rally_items),
+        away=tuple(range(3, 3 + len(away))),
     )
 
 

@@ -16,6 +16,7 @@ class Purpose(Enum):
 
     ONWARD = "onward"
     HOME = "home"
+    MOVE = "another home"
 
 
 class Verdict(Enum):
@@ -59,7 +60,8 @@ class JumpWatch:
         if index == self.index:
             return True
         same = mission.part_at(index) is mission.part_at(self.index)
-        return mission.follows(self.index, index) and (self.purpose is Purpose.HOME or same)
+        onward = self.purpose is Purpose.ONWARD
+        return mission.follows(self.index, index) and (same or not onward)
 
 
 @dataclass(slots=True)

@@ -12,6 +12,7 @@ from companion.core import (
     before_flight,
     foresight,
     in_flight,
+    moving_home,
     progress,
     recognising,
     reports,
@@ -45,6 +46,7 @@ from companion.core.events import (
     ControlTaken,
     Event,
     Flavour,
+    HomeMoved,
     Identified,
     LimitsChanged,
     LinkBack,
@@ -214,6 +216,8 @@ class Pilot:
                     self._link_back(event.ahead_s)
             case ClockStepped():
                 self._rebooted(event)
+            case HomeMoved():
+                moving_home.ordered(self, event)
             case Authorised() | ControlHandedBack() | ControlTaken() | AbortOrdered():
                 self._operator(event)
             case LimitsChanged():

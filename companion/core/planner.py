@@ -6,7 +6,7 @@ airframe's energy model. Whether to fly on along it is the gate's question, and 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 PRIOR_WIND_STD_MPS = 4.0
 _NEARLY = 1.005  # scores this close are one
 
+DEPOT = "depot"
+"""What the end of the way back is called where no stop of a truck is promised."""
+
 
 @dataclass(frozen=True, slots=True)
 class RallyWay:
@@ -42,13 +45,20 @@ class RallyWay:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Waypoints of the dead man's mission, all at cruise height (down = -cruise height).
+    """Waypoints of the dead man's mission, the way out at cruise height (down = -cruise height),
+    the way back at its own, which may be another.
 
     `outbound_ned_m[0]` is the first waypoint after the one over the depot; the last is over the
     customer. `return_ned_m` starts with the first waypoint after the customer and ends over the
-    depot. From `outbound_ned_m[i]` the way home enters at `return_ned_m[entry[i]]`, in a straight
-    clear line. `home_ground_speed_mps` is what the mission aboard flies on the way home when no
-    further command arrives.
+    depot, or over `home_ned_m`. From `outbound_ned_m[i]` the way home enters at
+    `return_ned_m[entry[i]]`, in a straight line that is clear at the lower of the two heights.
+    `home_ground_speed_mps` is what the mission aboard flies on the way home when no further command
+    arrives.
+
+    `home` names the promised stop, where the way back ends; `away_ned_m` leads there from over the
+    launch pad (its first point), for who never gets on its way, and is empty where home is the
+    launch pad. `rally` are landing sites that may be chosen, `stops` other places where the truck
+    may come to stand: aboard, and only to be chosen while they are promised (`promised`).
     """
 
     depot_ned_m: Ned
@@ -61,6 +71,43 @@ class Plan:
     energy_wh: float
     time_s: float
     route_std_wh: float
+    home: str | None = None
+    home_ned_m: Ned | None = None
+    away_ned_m: tuple[Ned, ...] = ()
+    stops: tuple[RallyWay, ...] = ()
+
+    @property
+    def landing(self) -> str:
+        """The name of where the way back ends."""
+        return self.home or DEPOT
+
+    @property
+    def landing_ned_m(self) -> Ned:
+        """The ground there."""
+        return self.home_ned_m or self.depot_ned_m
+
+    @property
+    def over_customer_ned_m(self) -> Ned:
+        """Where the way back begins: over the customer, at its height."""
+        return over(self.outbound_ned_m[-1], self.return_ned_m[-1])
+
+    @property
+    def layered(self) -> bool:
+        """Tell whether the way back is flown at another height than the way out."""
+        return self.return_ned_m[-1][2] != self.outbound_ned_m[-1][2]
+
+    @property
+    def sites(self) -> tuple[RallyWay, ...]:
+        """All landing sites aboard beside the end of the way back, in the order of their items."""
+        names = {stop.name for stop in self.stops}
+        return (*(rally for rally in self.rally if rally.name not in names), *self.stops)
+
+    def promised(self, *stops: str | None) -> "Plan":
+        """The same where of the stops these may be chosen, and no others."""
+        names = {stop.name for stop in self.stops}
+        declared = (rally for rally in self.rally if rally.name not in names)
+        chosen = (stop for stop in self.stops if stop.name in stops)
+        return replace(self, rally=(*declared, *chosen))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +119,9 @@ class NoRoute:
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """What a planner needs to know. `forecast` None: no wind known yet (before take-off)."""
+    """What a planner needs to know. `forecast` None: no wind known yet (before take-off).
+    `return_height_m` None: the way back is flown at cruise height.
+    """
 
     site: SiteMap
     cruise_height_m: float
@@ -84,6 +133,17 @@ class PlanRequest:
     energy: EnergyBelief | None
     reserve_frac: float
     forecast: WindForecast | None = None
+    return_height_m: float | None = None
+
+    @property
+    def back_height_m(self) -> float:
+        """The height of the way back, above the depot."""
+        return self.cruise_height_m if self.return_height_m is None else self.return_height_m
+
+    @property
+    def low_height_m(self) -> float:
+        """The lower of the two layers: what is clear there is clear while the height changes."""
+        return min(self.cruise_height_m, self.back_height_m)
 
 
 class Planner(Protocol):
@@ -97,8 +157,8 @@ class Planner(Protocol):
 class BerPlanner:
     """Cheapest way out and back by `c = EnergyCost + lambda Unc`, kept when ReturnOK holds.
 
-    ReturnOK: what is left after delivery is at least `curve_factor` times the way back, to the
-    depot or to the rally point that is cheapest to reach, and the reserve (arXiv 2604.13441,
+    ReturnOK: what is left after delivery is at least `curve_factor` times the way back, to its
+    end or to the rally point that is cheapest to reach, and the reserve (arXiv 2604.13441,
     IV-B: a curve factor kappa > 1 for the return path).
     """
 
@@ -116,16 +176,20 @@ class BerPlanner:
             return NoRoute(
                 f"parcel {request.payload_kg:g} kg: the airframe carries {mass.max_payload_kg:g} kg"
             )
-        graph = build_graph(request.site, request.cruise_height_m, request.leg_length_m)
+        graph = build_graph(request.site, request.low_height_m, request.leg_length_m)
         wind, cov = _wind_of(request.forecast)
         out = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.customer)
-        back = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.depot)
-        if out is None or back is None:
-            way = "out to the customer" if out is None else "back from the customer"
+        back = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.home)
+        away: list[int] | None = []
+        if graph.home != graph.depot:
+            away = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.home)
+        ways = {"out to the customer": out, "back from the customer": back, "straight home": away}
+        if out is None or back is None or away is None:
+            way = next(name for name, found in ways.items() if found is None)
             return NoRoute(
                 f"no way {way}: wind of {math.hypot(*wind):.1f} m/s or obstacles close every route"
             )
-        return self._checked(request, graph, out, back, wind, cov)
+        return self._checked(request, graph, (out, back, away), wind, cov)
 
     def _cheapest(
         self,
@@ -144,18 +208,21 @@ class BerPlanner:
         self,
         request: PlanRequest,
         graph: WaypointGraph,
-        out: list[int],
-        back: list[int],
+        ways: tuple[list[int], list[int], list[int]],
         wind: FloatArray,
         cov: FloatArray,
     ) -> Plan | NoRoute:
-        outbound = [graph.point(v) for v in out]
-        homeward = [graph.point(v) for v in back]
-        obstacles, leg_m = request.site.obstacles, request.leg_length_m
+        # All in the lower layer, where obstacles are screened; then each at its own height.
+        outbound, homeward, away = ([graph.point(v) for v in way] for way in ways)
+        site, obstacles, leg_m = request.site, request.site.obstacles, request.leg_length_m
         entry = entries(outbound[1:], homeward[1:], obstacles, leg_m)
         if entry is None:  # the way out, flown backwards, can be joined from every waypoint
-            homeward = outbound[::-1]
+            homeward = [*outbound[::-1], *away[1:]]
             entry = entries(outbound[1:], homeward[1:], obstacles, leg_m) or ()
+        rally = _rally_ways(site, site.rally_ned_m, outbound[1:], homeward[1:])
+        stops = _rally_ways(site, _other_stops(site), outbound[1:], homeward[1:])
+        outbound = at_height(outbound, request.cruise_height_m)
+        homeward = at_height(homeward, request.back_height_m)
         outward, inward = legs_out(request, outbound), legs_back(request, homeward)
         costs = self.route_energy.costs((*outward, *inward), wind[None, :])
         energy_out = float(costs.energy_wh[0, : len(outward)].sum())
@@ -166,11 +233,15 @@ class BerPlanner:
             outbound_ned_m=tuple(outbound[1:]),
             return_ned_m=tuple(homeward[1:]),
             entry=entry,
-            rally=_rally_ways(request.site, outbound[1:], homeward[1:]),
+            rally=rally,
             home_ground_speed_mps=self.home_ground_speed_mps(inward, wind, cov),
             energy_wh=energy_out + energy_back,
             time_s=float(costs.time_s.sum()),
             route_std_wh=self.route_energy.route_std_wh((*outward, *inward), wind, cov),
+            home=site.home,
+            home_ned_m=site.home_ned_m if site.home is not None else None,
+            away_ned_m=tuple(at_height(away[:-1], request.back_height_m)),
+            stops=stops,
         )
         to_rally = self._to_rally_wh(request, plan, homeward, wind)
         short = self._return_not_ok(request, energy_out, min(energy_back, to_rally))
@@ -259,11 +330,11 @@ def legs_back(
 ) -> tuple[Leg, ...]:
     """Climb-out, cruise and landing, empty, from the drop height over the customer.
 
-    Lands below the last of the points: at the depot, or at the rally point.
+    Lands below the last of the points: at home, or at the rally point.
     """
     start = points[0]
     drop = (start[0], start[1], request.site.customer_ned_m[2] - request.drop_height_m)
-    ground = request.site.depot_ned_m if rally is None else rally.ground_ned_m
+    ground = request.site.home_ned_m if rally is None else rally.ground_ned_m
     return (
         Leg(LegKind.CLIMB, drop, start, 0.0),
         *(Leg(LegKind.CRUISE, a, b, 0.0) for a, b in pairwise(points)),
@@ -312,9 +383,30 @@ def entries(
     return tuple(found)
 
 
-def _rally_ways(site: SiteMap, outbound: list[Ned], homeward: list[Ned]) -> tuple[RallyWay, ...]:
+def at_height(points: list[Ned], height_m: float) -> list[Ned]:
+    """The same points at another height above the depot."""
+    return [(north, east, -height_m) for north, east, _ in points]
+
+
+def _other_stops(site: SiteMap) -> tuple[tuple[str, Ned], ...]:
+    """The stops aboard beside the promised one: those on whose ground nothing stands near."""
+    if site.home is None:
+        return ()
+    return tuple(
+        (name, ground)
+        for name, ground in site.stops_ned_m
+        if name != site.home and site.obstacles.blocking(ground, ground) is None
+    )
+
+
+def _rally_ways(
+    site: SiteMap,
+    places: tuple[tuple[str, Ned], ...],
+    outbound: list[Ned],
+    homeward: list[Ned],
+) -> tuple[RallyWay, ...]:
     ways: list[RallyWay] = []
-    for name, ground in site.rally_ned_m:
+    for name, ground in places:
         above = over(ground, outbound[0])
 
         def sees(points: list[Ned], above: Ned = above) -> tuple[int, ...]:

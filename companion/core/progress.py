@@ -13,6 +13,7 @@ from companion.core.actions import (
 from companion.core.events import MissionProgress, Mode, OrderRefused
 from companion.core.flight_state import Move
 from companion.core.geo import horizontal_m
+from companion.core.home_aboard import note_home, want
 from companion.core.mission_items import Part
 from companion.core.obedience import CourseWatch, JumpWatch, Purpose, Verdict
 from companion.core.situation import PROGRESS_MAX_AGE_S
@@ -79,6 +80,7 @@ def at_item(pilot: Pilot, index: int) -> None:
     assert pilot.flown is not None
     mission, air = pilot.flown.mission, pilot.air
     air.index = index
+    note_home(pilot, index)
     part = mission.part_at(index)
     match part:
         case Part.SETTLE if pilot.phase is Phase.CLIMB:
@@ -130,6 +132,7 @@ def place_by_progress(pilot: Pilot) -> None:
     if part is None:
         pilot.fire(Trigger.MISSION_UNKNOWN, f"item {index} is not ours")
         return
+    note_home(pilot, index)
     pilot.decide("recognised", f"our mission, {words}")
     pilot.authority.forget()
     match part:
@@ -195,13 +198,17 @@ def _jump_confirmed(pilot: Pilot, index: int) -> None:
     jump, air.jump = air.jump, None
     part = flown.mission.part_at(jump.index)
     air.index = jump.index
-    if jump.purpose is Purpose.HOME:
+    note_home(pilot, jump.index)
+    if jump.purpose is not Purpose.ONWARD:
         spot = flown.mission.spot_at(jump.index)
         position = pilot.now.position
         if spot is not None and position is not None:
             away_m = horizontal_m(flown.ned_of(position), flown.spot_ned(spot))
             air.course = CourseWatch(pilot.now.t_s, away_m)
         pilot.do(Note(f"on the way home by item {jump.index}"))
+        if jump.purpose is Purpose.MOVE:
+            air.rally = rally_of_item(pilot, jump.index)
+            pilot.fire(Trigger.HOMEWARD if air.rally is None else Trigger.RALLY_BOUND)
     elif part is Part.OUTBOUND:
         air.leg = flown.mission.outbound.index(jump.index)
         pilot.fire(Trigger.GO)
@@ -221,6 +228,10 @@ def _jump_refused(pilot: Pilot) -> None:
         pilot.decide("way_home_refused", f"jump to item {jump.index} not confirmed by telemetry")
         pilot.fire(Trigger.WAY_HOME_REFUSED, "the jump home was not obeyed")
         return
+    if jump.purpose is Purpose.MOVE:
+        want(pilot, None)
+        pilot.decide("home_stays", f"jump to item {jump.index} not confirmed by telemetry")
+        return
     # Without leave the mission aboard goes home by itself.
     pilot.decide("onward_refused", f"jump to item {jump.index} not confirmed by telemetry")
     air.gate_closed = air.gate_closed or "the autopilot does not jump onward"
@@ -237,14 +248,12 @@ def last_resort(pilot: Pilot) -> None:
         pilot.decide("last_resort", "no RTL: its altitude is not known to clear the obstacles")
         return
     pilot.say(Severity.CRITICAL, "way home refused: RTL")
-    pilot.decide("last_resort", "RTL")
+    away = pilot.flown is not None and bool(pilot.flown.plan.away_ned_m)
+    pilot.decide("last_resort", "RTL: to the launch pad, which nobody promised" if away else "RTL")
     pilot.authority.order(Mode.RTL, pilot.now.state)
     pilot.do(SetMode(Mode.RTL))
 
 
 def rally_of_item(pilot: Pilot, index: int) -> str | None:
     assert pilot.flown is not None
-    for number, pair in enumerate(pilot.flown.mission.rally):
-        if index in pair:
-            return pilot.flown.plan.rally[number].name
-    return None
+    return pilot.flown.site_of_item(index)

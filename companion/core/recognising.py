@@ -27,7 +27,7 @@ def restore(pilot: Pilot) -> None:
     air = pilot.air
     air.authorised, air.delivered = kept.authorised, kept.delivered
     air.gate_closed, air.took_off_s, air.rally = kept.gate_closed, kept.took_off_s, kept.rally
-    air.leg = kept.leg
+    air.leg, air.home, air.wanted = kept.leg, kept.home, kept.wanted
     pilot.ground.settings_before = dict(kept.settings_before)
     if kept.flying and kept.plan is not None and kept.frame is not None:
         site = site_map(pilot.flight, kept.frame, pilot.obstacles, here=pilot.options.here)

@@ -10,6 +10,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import fmean, pvariance
 
+from companion.core.route_energy import RouteEnergy
+from companion.core.situation import BATTERY_MAX_AGE_S, THROTTLE_MAX_AGE_S, Situation
+
 BEFORE_S = 3.0
 SPOOL_S = 0.7
 AFTER_S = 2.4
@@ -25,6 +28,10 @@ THRUST_RESOLUTION = 0.01
 """VFR_HUD tells the throttle in whole per cent: a light parcel (2 % of the mass, flown on PX4's SIH
 without any parcel) is one step of it, which it also takes by itself.
 """
+
+
+HOVER_SPEED_MPS = 1.5
+HOVER_CLIMB_MPS = 0.6
 
 
 @dataclass(slots=True)
@@ -95,3 +102,25 @@ class ReleaseWatch:
                 told = f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
                 found = found or told
         return found or None
+
+
+def watch_for(route_energy: RouteEnergy, payload_kg: float) -> ReleaseWatch:
+    """The watch over a drop of this parcel, with what the power model expects of it."""
+    loaded_w, empty_w = route_energy.hover_power_w(payload_kg), route_energy.hover_power_w(0.0)
+    mass_kg = route_energy.airframe.mass_kg(payload_kg)
+    return ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
+
+
+def observe_hover(watch: ReleaseWatch, now: Situation) -> None:
+    """Show the watch what is fresh, while the vehicle hovers: moving changes the power too."""
+    position = now.position
+    if position is None or not now.is_fresh(position, 1.0):
+        return
+    speed_mps = math.hypot(position.vel_n_mps, position.vel_e_mps)
+    if speed_mps >= HOVER_SPEED_MPS or abs(position.vel_d_mps) >= HOVER_CLIMB_MPS:
+        return
+    battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
+    if battery is not None and battery.voltage_v is not None and battery.current_a is not None:
+        watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
+    if now.throttle is not None and now.is_fresh(now.throttle, THROTTLE_MAX_AGE_S):
+        watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.actions import Decision
-from companion.core.ahead import DEPOT
 from companion.core.airframe import Airframe
 from companion.core.events import Airspeed, Attitude, AutopilotWind, Flavour
 from companion.core.flight import Flight
@@ -370,7 +369,7 @@ class _Replay:
     def _mind_rally(self, t_s: float, here: Ned, seen: Assessment) -> None:
         """Say once when only a rally point keeps the promise (as the pilot's `rally_instead`)."""
         route = self._route
-        if self._diverted or not isinstance(route, Planned) or seen.best_landing == DEPOT:
+        if self._diverted or not isinstance(route, Planned) or seen.best_landing == route.landing:
             return
         homeward = route.stage in ("return", "divert")
         if not homeward and not (route.outward and self._closed):

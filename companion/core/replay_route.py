@@ -1,14 +1,15 @@
 """What is left to fly at a moment of a recorded flight: with the flight's own plan, or without."""
 
 import math
+from dataclasses import replace
 from typing import Protocol
 
-from companion.core.ahead import DEPOT, ahead_delivering, ahead_outbound, ahead_returning
+from companion.core.ahead import ahead_away, ahead_delivering, ahead_outbound, ahead_returning
 from companion.core.flight import Flight
 from companion.core.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission_items import Part
-from companion.core.release import ReleaseWatch
+from companion.core.release import observe_hover, watch_for
 from companion.core.remaining import Ahead, Stage, WayHome
 from companion.core.route_energy import Leg, LegKind, RouteEnergy
 from companion.core.situation import Situation
@@ -85,6 +86,7 @@ class Planned:
         self._drop = _Drop(route_energy, flight.vehicle.payload_kg)
         self._leg = 0
         self._return_index: int | None = None
+        self._away_index: int | None = None
         self._nearest_m = math.inf
         self._landing = False
         self._rally: str | None = None
@@ -128,9 +130,16 @@ class Planned:
             return ahead_outbound(plan, here, self._leg, payload_kg, drop_m, DROP_S)
         if self.stage in ("deliver", "release") and not self.delivered:
             return ahead_delivering(plan, here, payload_kg, drop_m, DROP_S)
-        index = None if self._landing else self._nearest_return(here)
         delivered = bool(self.delivered)
+        if self._away_index is not None:
+            return ahead_away(plan, here, self._away_index, payload_kg, delivered)
+        index = None if self._landing else self._nearest_return(here)
         return ahead_returning(plan, here, index, payload_kg, delivered, self._rally)
+
+    @property
+    def landing(self) -> str:
+        """The name of where the plan's way back ends."""
+        return self._flown.plan.landing
 
     @property
     def items(self) -> int:
@@ -144,7 +153,8 @@ class Planned:
     def depot_only(self, here: Ned, payload_kg: float) -> Ahead | None:
         """The same without the rally points: `None` where no way leads to the depot."""
         ahead = self.ahead(here, payload_kg)
-        ways = tuple(way for way in ahead.ways_home_now if way.landing == DEPOT)
+        landing = self._flown.plan.landing
+        ways = tuple(way for way in ahead.ways_home_now if way.landing == landing)
         return Ahead(ways, (), bool(self.delivered)) if ways else None
 
     def _nearest_return(self, here: Ned) -> int:
@@ -162,7 +172,10 @@ class Planned:
             self.another_mission = progress.total
             return False
         index = progress.index
+        self._away_index = mission.away.index(index) if index in mission.away else None
         match mission.part_at(index):
+            case Part.RETURN if index not in mission.returning:
+                self.stage = "return"
             case Part.TAKEOFF | Part.SETTLE:
                 self.stage = "settle"
                 if index >= mission.settle and self._settled_s is None:
@@ -180,6 +193,7 @@ class Planned:
                 self._return_index = max(0, mission.returning.index(index) - 1)
             case Part.RALLY:
                 self.stage, self._rally = "divert", self._rally_at(index)
+                self._promise(self._rally)
                 self._return_index = None
             case Part.RALLY_LAND:
                 self.stage, self._landing = "land", True
@@ -190,11 +204,14 @@ class Planned:
                 return False
         return True
 
+    def _promise(self, stop: str | None) -> None:
+        """A stop that was flown to had been promised."""
+        if stop is not None:
+            plan = self._flown.plan.promised(stop)
+            self._flown = replace(self._flown, plan=plan)
+
     def _rally_at(self, index: int) -> str | None:
-        for number, items in enumerate(self._flown.mission.rally):
-            if index in items:
-                return self._flown.plan.rally[number].name
-        return None
+        return self._flown.site_of_item(index)
 
     def _by_place(self, here: Ned) -> None:
         """Follow the way that was flown along the plan's points."""
@@ -226,25 +243,13 @@ class _Drop:
     """Whether the parcel went, by the companion's own watch."""
 
     def __init__(self, route_energy: RouteEnergy, payload_kg: float) -> None:
-        loaded_w = route_energy.hover_power_w(payload_kg)
-        empty_w = route_energy.hover_power_w(0.0)
-        mass_kg = route_energy.airframe.mass_kg(payload_kg)
-        self._parcel = payload_kg > 0.0
-        self._watch = ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
+        self._watch = watch_for(route_energy, payload_kg) if payload_kg > 0.0 else None
 
     def look(self, now: Situation, *, released: bool) -> str:
         """Take the moment in; returns what shows that the parcel went, `""` while nothing does."""
-        if not self._parcel:
+        if self._watch is None:
             return "there was no parcel to weigh" if released else ""
         if released:
             self._watch.begin(now.t_s)
-        battery, position = now.battery, now.position
-        still = position is not None and (
-            math.hypot(position.vel_n_mps, position.vel_e_mps) < 1.5
-            and abs(position.vel_d_mps) < 0.6
-        )
-        if still and battery is not None and battery.voltage_v and battery.current_a:
-            self._watch.observe(battery.t_s, battery.voltage_v * battery.current_a, None)
-        if still and now.throttle is not None:
-            self._watch.observe(now.throttle.t_s, None, now.throttle.throttle_frac)
+        observe_hover(self._watch, now)
         return self._watch.evidence(now.t_s) or ""

@@ -87,6 +87,8 @@ def kept(pilot: Pilot) -> Kept:
         plan=flown.plan if flown is not None else None,
         frame=flown.site.frame if flown is not None else None,
         rally=air.rally,
+        home=air.home,
+        wanted=air.wanted,
         settings_before=dict(pilot.ground.settings_before),
         judgement=pilot.judge.snapshot(),
     )

@@ -14,13 +14,13 @@ from companion.core.actions import (
 from companion.core.events import Ground
 from companion.core.foresight import ground_mps, here_ned
 from companion.core.geo import Ned, horizontal_m
+from companion.core.home_aboard import promised_places
 from companion.core.position_watch import last_seen
 from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
 
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
-DEPOT = "depot"
 LANDED_AFTER_S = 5.0
 STILL_S = 15.0
 STILL_MPS = 0.4
@@ -78,7 +78,7 @@ def _landing_ned(pilot: Pilot) -> Ned:
     for rally in plan.rally:
         if rally.name == pilot.air.rally:
             return rally.ground_ned_m
-    return plan.depot_ned_m
+    return plan.landing_ned_m
 
 
 def _landed(pilot: Pilot) -> None:
@@ -121,8 +121,7 @@ def conclude(pilot: Pilot, why: str) -> None:
         where = f"position lost, {last_seen(pilot)}"
     elif position is not None:
         here = flown.ned_of(position)
-        places = [(DEPOT, flown.plan.depot_ned_m)]
-        places += [(r.name, r.ground_ned_m) for r in flown.plan.rally]
+        places = promised_places(flown.plan, air.home)
         name, place = min(places, key=lambda p: horizontal_m(here, p[1]))
         away_m = horizontal_m(here, place)
         high_m = place[2] - here[2]

@@ -8,7 +8,8 @@ from companion.core.actions import Severity
 from companion.core.flight_plan import FlightPlan
 from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.gate import Ahead, Assessment
-from companion.core.geo import Ned, horizontal_m
+from companion.core.geo import Ned, horizontal_m, over
+from companion.core.home_aboard import want
 from companion.core.obedience import Purpose
 from companion.core.progress import jump
 from companion.core.situation import (
@@ -19,7 +20,6 @@ from companion.core.transitions import HOMEWARD_PHASES, Phase, Trigger
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
-DEPOT = "depot"
 NEAR_M = 10.0
 STRAIGHT_M = 30.0
 BATTERY_LOST_S = 30.0
@@ -88,40 +88,48 @@ def go_home(pilot: Pilot, why: str) -> None:
     if rally is not None:
         divert(pilot, rally, why)
         return
-    entry = _entry(pilot, here)
+    item = _entry(pilot, here)
     pilot.decide("turn_back", why)
     pilot.say(Severity.WARNING, f"gate closed: {why}")
     air.rally = None
-    jump(pilot, flown.mission.returning[entry], Purpose.HOME)
+    jump(pilot, item, Purpose.HOME)
     pilot.fire(Trigger.HOMEWARD, why)
 
 
 def _entry(pilot: Pilot, here: Ned) -> int:
-    """Which return item to fly to: the shortest way home that starts in a clear straight line."""
+    """Which item to fly to: the shortest way home that starts in a clear straight line."""
     flown = pilot.flown
     assert flown is not None
     mission = flown.mission
-    over = flown.plan.outbound_ned_m[-1]
+    above = flown.plan.over_customer_ned_m
     # Low at the customer the vehicle climbs out first; that is what the first item is for.
-    if here[2] > over[2] + NEAR_M and horizontal_m(here, over) < STRAIGHT_M:
-        return 0
-    entry = flown.entry_from(here)
-    if entry is not None:
-        return entry
+    if low_at(here, above):
+        return mission.returning[0]
+    if mission.away and low_at(here, flown.plan.away_ned_m[0]):
+        return mission.away[0]
+    item = flown.item_home_from(here)
+    if item is not None:
+        return item
     # No line is clear (GNSS error near an obstacle's clearance): as the mission itself would.
     leg = max(0, pilot.air.leg - 1)
-    return mission.returning.index(mission.entry_of_outbound[leg])
+    return mission.entry_of_outbound[leg]
+
+
+def low_at(here: Ned, above: Ned) -> bool:
+    """Tell whether the vehicle is low under a point to which it climbs straight up."""
+    return here[2] > above[2] + NEAR_M and horizontal_m(here, above) < STRAIGHT_M
 
 
 def rally_instead(pilot: Pilot, here: Ned) -> str | None:
-    """Name a rally point when the depot does not keep the promise and the rally point does."""
+    """Name a rally point when home does not keep the promise and the rally point does."""
     flown, seen = pilot.flown, fresh_assessment(pilot)
-    if flown is None or seen is None or seen.best_landing == DEPOT:
+    if flown is None or seen is None or seen.best_landing == flown.plan.landing:
         return None
     if not rally_in_sight(flown, seen.best_landing, here):
         return None
     ahead = what_is_ahead(pilot, here)
-    depot_only = tuple(way for way in ahead.ways_home_now if way.landing == DEPOT)
+    landing = flown.plan.landing
+    depot_only = tuple(way for way in ahead.ways_home_now if way.landing == landing)
     if not depot_only:
         return seen.best_landing
     depot = pilot.judge.assess(Ahead(depot_only, (), pilot.air.delivered))
@@ -133,8 +141,8 @@ def rally_instead(pilot: Pilot, here: Ned) -> str | None:
 def rally_in_sight(flown: FlightPlan, name: str, here: Ned) -> bool:
     """Tell whether the straight line to a rally point is clear, at the height it is flown at."""
     ground = next((r.ground_ned_m for r in flown.plan.rally if r.name == name), None)
-    over = flown.plan.outbound_ned_m[-1][2]
-    return ground is not None and flown.is_clear(here, (ground[0], ground[1], over))
+    level = flown.plan.return_ned_m[-1]
+    return ground is not None and flown.sees(here, over(ground, level))
 
 
 def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
@@ -145,11 +153,11 @@ def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
 def divert(pilot: Pilot, rally: str, why: str) -> None:
     air, flown = pilot.air, pilot.flown
     assert flown is not None
-    number = [r.name for r in flown.plan.rally].index(rally)
     air.rally = rally
+    want(pilot, rally if rally in {stop.name for stop in flown.plan.stops} else None)
     pilot.decide("divert", f"to {rally}: {why}")
     pilot.say(Severity.WARNING, f"diverting to {rally}: {why}")
-    jump(pilot, flown.mission.rally[number][0], Purpose.HOME)
+    jump(pilot, flown.site_items(rally)[0], Purpose.HOME)
     pilot.fire(Trigger.RALLY_BOUND, why)
 
 

@@ -4,35 +4,20 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from companion.core.airframe import Airframe, airframe_from_dict
+from companion.core.airframe import Airframe
 from companion.core.errors import LeewayError
 from companion.core.flight_plan import frame_at
 from companion.core.geo import obstacles_from_geojson
-from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.adapters.files import read_airframe, read_json, read_toml
 from ground_station.core.day import DataProblems, Day, Depot, Problem
+from ground_station.core.day_data import DEPOT, DayData
 from ground_station.core.order_rows import check_columns, duplicates, order_of
 from ground_station.core.orders import Order
-
-DEPOT = "depot"
-
-
-@dataclass(frozen=True, slots=True)
-class DayData:
-    """A day with everything that its files hold. `roads_s` is None where the truck's speeds rule:
-    else seconds from one place (`depot`, or an order's id) to another.
-    """
-
-    day: Day
-    orders: list[Order]
-    no_fly: dict[str, Any] | None
-    airframes: dict[str, Airframe]
-    roads_s: dict[tuple[str, str], float] | None
 
 
 def read_day(path: Path) -> DayData:
@@ -169,8 +154,7 @@ def _read_airframes(day: Day, path: Path, problems: list[Problem]) -> dict[str, 
     found: dict[str, Airframe] = {}
     for name in sorted({drone.airframe for drone in day.drones}):
         try:
-            file = params_dir() / "airframes" / f"{name}.toml"
-            found[name] = airframe_from_dict(read_toml(file), str(file))
+            found[name] = read_airframe(name)
         except LeewayError as error:
             problems.append(Problem(str(path), None, "drones.airframe", str(error)))
     return found

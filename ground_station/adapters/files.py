@@ -3,8 +3,10 @@
 from pathlib import Path
 from typing import Any
 
+from companion.core.airframe import Airframe, airframe_from_dict
 from companion.core.documents import json_object, params_folders, toml_table
 from companion.core.errors import LeewayError
+from companion.core.wind_process import WindProcessParams, wind_process_from_dict
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,6 +27,20 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON (GeoJSON) file as an object."""
     return json_object(_bytes_of(path), str(path))
+
+
+def read_airframe(name: str) -> Airframe:
+    """An airframe of the params folder."""
+    path = params_dir() / "airframes" / f"{name}.toml"
+    return airframe_from_dict(read_toml(path), str(path))
+
+
+def read_wind_process(name: str) -> WindProcessParams:
+    """How wind changes at a site: a file of the params folder, or a path that ends in .toml."""
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = params_dir() / "wind" / f"{name}.toml"
+    return wind_process_from_dict(read_toml(path), str(path))
 
 
 def _bytes_of(path: Path) -> bytes:

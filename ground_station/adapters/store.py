@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from companion.core.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
+from ground_station.adapters import store_rows as rows
 from ground_station.adapters import tables as t
 from ground_station.adapters.database import Database
 from ground_station.core.orders import (
@@ -24,11 +25,9 @@ from ground_station.core.orders import (
     Order,
     OrderRow,
     OrderState,
-    assignment_id,
-    ends_as,
-    order_after,
 )
 
+DRIVER = (EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
 _IN_FORCE = [state.value for state in IN_FORCE]
 
 
@@ -48,6 +47,11 @@ class Store:
         self._database = database
         self._now = epoch_us
 
+    @property
+    def database(self) -> Database:
+        """Where it lies."""
+        return self._database
+
     def close(self) -> None:
         """Give the connections back."""
         self._database.close()
@@ -63,12 +67,12 @@ class Store:
 
     def _add_orders(self, orders: list[Order]) -> Taken:
         with self._database.write() as db:
-            rows = db.execute(
+            found = db.execute(
                 sa.select(t.orders.c.id, t.orders.c.content).where(
                     t.orders.c.id.in_([order.id for order in orders])
                 )
             )
-            there = {row.id: row.content for row in rows}
+            there = {row.id: row.content for row in found}
             fresh: dict[str, str] = {}
             known: list[str] = []
             conflicts: list[str] = []
@@ -102,7 +106,7 @@ class Store:
     def orders(self) -> list[OrderRow]:
         """All orders as they came."""
         with self._database.read() as db:
-            rows = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
+            found = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
         return [
             OrderRow(
                 msgspec.json.decode(row.content, type=Order),
@@ -110,7 +114,7 @@ class Store:
                 row.attempts,
                 row.why,
             )
-            for row in rows
+            for row in found
         ]
 
     def move_order(self, order_id: str, before: tuple[OrderState, ...], after: OrderState) -> bool:
@@ -137,32 +141,12 @@ class Store:
         """
         try:
             with self._database.write() as db:
-                taken = db.execute(
-                    sa.update(t.orders)
-                    .where(t.orders.c.id == order_id, t.orders.c.state == OrderState.OPEN.value)
-                    .values(
-                        state=OrderState.ASSIGNED.value, attempts=t.orders.c.attempts + 1, why=""
-                    )
-                )
-                if taken.rowcount != 1:
+                id_ = rows.order_taken(db, order_id)
+                if id_ is None:
                     return None
-                attempt = db.execute(
-                    sa.select(sa.func.count()).where(t.assignments.c.order_id == order_id)
-                ).scalar_one()
-                id_ = assignment_id(order_id, attempt + 1)
-                db.execute(
-                    sa.insert(t.assignments).values(
-                        id=id_,
-                        order_id=order_id,
-                        vehicle=vehicle,
-                        state=AssignmentState.ORDERED.value,
-                        delivered=False,
-                        why="",
-                        made_us=self._now(),
-                    )
-                )
+                rows.make_assignment(db, self._now(), id_, order_id, vehicle)
                 deed = Assign(assignment=id_, order=order_id, flight=flight, obstacles=obstacles)
-                self._put_out(db, f"{id_}:assign", vehicle, id_, deed, by)
+                rows.put_out(db, self._now(), f"{id_}:assign", vehicle, id_, deed, by)
         except IntegrityError:  # the vehicle has another assignment in force
             return None
         return id_
@@ -170,57 +154,72 @@ class Store:
     def launch(self, assignment: str, by: str) -> bool:
         """Authorise an assignment that is aboard; False where it is not, or already asked."""
         with self._database.write() as db:
-            row = self._in_state(db, assignment, (AssignmentState.ABOARD,))
-            if row is None or self._unanswered(db, assignment):
+            row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
+            if row is None or rows.unanswered(db, assignment):
                 return False
-            number = self._count(db, assignment, "launch") + 1
+            number = rows.count_commands(db, f"{assignment}:launch") + 1
             deed = Launch(assignment=assignment)
-            self._put_out(db, f"{assignment}:launch{number}", row.vehicle, assignment, deed, by)
+            rows.put_out(
+                db, self._now(), f"{assignment}:launch{number}", row.vehicle, assignment, deed, by
+            )
         return True
+
+    def refused_launches(self, assignment: str) -> int:
+        """How many launches of an assignment its vehicle has refused."""
+        refused = sa.select(sa.func.count()).where(
+            t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
+            t.commands.c.answer == Answered.REFUSED.value,
+        )
+        with self._database.read() as db:
+            return db.execute(refused).scalar_one()
 
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch came to nothing (its companion restarted before take-off): aboard again."""
         with self._database.write() as db:
-            row = self._in_state(db, assignment, (AssignmentState.FLYING,))
+            row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
             if row is None:
                 return False
-            self._set(db, assignment, AssignmentState.ABOARD, why)
+            rows.set_state(db, assignment, AssignmentState.ABOARD, why)
         return True
 
     def withdraw(self, assignment: str, by: str) -> bool:
         """Take back an assignment that has not been launched; False where it cannot be any more."""
         states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
         with self._database.write() as db:
-            row = self._in_state(db, assignment, states)
+            row = rows.in_state(db, assignment, states)
             if row is None:
                 return False
-            self._set(db, assignment, AssignmentState.WITHDRAWING, "withdrawn by the desk")
+            rows.set_state(db, assignment, AssignmentState.WITHDRAWING, "withdrawn by the desk")
             deed = Withdraw(assignment=assignment)
-            self._put_out(db, f"{assignment}:withdraw", row.vehicle, assignment, deed, by)
+            rows.put_out(
+                db, self._now(), f"{assignment}:withdraw", row.vehicle, assignment, deed, by
+            )
         return True
 
     def command(self, id_: str, vehicle: str, deed: Deed, by: str) -> bool:
         """Put any other command in the outbox; False where this id is there already."""
         try:
             with self._database.write() as db:
-                self._put_out(db, id_, vehicle, None, deed, by)
+                rows.put_out(db, self._now(), id_, vehicle, None, deed, by)
         except IntegrityError:
             return False
         return True
 
     def outbox(self) -> list[CommandRow]:
-        """Commands without a final answer, oldest first."""
+        """Commands to be sent: not held back, without a final answer; oldest first."""
         with self._database.read() as db:
-            rows = db.execute(
-                sa.select(t.commands).where(t.commands.c.answer.is_(None)).order_by(t.commands.c.n)
+            found = db.execute(
+                sa.select(t.commands)
+                .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
+                .order_by(t.commands.c.n)
             ).all()
-        return [_command_row(row) for row in rows]
+        return [rows.command_row(row) for row in found]
 
     def commands(self) -> list[CommandRow]:
         """Every command ever ordered, oldest first."""
         with self._database.read() as db:
-            rows = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
-        return [_command_row(row) for row in rows]
+            found = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
+        return [rows.command_row(row) for row in found]
 
     def give_up(self, command_id: str, reason: str) -> bool:
         """Take a command out of the outbox; False where it has been answered."""
@@ -234,22 +233,23 @@ class Store:
 
     def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
         """The final answers of these commands, `None` while they wait."""
-        return {c.id: c.answer for c in self.commands() if c.id in command_ids}
+        query = sa.select(t.commands.c.id, t.commands.c.answer)
+        with self._database.read() as db:
+            found = db.execute(query.where(t.commands.c.id.in_(command_ids))).all()
+        return {row.id: None if row.answer is None else Answered(row.answer) for row in found}
 
     def commands_of(self, assignment: str) -> list[CommandRow]:
         """An assignment's commands, oldest first."""
         query = sa.select(t.commands).where(t.commands.c.assignment == assignment)
         with self._database.read() as db:
-            rows = db.execute(query.order_by(t.commands.c.n)).all()
-        return [_command_row(row) for row in rows]
+            found = db.execute(query.order_by(t.commands.c.n)).all()
+        return [rows.command_row(row) for row in found]
 
     def tried(self, command_id: str, reason: str) -> None:
         """A command was sent and not answered for good; it stays in the outbox."""
         with self._database.write() as db:
             db.execute(
-                sa.update(t.commands)
-                .where(t.commands.c.id == command_id)
-                .values(tries=t.commands.c.tries + 1, reason=reason)
+                sa.update(t.commands).where(t.commands.c.id == command_id).values(reason=reason)
             )
 
     def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
@@ -265,13 +265,12 @@ class Store:
                     answer=answer.value,
                     reason=reason,
                     life=life,
-                    tries=t.commands.c.tries + 1,
                     answered_us=self._now(),
                 )
             )
             if row is None or done.rowcount != 1:
                 return False
-            self._follow(db, _command_row(row), answer, reason)
+            rows.follow(db, self._now(), rows.command_row(row), answer, reason)
         return True
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
@@ -280,8 +279,8 @@ class Store:
         if in_force:
             query = query.where(t.assignments.c.state.in_(_IN_FORCE))
         with self._database.read() as db:
-            rows = db.execute(query).all()
-        return [_assignment_row(row) for row in rows]
+            found = db.execute(query).all()
+        return [rows.assignment_row(row) for row in found]
 
     # --- events --------------------------------------------------------------------------------
 
@@ -314,8 +313,8 @@ class Store:
         if kind is not None:
             query = query.where(t.events.c.kind == kind.value)
         with self._database.read() as db:
-            rows = db.execute(query).scalars().all()
-        return [msgspec.json.decode(row, type=FleetEvent) for row in rows]
+            found = db.execute(query).scalars().all()
+        return [msgspec.json.decode(row, type=FleetEvent) for row in found]
 
     # --- inside a transaction ------------------------------------------------------------------
 
@@ -341,7 +340,9 @@ class Store:
             )
         )
         if event.kind is EventKind.OUTCOME and event.assignment and event.outcome:
-            self._conclude(db, event)
+            rows.conclude(db, self._now(), event)
+        if event.kind in DRIVER and event.assignment:
+            rows.driver_said(db, self._now(), event)
         return True
 
     def _see(self, db: sa.Connection, event: FleetEvent, replayed: bool) -> None:
@@ -356,139 +357,3 @@ class Store:
     def _seen_to(self, db: sa.Connection, vehicle: str, log: str) -> int | None:
         query = sa.select(t.logs.c.seen_to).where(t.logs.c.vehicle == vehicle, t.logs.c.log == log)
         return db.execute(query.with_for_update()).scalar_one_or_none()
-
-    def _conclude(self, db: sa.Connection, event: FleetEvent) -> None:
-        """The flight is over. Only the vehicle that holds the assignment can end it, and once."""
-        row = self._in_state(db, event.assignment or "", IN_FORCE)
-        if row is None or row.vehicle != event.vehicle:
-            return
-        delivered = bool(event.delivered)
-        state = ends_as(event.outcome or "FAIL", delivered, bool(event.home))
-        self._end(db, row, state, delivered, f"{event.outcome}: {event.text}")
-
-    def _follow(
-        self, db: sa.Connection, command: CommandRow, answer: Answered, reason: str
-    ) -> None:
-        """What an answer means for the assignment that the command was about."""
-        row = self._in_state(db, command.assignment or "", IN_FORCE)
-        if row is None:
-            return
-        withdrawing = row.state is AssignmentState.WITHDRAWING
-        match command.deed, answer:
-            case Assign(), Answered.REFUSED:
-                self._end(db, row, AssignmentState.REFUSED, False, reason)
-            case Assign(), _ if not withdrawing:
-                self._set(db, row.id, AssignmentState.ABOARD, reason)
-            case Launch(), Answered.DONE | Answered.INTERRUPTED:
-                self._set(db, row.id, AssignmentState.FLYING, reason)
-            case Launch(), Answered.REFUSED:
-                self._set(db, row.id, AssignmentState.ABOARD, f"launch refused: {reason}")
-            case Withdraw(), Answered.DONE:
-                self._end(db, row, AssignmentState.WITHDRAWN, False, reason)
-            case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED:
-                self._set(db, row.id, AssignmentState.FLYING, f"not withdrawn: {reason}")
-            case _:
-                return
-
-    def _end(
-        self,
-        db: sa.Connection,
-        row: AssignmentRow,
-        state: AssignmentState,
-        delivered: bool,
-        why: str,
-    ) -> None:
-        db.execute(
-            sa.update(t.assignments)
-            .where(t.assignments.c.id == row.id)
-            .values(state=state.value, delivered=delivered, why=why, ended_us=self._now())
-        )
-        db.execute(  # what was still to be said about it is void
-            sa.update(t.commands)
-            .where(t.commands.c.assignment == row.id, t.commands.c.answer.is_(None))
-            .values(answer=Answered.REFUSED.value, reason="the assignment is over")
-        )
-        attempts = db.execute(
-            sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
-        ).scalar_one()
-        order = order_after(state, delivered, attempts)
-        db.execute(
-            sa.update(t.orders)
-            .where(t.orders.c.id == row.order_id)
-            .values(state=order.value, why=why)
-        )
-
-    def _set(self, db: sa.Connection, id_: str, state: AssignmentState, why: str) -> None:
-        db.execute(
-            sa.update(t.assignments)
-            .where(t.assignments.c.id == id_)
-            .values(state=state.value, why=why)
-        )
-
-    def _in_state(
-        self, db: sa.Connection, id_: str, states: tuple[AssignmentState, ...]
-    ) -> AssignmentRow | None:
-        """The assignment, locked until the transaction ends, where it is in one of these states."""
-        row = db.execute(
-            sa.select(t.assignments)
-            .where(
-                t.assignments.c.id == id_,
-                t.assignments.c.state.in_([state.value for state in states]),
-            )
-            .with_for_update()
-        ).one_or_none()
-        return None if row is None else _assignment_row(row)
-
-    def _unanswered(self, db: sa.Connection, assignment: str) -> bool:
-        waiting = sa.select(sa.func.count()).where(
-            t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
-        )
-        return db.execute(waiting).scalar_one() > 0
-
-    def _count(self, db: sa.Connection, assignment: str, deed: str) -> int:
-        asked = sa.select(sa.func.count()).where(
-            t.commands.c.id.startswith(f"{assignment}:{deed}", autoescape=True)
-        )
-        return db.execute(asked).scalar_one()
-
-    def _put_out(
-        self,
-        db: sa.Connection,
-        id_: str,
-        vehicle: str,
-        assignment: str | None,
-        deed: Deed,
-        by: str,
-    ) -> None:
-        db.execute(
-            sa.insert(t.commands).values(
-                id=id_,
-                vehicle=vehicle,
-                assignment=assignment,
-                deed=msgspec.json.encode(deed),
-                said_by=by,
-                reason="",
-                tries=0,
-                made_us=self._now(),
-            )
-        )
-
-
-def _assignment_row(row: Any) -> AssignmentRow:
-    return AssignmentRow(
-        row.id, row.order_id, row.vehicle, AssignmentState(row.state), row.delivered, row.why
-    )
-
-
-def _command_row(row: Any) -> CommandRow:
-    return CommandRow(
-        row.id,
-        row.vehicle,
-        row.assignment,
-        msgspec.json.decode(row.deed, type=Deed),
-        row.said_by,
-        None if row.answer is None else Answered(row.answer),
-        row.reason,
-        row.life,
-        row.tries,
-    )

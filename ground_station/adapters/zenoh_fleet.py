@@ -8,7 +8,6 @@ import queue
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,52 +26,16 @@ from companion.core.messages import (
     encode,
 )
 from companion.core.topics import VehicleKeys, life_of, vehicle_of
+from ground_station.core.fleet import (
+    Alive,
+    CommandAnswered,
+    EventsHeard,
+    Heard,
+    Nonsense,
+    StateHeard,
+)
 
 WAITING = 100_000
-
-
-@dataclass(frozen=True, slots=True)
-class Alive:
-    """A life of a vehicle's companion came (`up`) or went."""
-
-    vehicle: str
-    life: str
-    up: bool
-
-
-@dataclass(frozen=True, slots=True)
-class StateHeard:
-    """A vehicle told its state."""
-
-    state: State
-
-
-@dataclass(frozen=True, slots=True)
-class EventsHeard:
-    """Events as they happened, or (`replayed`) all that were asked for, in order."""
-
-    vehicle: str
-    events: list[FleetEvent]
-    replayed: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class CommandAnswered:
-    """The answer to a command; `None`: nobody answered."""
-
-    command_id: str
-    result: Result | None
-
-
-@dataclass(frozen=True, slots=True)
-class Nonsense:
-    """Bytes that are no message of ours, and why."""
-
-    key: str
-    reason: str
-
-
-Heard = Alive | StateHeard | EventsHeard | CommandAnswered | Nonsense
 
 
 class ZenohFleet:
@@ -220,6 +183,21 @@ def monotonic_s() -> float:
 def epoch_us() -> int:
     """Microseconds since 1970, for stamps that people read."""
     return time.time_ns() // 1000
+
+
+class WallClock:
+    """`core.fleet.Clock` of a running desk: its stamps do not jump where the wall clock is set."""
+
+    def __init__(self) -> None:
+        self._offset_us = epoch_us() - round(1e6 * monotonic_s())
+
+    def monotonic_s(self) -> float:
+        """For silences and waits."""
+        return monotonic_s()
+
+    def epoch_us(self) -> int:
+        """By the wall clock as it stood when this desk began."""
+        return self._offset_us + round(1e6 * monotonic_s())
 
 
 def leave_process(code: int) -> NoReturn:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.ahead import ahead_outbound
-from companion.core.airframe import Airframe, airframe_from_dict
+from companion.core.airframe import Airframe
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.flight import Flight, Place
@@ -23,8 +23,7 @@ from companion.core.planner import BerPlanner, NoRoute
 from companion.core.route_energy import RouteEnergy
 from companion.core.wind_estimator import WindBelief
 from companion.core.wind_outlook import WindOutlook
-from companion.core.wind_process import WindProcessParams, wind_process_from_dict
-from ground_station.adapters.files import params_dir, read_json, read_toml
+from ground_station.adapters.files import read_airframe, read_json, read_toml, read_wind_process
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -52,7 +51,7 @@ def estimate(
 ) -> None:
     """Energy and promise of one delivery before anything flies; exit code 3: the gate says stay."""
     loaded = _read_flight(flight)
-    airframe = _read_airframe(loaded.vehicle.airframe)
+    airframe = read_airframe(loaded.vehicle.airframe)
     route_energy = RouteEnergy.for_mission(airframe, loaded.mission)
     energy = _energy(loaded, airframe, route_energy, charge)
     depot = loaded.site.depot
@@ -62,7 +61,7 @@ def estimate(
     angle = math.radians(wind_from)
     to_ne = np.array([-wind_speed * math.cos(angle), -wind_speed * math.sin(angle)])
     belief = WindBelief(0.0, to_ne, wind_std**2 * np.eye(2), ("forecast",), True)
-    outlook = WindOutlook(_read_wind_process(loaded.mission.wind_process))
+    outlook = WindOutlook(read_wind_process(loaded.mission.wind_process))
     outlook.observe(belief)
     reserve_wh = loaded.mission.reserve_frac * energy.usable_full_wh
     gate = Gate(route_energy, GateParams(max_loss=loaded.mission.max_loss, reserve_wh=reserve_wh))
@@ -85,18 +84,6 @@ def _read_flight(path: Path) -> Flight:
         return msgspec.convert(read_toml(path), Flight)
     except (msgspec.ValidationError, LeewayError) as error:
         raise LeewayError(f"{path}: {error}") from error
-
-
-def _read_airframe(name: str) -> Airframe:
-    path = params_dir() / "airframes" / f"{name}.toml"
-    return airframe_from_dict(read_toml(path), str(path))
-
-
-def _read_wind_process(name: str) -> WindProcessParams:
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = params_dir() / "wind" / f"{name}.toml"
-    return wind_process_from_dict(read_toml(path), str(path))
 
 
 def _energy(
@@ -158,8 +145,9 @@ def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     try:
         from ground_station.adapters.zenoh_fleet import leave_process
-        from ground_station.app import cluster_cli, dispatch_cli, order_cli
+        from ground_station.app import cluster_cli, dispatch_cli, order_cli, plan_cli
         from ground_station.app.benchmark_cli import benchmark
+        from ground_station.app.truck_cli import truck
     except ImportError as error:  # the vehicle's install carries this script, but not the desk
         print(f"ground-station: pip install 'leeway[ground]' ({error})", file=sys.stderr)
         sys.exit(2)
@@ -167,6 +155,8 @@ def main() -> None:
     app.add_typer(dispatch_cli.app)
     app.add_typer(benchmark, name="benchmark")
     app.add_typer(cluster_cli.app)
+    app.add_typer(plan_cli.app)
+    app.command()(truck)
     try:
         app()
     except LeewayError as error:

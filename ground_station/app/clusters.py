@@ -9,7 +9,6 @@ import numpy as np
 
 from companion.core.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from companion.core.geo import Ned, ObstacleMap, obstacles_from_geojson
-from ground_station.adapters.day_files import DayData
 from ground_station.adapters.llm import LlmParams, NoAnswer, ask
 from ground_station.core.choosing import Chooser
 from ground_station.core.clustering.energies import energy_matrix
@@ -23,6 +22,7 @@ from ground_station.core.clustering.problem import (
     repair,
 )
 from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
+from ground_station.core.day_data import DayData
 from ground_station.core.orders import Order, Service
 from ground_station.core.reach import Reach
 

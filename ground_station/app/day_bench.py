@@ -10,16 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.airframe import airframe_from_dict
 from companion.core.route_energy import RouteEnergy
-from ground_station.adapters.files import params_dir, read_toml
+from ground_station.adapters.files import read_airframe
 from ground_station.app.timed_search import TimedPlan, plan_within
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import DroneKind, TruckAndDrones
 from ground_station.core.truck_drones.schedule import Schedule, schedule_of
 from ground_station.core.truck_drones.search import SearchParams
-from ground_station.core.truck_drones.tables import ROUTE, empty_plan, tables_of
-from ground_station.core.truck_drones.tour import first_tour
+from ground_station.core.truck_drones.tables import tables_of
+from ground_station.core.truck_drones.tour import truck_alone
 from ground_station.core.wind_sorties import WindSortieParams, WindSorties
 
 DETOUR = 1.3
@@ -64,8 +63,7 @@ def drawn_day(params: DayParams) -> tuple[TruckAndDrones, np.ndarray]:
     ne_m[1:-1] = radius_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     parcel_kg = np.zeros(count + 2)
     parcel_kg[1:-1] = rng.uniform(*PARCEL_KG, count)
-    path = params_dir() / "airframes" / f"{params.airframe}.toml"
-    airframe = airframe_from_dict(read_toml(path), str(path))
+    airframe = read_airframe(params.airframe)
     energy = RouteEnergy(airframe)
     draw_w = energy.hover_power_w(0.0)
     usable_wh = airframe.battery.usable_wh(draw_w, 15.0, 1.0)
@@ -101,9 +99,7 @@ def bench_day(params: DayParams, seconds: float, tell: Callable[[float, float], 
     warm, _ = drawn_day(DayParams(5, 1, params.wind_mps, params.seed))
     plan_within(warm, np.random.default_rng(0), SearchParams(), 0.05)
     problem, ne_m = drawn_day(params)
-    alone = empty_plan(problem.nodes)
-    tour = first_tour(tables_of(problem), list(range(1, problem.end)))
-    alone[ROUTE, : len(tour)] = tour
+    alone = truck_alone(problem, tables_of(problem))
     rng = np.random.default_rng(params.seed)
     begin_s = time.process_time()
     dynamic = DynamicAssignment().plan(problem, rng)

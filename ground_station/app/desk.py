@@ -10,18 +10,19 @@ from dataclasses import dataclass, field
 from companion.core.messages import FINAL, Answered, Command, FleetEvent, Launch, Recall, State
 from ground_station.adapters.day_files import DayData
 from ground_station.adapters.store import Store
-from ground_station.adapters.zenoh_fleet import (
+from ground_station.adapters.zenoh_fleet import WallClock
+from ground_station.app.day_desk import DayDesk
+from ground_station.core.choosing import Chooser, Free
+from ground_station.core.fleet import (
     Alive,
+    Clock,
     CommandAnswered,
     EventsHeard,
+    Fleet,
     Heard,
     Nonsense,
     StateHeard,
-    ZenohFleet,
-    epoch_us,
-    monotonic_s,
 )
-from ground_station.core.choosing import Chooser, Free
 from ground_station.core.orders import AssignmentRow, AssignmentState, CommandRow
 from ground_station.core.picture import Picture, VehicleSeen
 
@@ -33,6 +34,8 @@ LAUNCHES = 3
 """Refused so often, an assignment is withdrawn: something on that vehicle wants a person."""
 
 READY = "ready"
+LOOK_S = 0.5
+"""So often the day is looked at, where nothing new is heard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,32 +50,53 @@ class DeskOptions:
 
 @dataclass(slots=True)
 class Desk:
-    """One dispatcher's desk over a fleet."""
+    """One dispatcher's desk over a fleet; with `day`, of drones that ride on a truck.
+
+    `moved_s`: when something last happened that brings the day on.
+    """
 
     store: Store
-    fleet: ZenohFleet
+    fleet: Fleet
     say: Callable[[str], None]
     options: DeskOptions = field(default_factory=DeskOptions)
     data: DayData | None = None
     chooser: Chooser | None = None
     picture: Picture = field(default_factory=Picture)
+    clock: Clock = field(default_factory=WallClock)
+    day: DayDesk | None = None
+    moved_s: float = -1e9
     _sent: dict[str, float] = field(default_factory=dict)
     _again_s: dict[str, float] = field(default_factory=dict)
     _asked_log_s: dict[str, float] = field(default_factory=dict)
-    _refusals: dict[str, int] = field(default_factory=dict)
+    _seen_to: dict[tuple[str, str], int] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
     _launched_s: float = -1e9
+    _looked_s: float = -1e9
+    _stirred: bool = True
 
     def begin(self) -> None:
-        """Ask for the picture at once."""
+        """Ask for the picture at once; a launch just before a restart keeps its gap."""
+        self.moved_s = self.clock.monotonic_s()
+        if any(r.state is AssignmentState.FLYING for r in self.store.assignments(in_force=True)):
+            self._launched_s = self.moved_s
         self.fleet.ask_states(ANSWER_S)
 
     def turn(self, wait_s: float) -> None:
-        """Hear what came, then do what follows."""
+        """Hear what came, then do what follows: at once where something new was heard, else now
+        and then (a hundred vehicles tell a hundred states a second).
+        """
         self.listen(wait_s)
+        now_s = self.clock.monotonic_s()
+        if not self._stirred and now_s - self._looked_s < LOOK_S:
+            return
+        if self._stirred:
+            self.moved_s = now_s
+        self._stirred, self._looked_s = False, now_s
         for row in self.store.assignments(in_force=True):
             self._mind(row)
-        if self.options.assigns and self.chooser is not None:
+        if self.day is not None and self.day.turn(self.picture):
+            self.moved_s = now_s
+        if self.options.assigns and self.chooser is not None and self.day is None:
             self._assign(self.chooser)
         self.send_outbox()
 
@@ -89,19 +113,31 @@ class Desk:
             case Alive():
                 self._hear_alive(heard)
             case StateHeard():
-                for words in self.picture.hear(heard.state, monotonic_s(), epoch_us()):
-                    self.say(words)
+                self._hear_state(heard.state)
             case EventsHeard():
                 new = self.store.take_events(heard.events, replayed=heard.replayed)
+                for log in {event.log for event in heard.events}:
+                    self._seen_to.pop((heard.vehicle, log), None)
                 for event in new:
                     self._tell(event)
+                self._stirred = self._stirred or bool(new)
             case CommandAnswered():
                 self._hear_answer(heard)
             case Nonsense():
                 self._say_once(f"{heard.key}: not understood: {heard.reason}")
 
+    def _hear_state(self, state: State) -> None:
+        before = self.picture.of(state.vehicle).state
+        for words in self.picture.hear(state, self.clock.monotonic_s(), self.clock.epoch_us()):
+            self.say(words)
+        if before is None or _gist(before) != _gist(state):
+            self._stirred = True
+        if self.day is not None:
+            self.day.hear(state)
+
     def _hear_alive(self, heard: Alive) -> None:
         words = self.picture.alive(heard.vehicle, heard.life, up=heard.up)
+        self._stirred = True
         if words is not None:
             self.say(words)
         if not heard.up:
@@ -116,14 +152,12 @@ class Desk:
         result = heard.result
         if result is None or result.answer not in FINAL:
             why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
-            self._again_s[heard.command_id] = monotonic_s() + AGAIN_S
+            self._again_s[heard.command_id] = self.clock.monotonic_s() + AGAIN_S
             self.store.tried(heard.command_id, why)
             return
         if self.store.answered(heard.command_id, result.answer, result.reason, result.life):
             self.say(f"{result.vehicle}: {heard.command_id}: {result.answer.value} {result.reason}")
-            if ":launch" in heard.command_id and result.answer is Answered.REFUSED:
-                assignment = heard.command_id.partition(":")[0]
-                self._refusals[assignment] = self._refusals.get(assignment, 0) + 1
+            self._stirred = True
 
     def _tell(self, event: FleetEvent) -> None:
         order = f" [{event.order}]" if event.order else ""
@@ -137,14 +171,17 @@ class Desk:
 
     def _mind_logs(self) -> None:
         """Ask for the events that were missed."""
-        now_s = monotonic_s()
+        now_s = self.clock.monotonic_s()
         for seen in self.picture.vehicles.values():
             state = seen.state
             if state is None or not seen.present(now_s):
                 continue
             if now_s - self._asked_log_s.get(seen.vehicle, -1e9) < AGAIN_S:
                 continue
-            seen_to = self.store.seen_to(seen.vehicle, state.log)
+            key = (seen.vehicle, state.log)
+            if self._seen_to.get(key, -1) >= state.last_seq:
+                continue
+            seen_to = self._seen_to[key] = self.store.seen_to(*key)
             if seen_to < state.last_seq:
                 self._asked_log_s[seen.vehicle] = now_s
                 self.fleet.ask_events(seen.vehicle, seen_to, ANSWER_S)
@@ -154,14 +191,16 @@ class Desk:
     def _mind(self, row: AssignmentRow) -> None:
         """Launch what is ready; see when a launch came to nothing."""
         seen = self.picture.of(row.vehicle)
-        state, now_s = seen.state, monotonic_s()
+        state, now_s = seen.state, self.clock.monotonic_s()
         if state is None or not seen.present(now_s):
             return
+        self.moved_s = now_s  # it is being brought
         ready = state.phase == READY and state.assignment == row.id and not state.armed
         if row.state is AssignmentState.FLYING and ready and self._restarted(row, state):
             self.store.not_flying(row.id, "its companion restarted before take-off")
         elif row.state is AssignmentState.ABOARD and ready and not seen.doubts:
-            self._launch(row, now_s)
+            if self.day is None:
+                self._launch(row, now_s)
         elif row.state is AssignmentState.FLYING and self._forgotten(row, seen, state):
             self._say_once(f"{row.vehicle}: knows nothing of {row.id} any more: look at it")
 
@@ -181,7 +220,7 @@ class Desk:
         return state.assignment != row.id and told_all
 
     def _launch(self, row: AssignmentRow, now_s: float) -> None:
-        if self._refusals.get(row.id, 0) >= LAUNCHES:
+        if self.store.refused_launches(row.id) >= LAUNCHES:
             if self.store.withdraw(row.id, self.options.by):
                 self.say(f"{row.vehicle}: launch refused {LAUNCHES} times: {row.id} withdrawn")
             return
@@ -193,7 +232,7 @@ class Desk:
 
     def _assign(self, chooser: Chooser) -> None:
         held = {row.vehicle for row in self.store.assignments(in_force=True)}
-        now_s = monotonic_s()
+        now_s = self.clock.monotonic_s()
         free = [
             Free(seen.vehicle, self._charge(seen))
             for seen in sorted(self.picture.vehicles.values(), key=lambda s: s.vehicle)
@@ -208,6 +247,7 @@ class Desk:
                 choice.order.id, choice.vehicle, flight, no_fly, self.options.by
             )
             if id_ is not None:
+                self._stirred = True
                 self.say(f"{choice.vehicle}: assigned {choice.order.id} ({id_})")
 
     def _charge(self, seen: VehicleSeen) -> float | None:
@@ -222,7 +262,7 @@ class Desk:
 
     def send_outbox(self, only: set[str] | None = None) -> None:
         """Send what waits and is due; `only`: of these ids."""
-        now_s = monotonic_s()
+        now_s = self.clock.monotonic_s()
         for row in self.store.outbox():
             if only is not None and row.id not in only:
                 continue
@@ -249,3 +289,8 @@ class Desk:
             by=row.by,
             deed=row.deed,
         )
+
+
+def _gist(state: State) -> tuple[object, ...]:
+    """What of a state something may follow from at once."""
+    return (state.life, state.phase, state.assignment, state.home, state.stop, state.armed)

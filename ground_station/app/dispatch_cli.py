@@ -2,13 +2,9 @@
 
 import json
 import secrets
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.live import Live
@@ -18,19 +14,21 @@ from companion.core.errors import LeewayError
 from companion.core.messages import Answered, Recall
 from ground_station.adapters.day_files import read_day
 from ground_station.adapters.direct_line import return_to_launch
+from ground_station.adapters.plan_files import read_day_plan
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_s
 from ground_station.app.desk import Desk, DeskOptions
+from ground_station.app.open_desk import is_done, is_idle, left_over, open_desk, why_left
 from ground_station.app.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.order_cli import list_impossible, take_orders
+from ground_station.app.stopping import stop_signals
 from ground_station.app.views import report_of, report_table, watch_table
-from ground_station.core.choosing import Chooser, DispatchPlan
-from ground_station.core.orders import OrderState, Service
-from ground_station.core.picture import Picture
+from ground_station.core.truck import TRUCK
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
+ORDERS_LEFT = 3
 
 app = typer.Typer()
 
@@ -42,7 +40,10 @@ def dispatch(
     zenoh: ZenohFile = None,
     plan: Annotated[
         Path | None,
-        typer.Option(help="A dispatch-plan/1 JSON file; default: nearest feasible first."),
+        typer.Option(
+            help="A day-plan/1 JSON file (ground-station plan): drones from a truck; default: from"
+            " the depot, nearest feasible first."
+        ),
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
     launch: Annotated[bool, typer.Option(help="Authorise what is aboard and ready.")] = True,
@@ -50,34 +51,67 @@ def dispatch(
         float, typer.Option(min=0.0, help="Seconds between two launches at the depot.")
     ] = 20.0,
     until_done: Annotated[
-        bool, typer.Option("--until-done", help="End when no order is open or under way.")
+        bool,
+        typer.Option(
+            "--until-done", help="End when nothing is left to do; exit code 3: orders are left."
+        ),
     ] = False,
+    idle: Annotated[
+        float,
+        typer.Option(min=1.0, help="With --until-done: end, too, when nothing moved for so long."),
+    ] = 300.0,
 ) -> None:
     """Run the day: watch the fleet, assign, launch, keep everything. Ctrl-C stops the desk only:
     what flies flies on, and the same command carries on where it was.
 
-    ground-station dispatch params/days/harbour.toml --store sqlite:///desk.db
+    ground-station dispatch params/days/town.toml --plan plan.json --store sqlite:///desk.db
     """
     data = read_day(day)
-    chosen = None if plan is None else _read_plan(plan)
-    chooser = Chooser(data.day, data.airframes, chosen)
+    chosen = None if plan is None else read_day_plan(plan)
     opened = open_store(store)
     try:
         take_orders(opened, data.orders)
-        impossible = set(list_impossible(data))
-        fleet = ZenohFleet(data.day.fleet, zenoh)
+        impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
         options = DeskOptions(assigns=assign, launches=launch, launch_gap_s=launch_gap)
-        desk = Desk(opened, fleet, _say, options, data, chooser, Picture(data.airframes))
-        desk.begin()
-        typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops the desk")
+        fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
-            with _stop_signals() as stopped:
-                while not stopped and not (until_done and _is_done(opened, impossible)):
-                    desk.turn(TURN_S)
+            desk = open_desk(data, chosen, opened, fleet, _say, options)
+            typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
+            through = _run(desk, impossible, idle if until_done else None)
         finally:
             fleet.close()
+        if through:
+            _end(desk)
     finally:
         opened.close()
+
+
+def _run(desk: Desk, impossible: frozenset[str], idle_s: float | None) -> bool:
+    """Turn until stopped, or (`idle_s` given) through; whether it was."""
+    desk.begin()
+    try:
+        with stop_signals() as stopped:
+            while not stopped:
+                if idle_s is not None and (is_done(desk, impossible) or is_idle(desk, idle_s)):
+                    return True
+                desk.turn(TURN_S)
+    finally:
+        if desk.day is not None:
+            desk.day.close()
+    return False
+
+
+def _end(desk: Desk) -> None:
+    """Say what is left, and end by it."""
+    left = left_over(desk)
+    if not left:
+        typer.echo("every order is delivered or cancelled")
+        return
+    table = Table("order", "state", "why", title="left")
+    for row in left:
+        table.add_row(row.order.id, row.state.value, why_left(desk, row))
+    Console().print(table)
+    raise typer.Exit(ORDERS_LEFT)
 
 
 @app.command()
@@ -104,7 +138,7 @@ def watch(
         return watch_table(desk.picture, rows, opened.orders(), monotonic_s())
 
     try:
-        with _stop_signals() as stopped:
+        with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
             with Live(view(), console=console, auto_refresh=False, transient=True) as live:
                 while not stopped and (until_s is None or monotonic_s() < until_s):
@@ -207,7 +241,7 @@ def _recall(desk: Desk, store: Store, vehicle: str | None, wait_s: float) -> set
 
 def _here(desk: Desk, vehicle: str) -> bool:
     seen = desk.picture.of(vehicle)
-    return seen.state is not None and bool(seen.lives)
+    return seen.state is not None and bool(seen.lives) and vehicle != TRUCK
 
 
 def _past_the_companion(desk: Desk, vehicle: str, url: str, silent_for_s: float) -> set[str]:
@@ -225,39 +259,7 @@ def _past_the_companion(desk: Desk, vehicle: str, url: str, silent_for_s: float)
     return {vehicle}
 
 
-def _is_done(store: Store, impossible: set[str]) -> bool:
-    return not store.outbox() and all(
-        row.state not in (OrderState.OPEN, OrderState.ASSIGNED)
-        or row.order.service is Service.TRUCK
-        or (row.state is OrderState.OPEN and row.order.id in impossible)
-        for row in store.orders()
-    )
-
-
-def _read_plan(path: Path) -> DispatchPlan:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=DispatchPlan)
-    except (OSError, msgspec.DecodeError) as error:
-        raise LeewayError(f"{path}: {error}") from error
-
-
 def _say(words: str) -> None:
     seconds = epoch_us() // 1_000_000 % 86_400
     stamp = f"{seconds // 3600:02d}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}Z"
     typer.echo(f"{stamp} {words}")
-
-
-@contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """While inside, SIGINT and SIGTERM are noted: a turn is finished, nothing is left half done."""
-    seen: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        seen.append(number)
-
-    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield seen
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.errors import LeewayError
-from ground_station.adapters.day_files import DayData, read_day, read_orders
+from ground_station.adapters.day_files import read_day, read_orders
 from ground_station.adapters.store import Store
 from ground_station.app.options import DEFAULT_STORE, StoreUrl, open_store
 from ground_station.core.choosing import Chooser
+from ground_station.core.day_data import DayData
 from ground_station.core.orders import Order, OrderState, Service
 
 app = typer.Typer(no_args_is_help=True, help="Orders in, and what has become of them.")

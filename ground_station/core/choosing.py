@@ -1,20 +1,22 @@
-"""Who flies what next: by a given plan, or the paper's rule (IV-A): the nearest customer that a
-free drone can reach at the accepted loss, to the drone that is back first.
+"""Who flies what next from the depot, by the paper's rule (IV-A): the nearest customer that a free
+drone can reach at the accepted loss, to the drone that is back first.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
 from companion.core.airframe import Airframe
 from companion.core.errors import LeewayError
+from companion.core.flight import Place
 from companion.core.flight_plan import frame_at
 from companion.core.geo import Ned, place_ned
 from companion.core.route_energy import RouteEnergy
 from ground_station.core.day import Day, Drone
+from ground_station.core.day_plan import PlannedSortie
 from ground_station.core.order_rows import place_of
 from ground_station.core.orders import (
     AssignmentRow,
@@ -28,20 +30,6 @@ from ground_station.core.reach import CanBring, CannotBring, Reach
 
 ANY_CHARGE = [0.05, 1.0]
 """The desk does not know the charge of a pack: the companion finds it out at rest."""
-
-
-class PlannedAssignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One line of a plan."""
-
-    order: str
-    vehicle: str
-
-
-class DispatchPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `dispatch-plan/1` file: who brings what, each vehicle's lines as it flies them."""
-
-    format: Literal["dispatch-plan/1"]
-    assignments: list[PlannedAssignment]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +51,8 @@ class Choice:
 class Chooser:
     """Chooses for one day. Reaches are kept: the energy model's tables take a moment to make."""
 
-    def __init__(
-        self, day: Day, airframes: Mapping[str, Airframe], plan: DispatchPlan | None = None
-    ) -> None:
+    def __init__(self, day: Day, airframes: Mapping[str, Airframe]) -> None:
         self._day = day
-        self._plan = plan
         self._frame = frame_at(day.depot.place)
         energies = {
             name: RouteEnergy(airframe, cruise_airspeed_mps=day.mission.cruise_airspeed_mps)
@@ -92,27 +77,7 @@ class Chooser:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        if self._plan is not None:
-            return self._by_plan(self._plan, waiting, assignments, free)
         return self._nearest(waiting, refused, list(free))
-
-    def _by_plan(
-        self,
-        plan: DispatchPlan,
-        waiting: list[Order],
-        assignments: list[AssignmentRow],
-        free: list[Free],
-    ) -> list[Choice]:
-        """Each vehicle's next line; its later lines wait for the earlier ones."""
-        by_id = {order.id: order for order in waiting}
-        tried = {row.order_id for row in assignments}
-        chosen: list[Choice] = []
-        for drone in free:
-            mine = [line.order for line in plan.assignments if line.vehicle == drone.vehicle]
-            following = next((id_ for id_ in mine if id_ in by_id and id_ not in tried), None)
-            if following is not None:
-                chosen.append(Choice(by_id[following], drone.vehicle))
-        return chosen
 
     def _nearest(
         self, waiting: list[Order], refused: set[tuple[str, str]], free: list[Free]
@@ -123,14 +88,21 @@ class Chooser:
                 break
             able: list[tuple[float, str, Free]] = []
             for drone in free:
-                found = self.can_bring(order, drone.vehicle, drone.charge_frac)
-                if isinstance(found, CanBring) and (order.id, drone.vehicle) not in refused:
-                    able.append((found.time_s, drone.vehicle, drone))
+                time_s = self._time_s(order, drone)
+                if time_s is not None and (order.id, drone.vehicle) not in refused:
+                    able.append((time_s, drone.vehicle, drone))
             if able:
                 _, vehicle, drone = min(able, key=lambda a: a[:2])
                 free.remove(drone)
                 chosen.append(Choice(order, vehicle))
         return chosen
+
+    def _time_s(self, order: Order, drone: Free) -> float | None:
+        """How long this drone takes to bring it; None: it cannot, as it is charged."""
+        reach = self._reach.get(drone.vehicle)
+        if reach is None:
+            return None
+        return reach.time_s(order.mass_kg, self.ground_ned(order), drone.charge_frac)
 
     def ground_ned(self, order: Order) -> Ned:
         """The ground at an order's place, NED about the depot."""
@@ -181,6 +153,27 @@ def flight_table(day: Day, drone: Drone, order: Order) -> dict[str, Any]:
         },
         "mission": _bare(day.mission),
     }
+
+
+def sortie_table(
+    day: Day, drone: Drone, order: Order, sortie: PlannedSortie, pads: Mapping[str, Place]
+) -> dict[str, Any]:
+    """A flight from a truck's stop to the stop that the truck promises; `pads`: by stop, where it
+    could land.
+    """
+    table = flight_table(day, drone, order)
+    mission = msgspec.structs.replace(
+        day.mission,
+        cruise_height_m=sortie.outbound_height_m,
+        return_height_m=sortie.return_height_m,
+    )
+    stops = [msgspec.structs.replace(place, name=stop) for stop, place in pads.items()]
+    site = table["site"] | {
+        "depot": _bare(msgspec.structs.replace(pads[sortie.launch], name="pad")),
+        "stops": _bare(stops),
+        "home": sortie.home,
+    }
+    return table | {"site": site, "mission": _bare(mission)}
 
 
 def _bare(value: Any) -> Any:

@@ -51,16 +51,31 @@ class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where no road matrix is given, the truck drives straight lines, `detour_factor` longer."""
+    """Where no road matrix is given, the truck drives straight lines, `detour_factor` longer.
+
+    `deliver_s`, `launch_s` and `recover_s` are the driver's, one thing at a time: a parcel to the
+    door, a drone with its parcel onto its pad, a drone aboard again with a fresh pack (the last two
+    as Murray and Raj have them, Transportation Research C 110, 2020). `ready_s`: from then on until
+    it takes off, without the driver: it finds its position, takes its mission and checks it.
+    `capacity_kg` is all that rides on the truck: the drones' parcels too.
+    """
 
     speed_mps: float = 8.0
     detour_factor: float = 1.3
     capacity_kg: float = 800.0
+    deliver_s: float = 90.0
+    launch_s: float = 60.0
+    recover_s: float = 30.0
+    ready_s: float = 60.0
 
     def __post_init__(self) -> None:
         check_range("truck.speed_mps", self.speed_mps, 0.5, 40.0)
         check_range("truck.detour_factor", self.detour_factor, 1.0, 5.0)
         check_range("truck.capacity_kg", self.capacity_kg, 0.0, 40_000.0)
+        check_range("truck.deliver_s", self.deliver_s, 1.0, 3600.0)
+        check_range("truck.launch_s", self.launch_s, 1.0, 3600.0)
+        check_range("truck.recover_s", self.recover_s, 1.0, 3600.0)
+        check_range("truck.ready_s", self.ready_s, 0.0, 3600.0)
 
 
 class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -10,7 +10,9 @@ from msgspec import Meta
 from companion.core.flight import check_range
 from companion.core.messages import Answered, Deed
 
-OrderId = Annotated[str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+OrderId = Annotated[
+    str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
+]
 
 
 class Service(Enum):
@@ -113,7 +115,6 @@ class CommandRow:
     answer: Answered | None
     reason: str
     life: str | None
-    tries: int
 
 
 def assignment_id(order: str, attempt: int) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from companion.core.airframe import Airframe
 from companion.core.messages import State
+from ground_station.core.truck import TRUCK
 
 SILENT_S = 5.0
 """States come every second: after so many are missed a vehicle is called silent."""
@@ -94,7 +95,7 @@ class Picture:
         known = self.of(state.vehicle).doubts
         found: list[str] = []
         airframe = self.airframes.get(state.airframe)
-        if self.airframes and airframe is None:
+        if self.airframes and airframe is None and state.airframe != TRUCK:
             found.append(f"airframe {state.airframe} is not in the day's fleet")
         if airframe is not None:
             found += _battery_doubts(airframe, state)

@@ -1,120 +1,254 @@
-"""Sorties priced by the energy model that the vehicles fly with, under a believed wind.
+"""Sorties priced by the energy model that the vehicles fly with, in tables: `Reach` for thousands.
 
-Each leg is charged its mean and `sigmas` times its own standard deviation from the wind's error.
-One wind error moves both legs, and the deviation of a sum is at most the sum of the deviations:
-what fits here keeps the accepted loss. Energy stands as seconds of hover without a parcel in that
-wind.
+`Reach` asks of a whole sortie whether `budget - mean - z hypot(wind, model, battery)` is left, with
+z for the accepted loss. That does not come apart into a table out and a table back, but an upper
+bound of it does: the deviation of a sum is at most the sum of the legs' deviations (Minkowski), and
+`hypot(s, c) <= c + k s` for all s that can be afforded, k the slope of the chord. What fits here
+fits there, and so keeps the accepted loss. Energy stands as seconds of hover without a parcel in
+that wind.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
-from companion.core.route_energy import Leg, LegKind, RouteEnergy
+from companion.core.flight_plan import DROP_S
+from companion.core.geo import Ned
+from companion.core.route_energy import Leg, LegKind
+from ground_station.core.reach import PAYLOAD_STEP_KG, Reach
 from ground_station.core.truck_drones.problem import Floats, Legs
+from ground_station.core.ways import Price, Ways
 
 COURSES = 360
-PROBE_M = 1000.0
-PAYLOAD_STEP_KG = 0.1
+BETWEEN_COURSES = 1.0 + 1e-4
+"""A leg is priced as the dearer of the two courses beside its own; half a degree from both, what
+rises above them is (pi / 360)^2 / 2 = 4e-5 of it, for a price that turns with the cosine."""
+SHORT_M, LONG_M = 100.0, 1100.0
+LOW_M, HIGH_M = 30.0, 90.0
 
 
 @dataclass(frozen=True, slots=True)
-class WindSortieParams:
-    """The wind as believed, what a sortie may risk, and what it does beside flying."""
+class _Line:
+    """A price that grows with a length: at none, and for each metre. Scalars, or by course."""
 
-    wind_to_ne_mps: Floats
-    wind_cov_ne_m2ps2: Floats
-    max_loss: float
-    reserve_frac: float
-    cruise_height_m: float
-    service_s: float
+    base: Price
+    per_m: Price
+
+    def at(self, metres: Floats) -> Price:
+        """The price of so many metres."""
+        grown = (b + metres * m for b, m in zip(self.base, self.per_m, strict=True))
+        return Price(*grown)
+
+    def worst_ratio(self) -> float:
+        """The largest deviation for each Wh of the mean."""
+        found = 0.0
+        for price in (self.base, self.per_m):
+            some = np.isfinite(price.wh) & (price.wh > 1e-12)
+            ratio = np.divide(price.std_wh, price.wh, where=some, out=np.zeros_like(price.wh))
+            found = max(found, float(ratio.max(initial=0.0)))
+        return found
 
 
 @dataclass(frozen=True, slots=True)
 class _Rates:
-    """By course: seconds and Wh a metre, the latter with its margin; and for going up and down."""
+    """Prices of one payload: cruise by course, up, down to the drop, to the ground, waiting."""
 
-    s_per_m: Floats
-    wh_per_m: Floats
-    vertical_s: float
-    vertical_wh: float
+    cruise: _Line
+    climb: _Line
+    descend: _Line
+    land: _Line
+    settle: Price
+    drop: Price
+
+    def worst_ratio(self) -> float:
+        """The largest deviation for each Wh of the mean, over all."""
+        lines = (self.cruise, self.climb, self.descend, self.land)
+        return max(line.worst_ratio() for line in lines)
 
 
 class WindSorties:
-    """`SortieModel` over places in metres (north, east); one RouteEnergy and pack a kind."""
+    """`SortieModel` over places (NED about the depot, of the ground); one `Reach` a kind."""
 
     def __init__(
         self,
-        ne_m: Floats,
+        ned_m: Floats,
         payload_kg: Floats,
-        kinds: Sequence[tuple[RouteEnergy, float, float]],
-        params: WindSortieParams,
+        height_m: Floats,
+        reaches: Sequence[Reach],
+        ways: Ways,
+        beside_m: float = 0.0,
     ) -> None:
-        """`kinds`: energy model, usable Wh and its standard deviation."""
-        self._ne_m, self._payload_kg = ne_m, payload_kg
-        self._kinds, self._params = kinds, params
-        self._sigmas = float(ndtri(1.0 - params.max_loss))
+        """`height_m`: above the depot, of the flight to each place. `beside_m`: how far pads may
+        be from the stops; each cruise is priced as that much longer.
+        """
+        self._ned_m, self._height_m, self._reaches = ned_m, height_m, reaches
+        self._steps = np.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9).astype(np.int64)
+        self._ways, self._beside_m = ways, beside_m
 
     def legs(self, drone_kind: int) -> Legs:
         """Times and energies of this kind of drone between all places."""
-        energy, usable_wh, usable_std_wh = self._kinds[drone_kind]
-        wind_mps = float(np.hypot(*self._params.wind_to_ne_mps))
-        hover_wh_per_s = energy.power_w(0.0, wind_mps) / 3600.0
-        away_m = self._ne_m[None, :, :] - self._ne_m[:, None, :]
-        # Not 0, for an impossible course times no way is no number.
-        length_m = np.maximum(np.hypot(away_m[..., 0], away_m[..., 1]), 1e-6)
-        turn = np.arctan2(away_m[..., 1], away_m[..., 0]) / (2.0 * np.pi) * COURSES
-        course = np.rint(turn).astype(np.int64) % COURSES
-        out_s, out_wh = np.empty_like(length_m), np.empty_like(length_m)
-        steps = np.ceil(self._payload_kg / PAYLOAD_STEP_KG - 1e-9).astype(np.int64)
-        for step in np.unique(steps).tolist():
-            rates = self._rates(energy, step * PAYLOAD_STEP_KG)
-            to = steps == step
-            out_s[:, to] = rates.vertical_s + (length_m * rates.s_per_m[course])[:, to]
-            out_wh[:, to] = rates.vertical_wh + (length_m * rates.wh_per_m[course])[:, to]
-        empty = self._rates(energy, 0.0)
-        back_wh = empty.vertical_wh + length_m * empty.wh_per_m[course]
-        sure_wh = usable_wh * (1.0 - self._params.reserve_frac) - self._sigmas * usable_std_wh
+        reach = self._reaches[drone_kind]
+        steps = np.unique(self._steps).tolist()
+        rates = {step: _rates(reach, step * PAYLOAD_STEP_KG) for step in {0, *steps}}
+        budgets = {step: reach.budget_wh(step * PAYLOAD_STEP_KG) for step in rates}
+        slope = _chord_slope(reach, list(rates.values()), list(budgets.values()))
+        weight = reach.sigmas * slope
+        count = len(self._ned_m)
+        out_s, out_wh = np.empty((count, count)), np.empty((count, count))
+        sure_wh = {step: wh - reach.sigmas * std for step, (wh, std) in budgets.items()}
+        for step in steps:
+            to = self._steps == step
+            out = self._out(rates[step])
+            out_s[:, to] = out.s[:, to]
+            less_wh = max(0.0, sure_wh[0] - sure_wh[step])
+            out_wh[:, to] = (out.wh + weight * out.std_wh)[:, to] + less_wh
+        back = self._back(rates[0])
+        hover = rates[0].settle
+        hover_wh_per_s = float((hover.wh + weight * hover.std_wh) / hover.s)
         return Legs(
-            out_s=out_s + self._params.service_s,
-            back_s=empty.vertical_s + length_m * empty.s_per_m[course],
+            out_s=out_s,
+            back_s=back.s,
             out_hover_s=out_wh / hover_wh_per_s,
-            back_hover_s=back_wh / hover_wh_per_s,
-            endurance_hover_s=max(0.0, sure_wh / hover_wh_per_s),
+            back_hover_s=(back.wh + weight * back.std_wh) / hover_wh_per_s,
+            endurance_hover_s=max(0.0, sure_wh[0] / hover_wh_per_s),
         )
 
-    def _rates(self, energy: RouteEnergy, payload_kg: float) -> _Rates:
-        params = self._params
-        top = (0.0, 0.0, -params.cruise_height_m)
-        angles = np.arange(COURSES) * (2.0 * np.pi / COURSES)
-        ends = [
-            (PROBE_M * float(np.cos(angle)), PROBE_M * float(np.sin(angle)), top[2])
-            for angle in angles
+    def _out(self, rates: _Rates) -> Price:
+        """From each place (row), with the parcel, to each place (column) and its drop."""
+        up_m = -self._ned_m[:, 2]
+        rise_m = np.maximum(self._height_m[None, :] - up_m[:, None], 0.0)
+        mission = self._reaches[0].mission
+        sink_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[None, :]
+        verticals = rates.climb.at(rise_m).plus(rates.descend.at(sink_m))
+        waits = rates.settle.plus(rates.drop)
+        return self._ways.priced(self._cruise(rates)).plus(verticals).plus(waits)
+
+    def _back(self, rates: _Rates) -> Price:
+        """From each place's drop (row) to the ground at each place (column)."""
+        up_m = -self._ned_m[:, 2]
+        mission = self._reaches[0].mission
+        rise_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[:, None]
+        sink_m = np.maximum(self._height_m[:, None] - up_m[None, :], 0.0)
+        verticals = rates.climb.at(rise_m).plus(rates.land.at(sink_m))
+        return self._ways.priced(self._cruise(rates)).plus(verticals)
+
+    def _cruise(self, rates: _Rates):
+        def price_of(a_ne_m: Floats, b_ne_m: Floats) -> Price:
+            away = b_ne_m[None, :, :] - a_ne_m[:, None, :2]
+            # Not 0, for an impossible course times no way is no number.
+            length_m = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6) + self._beside_m
+            turn = np.arctan2(away[..., 1], away[..., 0]) / (2.0 * np.pi) * COURSES
+            below = np.floor(turn).astype(np.int64) % COURSES
+            sides = [
+                _by_course(rates.cruise, side % COURSES, length_m) for side in (below, below + 1)
+            ]
+            return Price(*(np.maximum(a, b) * BETWEEN_COURSES for a, b in zip(*sides, strict=True)))
+
+        return price_of
+
+
+def _by_course(cruise: _Line, course: np.ndarray, length_m: Floats) -> Price:
+    return Price(
+        *(b[course] + length_m * m[course] for b, m in zip(cruise.base, cruise.per_m, strict=True))
+    )
+
+
+def _chord_slope(reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]) -> float:
+    """k of `hypot(s, c) <= c + k s` for every deviation s that the budget can pay for.
+
+    Where mean + z s <= budget and s <= r mean, s <= budget / (z + 1 / r).
+    """
+    ratio = max(rate.worst_ratio() for rate in rates)
+    most_wh = max(budget for budget, _ in budgets)
+    most_std_wh = max(most_wh, 1e-9) / (reach.sigmas + 1.0 / max(ratio, 1e-9))
+    least_battery_wh = min(std for _, std in budgets)
+    return (math.hypot(most_std_wh, least_battery_wh) - least_battery_wh) / most_std_wh
+
+
+def _rates(reach: Reach, payload_kg: float) -> _Rates:
+    ground, low, high = (0.0, 0.0, 0.0), (0.0, 0.0, -LOW_M), (0.0, 0.0, -HIGH_M)
+    before = Leg(LegKind.HOVER, low, low, payload_kg)
+    after = Leg(LegKind.CRUISE, (-LONG_M, 0.0, -LOW_M), low, payload_kg)
+    after_high = Leg(LegKind.CRUISE, (-LONG_M, 0.0, -HIGH_M), high, payload_kg)
+    angles = np.arange(COURSES) * (2.0 * np.pi / COURSES)
+
+    def cruises(length_m: float) -> list[Leg]:
+        return [Leg(LegKind.CRUISE, low, _beyond(length_m, angle), payload_kg) for angle in angles]
+
+    def vertical(kind: LegKind, first: Leg | None, second: Leg | None) -> _Line:
+        up = kind is LegKind.CLIMB
+        legs = [
+            Leg(kind, ground, top, payload_kg) if up else Leg(kind, top, ground, payload_kg)
+            for top in (low, high)
         ]
-        probes = tuple(Leg(LegKind.CRUISE, top, end, payload_kg) for end in ends)
-        cruise_s, cruise_wh = self._priced(energy, probes)
-        ups = (
-            Leg(LegKind.CLIMB, (0.0, 0.0, 0.0), top, payload_kg),
-            Leg(LegKind.LAND, top, (0.0, 0.0, 0.0), payload_kg),
-        )
-        vertical_s, vertical_wh = self._priced(energy, ups)
-        return _Rates(
-            cruise_s / PROBE_M,
-            cruise_wh / PROBE_M,
-            float(vertical_s.sum()),
-            float(vertical_wh.sum()),
-        )
+        line = _line(reach, legs[:1], legs[1:], [first], [second], LOW_M, HIGH_M)
+        return _Line(_first(line.base), _first(line.per_m))
 
-    def _priced(self, energy: RouteEnergy, legs: tuple[Leg, ...]) -> tuple[Floats, Floats]:
-        """Time, and energy with its margin, of each leg by itself; inf where no way is made."""
-        params = self._params
-        compiled = energy.compile(legs, (None,) * len(legs))
-        costs = energy.costs(compiled, params.wind_to_ne_mps[None, :])
-        gradient = energy.gradient_wh_per_mps(compiled, params.wind_to_ne_mps)
-        std_wh = np.sqrt(
-            np.maximum(np.einsum("li,ij,lj->l", gradient, params.wind_cov_ne_m2ps2, gradient), 0.0)
-        )
-        sure_wh = np.where(costs.feasible[0], costs.energy_wh[0] + self._sigmas * std_wh, np.inf)
-        return costs.time_s[0], sure_wh
+    def wait(seconds: float) -> Price:
+        leg = Leg(LegKind.HOVER, low, low, payload_kg, duration_s=seconds)
+        means, gradient = _priced(reach, [leg], [None])
+        return _first(_with_std(reach, means, gradient))
+
+    sides = [[before] * COURSES] * 2
+    return _Rates(
+        cruise=_line(reach, cruises(SHORT_M), cruises(LONG_M), *sides, SHORT_M, LONG_M),
+        climb=vertical(LegKind.CLIMB, None, None),
+        descend=vertical(LegKind.DESCEND, after, after_high),
+        land=vertical(LegKind.LAND, after, after_high),
+        settle=wait(reach.settle_s),
+        drop=wait(DROP_S),
+    )
+
+
+def _beyond(length_m: float, angle: float) -> Ned:
+    return length_m * float(np.cos(angle)), length_m * float(np.sin(angle)), -LOW_M
+
+
+def _first(price: Price) -> Price:
+    return Price(*(table[0] for table in price))
+
+
+def _line(
+    reach: Reach,
+    short: list[Leg],
+    long: list[Leg],
+    before_short: Sequence[Leg | None],
+    before_long: Sequence[Leg | None],
+    short_m: float,
+    long_m: float,
+) -> _Line:
+    """Through the prices of the same legs at two lengths."""
+    (s, wh), gradient = _priced(reach, short, before_short)
+    (far_s, far_wh), far_gradient = _priced(reach, long, before_long)
+    over_m = long_m - short_m
+    rise_s = (far_s - s) / over_m
+    possible = np.isfinite(wh) & np.isfinite(far_wh)  # else the price at no metre is infinite
+    rise_wh = np.subtract(far_wh, wh, where=possible, out=np.zeros_like(wh)) / over_m
+    rise_gradient = (far_gradient - gradient) / over_m
+    base = (s - short_m * rise_s, wh - short_m * rise_wh)
+    return _Line(
+        _with_std(reach, base, gradient - short_m * rise_gradient),
+        _with_std(reach, (rise_s, rise_wh), rise_gradient),
+    )
+
+
+def _priced(
+    reach: Reach, legs: Sequence[Leg], before: Sequence[Leg | None]
+) -> tuple[tuple[Floats, Floats], Floats]:
+    """Time and mean energy of each leg, and the latter's gradient to the wind."""
+    compiled = reach.energy.compile(tuple(legs), tuple(before))
+    costs = reach.energy.costs(compiled, reach.wind_to_ne_mps[None, :])
+    wh = np.where(costs.feasible[0], costs.energy_wh[0], np.inf)
+    return (costs.time_s[0], wh), reach.energy.gradient_wh_per_mps(compiled, reach.wind_to_ne_mps)
+
+
+def _with_std(reach: Reach, means: tuple[Floats, Floats], gradient: Floats) -> Price:
+    """With the deviation that the wind's error and the power model's make."""
+    s, wh = means
+    wind = np.einsum("li,ij,lj->l", gradient, reach.wind_cov_ne_m2ps2, gradient)
+    model_wh = reach.airframe.power_rotor.model_std_frac * np.abs(wh)
+    impossible = ~np.isfinite(wh)
+    std_wh = np.hypot(np.sqrt(np.maximum(wind, 0.0)), np.where(impossible, 0.0, model_wh))
+    return Price(s, np.where(impossible, np.inf, wh), std_wh)

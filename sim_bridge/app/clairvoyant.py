@@ -7,10 +7,11 @@ descent, drop, climb, return, landing. It lands at whichever declared site leave
 of simulated turbulence and the moments of turning are left out.
 """
 
+import copy
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.steady_flight import SteadyFlight
@@ -153,12 +154,14 @@ class WayBack:
 class Itinerary:
     """What is to be flown. Heights are above the depot; `hover_s` is spent at the drop.
 
-    `ways_back` are alternatives; each starts over the customer.
+    The way back is flown at `return_height_m`. `ways_back` are alternatives; each starts over the
+    customer.
     """
 
     out_ne_m: list[Ne]
     ways_back: list[WayBack]
     cruise_height_m: float
+    return_height_m: float
     drop_up_m: float
     settle_s: float
     hover_s: float
@@ -185,27 +188,37 @@ def foresee(
     itinerary: Itinerary, means: Means, new_battery: Callable[[], Battery], start_s: float
 ) -> Foresight:
     """Integrate the whole mission from take-off at `start_s`, by the best of the ways back."""
-    ends = [_end(itinerary, way, means, new_battery(), start_s) for way in itinerary.ways_back]
+    flyer = _Flyer(means.flight, new_battery(), means.wind_at, start_s, means.payload_kg)
+    if not _deliver(itinerary, flyer):
+        left_wh = flyer.battery.usable_wh(means.reference_draw_w) - means.reserve_wh
+        return Foresight(False, left_wh, flyer.t_s - start_s)
+    ends = [
+        _end(itinerary, way, means, replace(flyer, battery=copy.deepcopy(flyer.battery)), start_s)
+        for way in itinerary.ways_back
+    ]
     return max(ends, key=lambda end: (end.home, end.margin_wh))
 
 
-def _end(
-    plan: Itinerary, way: WayBack, means: Means, battery: Battery, start_s: float
-) -> Foresight:
-    flyer = _Flyer(means.flight, battery, means.wind_at, start_s, means.payload_kg)
+def _deliver(plan: Itinerary, flyer: _Flyer) -> bool:
+    """From take-off to over the customer, the parcel gone; False where it does not get there."""
     flyer.to_height(plan.cruise_height_m, plan.takeoff_mps)
     flyer.hover(plan.settle_s)
-    flown = _fly(flyer, plan.out_ne_m, plan.speeds)
+    if not _fly(flyer, plan.out_ne_m, plan.speeds):
+        return False
     flyer.to_height(plan.drop_up_m, plan.descent_mps)
     flyer.hover(plan.hover_s)
     flyer.payload_kg = 0.0
-    flyer.to_height(plan.cruise_height_m, plan.climb_mps)
-    flown = flown and _fly(flyer, way.path_ne_m, plan.speeds)
-    slow_from_m = min(way.ground_up_m + plan.slow_below_m, plan.cruise_height_m)
+    flyer.to_height(plan.return_height_m, plan.climb_mps)
+    return not flyer.battery.cut_off
+
+
+def _end(plan: Itinerary, way: WayBack, means: Means, flyer: _Flyer, start_s: float) -> Foresight:
+    flown = _fly(flyer, way.path_ne_m, plan.speeds)
+    slow_from_m = min(way.ground_up_m + plan.slow_below_m, plan.return_height_m)
     flyer.to_height(slow_from_m, plan.descent_mps)
     flyer.to_height(way.ground_up_m, plan.landing_mps)
-    margin_wh = battery.usable_wh(means.reference_draw_w) - means.reserve_wh
-    home = flown and not battery.cut_off and margin_wh >= 0.0
+    margin_wh = flyer.battery.usable_wh(means.reference_draw_w) - means.reserve_wh
+    home = flown and not flyer.battery.cut_off and margin_wh >= 0.0
     return Foresight(home, margin_wh, flyer.t_s - start_s)
 
 

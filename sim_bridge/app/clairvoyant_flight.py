@@ -45,8 +45,9 @@ def foresee_flight(
     steady = SteadyFlight(truth_airframe)
     itinerary = Itinerary(
         out_ne_m=[(0.0, 0.0), *out],
-        ways_back=_ways_back(plan, customer),
+        ways_back=ways_back(plan, customer),
         cruise_height_m=mission.cruise_height_m,
+        return_height_m=mission.return_height_m or mission.cruise_height_m,
         drop_up_m=craft.terrain.up_m(*customer) + mission.drop_height_m,
         settle_s=mission.wind_settle_s,
         hover_s=float(plan.get("drop_s", DROP_S)),
@@ -90,12 +91,14 @@ def _route(craft: Craft, airframe: Airframe, obstacles: dict[str, Any] | None) -
     return {} if isinstance(flown, NoRoute) else plan_row(flown)
 
 
-def _ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:
-    """The way to the depot, and to each rally point from each waypoint that sees it."""
+def ways_back(plan: dict[str, Any], customer: Ne) -> list[WayBack]:
+    """The way to the depot, or the promised stop, and to each landing site that may be chosen from
+    each waypoint that sees it: rally points, and a stop that home was moved to.
+    """
     back = [customer, *(_ne(p) for p in plan.get("return_ned_m", []))]
     if len(back) == 1:
         return [WayBack([customer, (0.0, 0.0)], 0.0)]
-    ways = [WayBack(back, 0.0)]
+    ways = [WayBack(back, -float(plan["home_ned_m"][2]))]
     for rally in plan.get("rally", []):
         ground = rally["ground_ned_m"]
         leaves = [index + 1 for index in rally["from_return"]]

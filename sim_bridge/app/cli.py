@@ -17,6 +17,7 @@ from sim_bridge.app import (
     avoid_cli,
     campaign_cli,
     conform_cli,
+    day_cli,
     experiments_cli,
     plan_flight_cli,
     promise_cli,
@@ -277,6 +278,7 @@ app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
 app.registered_commands += avoid_cli.app.registered_commands
 app.registered_commands += train_cli.app.registered_commands
+app.registered_commands += day_cli.app.registered_commands
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ COMMANDING = {  # what changes the flight; telemetry and questions do not
 }
 MAV_RESULT_FAILED = 4
 ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
-LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about the depot, above it
+LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about home; above the depot
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
@@ -169,12 +169,38 @@ class Craft:
             return "down"
         truth = record.rows[-1]
         away_m = math.hypot(truth[1], truth[2])
+        home_m = math.dist((truth[1], truth[2]), self.home_ne_m)
         customer = place_ne_m(self.flight.site.customer, self.depot)
         if truth[-1] == 0.0:
-            return "landing" if away_m < LANDING_M and -truth[3] < LANDING_HEIGHT_M else "return"
+            return "landing" if home_m < LANDING_M and -truth[3] < LANDING_HEIGHT_M else "return"
         if math.dist((truth[1], truth[2]), customer) < 15.0:
             return "drop"
         return "outbound" if away_m > 30.0 else "climb"
+
+    @property
+    def home(self) -> str | None:
+        """The stop that the truck stays bound to, `None` without one: home is the launch pad.
+
+        A promise is void once the vehicle told the ground station that it ends elsewhere.
+        """
+        site = self.flight.site
+        told = self.operator.home in {stop.name for stop in site.stops}
+        return self.operator.home if told else site.home
+
+    @property
+    def home_ne_m(self) -> tuple[float, float]:
+        """That place, north and east of the launch pad."""
+        return (0.0, 0.0) if self.home is None else self.stop_ne_m(self.home)
+
+    def stop_ne_m(self, name: str) -> tuple[float, float]:
+        """Where a stop's pad is, north and east of the launch pad."""
+        stops = {stop.name: stop for stop in self.flight.site.stops}
+        return place_ne_m(stops[name], self.depot)
+
+    def ask_home(self, name: str) -> None:
+        """The ground station asks for another stop to land at."""
+        lat_rad, lon_rad, _ = frame_at(self.depot).to_geodetic((*self.stop_ne_m(name), 0.0))
+        self.operator.wants_home(math.degrees(lat_rad), math.degrees(lon_rad))
 
     @property
     def finished(self) -> bool:

@@ -32,7 +32,8 @@ from companion.core.situation import Situation
 from companion.core.topics import VehicleKeys
 from ground_station.adapters.database import Database
 from ground_station.adapters.store import Store
-from ground_station.adapters.zenoh_fleet import CommandAnswered, StateHeard, ZenohFleet
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet import CommandAnswered, StateHeard
 from ground_station.core.orders import Order
 
 FLEET = "bench"

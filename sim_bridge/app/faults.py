@@ -93,6 +93,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.refused |= JUMPS
         case "arming_refused":
             craft.refused |= ARMING
+        case "home_moves":
+            craft.ask_home(fault.to)
 
 
 def _end(fault: Fault, craft: Craft) -> None:

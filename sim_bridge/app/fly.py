@@ -311,7 +311,7 @@ def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str
     reserve_wh = _reserve_wh(craft, truth_airframe)
     result = craft.companion.result()
     np.save(craft.run_dir / "truth.npy", np.asarray(craft.record.rows, float))
-    homes = [(0.0, 0.0), *(place_ne_m(place, craft.depot) for place in site.rally)]
+    homes = [craft.home_ne_m, *(place_ne_m(place, craft.depot) for place in site.rally)]
     customer = place_ne_m(site.customer, craft.depot)
     verdict = judge(
         craft.record,
@@ -381,7 +381,8 @@ def _draw(
 ) -> None:
     site = craft.flight.site
     places = {"depot": (0.0, 0.0)}
-    for name, place in [("customer", site.customer)] + [(p.name or "rally", p) for p in site.rally]:
+    shown = [("customer", site.customer), *((p.name or "rally", p) for p in site.rally)]
+    for name, place in [*shown, *((stop.name, stop) for stop in site.stops)]:
         north, east = place_ne_m(place, craft.depot)
         places[name] = (east, north)
     obstacles = read_obstacles(craft.flight, options.flight_file, craft.depot)

@@ -28,6 +28,7 @@ FaultKind = Literal[
     "clock_jump",
     "jumps_refused",
     "arming_refused",
+    "home_moves",
 ]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
@@ -35,7 +36,8 @@ Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One thing that goes wrong: `at_s` after take-off, or `at_s` into a phase of the flight.
 
-    A clock jumps `by_s` (back where it is negative).
+    A clock jumps `by_s` (back where it is negative). A home moves to the stop `to`: its operator
+    asks for it, until it is taken.
     """
 
     kind: FaultKind
@@ -43,6 +45,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     phase: Phase | None = None
     duration_s: float = 0.0
     by_s: float = 0.0
+    to: str = ""
     restart: bool = True
     vehicle: int = 1
 
@@ -88,6 +91,11 @@ def _start_range(log: WindLog, need_s: float) -> tuple[float, float]:
 def read_faults(flight: Flight, where: Path) -> list[Fault]:
     """The flight file's faults in order of their time."""
     faults = [_convert(f, Fault, f"{where}: faults[{k}]") for k, f in enumerate(flight.faults)]
+    stops = [stop.name for stop in flight.site.stops]
+    for number, fault in enumerate(faults):
+        if fault.kind == "home_moves" and fault.to not in stops:
+            key = f"faults[{number}].to = {fault.to!r}"
+            raise LeewayError(f"{where}: {key}: expected the name of one of site.stops")
     return sorted(faults, key=lambda f: f.at_s)
 
 

@@ -128,6 +128,26 @@ class Vehicle:
         """Height above the ground below."""
         return -self._body.down_m - self._terrain.up_m(self._body.north_m, self._body.east_m)
 
+    @property
+    def pos_ned_m(self) -> Vec3:
+        """Where it is: as in `truth`, without the rest."""
+        return self._body.north_m, self._body.east_m, self._body.down_m
+
+    @property
+    def is_airborne(self) -> bool:
+        """As `Truth.airborne`."""
+        return not self._touching
+
+    @property
+    def is_crashed(self) -> bool:
+        """As `Truth.crashed`."""
+        return self._crashed
+
+    @property
+    def parcel_aboard(self) -> bool:
+        """As `Truth.parcel_aboard`."""
+        return self._payload_kg > 0.0
+
     def fail_motors(self) -> None:
         """Take the motors away, for good."""
         self._motors_failed = True

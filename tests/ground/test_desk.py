@@ -15,7 +15,7 @@ from ground_station.adapters.day_files import read_day
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
 from ground_station.app.desk import LAUNCHES, Desk, DeskOptions
-from ground_station.core.choosing import Chooser, DispatchPlan, Free, PlannedAssignment
+from ground_station.core.choosing import Chooser, Free
 from ground_station.core.orders import AssignmentState, OrderState
 from ground_station.core.picture import Picture
 from tests.ground.zenoh_net import FLEET, Vehicle, config_file, free_port
@@ -277,14 +277,3 @@ def test_the_nearest_customers_go_first_one_to_each_free_drone(tmp_path):
 def test_an_almost_empty_drone_is_given_nothing_that_it_cannot_bring(tmp_path):
     chooser = Chooser(DAY.day, DAY.airframes)
     assert chooser.choose(rows(tmp_path), [], [Free("d1", 0.17)]) == []
-
-
-def test_a_plan_is_followed_line_by_line(tmp_path):
-    lines = [("H-106", "d2"), ("H-103", "d1"), ("H-101", "d2")]
-    plan = DispatchPlan(
-        format="dispatch-plan/1",
-        assignments=[PlannedAssignment(order=o, vehicle=v) for o, v in lines],
-    )
-    chooser = Chooser(DAY.day, DAY.airframes, plan)
-    chosen = chooser.choose(rows(tmp_path), [], [Free("d1", None), Free("d2", None)])
-    assert [(c.order.id, c.vehicle) for c in chosen] == [("H-103", "d1"), ("H-106", "d2")]

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from companion.adapters.event_log import BATCH, KEPT, LEAP, SLACK, EventLog
-from companion.adapters.zenoh_link import Ask, Asked
-from companion.app import fleet_port
+from companion.app import fleet_member, fleet_port
 from companion.app.standby import write_mission
 from companion.core.command_book import Verdict
 from companion.core.errors import LeewayError
+from companion.core.fleet_link import Ask, Asked
 from companion.core.messages import (
     Answered,
     Assign,
@@ -65,7 +65,7 @@ def test_on_a_full_disk_nothing_is_launched_but_a_recall_is_taken(port, monkeypa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as disk:
-        disk.setattr(fleet_port, "write_whole", full)
+        disk.setattr(fleet_member, "write_whole", full)
         launch = ask(port, Launch(assignment="a1"))
         assert (launch.answer, launch.reason) == (
             Answered.LATER,

@@ -8,15 +8,14 @@ import pytest
 
 from companion.core.command_book import Verdict
 from companion.core.messages import Answered, Command, Deed, EventKind, Launch, Recall
-from ground_station.adapters.zenoh_fleet import (
+from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
+from ground_station.core.fleet import (
     Alive,
     CommandAnswered,
     EventsHeard,
     Heard,
     Nonsense,
     StateHeard,
-    ZenohFleet,
-    monotonic_s,
 )
 from tests.ground.zenoh_net import FLEET, Vehicle, config_file, free_port
 

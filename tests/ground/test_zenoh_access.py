@@ -17,14 +17,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from companion.core.messages import Answered, Command, Recall, encode
-from ground_station.adapters.zenoh_fleet import (
-    Alive,
-    CommandAnswered,
-    Heard,
-    StateHeard,
-    ZenohFleet,
-    monotonic_s,
-)
+from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
+from ground_station.core.fleet import Alive, CommandAnswered, Heard, StateHeard
 from tests.ground.zenoh_net import FLEET, Vehicle, free_port
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "zenoh"

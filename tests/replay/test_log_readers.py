@@ -4,13 +4,13 @@ The files come from writers of the tests' own (conftest.py), the truth from the 
 """
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from companion.adapters.decision_log import DecisionLog
-from companion.adapters.mcap_log import HeardRows
+from companion.adapters.mcap_log import HEARD, HeardRows
 from companion.adapters.open_log import open_log
 from companion.core.airborne import airborne
 from companion.core.errors import LeewayError
@@ -24,6 +24,7 @@ from companion.core.events import (
     GroundState,
     Mode,
     Position,
+    Throttle,
     Tick,
     VehicleState,
 )
@@ -100,6 +101,7 @@ def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path)
         Battery(1.1, voltage_v=22.5, current_a=None, remaining_frac=0.8),
         Airspeed(1.1, 12.5),
         AutopilotWind(1.2, -4.0, 3.0, None),
+        Throttle(1.2, 0.41),
         Attitude(1.2, 0.2, -0.05, 3.0),
     ]
     for event in told:
@@ -109,6 +111,12 @@ def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path)
     assert rows.new(now) == []  # nothing new, nothing written
     log.close()
     assert sorted(open_log(tmp_path / "d.mcap").events, key=repr) == sorted(told, key=repr)
+
+
+def test_our_mcap_keeps_all_that_the_situation_is_made_of():
+    """What is left out lets the companion command or not; a replay commands nothing."""
+    parts = {field.name for field in fields(Situation) if not field.name.startswith("_")}
+    assert parts - set(HEARD) == {"t_s", "estimator", "readiness"}
 
 
 def test_an_mcap_that_was_cut_off_gives_what_came_before(tmp_path):
@@ -182,7 +190,7 @@ def test_ardupilot_wind_on_the_stream_is_not_believed_without_its_parameter(writ
         ("dataflash", {"says": "ArduPlane V4.5.7 (abcdef01)"}, "fixed wing"),
         ("tlog", {"vehicle": 1}, "fixed wing"),
         ("ulog", {"parameters": {"MAV_TYPE": 22}}, "VTOL"),
-        ("tlog", {"vehicle": 10, "px4": False}, "ground rover"),
+        ("tlog", {"vehicle": 10, "px4": False}, "rover"),
         ("tlog", {"vehicle": 13}, "multirotor"),
     ],
 )

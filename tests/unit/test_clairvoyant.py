@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from sim_bridge.app.clairvoyant import Itinerary, Means, SpeedLimits, WayBack, foresee
+from sim_bridge.app.clairvoyant_flight import ways_back
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
@@ -18,6 +19,7 @@ PLAN = {
     "out_ne_m": [(0.0, 0.0), CUSTOMER],
     "ways_back": [HOME],
     "cruise_height_m": 40.0,
+    "return_height_m": 40.0,
     "drop_up_m": 10.0,
     "settle_s": 10.0,
     "hover_s": 12.0,
@@ -103,3 +105,26 @@ def test_a_pack_that_cuts_off_on_the_way_is_not_home() -> None:
     end = flown(calm, charge_frac=0.15)
     assert not end.home
     assert math.isfinite(end.margin_wh)
+
+
+def test_a_way_back_in_a_higher_layer_costs_its_climb_and_its_longer_descent():
+    higher = used_wh(flown(calm, return_height_m=52.0)) - used_wh(flown(calm))
+    # 12 m more: 4 s of climb at 3 m/s, 6 s of descent at 2 m/s, both empty.
+    empty = lambda climb: STEADY.state(0.0, payload_kg=0.0, climb_mps=climb).power_w  # noqa: E731
+    assert higher == pytest.approx((4.0 * empty(3.0) + 6.0 * empty(-2.0)) / 3600.0, abs=0.05)
+
+
+def test_the_clairvoyant_lands_at_the_promised_stop_and_not_where_it_took_off():
+    row = {
+        "return_ned_m": [(0.0, 400.0, -40.0), (30.0, 250.0, -40.0)],
+        "home_ned_m": (30.0, 250.0, -1.5),
+        "rally": [],
+    }
+    (way,) = ways_back(row, CUSTOMER)
+    assert way == WayBack([CUSTOMER, (0.0, 400.0), (30.0, 250.0)], 1.5)
+    # 600 m back to the launch pad, 353 m to the stop, at no less than the best of still air.
+    saved = (600.0 - 200.0 - math.hypot(30.0, 150.0)) * min(
+        STEADY.state(v, payload_kg=0.0).power_w / v for v in range(4, 19)
+    )
+    nearer = used_wh(flown(calm)) - used_wh(flown(calm, ways_back=[way]))
+    assert nearer == pytest.approx(saved / 3600.0, abs=0.3)

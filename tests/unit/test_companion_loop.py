@@ -12,7 +12,6 @@ import pytest
 from companion.adapters.files import digest_of, read_airframe, read_flight, read_wind_process
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
 from companion.adapters.mavlink_link import Incoming
-from companion.app import loop as loop_module
 from companion.app import run as run_module
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
@@ -197,7 +196,7 @@ def test_when_late_it_hears_everything_before_it_decides_and_orders_again(statio
         assert sum(m.get_type() == "TIMESYNC" for m in said) == 20
 
 
-def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station, monkeypatch):
+def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station):
     station.identify()
     station.wire.waiting = lambda: 1_000_000
     ticks = []
@@ -207,7 +206,7 @@ def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station, mo
         take(event),
     )[1]
     now = [100.0]
-    monkeypatch.setattr(loop_module, "wall_s", lambda: now[0])
+    station.loop.wall_clock_s = lambda: now[0]
     for k in range(100):
         now[0] += 0.1
         station.put(mavlink.MAVLink_attitude_message(100 * k, 0, 0, 0, 0, 0, 0))
@@ -305,7 +304,7 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
 
     station.pilot.handle = broken  # type: ignore[method-assign]
     station.put(*station.telemetry(1000), station.sync(1.0))
-    assert run_module._fly(station.loop, station.recorder, station.pilot) == BROKEN
+    assert run_module._fly(run_module.Run(station.loop, station.recorder, station.pilot)) == BROKEN
     log = (tmp_path / "companion.log").read_text()
     assert "boom" in log
     assert "Traceback" in log

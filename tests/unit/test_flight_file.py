@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.core.errors import LeewayError
-from companion.core.flight import Flight
+from companion.core.flight import Flight, Place
 from sim_bridge.app.scenario import read_faults, read_wind
 
 FLIGHTS = sorted((Path(__file__).parents[2] / "params" / "flights").glob("*.toml"))
@@ -94,3 +94,12 @@ def test_a_recording_is_started_where_the_seed_says_and_fits_the_mission(tmp_pat
 def test_an_unknown_fault_is_refused_with_its_index():
     with pytest.raises(LeewayError, match=r"faults\[1\]"):
         read_faults(flight(faults=[{"kind": "gnss_lost"}, {"kind": "gremlins"}]), Path("f.toml"))
+
+
+def test_a_home_that_moves_to_no_stop_of_the_flight_is_refused_with_its_index():
+    stop = {"name": "stop-2", "east_m": 300.0, "north_m": 0.0}
+    faults = [{"kind": "home_moves", "to": "stop-2"}, {"kind": "home_moves", "to": "stop-9"}]
+    table = flight(faults=faults)
+    site = msgspec.structs.replace(table.site, stops=[msgspec.convert(stop, Place)])
+    with pytest.raises(LeewayError, match=r"faults\[1\].to = 'stop-9': expected the name of one"):
+        read_faults(msgspec.structs.replace(table, site=site), Path("f.toml"))

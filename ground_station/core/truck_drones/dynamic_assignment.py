@@ -26,11 +26,10 @@ from ground_station.core.truck_drones.tables import (
     Plan,
     Tables,
     Work,
-    empty_plan,
     tables_of,
     work_for,
 )
-from ground_station.core.truck_drones.tour import first_tour
+from ground_station.core.truck_drones.tour import truck_alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +50,7 @@ class _Tour:
     def __init__(self, problem: TruckAndDrones, tables: Tables) -> None:
         self._problem, self._tables = problem, tables
         self._work: Work = work_for(tables)
-        by_truck = [j for j in range(1, problem.end) if problem.truck_can_serve[j]]
-        self._plan = empty_plan(problem.nodes)
-        route = first_tour(tables, by_truck)
-        self._plan[ROUTE, : len(route)] = route
+        self._plan = truck_alone(problem, tables)
         self._unserved = set(range(1, problem.end))
         self._promised: set[int] = set()
         self._met_at: list[tuple[int, int]] = []

@@ -43,7 +43,11 @@ def remove_stop(plan, place, node, chance):
     at, last = place[node], place[plan.shape[1] - 1]
     before, after = plan[ROUTE, at - 1], plan[ROUTE, at + 1]
     for customer in range(1, plan.shape[1] - 1):
-        if plan[LAUNCH, customer] == node:
+        if plan[LAUNCH, customer] == node and plan[MEET, customer] == node:
+            beside = after if below(chance, 2) == 0 else before
+            plan[LAUNCH, customer] = beside
+            plan[MEET, customer] = beside
+        elif plan[LAUNCH, customer] == node:
             onward = plan[MEET, customer] != after and below(chance, 2) == 0
             plan[LAUNCH, customer] = after if onward else before
         elif plan[MEET, customer] == node:
@@ -87,6 +91,14 @@ def reverse_stops(plan, place, first, last):
 
 
 @compiled
+def _other_end(node, end):
+    """The same node on a day that is driven the other way round."""
+    if node == 0:
+        return end
+    return 0 if node == end else node
+
+
+@compiled
 def reverse_day(plan, place):
     """Drive the whole tour, and fly every sortie, the other way round."""
     end = plan.shape[1] - 1
@@ -98,8 +110,8 @@ def reverse_day(plan, place):
     for customer in range(1, end):
         launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
         if launch != NOWHERE:
-            plan[LAUNCH, customer] = 0 if meet == end else meet
-            plan[MEET, customer] = end if launch == 0 else launch
+            plan[LAUNCH, customer] = _other_end(meet, end)
+            plan[MEET, customer] = _other_end(launch, end)
     index_route(plan, place)
 
 

@@ -17,9 +17,8 @@ from ground_station.core.truck_drones.tables import (
     Plan,
     Tables,
     Work,
-    empty_plan,
 )
-from ground_station.core.truck_drones.tour import first_tour
+from ground_station.core.truck_drones.tour import truck_alone
 
 AHEAD = 6
 """How many stops after its launch a drone is met at the latest, at first."""
@@ -30,10 +29,7 @@ def first_plan(problem: TruckAndDrones, tables: Tables, work: Work) -> Plan:
     lost = problem.unreachable()
     if lost:
         raise LeewayError(f"customers {lost}: no truck and no drone can serve them")
-    by_truck = [j for j in range(1, problem.end) if problem.truck_can_serve[j]]
-    plan = empty_plan(problem.nodes)
-    route = first_tour(tables, by_truck)
-    plan[ROUTE, : len(route)] = route
+    plan = truck_alone(problem, tables)
     place = np.zeros(problem.nodes, dtype=np.int32)
     index_route(plan, place)
     for customer in range(1, problem.end):
@@ -65,7 +61,7 @@ def hand_to_drone(t, w, plan, place, customer, give_up_s, reach):
             continue
         plan[KIND, customer] = kind
         for launch in range(max(0, at - reach), min(last - 1, at + reach) + 1):
-            for meet in range(launch + 1, min(last, launch + AHEAD) + 1):
+            for meet in range(launch + (0 if t.pads else 1), min(last, launch + AHEAD) + 1):
                 plan[LAUNCH, customer] = plan[ROUTE, launch]
                 plan[MEET, customer] = plan[ROUTE, meet]
                 cost_s = simulate(t, plan, w, best_s)

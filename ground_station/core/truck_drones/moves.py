@@ -89,7 +89,7 @@ def put_on_drone(t, plan, place, customer, chance):
     drawn, also = uniform(chance), uniform(chance)
     launch = max(0, at - int(drawn * drawn * REACH))
     meet = min(last, at + int(also * also * REACH))
-    if launch == meet:
+    if launch == meet and not t.pads:
         if meet < last and (launch == 0 or below(chance, 2) == 0):
             meet += 1
         else:
@@ -132,7 +132,9 @@ def retime(t, plan, place, chance):
         meet += by
     if what == 3:
         plan[KIND, customer] = any_kind(t, customer, chance)
-    if launch < 0 or meet > place[plan.shape[1] - 1] or launch >= meet:
+    if launch < 0 or meet > place[plan.shape[1] - 1] or launch > meet:
+        return False
+    if launch == meet and not t.pads:
         return False
     plan[LAUNCH, customer] = plan[ROUTE, launch]
     plan[MEET, customer] = plan[ROUTE, meet]

@@ -50,11 +50,20 @@ class DroneKind:
     recover_s: float
     can_serve: Flags
     """By node: parcel light enough, service of a kind that a drone can give."""
+    from_s: float = 0.0
+    """Before this none of them can be launched: still in the air, or its pack is being swapped."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruckAndDrones:
-    """The whole problem. `travel_s` is directed; `deliver_s` is 0 where nobody is served."""
+    """The whole problem. `travel_s` is directed; `deliver_s` is 0 where nobody is served.
+
+    `pads`: each drone has a pad of its own at each stop. It may be met where it was launched, lands
+    by itself, `lead_s` after the truck has come or later, and waits on the ground. Without (the
+    published mFSTSP) it is met at a later stop and hovers until the driver takes it.
+    `hold_s`: the truck does not leave the first node before. `release_s`, by customer: the driver
+    does not begin to launch its drone before (a launch slot).
+    """
 
     travel_s: Floats
     deliver_s: Floats
@@ -62,6 +71,10 @@ class TruckAndDrones:
     legs: tuple[Legs, ...]
     truck_can_serve: Flags
     """By node; a customer that no road reaches must be served by a drone."""
+    pads: bool = False
+    lead_s: float = 0.0
+    hold_s: float = 0.0
+    release_s: Floats | None = None
 
     def __post_init__(self) -> None:
         nodes = self.nodes

@@ -10,6 +10,7 @@ from ground_station.core.truck_drones.tables import (
     ARRIVE,
     DELIVERED,
     DEPART,
+    FLY,
     KIND,
     LAUNCH,
     LAUNCHED,
@@ -68,6 +69,39 @@ class Schedule:
     def truck_route(self) -> tuple[int, ...]:
         """The nodes in the order of the truck."""
         return tuple(stop.node for stop in self.stops)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTimes:
+    """When one customer's drone flies: off its pad, down again, taken aboard by the driver."""
+
+    customer: int
+    kind: int
+    launch: int
+    meet: int
+    launched_s: float
+    landed_s: float
+    met_s: float
+
+
+def flights_of(problem: TruckAndDrones, plan: Plan) -> tuple[tuple[Stop, ...], list[FlightTimes]]:
+    """The truck's stops, and the flights in order of launch."""
+    tables = tables_of(problem)
+    work = work_for(tables)
+    if simulate(tables, plan, work, IMPOSSIBLE) == IMPOSSIBLE:
+        raise LeewayError("truck and drones: a plan that cannot be carried out")
+    found: list[FlightTimes] = []
+    for customer in range(1, problem.end):
+        if plan[LAUNCH, customer] == NOWHERE:
+            continue
+        launched_s, fly_s, met_s = (
+            float(work.times_s[row, customer]) for row in (LAUNCHED, FLY, MET)
+        )
+        kind, launch, meet = (int(plan[row, customer]) for row in (KIND, LAUNCH, MEET))
+        flight = FlightTimes(customer, kind, launch, meet, launched_s, launched_s + fly_s, met_s)
+        found.append(flight)
+    found.sort(key=lambda flight: (flight.launched_s, flight.customer))
+    return _stops(plan, work, problem.end), found
 
 
 def schedule_of(problem: TruckAndDrones, plan: Plan) -> Schedule:

@@ -5,7 +5,8 @@ the launch that is met again first; else a recovery; else the truck's own delive
 that is marked LATE; and waits where nothing can be done, or nothing that ends before a drone comes
 that is marked AT_ONCE. A drone that would hover too long before it is met is launched later by as
 much (which costs nothing where the truck waits on the way), and the pass goes on from there: with
-the order of launches and recoveries thus given, these are the earliest times.
+the order of launches and recoveries thus given, these are the earliest times. Where drones have
+pads of their own, the same is done with one that would land before the truck has come.
 """
 
 import math
@@ -43,6 +44,8 @@ MOST_PUSHES = 3
 """How often one launch is put off before the plan counts as impossible."""
 
 IMPOSSIBLE = math.inf
+ON_THE_GROUND_S = 1e7
+"""How long a drone that has landed can wait: for ever, as days go."""
 
 
 @compiled
@@ -50,21 +53,24 @@ def _index_sorties(t, plan, whole, times_s):
     """Sorties by node, and their flight and spare times; False where one cannot be."""
     launch_s, recover_s, out_s, back_s = t.launch_s, t.recover_s, t.out_s, t.back_s
     out_hover_s, back_hover_s, endurance_s = t.out_hover_s, t.back_hover_s, t.endurance_hover_s
+    release_s, from_s = t.release_s, t.from_s
     for customer in range(1, plan.shape[1] - 1):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
         meet, kind = plan[MEET, customer], plan[KIND, customer]
-        if whole[PLACE, launch] < 0 or whole[PLACE, meet] <= whole[PLACE, launch]:
+        if whole[PLACE, launch] < 0 or whole[PLACE, meet] < whole[PLACE, launch]:
+            return False
+        if launch == meet and not t.pads:
             return False
         spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
             kind, customer, meet
         ]
         if not spare_s >= 0.0:
             return False
-        times_s[SPARE, customer] = spare_s
+        times_s[SPARE, customer] = ON_THE_GROUND_S if t.pads else spare_s
         times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, meet]
-        times_s[RELEASE, customer] = 0.0
+        times_s[RELEASE, customer] = max(release_s[customer], from_s[kind])
         whole[PUSHES, customer] = 0
         whole[NEXT_LAUNCH, customer] = whole[FIRST_LAUNCH, launch]
         whole[FIRST_LAUNCH, launch] = customer
@@ -101,25 +107,25 @@ def index_plan(t, plan, whole, times_s):
 
 
 @compiled
-def _mark_pending(whole, node):
-    """All sorties of this node are still to be launched (1) and met (2) here."""
+def _mark_pending(plan, whole, node):
+    """All sorties of this node are still to be launched (1) and met (2) here; loops first 1."""
     customer = whole[FIRST_LAUNCH, node]
     while customer >= 0:
         whole[PENDING, customer] = 1
         customer = whole[NEXT_LAUNCH, customer]
     customer = whole[FIRST_MEET, node]
     while customer >= 0:
-        whole[PENDING, customer] = 2
+        if plan[LAUNCH, customer] != node:
+            whole[PENDING, customer] = 2
         customer = whole[NEXT_MEET, customer]
 
 
 @compiled
-def _put_off(plan, whole, times_s, launch_s, customer, met_s):
-    """Launch this drone later, so that met at `met_s` it has not hovered too long; may we?"""
+def _put_off(plan, whole, times_s, launch_s, customer, launched_s):
+    """Launch this drone later; may we?"""
     whole[PUSHES, customer] += 1
     if whole[PUSHES, customer] > MOST_PUSHES:
         return False
-    launched_s = met_s - times_s[FLY, customer] - times_s[SPARE, customer]
     times_s[RELEASE, customer] = launched_s - launch_s[plan[KIND, customer]]
     return True
 
@@ -183,10 +189,22 @@ def _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
 
 
 @compiled
+def _too_early(whole, times_s, node, from_s):
+    """A drone that would land at this node before `from_s`, or NOWHERE."""
+    customer = whole[FIRST_MEET, node]
+    while customer >= 0:
+        landed_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
+        if whole[PENDING, customer] == 2 and landed_s < from_s - EPSILON_S:
+            return customer
+        customer = whole[NEXT_MEET, customer]
+    return NOWHERE
+
+
+@compiled
 def _stop_here(plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
     """Do all that is to do at this place. (departure, place to go on from; -1: impossible)."""
     node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
-    _mark_pending(whole, node)
+    _mark_pending(plan, whole, node)
     deliver = deliver_s > 0.0
     while True:
         launch, launch_later_s, launches = _launch_to_do(plan, whole, times_s, aboard, node, now_s)
@@ -216,10 +234,11 @@ def _stop_here(plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at)
         if launch >= 0:
             times_s[LAUNCHED, launch] = now_s + lasts_s
             aboard[plan[KIND, launch]] -= 1
-            whole[PENDING, launch] = 0
+            whole[PENDING, launch] = 2 if plan[MEET, launch] == node else 0
         elif meet >= 0:
             if now_s > deadline_s + EPSILON_S:
-                if not _put_off(plan, whole, times_s, launch_s, meet, now_s):
+                launched_s = now_s - times_s[FLY, meet] - times_s[SPARE, meet]
+                if not _put_off(plan, whole, times_s, launch_s, meet, launched_s):
                     return IMPOSSIBLE, -1
                 return now_s, whole[PLACE, plan[LAUNCH, meet]]
             times_s[MET, meet] = now_s
@@ -250,12 +269,24 @@ def simulate(t, plan, w, give_up_s):
         for kind in range(len(aboard)):
             aboard[kind] = free[at, kind]
         node = plan[ROUTE, at]
+        if t.pads:
+            _mark_pending(plan, whole, node)
+            landed_s = times_s[ARRIVE, at] + t.lead_s
+            early = _too_early(whole, times_s, node, landed_s)
+            if early >= 0:
+                launched_s = landed_s - times_s[FLY, early]
+                if not _put_off(plan, whole, times_s, launch_s, early, launched_s):
+                    return IMPOSSIBLE
+                at = whole[PLACE, plan[LAUNCH, early]]
+                continue
         depart_s, go_on = _stop_here(
             plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
         )
         if go_on < 0:
             return IMPOSSIBLE
         if go_on > at:
+            if at == 0:
+                depart_s = max(depart_s, t.hold_s)
             times_s[DEPART, at] = depart_s
             if go_on < places:
                 times_s[ARRIVE, go_on] = depart_s + travel_s[node, plan[ROUTE, go_on]]

@@ -40,6 +40,11 @@ class Tables(NamedTuple):
     endurance_hover_s: NDArray[np.float64]
     near: NDArray[np.int32]
     """By node, the other nodes, nearest by road first; as many as moves ever look at."""
+    from_s: NDArray[np.float64]
+    release_s: NDArray[np.float64]
+    hold_s: float
+    pads: bool
+    lead_s: float
 
 
 class Work(NamedTuple):
@@ -88,6 +93,11 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         back_hover_s=np.stack([of.back_hover_s for of in legs]),
         endurance_hover_s=np.array([of.endurance_hover_s for of in legs]),
         near=np.ascontiguousarray(near, dtype=np.int32),
+        from_s=np.array([kind.from_s for kind in kinds]),
+        release_s=np.zeros(problem.nodes) if problem.release_s is None else problem.release_s,
+        hold_s=problem.hold_s,
+        pads=problem.pads,
+        lead_s=problem.lead_s,
     )
 
 

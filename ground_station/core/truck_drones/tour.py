@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.tables import Tables
+from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.tables import ROUTE, Plan, Tables, empty_plan
 
 GAIN_S = 1e-6
 
@@ -25,6 +26,15 @@ def first_tour(tables: Tables, customers: list[int]) -> NDArray[np.int32]:
     route = np.array([*tour, end], dtype=np.int32)
     improve_tour(tables.travel_s, tables.near, route)
     return route
+
+
+def truck_alone(problem: TruckAndDrones, tables: Tables) -> Plan:
+    """The truck serves whom it can on a short tour; nobody else is served."""
+    by_truck = [j for j in range(1, problem.end) if problem.truck_can_serve[j]]
+    plan = empty_plan(problem.nodes)
+    route = first_tour(tables, by_truck)
+    plan[ROUTE, : len(route)] = route
+    return plan
 
 
 @compiled

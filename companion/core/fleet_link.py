@@ -1,0 +1,51 @@
+"""What a member of the fleet needs of a network: zenoh, or a bus within one process."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+
+class Ask(Enum):
+    """What somebody on the network wants of the vehicle."""
+
+    COMMAND = "command"
+    EVENTS = "events"
+    TWIN = "twin"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A command's bytes, the events after a number, or notice that another life bears our name.
+
+    `answer` sends replies, and no more after the first call.
+    """
+
+    ask: Ask
+    answer: Callable[[list[bytes]], None]
+    payload: bytes = b""
+    after: int = 0
+
+
+class MemberLink(Protocol):
+    """One life of one member. Its liveliness token is there until `close`; nothing here blocks."""
+
+    def asked(self) -> list[Asked]:
+        """Everything that waits."""
+        ...
+
+    def be_woken(self, wake: Callable[[], None]) -> None:
+        """Who waits now, and is to be woken when something is asked."""
+        ...
+
+    def publish_state(self, raw: bytes) -> None:
+        """Tell the newest state; who asks later gets it too."""
+        ...
+
+    def publish_event(self, raw: bytes) -> None:
+        """Tell an event, if anybody listens."""
+        ...
+
+    def close(self) -> None:
+        """Say what is left to say, and leave."""
+        ...

@@ -1,0 +1,256 @@
+"""From the day's data and where it stands to a day plan: who brings what, from where, and when."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from companion.core.errors import LeewayError
+from companion.core.flight import Place
+from companion.core.geo import Ned, place_ned
+from ground_station.core.airspace import Airspace
+from ground_station.core.day_data import DEPOT, DayData
+from ground_station.core.day_forward import Drive, Driven
+from ground_station.core.day_nodes import DayNodes, day_nodes, without
+from ground_station.core.day_pads import StopPads, ring_radius_m
+from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
+from ground_station.core.day_slots import Slot, SlotFinder
+from ground_station.core.day_state import DayState
+from ground_station.core.day_unplanned import beyond_capacity, beyond_reach, no_slot
+from ground_station.core.orders import Order
+from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
+from ground_station.core.truck_drones.edits import index_route, insert_stop
+from ground_station.core.truck_drones.search import (
+    Search,
+    SearchParams,
+    default_rounds,
+    default_trials,
+)
+from ground_station.core.truck_drones.tables import LAUNCH, MEET, NOWHERE, Plan
+
+PolicyName = Literal["search", "dynamic"]
+Tell = Callable[[float, float], None]
+"""Called now and then with the share of the search that is done, and the makespan so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanParams:
+    """`search`, or the paper's `dynamic` assignment. `trials` None: by the number of orders."""
+
+    policy: PolicyName = "search"
+    trials: int | None = None
+    seed: int = 0
+
+
+def plan_day(
+    data: DayData,
+    start: DayState,
+    params: PlanParams = PlanParams(),
+    tell: Tell = lambda done_frac, best_s: None,
+) -> DayPlan:
+    """The plan that goes on from `start`; what is promised there stays as it is."""
+    return _DayPlanner(data, start, params, tell).planned()
+
+
+class _DayPlanner:
+    """One plan in the making."""
+
+    def __init__(self, data: DayData, start: DayState, params: PlanParams, tell: Tell) -> None:
+        self._data, self._start, self._params, self._tell = data, start, params, tell
+        self._airspace = Airspace(data)
+        self._here = start.stops[-1]
+        self._t0_s = self._here.arrive_s
+        self._unplanned: list[Unplanned] = []
+        self._trials = 0
+
+    def planned(self) -> DayPlan:
+        nodes = self._nodes()
+        plan = self._searched(nodes)
+        while True:
+            driven = self._drive(nodes).driven(plan)
+            if not driven.lost:
+                return self._day_plan(nodes, driven)
+            customer = driven.lost[0]
+            if not _by_truck(nodes, plan, customer):
+                order = nodes.orders[customer - 1]
+                self._unplanned.append(no_slot(order))
+                nodes = without(nodes, {order.id})
+                plan = self._searched(nodes)
+
+    def _nodes(self) -> DayNodes:
+        by_id = {order.id: order for order in self._data.orders}
+        orders = [by_id[id_] for id_ in self._start.open]
+        full = beyond_capacity(orders, self._data.day.truck.capacity_kg - self._aboard_kg(by_id))
+        left = {line.order for line in full}
+        nodes = day_nodes(
+            self._data,
+            [order for order in orders if order.id not in left],
+            place_ned(self._airspace.frame, self._here.place),
+            self._here_name(),
+            {id_: max(0.0, at - self._t0_s) for id_, at in self._start.free_from_s.items()},
+            self._hold_s(),
+            ring_radius_m(),
+        )
+        far = beyond_reach(nodes)
+        self._unplanned += [*full, *far]
+        return without(nodes, {line.order for line in far}) if far else nodes
+
+    def _aboard_kg(self, by_id: dict[str, Order]) -> float:
+        """What is promised to be brought already."""
+        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
+        ids += [sortie.order for sortie in self._start.flying]
+        return sum(by_id[id_].mass_kg for id_ in ids if id_ in by_id)
+
+    def _here_name(self) -> str:
+        return self._here.serves[0] if self._here.serves else DEPOT
+
+    def _hold_s(self) -> float:
+        """Until when the truck stays where the new plan begins: all that it promised there."""
+        recover_s = self._data.day.truck.recover_s
+        lands_s = [s.land_s + recover_s for s in self._start.flying if s.home == self._here.id]
+        until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
+        return until_s - self._t0_s
+
+    def _searched(self, nodes: DayNodes) -> Plan:
+        params, problem = self._params, nodes.problem
+        rng = np.random.default_rng(params.seed)
+        if params.policy == "dynamic":
+            return DynamicAssignment().plan(problem, rng)
+        search_params = SearchParams()
+        search = Search(problem, rng, search_params)
+        trials = params.trials or default_trials(problem.customers)
+        rounds = default_rounds(problem.customers)
+        self._trials = trials
+        done = 0
+        for _ in range(rounds if problem.customers else 0):
+            of_round = 0
+            for_round = max(1, trials // rounds)
+            while of_round < for_round:
+                now = min(search_params.step_trials, for_round - of_round)
+                search.step(now, of_round / for_round, (of_round + now) / for_round)
+                of_round += now
+                done += now
+                self._tell(min(1.0, done / trials), search.best_s)
+        return search.best
+
+    def _drive(self, nodes: DayNodes) -> Drive:
+        stops = {stop.id: stop for stop in self._start.stops}
+        standing = [self._airspace.filled(sortie, stops) for sortie in self._start.flying]
+        pads = {
+            drone: place_ned(self._airspace.frame, place)
+            for drone, place in self._here.pads.items()
+        }
+        ready_s = self._data.day.truck.ready_s
+        finder = SlotFinder(nodes, self._t0_s, pads)
+        return Drive(nodes, finder, standing, self._t0_s, ready_s)
+
+    def _day_plan(self, nodes: DayNodes, driven: Driven) -> DayPlan:
+        start, params = self._start, self._params
+        ids = self._stop_ids(driven)
+        stops = [*start.stops[:-1]]
+        for number, stop in enumerate(driven.stops):
+            order = nodes.orders[stop.node - 1] if 0 < stop.node <= len(nodes.orders) else None
+            fresh = PlannedStop(
+                id=ids[stop.node],
+                place=self._place(ids[stop.node], nodes.ned(stop.node)),
+                arrive_s=self._t0_s + stop.arrive_s,
+                depart_s=self._t0_s + stop.depart_s,
+                serves=[order.id] if order else [],
+                pads=self._pads(ids[stop.node], driven.pads[stop.node]),
+            )
+            if number == 0:
+                pads = {**fresh.pads, **self._here.pads}
+                fresh = PlannedStop(
+                    id=self._here.id,
+                    place=self._here.place,
+                    arrive_s=self._here.arrive_s,
+                    depart_s=fresh.depart_s,
+                    serves=self._here.serves,
+                    pads=pads,
+                )
+            stops.append(fresh)
+        sorties = [self._sortie(nodes, slot, ids) for slot in driven.slots]
+        return DayPlan(
+            format="day-plan/1",
+            day=self._data.day.name,
+            policy=params.policy,
+            seed=params.seed,
+            trials=self._trials,
+            makespan_s=stops[-1].depart_s,
+            stops=stops,
+            sorties=[*start.flying, *sorties],
+            unplanned=self._unplanned,
+            revision=start.revision,
+        )
+
+    def _stop_ids(self, driven: Driven) -> dict[int, str]:
+        """A stop's name stays its own through the day: later revisions use names of their own."""
+        prefix = f"r{self._start.revision}-" if self._start.revision else ""
+        nodes = [stop.node for stop in driven.stops]
+        ids = {node: f"{prefix}stop-{number}" for number, node in enumerate(nodes)}
+        return ids | {nodes[0]: self._here.id, nodes[-1]: f"{prefix}depot-end"}
+
+    def _pads(self, stop_id: str, pads: StopPads) -> dict[str, Place]:
+        return {drone: self._place(stop_id, ned) for drone, ned in sorted(pads.of.items())}
+
+    def _place(self, name: str, ned_m: Ned) -> Place:
+        lat_rad, lon_rad, alt_amsl_m = self._airspace.frame.to_geodetic(ned_m)
+        return Place(
+            name=name,
+            lat_deg=round(math.degrees(lat_rad), 7),
+            lon_deg=round(math.degrees(lon_rad), 7),
+            alt_amsl_m=round(alt_amsl_m, 2),
+        )
+
+    def _sortie(self, nodes: DayNodes, slot: Slot, ids: dict[int, str]) -> PlannedSortie:
+        wish = slot.wish
+        order = nodes.orders[wish.customer - 1]
+        reach = nodes.classes[wish.kind].reach
+        height_m = slot.filled.high_m
+        out = nodes.ways.via(wish.launch, wish.customer)
+        back = nodes.ways.via(wish.customer, wish.meet)
+        here, there = slot.from_pad_ned_m, slot.to_pad_ned_m
+        customer = nodes.ned(wish.customer)
+        need = reach.need(order.mass_kg, here, customer, there, height_m, out, back)
+        usable_wh, battery_std_wh = reach.budget_wh(order.mass_kg)
+        sure_wh = need.mean_wh + reach.sigmas * math.hypot(need.std_wh, battery_std_wh)
+        above_pad_m = round(height_m + here[2], 2)
+        return PlannedSortie(
+            order=order.id,
+            vehicle=slot.drone,
+            launch=ids[wish.launch],
+            home=ids[wish.meet],
+            launch_s=self._t0_s + slot.launched_s,
+            land_s=self._t0_s + slot.landed_s,
+            outbound_height_m=above_pad_m,
+            return_height_m=above_pad_m,
+            energy_wh=need.mean_wh,
+            sure_wh=sure_wh,
+            usable_wh=usable_wh,
+        )
+
+
+def _by_truck(nodes: DayNodes, plan: Plan, customer: int) -> bool:
+    """Let the truck bring a customer whose sortie found no slot, where it may."""
+    if not nodes.problem.truck_can_serve[customer]:
+        return False
+    place = np.zeros(nodes.problem.nodes, dtype=np.int32)
+    index_route(plan, place)
+    meet = int(plan[MEET, customer])
+    plan[LAUNCH, customer] = plan[MEET, customer] = NOWHERE
+    insert_stop(plan, place, customer, max(1, int(place[meet])))
+    return True
+
+
+def check_state(data: DayData, start: DayState) -> None:
+    """Raise LeewayError where a state does not hold together."""
+    known = {order.id for order in data.orders}
+    stops = {stop.id for stop in start.stops}
+    unknown = sorted(set(start.open) - known)
+    if unknown:
+        raise LeewayError(f"open orders {', '.join(unknown)}: not in the day's orders")
+    for sortie in start.flying:
+        if sortie.home not in stops:
+            raise LeewayError(f"{sortie.vehicle}: its home {sortie.home} is no promised stop")

@@ -1,0 +1,168 @@
+"""A pad, a drone and a layer for each launch: apart from everybody who is in the air.
+
+Of the drones that are aboard the one whose pads lie on the way; of the layers the lowest in which
+the sortie is apart from all others in the air, and for which the energy is there.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from companion.core.geo import Ned
+from ground_station.core.day_nodes import DayNodes, layer_height_m
+from ground_station.core.day_pads import StopPads, pad_places
+from ground_station.core.reach import Need
+from ground_station.core.separation import LAYER_GAP_M, Filled, Near, near
+
+Points = tuple[tuple[float, float], ...]
+
+TOP_M = 120.0
+"""Above the ground: EU 2019/947, UAS.OPEN.010, and the same in 14 CFR 107.51 (400 ft)."""
+LEAST_ROOM_M = 10.0
+"""Of a layer above pads and customers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A sortie as the search wants it."""
+
+    customer: int
+    kind: int
+    launch: int
+    meet: int
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One sortie with all that it was given; times from the truck's arrival at the start."""
+
+    wish: Wish
+    drone: str
+    from_pad_ned_m: Ned
+    to_pad_ned_m: Ned
+    launched_s: float
+    landed_s: float
+    filled: Filled
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """Who is in the way in the layer that is free first; None: no layer has the energy or room."""
+
+    until_s: float | None
+
+
+class SlotFinder:
+    """Finds slots over one problem; what it has worked out is kept."""
+
+    def __init__(self, nodes: DayNodes, t0_s: float, start_pads: dict[str, Ned]) -> None:
+        """`t0_s`: when the truck is at the start, in the day's time."""
+        self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
+        self._cruise_m = nodes.classes[0].reach.mission.cruise_height_m
+        self._near: dict[tuple[Points, Points, Points, Points], Near] = {}
+        self._needs: dict[tuple[Wish, Ned, Ned, int], Need | None] = {}
+        self._places: dict[int, list[Ned]] = {}
+
+    def pads_at(self, node: int, *, first: bool) -> StopPads:
+        """An empty set of pads for a stop; at the start with those that are promised already."""
+        ned = self._nodes.ned(node)
+        if node not in self._places:
+            self._places[node] = pad_places(ned, self._nodes.obstacles)
+        return StopPads(ned, self._places[node], dict(self._start_pads) if first else {})
+
+    def find(
+        self,
+        wish: Wish,
+        launched_s: float,
+        drones: list[str],
+        pads: dict[int, StopPads],
+        in_air: list[Filled],
+    ) -> Slot | Blocked:
+        """A slot for a launch now, beside these; pads are given only where it is found."""
+        crew = self._crew(wish, drones, pads)
+        if crew is None:
+            return Blocked(None)
+        drone, here, there = crew
+        until_s: float | None = None
+        for layer, need in self._layers(wish, here, there):
+            filled = self._filled(wish, drone, here, there, layer, launched_s, need)
+            blocking = [other for other in in_air if self._clash(filled, other)]
+            if not blocking:
+                pads[wish.launch].of[drone] = here
+                pads[wish.meet].of[drone] = there
+                landed_s = launched_s + need.time_s
+                return Slot(wish, drone, here, there, launched_s, landed_s, filled)
+            free_s = max(other.to_s for other in blocking)
+            until_s = free_s if until_s is None else min(until_s, free_s)
+        return Blocked(until_s)
+
+    def _crew(
+        self, wish: Wish, drones: list[str], pads: dict[int, StopPads]
+    ) -> tuple[str, Ned, Ned] | None:
+        ned = self._nodes.ned(wish.customer)
+        able: list[tuple[float, str, Ned, Ned]] = []
+        for drone in drones:
+            here = pads[wish.launch].best(drone, ned)
+            there = here if wish.meet == wish.launch else pads[wish.meet].best(drone, ned)
+            if here is not None and there is not None:
+                able.append((here[0] + there[0], drone, here[1], there[1]))
+        return min(able)[1:] if able else None
+
+    def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[tuple[int, Need]]:
+        """Layers with the room and the energy for this sortie, upwards."""
+        grounds_m = [-p[2] for p in (here, self._nodes.ned(wish.customer), there)]
+        count = int((TOP_M + min(grounds_m) - self._cruise_m) // LAYER_GAP_M) + 1
+        for layer in range(count):
+            if layer_height_m(self._cruise_m, layer) - max(grounds_m) >= LEAST_ROOM_M:
+                need = self._need(wish, here, there, layer)
+                if need is not None:
+                    yield layer, need
+
+    def _need(self, wish: Wish, here: Ned, there: Ned, layer: int) -> Need | None:
+        """What it takes in this layer; None where that is more than there is."""
+        key = (wish, here, there, layer)
+        if key not in self._needs:
+            nodes = self._nodes
+            reach = nodes.classes[wish.kind].reach
+            self._needs[key] = reach.affordable(
+                nodes.orders[wish.customer - 1].mass_kg,
+                here,
+                nodes.ned(wish.customer),
+                there,
+                layer_height_m(self._cruise_m, layer),
+                nodes.ways.via(wish.launch, wish.customer),
+                nodes.ways.via(wish.customer, wish.meet),
+            )
+        return self._needs[key]
+
+    def _filled(
+        self,
+        wish: Wish,
+        drone: str,
+        here: Ned,
+        there: Ned,
+        layer: int,
+        launched_s: float,
+        need: Need,
+    ) -> Filled:
+        nodes = self._nodes
+        points = (here, nodes.ned(wish.customer), there)
+        out = nodes.ways.via(wish.launch, wish.customer)
+        back = nodes.ways.via(wish.customer, wish.meet)
+        height_m = layer_height_m(self._cruise_m, layer)
+        return Filled(
+            vehicle=drone,
+            order=nodes.orders[wish.customer - 1].id,
+            ground_ne_m=tuple(p[:2] for p in points) + out + back,
+            columns_ne_m=tuple(p[:2] for p in dict.fromkeys(points)),
+            low_m=height_m,
+            high_m=height_m,
+            from_s=self._t0_s + launched_s,
+            to_s=self._t0_s + launched_s + need.time_s,
+        )
+
+    def _clash(self, one: Filled, other: Filled) -> bool:
+        key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)
+        if key not in self._near:
+            self._near[key] = near(one, other)
+        layers = (one.low_m, one.high_m), (other.low_m, other.high_m)
+        return self._near[key].clash(*layers) is not None

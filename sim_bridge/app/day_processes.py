@@ -1,0 +1,264 @@
+"""A simulated day whose desk and companions are processes: `sim-bridge day --processes`.
+
+MAVLink goes over UDP on loopback, the fleet over zenoh, time is the wall's. The world (vehicles,
+truck with its driver, wind) is this process; it meets the others only by what they send.
+"""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+
+from companion.adapters.clock import epoch_us
+from companion.adapters.zenoh_link import ZenohLink, read_config
+from companion.core.fleet_link import MemberLink
+from companion.core.messages import State
+from companion.core.topics import VehicleKeys
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.day_data import DayData
+from ground_station.core.day_plan import DayPlan
+from ground_station.core.fleet import StateHeard
+from ground_station.core.truck import TRUCK
+from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.realtime import Pacer
+from sim_bridge.app.companion_process import CompanionProcess
+from sim_bridge.app.day_build import Plumb, Plumbing
+from sim_bridge.app.day_clock import DayClock
+from sim_bridge.app.day_drone import Companion, DayDrone
+
+DESK, PEER = "desk.json5", "peer.json5"
+
+
+def write_network(folder: Path) -> None:
+    """zenoh configurations on loopback: the desk's listens, the others call it."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        meeting = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    retry = {"period_init_ms": 50, "period_max_ms": 500}
+    call = {"endpoints": [meeting], "retry": retry, "exit_on_failure": False}
+    client = alone | {"mode": "client", "connect": call}
+    desk = alone | {"mode": "router", "listen": {"endpoints": [meeting]}}
+    (folder / PEER).write_text(json.dumps(client))
+    (folder / DESK).write_text(json.dumps(desk))
+
+
+@dataclass(slots=True)
+class Wires:
+    """Every drone's UDP endpoint, by its place in the fleet; `pace` waits for the wall's clock."""
+
+    endpoints: EndpointSet
+    inbox: dict[int, deque[bytes]] = field(default_factory=dict)
+    pacer: Pacer = field(default_factory=Pacer)
+
+    def pace(self, t_s: float) -> None:
+        """Wait until the day's time is due; keep what arrives meanwhile."""
+        self._keep(self.pacer.wait_until(t_s, self.endpoints))
+
+    def exchange(self, number: int, datagrams: list[bytes]) -> list[bytes]:
+        """Send these to a companion; what it has said since the last time."""
+        for datagram in datagrams:
+            self.endpoints.send(number, datagram)
+        self._keep(self.endpoints.poll(0.0))
+        box = self.inbox.setdefault(number, deque())
+        said = list(box)
+        box.clear()
+        return said
+
+    def _keep(self, received: list[tuple[int, bytes]]) -> None:
+        for number, datagram in received:
+            self.inbox.setdefault(number, deque()).append(datagram)
+
+
+@dataclass(slots=True)
+class UdpCompanion:
+    """A `companion run --fleet` process at the other end of a wire."""
+
+    process: CompanionProcess
+    wires: Wires
+    number: int
+
+    def hear(self, datagrams: list[bytes]) -> list[bytes]:
+        """Send; what has come since."""
+        return self.wires.exchange(self.number, datagrams)
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        self.process.kill()
+        self.process.end()
+
+    def stop(self) -> None:
+        """SIGTERM, and wait."""
+        self.process.end()
+
+    @property
+    def running(self) -> bool:
+        """False once it has ended."""
+        return self.process.running
+
+
+@dataclass(slots=True)
+class Launcher:
+    """Starts companions as processes."""
+
+    data: DayData
+    wires: Wires
+    folder: Path
+
+    def start(self, drone: DayDrone) -> Companion:
+        """One drone's companion."""
+        port = self.wires.endpoints.urls[drone.number - 1].rsplit(":", 1)[1]
+        (own,) = [d for d in self.data.day.drones if d.id == drone.name]
+        process = CompanionProcess(
+            run_dir=drone.folder,
+            arguments=[
+                f"--link=udpout:127.0.0.1:{port}",
+                f"--airframe={own.airframe}",
+                f"--fleet={self.data.day.fleet}",
+                f"--vehicle={drone.name}",
+                f"--zenoh={self.folder / PEER}",
+                "--configure",
+            ],
+        )
+        process.start()
+        return UdpCompanion(process, self.wires, drone.number - 1)
+
+
+@dataclass(slots=True)
+class ZenohNetwork:
+    """The fleet's network as the world listens in on it: states only, for the judge."""
+
+    ears: ZenohFleet
+    states: dict[str, State] = field(default_factory=dict)
+    sent: int = 0
+    lost: int = 0
+
+    def deliver(self, t_s: float) -> None:
+        """Take what has been heard."""
+        for heard in self.ears.heard(0.0):
+            if isinstance(heard, StateHeard):
+                self.sent += 1
+                self.states[heard.state.vehicle] = heard.state
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.ears.close()
+
+
+def apart(folder: Path) -> Plumb:
+    """Companions and truck over UDP and zenoh, on the wall's time."""
+
+    def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
+        write_network(folder)
+        config, fleet = folder / PEER, data.day.fleet
+        wires = Wires(EndpointSet(["udpin:127.0.0.1:0"] * len(data.day.drones)))
+        network = ZenohNetwork(ZenohFleet(fleet, config))
+
+        def truck_link(life: str) -> MemberLink:
+            keys = VehicleKeys(fleet, TRUCK)
+            return ZenohLink(read_config(config), keys, life, lambda: None)
+
+        def close() -> None:
+            network.close()
+            wires.endpoints.close()
+
+        start = Launcher(data, wires, folder).start
+        return Plumbing(network, start, truck_link, epoch_us, pace=wires.pace, close=close)
+
+    return plumb
+
+
+@dataclass(slots=True)
+class DeskProcess:
+    """`ground-station dispatch` on its store; `kill` and `start` are a real kill -9 and restart."""
+
+    folder: Path
+    day_file: Path
+    first_plan: DayPlan
+    _process: subprocess.Popen[bytes] | None = None
+    _output: IO[bytes] | None = field(default=None, repr=False)
+
+    @property
+    def store_url(self) -> str:
+        """Where the day's truth is kept."""
+        return f"sqlite:///{self.folder / 'desk.db'}"
+
+    def start(self) -> None:
+        """The command that a person gives, first and after a kill."""
+        plan = self.folder / "plan.json"
+        if not plan.exists():
+            plan.write_bytes(msgspec.json.format(msgspec.json.encode(self.first_plan)))
+        if self._output is None:
+            self._output = (self.folder / "desk.log").open("ab")
+        arguments = [
+            "dispatch",
+            str(self.day_file),
+            f"--store={self.store_url}",
+            f"--plan={plan}",
+            f"--zenoh={self.folder / DESK}",
+            "--until-done",
+        ]
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", "from ground_station.app.cli import main; main()", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            start_new_session=True,
+        )
+
+    def turn(self) -> None:
+        """It turns by itself."""
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    @property
+    def is_done(self) -> bool:
+        """It has ended, in order."""
+        return self._process is not None and self._process.poll() == 0
+
+    def close(self) -> None:
+        """SIGTERM, then SIGKILL; always leaves no process behind."""
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        if self._output is not None:
+            self._output.close()
+
+
+def write_day_file(path: Path, data: DayData, folder: Path) -> Path:
+    """The day as the world has it (its forecast, its files by absolute path), for the desk."""
+    day = data.day
+    changed: dict[str, Any] = {"orders": [str((path.parent / o).resolve()) for o in day.orders]}
+    for name in ("no_fly", "roads"):
+        value = getattr(day, name)
+        if value is not None:
+            changed[name] = str((path.parent / value).resolve())
+    table = msgspec.to_builtins(msgspec.structs.replace(day, **changed))
+    written = folder / "day.toml"
+    written.write_bytes(msgspec.toml.encode(_without_none(table)))
+    return written
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list):
+        return [_without_none(v) for v in value]
+    return value

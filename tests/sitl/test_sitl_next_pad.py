@@ -1,0 +1,234 @@
+"""One vehicle, two assignments, and a truck in between: switched off where it landed, switched on
+with a fresh pack where the next flight begins. The companion lives on and carries nothing over.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.adapters.files import params_dir, read_airframe
+from companion.app.fleet_port import FleetPort
+from companion.core.fleet_link import Ask, Asked
+from companion.core.messages import (
+    Answered,
+    Assign,
+    Command,
+    Deed,
+    EventKind,
+    FleetEvent,
+    Launch,
+    MoveHome,
+    Result,
+    State,
+    decode_event,
+    decode_result,
+    decode_state,
+    encode,
+)
+from sim_bridge.app.day_companion import MemoryLink, SteppedCompanion
+from sim_bridge.app.day_drone import DayDrone, DroneWorld
+from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.terrain import PlaneTerrain
+from sim_bridge.truth.wind_params import mean_wind, parse_wind
+
+pytestmark = pytest.mark.sitl
+
+SITE = (55.47, 8.45, 12.0)
+M_PER_DEG = 111_194.93
+PADS = {"stop-1": (0.0, 0.0), "stop-2": (70.0, 60.0)}  # north, east of the first launch pad
+CUSTOMER = (110.0, -20.0)
+STEP_S, STEPS = 0.1, 10
+
+
+def place(name: str, ne_m: tuple[float, float]) -> dict[str, Any]:
+    north, east = ne_m
+    lon = SITE[1] + east / M_PER_DEG / math.cos(math.radians(SITE[0]))
+    return {
+        "name": name,
+        "lat_deg": SITE[0] + north / M_PER_DEG,
+        "lon_deg": lon,
+        "alt_amsl_m": 12.0,
+    }
+
+
+def assignment(id_: str, start: str, home: str) -> Assign:
+    depot = {k: v for k, v in place("", PADS[start]).items() if k != "name"}
+    site = {
+        "depot": depot,
+        "customer": place("customer", CUSTOMER),
+        "stops": [place(name, pad) for name, pad in PADS.items()],
+        "home": home,
+    }
+    mission = {"cruise_height_m": 20.0, "wind_settle_s": 3.0, "leg_length_m": 80.0}
+    vehicle = {"airframe": "m100", "payload_kg": 0.5, "charge_frac": [0.3, 1.0]}
+    flight = {"format": "flight/1", "site": site, "vehicle": vehicle, "mission": mission}
+    return Assign(assignment=id_, order=f"order-{id_}", flight=flight)
+
+
+@dataclass
+class Desk:
+    """The other end of the vehicle's link: what it told, and commands to it."""
+
+    waiting: list[Asked] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+    events: list[FleetEvent] = field(default_factory=list)
+    results: list[Result] = field(default_factory=list)
+    sent: int = 0
+
+    def asked(self) -> list[Asked]:
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def be_woken(self, wake: Callable[[], None]) -> None:
+        return
+
+    def publish_state(self, raw: bytes) -> None:
+        state = decode_state(raw)
+        assert isinstance(state, State), state
+        self.states.append(state)
+
+    def publish_event(self, raw: bytes) -> None:
+        event = decode_event(raw)
+        assert isinstance(event, FleetEvent)
+        self.events.append(event)
+
+    def close(self) -> None:
+        return
+
+    def order(self, deed: Deed) -> None:
+        now = self.states[-1]
+        self.sent += 1
+        command = Command(
+            id=f"c{self.sent}",
+            vehicle="d1",
+            life=now.life,
+            as_of_s=now.uptime_s,
+            by="desk",
+            deed=deed,
+        )
+        self.waiting.append(Asked(Ask.COMMAND, self._answered, encode(command)))
+
+    def _answered(self, replies: list[bytes]) -> None:
+        result = decode_result(replies[0])
+        assert isinstance(result, Result)
+        self.results.append(result)
+
+    def outcome(self, id_: str) -> FleetEvent | None:
+        ended = (e for e in self.events if e.kind is EventKind.OUTCOME and e.assignment == id_)
+        return next(ended, None)
+
+
+class Scene:
+    """A drone, its companion that lives on while the drone is off, and the desk."""
+
+    def __init__(self, folder: Path, flavour: str) -> None:
+        self.t_s = 0.0
+        self.desk = Desk()
+        port = FleetPort.open(
+            "d1", "m100", read_airframe("m100"), folder, lambda life: self.desk,
+            clock_s=lambda: self.t_s,
+        )  # fmt: skip
+        self.companion = SteppedCompanion(
+            port=port,
+            airframe="m100",
+            link=MemoryLink(),
+            clock_s=lambda: self.t_s,
+        )
+        wind = parse_wind({"kind": "steady", "speed_mps": 3.0, "from_deg": 250.0})
+        autopilots = params_dir() / "autopilots"
+        world = DroneWorld(
+            SITE, PlaneTerrain(), wind, mean_wind(wind, folder),
+            {flavour: read_parameters(autopilots / f"{flavour}.toml")},
+        )  # fmt: skip
+        self.drone = DayDrone(
+            "d1", 1, flavour, load_airframe(params_dir() / "truth" / "m100.toml"), 20.0, 1.0,
+            (0.9, 0.9), world, folder, np.random.SeedSequence(3), lambda drone: self.companion,
+        )  # fmt: skip
+
+    @property
+    def lies_at(self) -> tuple[float, float]:
+        """Where it truly is."""
+        assert self.drone.up is not None
+        north, east, _ = self.drone.up.vehicle.truth.pos_ned_m
+        return north, east
+
+    def switch_off(self) -> None:
+        self.drone.companion = None  # it has a supply of its own
+        self.drone.switch_off()
+
+    def run(self, until: Callable[[], object], limit_s: float) -> None:
+        end_s = self.t_s + limit_s
+        while not until():
+            assert self.t_s < end_s, (self.desk.states[-1], self.desk.events[-3:])
+            self.t_s = round(self.t_s + STEP_S, 3)
+            self.drone.advance(self.t_s, STEPS)
+            if self.drone.up is None:
+                self.companion.hear([])
+
+    def fly(self, start: str, home: str, id_: str, also: Callable[[], None] = lambda: None) -> None:
+        desk = self.desk
+        self.run(lambda: desk.states and desk.states[-1].armed is False, 40.0)
+        desk.order(assignment(id_, start, home))
+        self.run(lambda: desk.states[-1].phase == "ready", 90.0)
+        self.launched = desk.states[-1]
+        desk.order(Launch(assignment=id_))
+        self.run(lambda: desk.states[-1].phase == "outbound", 90.0)
+        also()
+        self.run(lambda: desk.outcome(id_), 200.0)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    """ArduCopter: switched on anew it tells nothing but heartbeats until it is asked again."""
+    made = Scene(tmp_path, "ardupilot")
+    yield made
+    made.companion.stop()
+
+
+def test_safety_rule_3_from_stop_to_stop_and_on_from_there_with_a_fresh_pack(scene):
+    desk = scene.desk
+    scene.drone.switch_on(0.0, PADS["stop-1"], 0.5, None)
+    scene.fly("stop-1", "stop-2", "a1")
+    first, at_first = desk.outcome("a1"), scene.lies_at
+    assert first is not None
+    assert (first.outcome, first.home) == ("SUC", True)
+    assert math.dist(at_first, PADS["stop-2"]) < 5.0
+    assert {s.home for s in desk.states if s.assignment == "a1"} == {"stop-2"}
+    left_wh = [s.energy_left_wh for s in desk.states if s.energy_left_wh is not None][-1]
+
+    scene.switch_off()
+    scene.run(lambda: desk.states[-1].armed is None, 20.0)
+    gone = desk.states[-1]
+    assert (gone.lat_deg, gone.voltage_v, gone.phase) == (None, None, "standby")
+
+    scene.drone.switch_on(scene.t_s, PADS["stop-2"], 0.5, None)
+
+    def move() -> None:
+        desk.order(MoveHome(assignment="a1", home="stop-2"))  # of the flight that is over
+        desk.order(MoveHome(assignment="a2", home="stop-2"))
+        scene.run(lambda: desk.states[-1].home == "stop-2", 100.0)
+        desk.order(MoveHome(assignment="a2", home="stop-1"))  # and back again
+
+    scene.fly("stop-2", "stop-1", "a2", move)
+    told = scene.launched
+    assert told.energy_left_wh is not None
+    assert told.energy_left_wh > left_wh + 5.0
+    assert told.lat_deg == pytest.approx(SITE[0] + PADS["stop-2"][0] / M_PER_DEG, abs=1e-4)
+    answers = [result.answer for result in desk.results[-3:]]
+    assert answers == [Answered.REFUSED, Answered.DONE, Answered.DONE]
+    second, at_second = desk.outcome("a2"), scene.lies_at
+    assert second is not None
+    assert (second.outcome, second.home) == ("SUC", True)
+    assert math.dist(at_second, PADS["stop-1"]) < 5.0
+    # The truck stays bound to a stop until the vehicle says that it ends elsewhere.
+    homes = [s.home for s in desk.states if s.assignment == "a2"]
+    assert [home for home, _ in groupby(homes)] == ["stop-1", "stop-2", "stop-1"]
+    outward = {s.home for s in desk.states if s.assignment == "a2" and s.phase == "outbound"}
+    assert outward == {"stop-1"}
