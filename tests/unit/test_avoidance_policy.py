@@ -110,3 +110,13 @@ def test_a_card_that_is_missing_or_strange_is_refused(tmp_path: Path) -> None:
     card.write_text(card.read_text() + "extra = 1\n")
     with pytest.raises(LeewayError, match="extra"):
         read_policy(str(card))
+
+
+def test_the_shipped_policy_is_the_one_on_its_card_and_flies_on_when_nobody_is_near() -> None:
+    """Nothing in view, the goal 300 m ahead: roughly straight on, and not slowly."""
+    policy, card = read_policy("avoid")
+    assert card.frame == "goal"
+    view = np.zeros((1, 3, 155, 155), np.uint8)
+    heading, speed = policy.act(view, np.array([[300.0, 0.0, 0.0, 0.0]], np.float32))[0]
+    assert abs(heading) < 0.25
+    assert speed > 0.3
