@@ -8,6 +8,11 @@ def wall_s() -> float:
     return time.monotonic()
 
 
+def cpu_s() -> float:
+    """Seconds of CPU that this process has used: what a computation costs on a busy machine."""
+    return time.process_time()
+
+
 def signing_10us() -> int:
     """MAVLink's signing time: 10 us since 2015-01-01 UTC (mavlink.io, message signing)."""
     return time.time_ns() // 10_000 - 1_420_070_400 * 100_000

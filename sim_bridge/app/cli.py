@@ -14,6 +14,7 @@ from companion.adapters.files import params_dir
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
+    avoid_cli,
     campaign_cli,
     conform_cli,
     day_cli,
@@ -22,6 +23,7 @@ from sim_bridge.app import (
     plan_flight_cli,
     promise_cli,
     serve_cli,
+    train_cli,
 )
 from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
@@ -276,6 +278,8 @@ app.registered_commands += paths_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
+app.registered_commands += avoid_cli.app.registered_commands
+app.registered_commands += train_cli.app.registered_commands
 app.registered_commands += day_cli.app.registered_commands
 
 
