@@ -22,6 +22,7 @@ from companion.core.errors import LeewayError
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 Clearance = Callable[[Floats, NDArray[np.int64]], Floats]
 """Points (a, ..., 3) of the vehicles `rows` (a,) -> a lower bound of the way to an obstacle, m."""
 
@@ -361,11 +362,11 @@ def _only_changes_level(
     Over the ground it is the braking path, so it harms only who counts on the height between: no
     one does while that is too little, and no one suffers while it grows.
     """
-    brakes = np.asarray(np.abs(fan[..., :2] - fan[:, -1:, :2]) < 1e-9).all(axis=-1)
+    brakes: Mask = np.all(np.abs(fan[..., :2] - fan[:, -1:, :2]) < 1e-9, axis=-1)
     apart = braking[:, None, :, 2] - reports.braking[..., 2]
     reach = 2.0 * p.climb_accel_mps2 * p.tick_s * (p.max_climb_mps / p.climb_accel_mps2 + p.tick_s)
     most = np.abs(apart) + reports.error_vertical_m + reach
-    little = np.asarray(most < p.vertical_m + 2.0 * p.tracking_vertical_m).all(axis=-1)
+    little: Mask = np.all(most < p.vertical_m + 2.0 * p.tracking_vertical_m, axis=-1)
     moves = fan[..., 2] - fan[:, -1:, 2]
     grows = moves[..., None] * apart[:, None, :, 0] >= 0.0
     free = np.logical_or(little[:, None] | reports.absent[:, None], grows)

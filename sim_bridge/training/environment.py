@@ -236,7 +236,7 @@ def _obstacles(world: World, e: NDArray[np.int64], i: NDArray[np.int64], up: Flo
 def _origin_m() -> Floats:
     """North-east of the raster's first corner."""
     corner = np.zeros(2)
-    return -(cells_of(corner) * CELL_M)
+    return -CELL_M * cells_of(corner).astype(np.float64)
 
 
 def _mark(view: Bytes, world: World, points_ne_m: Floats, up: Floats) -> None:
