@@ -104,7 +104,7 @@ def _pilot(policy: PolicyChoice, card: str) -> "Pilot":
         return yardsticks.StraightOn()
     if policy in (PolicyChoice.orca, PolicyChoice.orca_filtered):
         try:
-            import pyrvo  # noqa: F401
+            import pyrvo  # noqa: F401 # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise LeewayError(f"--policy {policy} needs leeway[train] (pyrvo): {error}") from error
         return yardsticks.Orca()

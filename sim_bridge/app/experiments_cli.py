@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from companion.core.errors import LeewayError
 from sim_bridge.app.campaign_cli import INTERRUPTED
 from sim_bridge.experiments.journal import Journal, Result, Work, digest_of, journaled_map
 from sim_bridge.experiments.report import Sheet
@@ -120,13 +121,13 @@ def table2(
     from sim_bridge.experiments import table2 as experiment
 
     if (llm_url is None) != (llm_model is None):
-        raise _refuse(LeewayError("--llm-url and --llm-model: expected both or neither"))
+        raise LeewayError("--llm-url and --llm-model: expected both or neither")
     llm = None
     if llm_url is not None and llm_model is not None:
         try:
             key = None if llm_key is None else llm_key.read_text(encoding="utf-8").strip()
         except (OSError, UnicodeDecodeError) as error:
-            raise _refuse(LeewayError(f"--llm-key {llm_key}: {error}")) from None
+            raise LeewayError(f"--llm-key {llm_key}: {error}") from None
         llm = LlmParams(llm_url, llm_model, key)
     work = experiment.trials_of(trials, seed, llm)
     kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)

@@ -79,7 +79,7 @@ class Orca:
 
 
 def _simulator(world: World, e: int, i: int) -> Any:
-    import pyrvo
+    import pyrvo  # pyright: ignore[reportMissingImports]
 
     simulator: Any = pyrvo.RVOSimulator()  # pyright: ignore[reportAttributeAccessIssue]
     simulator.set_time_step(TICK_S)
