@@ -10,25 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.adapters.mavlink_codec import mavlink
-from companion.core.mission_items import JUMP_REPEATS, ItemKind, MissionItem, Part, Spot
+from companion.core.mission_commands import COMMAND, GROUND_SPEED, params_of
+from companion.core.mission_items import ItemKind, MissionItem, Part, Spot
 
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, RELATIVE)
 NO_PLACE = mavlink.MAV_FRAME_MISSION
-GRIPPER = 1.0
-GROUND_SPEED = 1.0
-THROTTLE_AS_IS = -1.0
-DROP_RADIUS_M = 2.0
 
-COMMAND = {
-    ItemKind.TAKEOFF: mavlink.MAV_CMD_NAV_TAKEOFF,
-    ItemKind.WAYPOINT: mavlink.MAV_CMD_NAV_WAYPOINT,
-    ItemKind.LOITER_TIME: mavlink.MAV_CMD_NAV_LOITER_TIME,
-    ItemKind.LAND: mavlink.MAV_CMD_NAV_LAND,
-    ItemKind.SPEED: mavlink.MAV_CMD_DO_CHANGE_SPEED,
-    ItemKind.JUMP: mavlink.MAV_CMD_DO_JUMP,
-    ItemKind.RELEASE: mavlink.MAV_CMD_DO_GRIPPER,
-}
 KIND = {command: kind for kind, command in COMMAND.items()}
 
 
@@ -66,23 +54,7 @@ def wire_items(
 
 
 def _wire_item(item: MissionItem, shift: int, free_yaw: float) -> WireItem:
-    match item.kind:
-        case ItemKind.TAKEOFF | ItemKind.LAND:
-            params = (0.0, 0.0, 0.0, free_yaw)
-        case ItemKind.WAYPOINT:
-            # PX4 calls a waypoint reached at NAV_ACC_RAD (10 m) unless told a radius.
-            radius_m = DROP_RADIUS_M if item.part is Part.DELIVER or item.value > 0.0 else 0.0
-            params = (item.value, radius_m, 0.0, free_yaw)
-        case ItemKind.LOITER_TIME:
-            params = (item.value, 0.0, 0.0, free_yaw)
-        case ItemKind.SPEED:
-            params = (GROUND_SPEED, item.value, THROTTLE_AS_IS, 0.0)
-        case ItemKind.JUMP:
-            params = (item.value + shift, float(JUMP_REPEATS), 0.0, 0.0)
-        case ItemKind.RELEASE:
-            params = (GRIPPER, float(mavlink.GRIPPER_ACTION_RELEASE), 0.0, 0.0)
-        case ItemKind.OTHER:
-            raise ValueError(f"{item.label}: not an item of ours")
+    params = params_of(item, shift, free_yaw)
     spot = item.spot
     if spot is None:
         return WireItem(NO_PLACE, COMMAND[item.kind], params, 0, 0, 0.0)

@@ -33,6 +33,7 @@ WAIT_S = 0.1
 HEARTBEAT_S = 1.0
 SILENT_S = 5.0
 """After so long nothing that was heard of the vehicle is told any more."""
+
 TICK_S = 0.1
 POSITION_SILENT_S = 5.0
 ASK_AGAIN_S = 10.0

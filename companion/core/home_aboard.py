@@ -6,9 +6,11 @@ stop until the autopilot itself shows that it goes elsewhere.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from companion.core.actions import Severity
+from companion.core.flight_plan import FlightPlan
 from companion.core.geo import Ned
 from companion.core.mission_items import Part
 from companion.core.planner import Plan
@@ -30,22 +32,36 @@ def note_home(pilot: Pilot, index: int) -> None:
     part = flown.mission.part_at(index)
     if part is None or part is Part.END:
         return
-    home = flown.site_of_item(index) or flown.plan.landing
+    home = end_of(flown, index)
     before = home_now(pilot)
     pilot.air.home = home
     if home == before:
         return
-    if pilot.air.wanted == home:
-        pilot.air.wanted = None
+    want(pilot, None if pilot.air.wanted == home else pilot.air.wanted)
     pilot.say(Severity.NOTICE, f"home is now {home}")
     pilot.decide("home_moved", f"what is aboard ends at {home}, no longer at {before}")
     pilot.save()
 
 
+def end_of(flown: FlightPlan, index: int) -> str:
+    """The place where the autopilot ends by itself from an item."""
+    return flown.site_of_item(index) or flown.plan.landing
+
+
+def want(pilot: Pilot, stop: str | None) -> None:
+    """The stop that the truck asks for, or none: it and where the flight ends now may be chosen."""
+    air, flown = pilot.air, pilot.flown
+    air.wanted = stop
+    if flown is None or flown.plan.home is None:
+        return
+    plan = flown.plan.promised(home_now(pilot), stop)
+    if plan != flown.plan:
+        pilot.flown = replace(flown, plan=plan)
+        pilot.judge.table = None  # it was made for other landing sites
+
+
 def promised_places(plan: Plan, home: str | None) -> list[tuple[str, Ned]]:
     """Where it may come down, by name: the end of what is aboard, and declared rally points."""
-    sites = {site.name: site.ground_ned_m for site in plan.sites}
     stops = {stop.name for stop in plan.stops}
-    ends = home if home in stops else plan.landing
-    places = [(ends, sites[ends] if ends in stops else plan.landing_ned_m)]
-    return [*places, *((n, ground) for n, ground in sites.items() if n not in stops)]
+    places = [(s.name, s.ground_ned_m) for s in plan.sites if s.name == home or s.name not in stops]
+    return places if home in dict(places) else [(plan.landing, plan.landing_ned_m), *places]

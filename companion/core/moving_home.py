@@ -8,14 +8,13 @@ carries it out, as soon as the stop is in clear sight and the way there keeps th
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from companion.core.actions import Answer, Reply, Severity
 from companion.core.ahead import ahead_away, ahead_returning
 from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.geo import LocalFrame, Ned, horizontal_m, over
-from companion.core.home_aboard import home_now
+from companion.core.home_aboard import end_of, home_now, want
 from companion.core.obedience import Purpose
 from companion.core.planner import Plan
 from companion.core.progress import jump
@@ -42,7 +41,7 @@ def ordered(pilot: Pilot, event: HomeMoved) -> None:
     """Answer the wish for another home, and take it up."""
     reply, reason = _judged(pilot, event)
     name = event.stop or "another stop"
-    if reply is not Reply.ACCEPTED:
+    if reply is Reply.DENIED:
         pilot.say(Severity.WARNING, f"home not moved: {reason}")
         pilot.decide("home_refused", f"to {name}, asked by {event.by}: {reason}")
     pilot.do(Answer(reply, reason))
@@ -60,8 +59,10 @@ def _judged(pilot: Pilot, event: HomeMoved) -> tuple[Reply, str]:
     stops = [flown.plan.landing, *(stop.name for stop in flown.plan.stops)]
     if name not in stops:
         return Reply.DENIED, f"no such stop aboard; there are {', '.join(stops)}"
+    if air.jump is not None and end_of(flown, air.jump.index) != home_now(pilot):
+        return Reply.LATER, "turning to another landing site just now"
     if name == home_now(pilot):
-        air.wanted = None
+        want(pilot, None)
         return Reply.ACCEPTED, f"home is {name}"
     reply, reason = _looked_at(pilot, name)
     if reply is Reply.ACCEPTED:
@@ -86,13 +87,7 @@ def _ground_at(frame: LocalFrame, lat_deg: float, lon_deg: float) -> Ned:
 
 
 def _take_up(pilot: Pilot, name: str, by: str) -> None:
-    air, flown = pilot.air, pilot.flown
-    assert flown is not None
-    air.wanted = name
-    plan = flown.plan.promised(name)
-    if plan != flown.plan:
-        pilot.flown = replace(flown, plan=plan)
-        pilot.judge.table = None  # it was made without this stop
+    want(pilot, name)
     pilot.decide("home_wanted", f"{name}, asked by {by}; aboard is {home_now(pilot)}")
     pilot.say(Severity.NOTICE, f"will land at {name}")
     pilot.save()
@@ -180,7 +175,7 @@ def _ending_at(pilot: Pilot, here: Ned, name: str) -> Ahead | None:
     """What is left to fly when it is to end at this stop; `None` where no clear way leads there."""
     flown = pilot.flown
     assert flown is not None
-    plan = flown.plan.promised(name)
+    plan = flown.plan.promised(home_now(pilot), name)
     item = None if pilot.outward else _item_to(pilot, here, name)
     ahead = what_is_ahead(pilot, here, plan) if item is None else _ahead_by(pilot, here, plan, item)
     now = _ways_to(name, ahead.ways_home_now)

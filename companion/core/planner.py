@@ -58,7 +58,7 @@ class Plan:
     `home` names the promised stop, where the way back ends; `away_ned_m` leads there from over the
     launch pad (its first point), for who never gets on its way, and is empty where home is the
     launch pad. `rally` are landing sites that may be chosen, `stops` other places where the truck
-    may come to stand: aboard, and only to be chosen once they are promised (`promised`).
+    may come to stand: aboard, and only to be chosen while they are promised (`promised`).
     """
 
     depot_ned_m: Ned
@@ -102,11 +102,12 @@ class Plan:
         names = {stop.name for stop in self.stops}
         return (*(rally for rally in self.rally if rally.name not in names), *self.stops)
 
-    def promised(self, stop: str) -> "Plan":
-        """The same with another stop that may be chosen from now on."""
-        if any(rally.name == stop for rally in self.rally):
-            return self
-        return replace(self, rally=(*self.rally, *(s for s in self.stops if s.name == stop)))
+    def promised(self, *stops: str | None) -> "Plan":
+        """The same where of the stops these may be chosen, and no others."""
+        names = {stop.name for stop in self.stops}
+        declared = (rally for rally in self.rally if rally.name not in names)
+        chosen = (stop for stop in self.stops if stop.name in stops)
+        return replace(self, rally=(*declared, *chosen))
 
 
 @dataclass(frozen=True, slots=True)

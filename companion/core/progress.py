@@ -13,7 +13,7 @@ from companion.core.actions import (
 from companion.core.events import MissionProgress, Mode, OrderRefused
 from companion.core.flight_state import Move
 from companion.core.geo import horizontal_m
-from companion.core.home_aboard import note_home
+from companion.core.home_aboard import note_home, want
 from companion.core.mission_items import Part
 from companion.core.obedience import CourseWatch, JumpWatch, Purpose, Verdict
 from companion.core.situation import PROGRESS_MAX_AGE_S
@@ -229,7 +229,7 @@ def _jump_refused(pilot: Pilot) -> None:
         pilot.fire(Trigger.WAY_HOME_REFUSED, "the jump home was not obeyed")
         return
     if jump.purpose is Purpose.MOVE:
-        air.wanted = None
+        want(pilot, None)
         pilot.decide("home_stays", f"jump to item {jump.index} not confirmed by telemetry")
         return
     # Without leave the mission aboard goes home by itself.

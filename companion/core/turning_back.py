@@ -9,6 +9,7 @@ from companion.core.flight_plan import FlightPlan
 from companion.core.foresight import fresh_assessment, here_ned, what_is_ahead
 from companion.core.gate import Ahead, Assessment
 from companion.core.geo import Ned, horizontal_m, over
+from companion.core.home_aboard import want
 from companion.core.obedience import Purpose
 from companion.core.progress import jump
 from companion.core.situation import (
@@ -152,7 +153,8 @@ def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
 def divert(pilot: Pilot, rally: str, why: str) -> None:
     air, flown = pilot.air, pilot.flown
     assert flown is not None
-    air.rally, air.wanted = rally, None
+    air.rally = rally
+    want(pilot, rally if rally in {stop.name for stop in flown.plan.stops} else None)
     pilot.decide("divert", f"to {rally}: {why}")
     pilot.say(Severity.WARNING, f"diverting to {rally}: {why}")
     jump(pilot, flown.site_items(rally)[0], Purpose.HOME)

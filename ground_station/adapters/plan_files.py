@@ -1,6 +1,7 @@
 """Day plans on disk (`day-plan/1`, JSON): written whole or not at all, read strictly."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -10,9 +11,14 @@ from ground_station.core.day_plan import DayPlan
 
 def write_day_plan(path: Path, plan: DayPlan) -> None:
     """Replace a plan file."""
+    write_json(path, plan)
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Replace a JSON file, whole or not at all."""
     fresh = path.with_name(path.name + ".new")
     try:
-        fresh.write_bytes(msgspec.json.format(msgspec.json.encode(plan)) + b"\n")
+        fresh.write_bytes(msgspec.json.format(msgspec.json.encode(document)) + b"\n")
         fresh.replace(path)
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error

@@ -3,22 +3,18 @@
 import math
 from pathlib import Path
 
-from companion.adapters.mission_wire import WireItem, wire_items
-from companion.adapters.px4 import Px4
-from companion.adapters.qgc_plan import write_plan
 from companion.core.calibration_flight import PlanItem
 from companion.core.energy_ledger import EnergyBelief
 from companion.core.errors import LeewayError
 from companion.core.flight_plan import FlightPlan, frame_at, make_plan, site_map
-from companion.core.geo import LocalFrame
-from companion.core.mission_items import Spot
+from companion.core.mission_commands import COMMAND, params_of
 from companion.core.planner import BerPlanner, NoRoute
+from companion.core.qgc_document import plan_document
 from companion.core.route_energy import RouteEnergy
+from ground_station.adapters.plan_files import write_json
 from ground_station.core.day_data import DayData
 from ground_station.core.day_flight import flight_of
 from ground_station.core.day_plan import DayPlan, PlannedSortie
-
-DEGREES = 1e-7
 
 
 def write_missions(data: DayData, plan: DayPlan, folder: Path) -> int:
@@ -30,14 +26,8 @@ def write_missions(data: DayData, plan: DayPlan, folder: Path) -> int:
     for sortie in plan.sorties:
         flown = planned_flight(data, plan, sortie)
         speeds = data.airframes[_airframe(data, sortie)].speeds
-        items = [_item(wire, flown.site.frame) for wire in _wired(flown)]
-        write_plan(
-            folder / f"{sortie.order}.plan",
-            items,
-            flown.site.frame,
-            "px4",
-            speeds.cruise_airspeed_mps,
-        )
+        document = plan_document(_items(flown), flown.site.frame, "px4", speeds.cruise_airspeed_mps)
+        write_json(folder / f"{sortie.order}.plan", document)
     return len(plan.sorties)
 
 
@@ -70,18 +60,13 @@ def _airframe(data: DayData, sortie: PlannedSortie) -> str:
     return drone.airframe
 
 
-def _wired(flown: FlightPlan) -> list[WireItem]:
+def _items(flown: FlightPlan) -> list[PlanItem]:
     """As PX4 would get them, but counted from 1: a `.plan` jumps to its own numbers (doJumpId)."""
-    home = Spot(0.0, 0.0, 0.0)
-    items = wire_items(flown.mission.items, home_items=1, home=home, free_yaw=Px4.free_yaw)
-    return items[1:]
-
-
-def _item(wire: WireItem, frame: LocalFrame) -> PlanItem:
-    place = None
-    if (wire.x, wire.y) != (0, 0):
-        north, east, _ = frame.to_ned(
-            math.radians(wire.x * DEGREES), math.radians(wire.y * DEGREES), frame.alt_amsl_m
-        )
-        place = (north, east, wire.z)
-    return PlanItem(wire.command, place, wire.params)
+    found: list[PlanItem] = []
+    for item in flown.mission.items:
+        place = None
+        if item.spot is not None:
+            north, east, down = flown.spot_ned(item.spot)
+            place = (north, east, -down)
+        found.append(PlanItem(COMMAND[item.kind], place, params_of(item, 1, math.nan)))
+    return found

@@ -35,7 +35,9 @@ class Driven:
         return self.stops[-1].depart_s if self.stops else 0.0
 
 
-POLISH_DRIVES = 60
+POLISH_DRIVES = 50
+POLISH_ORDERS = 2_000
+"""Together: with more orders fewer drives, since each takes longer too."""
 
 
 class Drive:
@@ -96,7 +98,7 @@ class Drive:
 
 def polished(drive: Drive, route: list[int], wishes: list[Wish], driven: Driven) -> Driven:
     """Drones that a stop launches last are met at the next one, where that ends the day sooner."""
-    left = POLISH_DRIVES
+    left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(wishes)))
     for here, there in pairwise(route):
         loops = [s for s in driven.slots if s.wish.launch == s.wish.meet == here]
         for slot in sorted(loops, key=lambda slot: -slot.launched_s):
@@ -134,10 +136,12 @@ class _Pass:
         self._now_s = 0.0
         self._aboard = [
             dict.fromkeys(of.ids, kind.from_s)
-            for of, kind in zip(nodes.classes, nodes.problem.kinds, strict=True)
+            # A fleet without drones has one kind, of none.
+            for of, kind in zip(nodes.classes, nodes.problem.kinds, strict=False)
         ]
         self._out: list[Slot] = []
         """Not taken in yet."""
+        self._blocked_until_s: dict[int, float] = {}
 
     def drive(self, route: list[int], wishes: list[Wish]) -> Driven:
         day = self._day
@@ -189,6 +193,7 @@ class _Pass:
         self._now_s += self._problem.kinds[slot.wish.kind].recover_s
         self._out.remove(slot)
         self._aboard[slot.wish.kind][slot.drone] = self._now_s
+        self._blocked_until_s.clear()  # its pads may be out of the way
 
     def _launch(
         self, waiting: list[Wish], put_off: list[Wish], node: int, *, last: bool
@@ -196,8 +201,11 @@ class _Pass:
         """Launch the first that can go now; else when others may be able to."""
         until_s: list[float] = []
         for wish in list(waiting):
-            if self._release_s[wish.customer] > self._now_s + EPSILON_S:
-                until_s.append(self._release_s[wish.customer])
+            not_before_s = max(
+                self._release_s[wish.customer], self._blocked_until_s.get(wish.customer, 0.0)
+            )
+            if not_before_s > self._now_s + EPSILON_S:
+                until_s.append(not_before_s)
                 continue
             drones = [
                 drone
@@ -239,7 +247,9 @@ class _Pass:
             home_here = [s.landed_s for s in self._out if s.wish.meet == node]
             foreign = [s.landed_s for s in self._out if s.wish.meet != node]
             if last or not foreign or (home_here and min(foreign) + SLACK_S > free_s):
-                until_s.append(max(wait_s, self._now_s + EPSILON_S))
+                wait_s = max(wait_s, self._now_s + EPSILON_S)
+                self._blocked_until_s[wish.customer] = wait_s
+                until_s.append(wait_s)
                 return
         self._pass_on(wish, waiting, put_off, last=last)
 

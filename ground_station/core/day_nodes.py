@@ -50,6 +50,7 @@ class DayNodes:
     classes: tuple[DroneClass, ...]
     ways: Ways
     problem: TruckAndDrones
+    cruise_height_m: float
 
     def ned(self, node: int) -> Ned:
         """The ground at a node."""
@@ -142,16 +143,28 @@ def day_nodes(
     problem = TruckAndDrones(
         travel_s=_travel_s(data, orders, ned_m, start_name),
         deliver_s=np.where(_flags(orders, [True] * len(orders)), truck.deliver_s, 0.0),
-        kinds=kinds,
+        kinds=kinds or (_nobody(len(places)),),
         legs=tuple(
             _ready_first(sorties.legs(number), truck.ready_s) for number in range(len(classes))
-        ),
+        )
+        or (_nowhere(len(places)),),
         truck_can_serve=by_truck,
         pads=True,
         lead_s=LEAD_S,
         hold_s=hold_s,
     )
-    return DayNodes(frame, obstacles, tuple(orders), ned_m, classes, ways, problem)
+    cruise_m = mission.cruise_height_m
+    return DayNodes(frame, obstacles, tuple(orders), ned_m, classes, ways, problem, cruise_m)
+
+
+def _nobody(nodes: int) -> DroneKind:
+    """The kind of a fleet without drones: the truck alone."""
+    return DroneKind(0, 1.0, 1.0, np.zeros(nodes, dtype=np.bool_))
+
+
+def _nowhere(nodes: int) -> Legs:
+    never = np.full((nodes, nodes), np.inf)
+    return Legs(never, never, never, never, 0.0)
 
 
 def _ready_first(legs: Legs, ready_s: float) -> Legs:

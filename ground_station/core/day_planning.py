@@ -50,7 +50,11 @@ def plan_day(
     params: PlanParams = PlanParams(),
     tell: Tell = lambda done_frac, best_s: None,
 ) -> DayPlan:
-    """The plan that goes on from `start`; what is promised there stays as it is."""
+    """The plan that goes on from `start`; what is promised there stays as it is.
+
+    Raises LeewayError where `start` does not hold together.
+    """
+    _check_state(data, start)
     return _DayPlanner(data, start, params, tell).planned()
 
 
@@ -300,8 +304,7 @@ def _worth(driven: Driven) -> tuple[int, float]:
     return len(driven.lost), driven.makespan_s
 
 
-def check_state(data: DayData, start: DayState) -> None:
-    """Raise LeewayError where a state does not hold together."""
+def _check_state(data: DayData, start: DayState) -> None:
     known = {order.id for order in data.orders}
     stops = {stop.id for stop in start.stops}
     unknown = sorted(set(start.open) - known)

@@ -5,7 +5,7 @@ the sortie is apart from all others in the air, and for which the energy is ther
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from companion.core.geo import Ned
 from ground_station.core.day_nodes import DayNodes, layer_height_m
@@ -57,7 +57,7 @@ class SlotFinder:
     def __init__(self, nodes: DayNodes, t0_s: float, start_pads: dict[str, Ned]) -> None:
         """`t0_s`: when the truck is at the start, in the day's time."""
         self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
-        self._cruise_m = nodes.classes[0].reach.mission.cruise_height_m
+        self._cruise_m = nodes.cruise_height_m
         self._near: dict[tuple[Points, Points, Points, Points], Near] = {}
         self._needs: dict[tuple[Wish, Ned, Ned, int], Need | None] = {}
         self._places: dict[int, list[Ned]] = {}
@@ -82,17 +82,29 @@ class SlotFinder:
         if crew is None:
             return Blocked(None)
         drone, here, there = crew
+        shape = self._filled(wish, drone, here, there)
+        beside = [(other, self._near_to(shape, other)) for other in in_air]
         until_s: float | None = None
-        for layer, need in self._layers(wish, here, there):
-            filled = self._filled(wish, drone, here, there, layer, launched_s, need)
-            blocking = [other for other in in_air if self._clash(filled, other)]
-            if not blocking:
-                pads[wish.launch].of[drone] = here
-                pads[wish.meet].of[drone] = there
-                landed_s = launched_s + need.time_s
-                return Slot(wish, drone, here, there, launched_s, landed_s, filled)
-            free_s = max(other.to_s for other in blocking)
-            until_s = free_s if until_s is None else min(until_s, free_s)
+        for layer in self._layers(wish, here, there):
+            up_m = layer_height_m(self._cruise_m, layer)
+            blocking = [
+                other.to_s
+                for other, near_to in beside
+                if near_to.clash((up_m, up_m), (other.low_m, other.high_m))
+            ]
+            if blocking:
+                free_s = max(blocking)
+                until_s = free_s if until_s is None else min(until_s, free_s)
+                continue
+            need = self._need(wish, here, there, layer)
+            if need is None:
+                continue
+            pads[wish.launch].of[drone] = here
+            pads[wish.meet].of[drone] = there
+            from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
+            to_s = self._t0_s + landed_s
+            filled = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
+            return Slot(wish, drone, here, there, launched_s, landed_s, filled)
         return Blocked(until_s)
 
     def _crew(
@@ -107,15 +119,13 @@ class SlotFinder:
                 able.append((here[0] + there[0], drone, here[1], there[1]))
         return min(able)[1:] if able else None
 
-    def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[tuple[int, Need]]:
-        """Layers with the room and the energy for this sortie, upwards."""
+    def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[int]:
+        """Layers with the room for this sortie, upwards."""
         grounds_m = [-p[2] for p in (here, self._nodes.ned(wish.customer), there)]
         count = int((TOP_M + min(grounds_m) - self._cruise_m) // LAYER_GAP_M) + 1
         for layer in range(count):
             if layer_height_m(self._cruise_m, layer) - max(grounds_m) >= LEAST_ROOM_M:
-                need = self._need(wish, here, there, layer)
-                if need is not None:
-                    yield layer, need
+                yield layer
 
     def _need(self, wish: Wish, here: Ned, there: Ned, layer: int) -> Need | None:
         """What it takes in this layer; None where that is more than there is."""
@@ -134,35 +144,25 @@ class SlotFinder:
             )
         return self._needs[key]
 
-    def _filled(
-        self,
-        wish: Wish,
-        drone: str,
-        here: Ned,
-        there: Ned,
-        layer: int,
-        launched_s: float,
-        need: Need,
-    ) -> Filled:
+    def _filled(self, wish: Wish, drone: str, here: Ned, there: Ned) -> Filled:
+        """Its ways and columns, in no layer and at no time yet."""
         nodes = self._nodes
         points = (here, nodes.ned(wish.customer), there)
         out = nodes.ways.via(wish.launch, wish.customer)
         back = nodes.ways.via(wish.customer, wish.meet)
-        height_m = layer_height_m(self._cruise_m, layer)
         return Filled(
             vehicle=drone,
             order=nodes.orders[wish.customer - 1].id,
             ground_ne_m=tuple(p[:2] for p in points) + out + back,
             columns_ne_m=tuple(p[:2] for p in dict.fromkeys(points)),
-            low_m=height_m,
-            high_m=height_m,
-            from_s=self._t0_s + launched_s,
-            to_s=self._t0_s + launched_s + need.time_s,
+            low_m=0.0,
+            high_m=0.0,
+            from_s=0.0,
+            to_s=0.0,
         )
 
-    def _clash(self, one: Filled, other: Filled) -> bool:
+    def _near_to(self, one: Filled, other: Filled) -> Near:
         key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)
         if key not in self._near:
             self._near[key] = near(one, other)
-        layers = (one.low_m, one.high_m), (other.low_m, other.high_m)
-        return self._near[key].clash(*layers) is not None
+        return self._near[key]

@@ -7,14 +7,8 @@ from companion.core.errors import LeewayError
 from companion.core.flight import Place
 from companion.core.flight_plan import frame_at
 from ground_station.core.day import Depot, Problem
-from ground_station.core.orders import Order, Service
+from ground_station.core.orders import BOUNDS, Order, Service
 
-NUMBERS = {
-    "lat_deg": (-85.0, 85.0),
-    "lon_deg": (-180.0, 180.0),
-    "alt_amsl_m": (-500.0, 9000.0),
-    "mass_kg": (0.0, 500.0),
-}
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
 SAME_PLACE_M = 2.0
@@ -45,7 +39,7 @@ def order_of(
         problems.append(Problem(file, row, column, words))
 
     numbers: dict[str, float] = {}
-    for name, (low, high) in NUMBERS.items():
+    for name, (low, high) in BOUNDS.items():
         text = cells.get(name, "").strip()
         if not text:
             if name != "alt_amsl_m":

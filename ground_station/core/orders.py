@@ -15,6 +15,15 @@ OrderId = Annotated[
 ]
 
 
+BOUNDS = {
+    "lat_deg": (-85.0, 85.0),
+    "lon_deg": (-180.0, 180.0),
+    "alt_amsl_m": (-500.0, 9000.0),
+    "mass_kg": (0.0, 500.0),
+}
+"""Of an order's numbers."""
+
+
 class Service(Enum):
     """Who may bring it."""
 
@@ -38,10 +47,8 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     note: Annotated[str, Meta(max_length=500)] = ""
 
     def __post_init__(self) -> None:
-        check_range("lat_deg", self.lat_deg, -85.0, 85.0)
-        check_range("lon_deg", self.lon_deg, -180.0, 180.0)
-        check_range("alt_amsl_m", self.alt_amsl_m, -500.0, 9000.0)
-        check_range("mass_kg", self.mass_kg, 0.0, 500.0)
+        for key, (low, high) in BOUNDS.items():
+            check_range(key, getattr(self, key), low, high)
 
 
 class OrderState(Enum):

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.core.flight import Place
 from ground_station.adapters.day_files import read_day
 from ground_station.core.airspace import Airspace
 from ground_station.core.day_data import DayData
@@ -46,7 +47,12 @@ class OwnGeometry:
         return np.array([METRES_PER_DEGREE * east, METRES_PER_DEGREE * north, up_m])
 
     def pad(self, sortie: PlannedSortie, stop: str) -> np.ndarray:
-        place = self.plan.stop(stop).pads[sortie.vehicle]
+        return self.place(self.plan.stop(stop).pads[sortie.vehicle])
+
+    def place(self, place: Place) -> np.ndarray:
+        assert place.lat_deg is not None
+        assert place.lon_deg is not None
+        assert place.alt_amsl_m is not None
         return self.enu(place.lat_deg, place.lon_deg, place.alt_amsl_m)
 
     def flight(self, sortie: PlannedSortie, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -111,7 +117,7 @@ def test_pads_of_a_stop_are_20_metres_apart_and_clear_of_what_stands_there(town,
     geometry = OwnGeometry(town, plan)
     assert town.no_fly is not None
     for stop in plan.stops:
-        pads = [geometry.enu(p.lat_deg, p.lon_deg, p.alt_amsl_m) for p in stop.pads.values()]
+        pads = [geometry.place(pad) for pad in stop.pads.values()]
         for a, b in itertools.combinations(pads, 2):
             assert math.dist(a, b) >= 20.0
         for feature in town.no_fly["features"]:

@@ -337,8 +337,11 @@ def test_safety_rule_3_moved_on_the_way_out_home_stays_until_the_autopilot_flies
     w = reach(Phase.OUTBOUND)
     assert wish(w, "stop-3").reply is Reply.ACCEPTED
     w.judge.asked.clear()
-    w.until(Phase.RETURN)
-    assert home_now(w.pilot) == "stop-2"  # the old promise binds the truck until the jump is seen
+    homes = [home_now(w.pilot)]
+    while w.pilot.phase is not Phase.RETURN:
+        w.step()
+        homes.append(home_now(w.pilot))
+    assert set(homes) == {"stop-2"}  # the old promise binds the truck until the jump is seen
     assert asked_landings(w) == {"stop-2", "stop-3", "quay"}
     w.run(lambda w: home_now(w.pilot) == "stop-3")
     over, _ = flown_of(w).site_items("stop-3")
@@ -379,6 +382,27 @@ def test_a_wish_taken_back_before_it_was_flown_leaves_everything_as_it_was():
     w.to_the_end()
     assert ended_at(w) == "stop-2"
     assert "home_moved" not in w.kinds
+
+
+def test_a_stop_that_is_wished_for_no_more_is_no_landing_place_any_more():
+    w = reach(Phase.OUTBOUND)
+    wish(w, "stop-3")
+    assert wish(w, "stop-1").reply is Reply.ACCEPTED
+    w.judge.asked.clear()
+    for _ in range(20):
+        w.step()
+    assert asked_landings(w) == {"stop-2", "stop-1", "quay"}
+
+
+def test_while_it_turns_to_one_stop_it_takes_no_other_wish():
+    w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    w.mute.add(ev.MissionProgress)  # the jump is on its way, and not yet seen
+    w.run(lambda w: "move_home" in w.kinds, 3.0)
+    assert wish(w, "stop-2") == Answer(Reply.LATER, "turning to another landing site just now")
+    w.mute.clear()
+    w.run(lambda w: home_now(w.pilot) == "stop-3", 3.0)
+    assert wish(w, "stop-2").reply is Reply.ACCEPTED
 
 
 REFUSALS: list[tuple[str, Phase, str, Callable[[World], None], Reply, str]] = [

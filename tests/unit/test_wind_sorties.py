@@ -61,9 +61,9 @@ def test_what_the_tables_allow_reach_allows_at_the_same_wind_and_stops(m100, win
             # A mean of two courses half a degree apart, the slower of both.
             assert legs.out_s[i, j] + legs.back_s[j, k] == pytest.approx(need.time_s, rel=0.02)
     # Both verdicts occur. What the bound gives away is that a wind error which costs one way gains
-    # the other: most in a calm, where a fifth of what Reach allows is refused.
+    # the other: up to a third of what Reach allows is refused near the edge of the reach.
     assert 0 < allowed < count * (count - 1) ** 2
-    assert agreed >= 0.75 * allowed
+    assert agreed >= 0.65 * allowed
 
 
 def test_more_deviation_of_the_power_model_or_the_pack_shortens_the_reach(m100):
