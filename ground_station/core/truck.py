@@ -116,7 +116,8 @@ def taken(truck: Truck, deed: Deed) -> tuple[Truck, Verdict]:
         case PutOut() | Recover():
             return _with(truck, _pad_task(deed))
         case Withdraw():
-            left = [t for t in truck.tasks if t.id != deed.assignment]
+            # Not its recovery: that may have been asked for before this one got through.
+            left = [t for t in truck.tasks if t.id != deed.assignment or t.kind is TaskKind.RECOVER]
             return _replace(truck, tasks=left), Verdict(Answered.DONE, "no longer to be done")
         case Recall():
             return truck, Verdict(Answered.DONE, "a truck stays where it is")

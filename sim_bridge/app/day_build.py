@@ -51,6 +51,9 @@ FORECAST_FROM_S = 600.0
 """A recorded day is planned with the mean of the recording's ten minutes before it began: what a
 dispatcher with an anemometer at the depot has."""
 
+KILLED_WITHIN = (0.1, 0.7)
+"""Of the plan's time: while there is something to kill."""
+
 WIND_EVERY_S = 300.0
 WANDER_FRAC = 0.5
 """A made wind is drawn about the forecast: a mean that is off by its std, and wanders by half of
@@ -80,12 +83,19 @@ class DayWind:
 
 @dataclass(slots=True)
 class Faults:
-    """What is to go wrong, drawn before the day; times are the day's."""
+    """What is to go wrong, drawn before the day as shares of its plan's time (`spread_over`)."""
 
-    ground_kills_s: list[float] = field(default_factory=list)
-    companion_kills_s: list[float] = field(default_factory=list)
+    ground_kills: list[float] = field(default_factory=list)
+    companion_kills: list[float] = field(default_factory=list)
     log: list[tuple[float, str]] = field(default_factory=list)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    ground_kills_s: list[float] = field(default_factory=list)
+    companion_kills_s: list[float] = field(default_factory=list)
+
+    def spread_over(self, makespan_s: float) -> None:
+        """The day is planned to take so long: now its times are known."""
+        self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
+        self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
 
 
 class Network(Protocol):
@@ -242,7 +252,7 @@ def build_day(
     truck_rng = np.random.default_rng(truck_seed)
     truck = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
     truck.late_s = wish.truck_late_s
-    faults = _faults(wish, np.random.default_rng(fault_seed), need_s)
+    faults = _faults(wish, np.random.default_rng(fault_seed))
     customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
     return BuiltDay(data, frame, clock, plumbing, drones, truck, faults, customers)
 
@@ -320,9 +330,7 @@ def _truck(
     )
 
 
-def _faults(wish: DayWish, rng: np.random.Generator, need_s: float) -> Faults:
-    """Kills fall into the first two thirds of the time that the day is expected to need."""
-    busy_s = need_s / 2.0
-    ground = sorted(float(t) for t in rng.uniform(0.1, 0.6, wish.ground_kills) * busy_s)
-    companions = sorted(float(t) for t in rng.uniform(0.1, 0.6, wish.companion_kills) * busy_s)
-    return Faults(ground_kills_s=ground, companion_kills_s=companions, rng=rng)
+def _faults(wish: DayWish, rng: np.random.Generator) -> Faults:
+    ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
+    companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
+    return Faults(ground, companions, rng=rng)

@@ -75,6 +75,7 @@ class DeskHere:
         if taken.conflicts:
             raise LeewayError(f"{folder}: its store holds other orders")
         books.day.take_plan(plan, "the day's plan")
+        built.faults.spread_over(plan.makespan_s)
         seat = cls(built, folder, seed, trials, books)
         seat._log = (folder / LOG).open("a", encoding="utf-8")
         seat._sit_down()

@@ -69,7 +69,7 @@ def _draw_map(axis: Any, day: Drawn, colour: dict[str, Any]) -> None:
         )
     for stop, ne_m in {stand.stop: stand.ne_m for stand in day.stands}.items():
         axis.plot(ne_m[1], ne_m[0], "s", color=INK, ms=9)
-        if stop != "depot-end":
+        if not stop.endswith("depot-end"):
             axis.annotate(
                 stop, (ne_m[1], ne_m[0]), textcoords="offset points", xytext=(9, 7), color=INK
             )

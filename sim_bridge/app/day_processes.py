@@ -46,7 +46,7 @@ def write_network(folder: Path) -> None:
         meeting = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     alone = {"scouting": {"multicast": {"enabled": False}}}
     retry = {"period_init_ms": 50, "period_max_ms": 500}
-    call = {"endpoints": [meeting], "retry": retry, "exit_on_failure": False, "timeout_ms": 0}
+    call = {"endpoints": [meeting], "retry": retry}
     listen: dict[str, list[str]] = {"endpoints": []}
     peer = alone | {"mode": "peer", "listen": listen, "connect": call}
     desk = alone | {"mode": "router", "listen": {"endpoints": [meeting]}}
@@ -194,6 +194,7 @@ class DeskProcess:
         """The desk's files, and its first start; `path` is the day's file."""
         (folder / PLAN).write_bytes(msgspec.json.format(msgspec.json.encode(plan)))
         seat = cls(folder, write_day_file(path, built.data, folder), built.clock)
+        built.faults.spread_over(plan.makespan_s)
         seat.start()
         return seat
 

@@ -131,7 +131,7 @@ def summary(row: dict[str, Any]) -> list[str]:
         )
     spent = row["spent"]
     lines.append(
-        f"{row['duration_s'] / max(spent['cpu_s'], 1e-9):.1f} times real time by CPU"
+        f"{row['duration_s'] / max(spent['cpu_s'], 1e-9):.1f} times real time by this process's CPU"
         f" ({spent['cpu_s']:.0f} s; {spent['wall_s']:.0f} s by the wall)"
     )
     return lines

@@ -164,6 +164,13 @@ def test_a_terminal_that_is_killed_knows_what_was_to_be_done_and_what_was(termin
     assert second.port.todo == []
 
 
+def test_a_withdrawal_that_comes_late_leaves_the_recovery_to_be_done(terminal):
+    truck = terminal()
+    assert truck.ask(BACK, "c1").answer is Answered.DONE
+    assert truck.ask(Withdraw(assignment="o2.1"), "c2").answer is Answered.DONE
+    assert [task.kind for task in truck.port.todo] == [TaskKind.RECOVER]
+
+
 def test_a_truck_refuses_what_only_a_drone_can_do_and_is_told_nothing_on_its_way(terminal):
     truck = terminal()
     assert truck.ask(Launch(assignment="o1.1"), "c1").answer is Answered.REFUSED

@@ -433,7 +433,7 @@ def test_parameters_are_read_by_name_and_unknown_ones_end_as_none():
     assert "AUTO_OPTIONS" in names
     for name in ("AUTO_OPTIONS", "EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "ARSPD_TYPE"):
         bench.hear(value_of(name, 3.0))
-    (event,) = bench.wait(6.0)
+    (event,) = bench.wait(10.0)
     assert event.values["AUTO_OPTIONS"] == 3.0
     assert event.values["NO_SUCH"] is None
 
@@ -456,7 +456,7 @@ def test_a_setting_is_read_back_and_a_stubborn_one_is_named():
     assert {m.param_id for m in bench.take()} == {"A", "B"}
     bench.hear(value_of("A", 2.0))
     bench.hear(value_of("B", 1.0))
-    events = bench.wait(6.0)
+    events = bench.wait(10.0)
     assert ev.ParametersSet(events[0].t_s, ("B",)) in events
 
 
