@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 ASK_AGAIN_S = 20.0
 ATTEMPTS = 3
+UPLOADS = 6
+"""So often an upload is begun: with a fifth of all frames lost three broke off in turn (flown)."""
+
 ARM_AGAIN_S = 3.0
 ARM_LIMIT_S = 90.0
 WAIT_LIMIT_S = 180.0
@@ -119,7 +122,7 @@ def hear(pilot: Pilot, event: Event) -> None:
         case MissionUploaded() if pilot.phase is Phase.UPLOAD:
             if event.reason is None:
                 pilot.fire(Trigger.UPLOADED)
-            elif ground.attempts >= ATTEMPTS:
+            elif ground.attempts >= UPLOADS:
                 give_up(pilot, f"upload refused: {event.reason}")
             else:
                 pilot.do(Note(f"upload refused: {event.reason}"))
