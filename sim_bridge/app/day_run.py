@@ -1,5 +1,6 @@
 """One simulated day from its orders to its verdict, and what it leaves in its folder."""
 
+import contextlib
 import json
 import shutil
 from collections.abc import Callable
@@ -74,16 +75,15 @@ def fly_day(
     seat = take_seat(made, folder)
     world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
     began_wall_s, began_cpu_s = wall_s(), cpu_s()
-    try:
+    with contextlib.ExitStack() as stack:  # each is ended, whatever becomes of the others
+        stack.callback(made.plumbing.close)
+        stack.callback(made.truck.port.close)
+        for drone in made.drones:
+            stack.callback(drone.switch_off)
+        stack.callback(seat.close)
         ended = world.run(options.limit_s, progress)
         spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
         row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}
-    finally:
-        for drone in made.drones:
-            drone.switch_off()
-        made.truck.port.close()
-        seat.close()
-        made.plumbing.close()
     text = json.dumps(row, indent=1, allow_nan=False)
     fresh = folder / f"{RESULT}.new"
     fresh.write_text(text + "\n")
