@@ -257,7 +257,7 @@ CASES = [
     Case(
         "a customer beyond reach is refused on the ground",
         out_of_reach,
-        {"site": {"customer": {"east_m": -30_000.0}}},
+        {"site": {"customer": {"east_m": -12_000.0}}},
         {},
     ),
     Case(

@@ -187,7 +187,7 @@ def test_what_the_process_says_of_its_own_wind_is_calibrated() -> None:
         z, inside = [], []
         for means in judged:
             said = outlook_forecasts(KNOWN, Judged(means, 800.0, 2600.0), 0.4, random)
-            error, std, _ = said[horizon_s]
+            error, std = said[horizon_s]
             z.append(error / std)
             inside.append(score("own", horizon_s, said[horizon_s]).coverage[0])
         assert np.sqrt(np.mean(np.concatenate(z) ** 2)) == pytest.approx(1.0, abs=0.15)
