@@ -73,9 +73,11 @@ class SortieRow:
         here = f"{self.vehicle} ({self.id})"
         if stop in (self.promised, self.asked):
             return f"{here} is promised this stop"
-        if self.sortie.launch == stop and self.over:
+        stands_here = self.launched_us is None or self.recovering  # else it stands where it landed
+        if self.sortie.launch == stop and self.over and stands_here:
             return f"{here} is not aboard again"
-        if self.sortie.launch == stop and self.row.state is not AssignmentState.FLYING:
+        flying = self.row.state is AssignmentState.FLYING
+        if self.sortie.launch == stop and not (self.over or flying):
             return f"{here} is not launched"
         return None
 
