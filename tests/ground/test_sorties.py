@@ -32,7 +32,7 @@ def test_safety_rule_3_the_promised_stop_binds_until_the_drone_is_aboard():
 
 
 def test_a_drone_that_landed_before_the_truck_came_does_not_keep_it_from_coming():
-    """It stands at the promised stop; bound to where it was launched, the truck never went there."""
+    """It stands at the promised stop: bound to where it was launched, the truck never came."""
     landed = row(AssignmentState.DELIVERED, launched_us=1, landed_us=2)
     assert landed.binds("stop-1") is None
 
