@@ -83,6 +83,9 @@ def day(
     sim-bridge day params/days/harbour.toml --seed 1 --json day.json
     """
     try:
+        from ground_station.adapters.compiled_code import keep_compiled_code
+
+        keep_compiled_code()  # before the planner's first import
         from sim_bridge.app import day_fly
     except ImportError as error:
         raise LeewayError(f"day needs leeway[ground]: {error}") from error
@@ -104,9 +107,9 @@ def day(
     settings = settings_of(path, wish, trials)
     flyer = day_fly.Flyer(console, path, data, wish, trials, runs, settings, processes)
     rows = [flyer.row(number, picture=picture) for number in _numbers(seed, seeds)]
-    for row in rows[-1:] if len(rows) == 1 else []:
-        print_day(console, row)
-    if len(rows) > 1:
+    if len(rows) == 1:
+        print_day(console, rows[0])
+    else:
         print_days(console, rows)
     for row in rows:
         console.print(f"{row['run']}: day.json, day.png, desk.log", highlight=False)

@@ -8,19 +8,15 @@ from typing import Any
 
 from rich.console import Console
 
-from ground_station.adapters.compiled_code import keep_compiled_code
-
-keep_compiled_code()  # before the planner's first import
-
-from ground_station.core.day_data import DayData  # noqa: E402
-from ground_station.core.day_plan import DayPlan  # noqa: E402
-from ground_station.core.day_planning import PlanParams, plan_day  # noqa: E402
-from ground_station.core.day_state import first_state  # noqa: E402
-from sim_bridge.app.day_build import BuiltDay, DayWish, here  # noqa: E402
-from sim_bridge.app.day_desk import DeskHere  # noqa: E402
-from sim_bridge.app.day_processes import DeskProcess, apart  # noqa: E402
-from sim_bridge.app.day_report import watched  # noqa: E402
-from sim_bridge.app.day_run import RESULT, DayOptions, DeskSeat, fly_day  # noqa: E402
+from ground_station.core.day_data import DayData
+from ground_station.core.day_plan import DayPlan
+from ground_station.core.day_planning import PlanParams, plan_day
+from ground_station.core.day_state import first_state
+from sim_bridge.app.day_build import BuiltDay, DayWish, here
+from sim_bridge.app.day_desk import DeskHere
+from sim_bridge.app.day_processes import DeskProcess, apart
+from sim_bridge.app.day_report import watched
+from sim_bridge.app.day_run import RESULT, DayOptions, DeskSeat, fly_day
 
 LONGEST_S = 5400.0
 """A day is meant to take an hour at most; one that takes half as long again is broken off."""
