@@ -1,0 +1,83 @@
+"""Flights of long evaluations kept on disk in chunks of episodes, so that they can be resumed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.separation_filter import SeparationFilter
+from sim_bridge.training.evaluation import Flights, fly
+from sim_bridge.training.world import World
+from sim_bridge.training.yardsticks import Pilot
+
+CHUNK = 25  # episodes flown side by side
+SEEDS_APART = 1_000_000
+SEEDS_FROM = 50  # `--seed 0` begins here: training and its checks end below
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What decides its flights: equal evaluations fly equal episodes. `weights`: the actor's hash."""
+
+    policy: str
+    agents: int
+    seed: int
+    wind: bool
+    weights: str = ""
+
+    def path(self, folder: Path, first: int, count: int) -> Path:
+        air = "wind" if self.wind else "still"
+        learned = f"-{self.weights[:12]}" if self.weights else ""
+        name = f"{self.policy}{learned}-{self.agents}-{air}-{self.seed}-{first}+{count}.npz"
+        return folder / name
+
+    def seeds(self, first: int, count: int) -> list[int]:
+        base = SEEDS_APART * (self.seed + SEEDS_FROM)
+        return [base + k for k in range(first, first + count)]
+
+
+def flights_of(
+    evaluation: Evaluation,
+    episodes: int,
+    world: World,
+    pilot: Pilot,
+    separation: SeparationFilter | None,
+    folder: Path | None = None,
+) -> Iterator[Flights]:
+    """All chunks in turn; those found in `folder` are read, the others flown and kept there."""
+    for first in range(0, episodes, CHUNK):
+        count = min(CHUNK, episodes - first)
+        path = evaluation.path(folder, first, count) if folder else None
+        if path is not None and path.exists():
+            yield _read(path)
+            continue
+        found = fly(world, pilot, separation, evaluation.seeds(first, count))
+        if path is not None:
+            _keep(path, found)
+        yield found
+
+
+def kept(evaluation: Evaluation, episodes: int, folder: Path) -> Flights | None:
+    """What is in `folder` of the first `episodes`, up to the first gap."""
+    found = None
+    for first in range(0, episodes, CHUNK):
+        path = evaluation.path(folder, first, min(CHUNK, episodes - first))
+        if not path.exists():
+            break
+        part = _read(path)
+        found = part if found is None else found.joined(part)
+    return found
+
+
+def _keep(path: Path, found: Flights) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez(file, **{name: getattr(found, name) for name in Flights.__dataclass_fields__})
+    partial.replace(path)
+
+
+def _read(path: Path) -> Flights:
+    with np.load(path, allow_pickle=False) as arrays:
+        return Flights(*(arrays[name] for name in Flights.__dataclass_fields__))
