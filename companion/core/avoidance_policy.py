@@ -5,6 +5,7 @@ Observation as in the paper (IV-B): a 155 x 155 view of three binary channels an
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,7 +17,6 @@ Array = NDArray[np.float32]
 
 VIEW_CELLS = 155
 POOL = 5
-POOLED_CELLS = VIEW_CELLS // POOL
 VECTOR_SCALE_M = 200.0
 
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -74,5 +74,5 @@ class AvoidancePolicy:
 
 def pooled(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The greatest of each 5 x 5 cells: (..., 155, 155) -> (..., 31, 31)."""
-    cells = (*view.shape[:-2], POOLED_CELLS, POOL, POOLED_CELLS, POOL)
-    return view.reshape(cells).max(axis=(-3, -1))
+    rows = reduce(np.maximum, [view[..., k::POOL, :] for k in range(POOL)])
+    return reduce(np.maximum, [rows[..., k::POOL] for k in range(POOL)])

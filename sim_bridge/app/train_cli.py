@@ -11,19 +11,22 @@ from companion.core.errors import LeewayError
 from sim_bridge.app.campaign_cli import INTERRUPTED
 
 if TYPE_CHECKING:
-    from sim_bridge.training.maddpg import CurvePoint
+    from sim_bridge.training.train_avoid import CurvePoint
 
 app = typer.Typer(add_completion=False)
 
 
 @app.command("train-avoid")
 def train_avoid(
-    reward: Annotated[str, typer.Option(help="paper, or sharper (ours)")] = "sharper",
+    reward: Annotated[str, typer.Option(help="paper, or ours: sharper, swift")] = "swift",
     seed: Annotated[int, typer.Option(min=0, help="of networks, noise and episodes")] = 1,
-    steps: Annotated[int, typer.Option(min=1, help="decisions of each of 12 episodes")] = 4000,
+    steps: Annotated[int, typer.Option(min=1, help="decisions of each of 8 episodes")] = 2500,
     filtered: Annotated[
         bool, typer.Option("--filtered", help="learn behind the safety filter")
     ] = False,
+    taught: Annotated[
+        int, typer.Option(min=0, help="updates (2 a step) that imitate the shortest way first")
+    ] = 0,
     begin_with: Annotated[
         Path | None, typer.Option(help="checkpoint.pt whose networks to start from")
     ] = None,
@@ -33,10 +36,11 @@ def train_avoid(
 ) -> None:
     """Learn to avoid (MADDPG); Ctrl-C keeps the checkpoint, the same command goes on from it.
 
-    Example: OMP_NUM_THREADS=1 sim-bridge train-avoid --reward sharper --seed 1
+    Example: OMP_NUM_THREADS=1 sim-bridge train-avoid --reward swift --filtered --seed 1
     """
     try:
-        from sim_bridge.training.maddpg import TrainParams, train
+        from sim_bridge.training.maddpg import TrainParams
+        from sim_bridge.training.train_avoid import train
     except ImportError as error:
         raise LeewayError(f"train-avoid needs leeway[train]: {error}") from error
     from sim_bridge.training.environment import REWARDS
@@ -44,13 +48,14 @@ def train_avoid(
 
     if reward not in REWARDS:
         raise LeewayError(f"--reward {reward}: expected one of {', '.join(REWARDS)}")
-    folder = out or Path("logs") / "avoid" / f"{reward}-{seed}{'-filtered' * filtered}"
+    folder = out or Path("logs") / "avoid" / f"{reward}-{seed}{'-filtered' * filtered}{'-taught' * (taught > 0)}"
     if begin_with is not None and not begin_with.exists():
         raise LeewayError(f"--begin-with {begin_with}: no such checkpoint")
     params = TrainParams(
         reward=reward,
         seed=seed,
         filtered=filtered,
+        taught=taught,
         begin_with=str(begin_with or ""),
         steps=steps,
     )

@@ -7,7 +7,7 @@ import numpy as np
 
 from companion.core.avoidance_policy import SHAPES, AvoidancePolicy
 from sim_bridge.training.environment import Frame
-from sim_bridge.training.maddpg import sha256_of, weights_of
+from sim_bridge.training.train_avoid import sha256_of, weights_of
 
 CARD = """\
 # What this policy is and where it comes from; `sim-bridge avoid` and the companion check it.

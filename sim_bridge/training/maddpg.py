@@ -1,18 +1,13 @@
-"""MADDPG (Lowe et al., NeurIPS 2017; paper IV-B) in one file: networks, replay, learning, curve.
+"""MADDPG (Lowe et al., NeurIPS 2017; paper IV-B) in one file: networks, replay, learning.
 
 Actors see their own observation, critics everybody's, in training only. All agents share one actor
 and one critic, as the paper has "the same drone types"; the critic joins the others by their mean,
 so that one network serves any number. The 155 x 155 view is pooled to 31 x 31 (greatest of 5 x 5
-cells) before the first convolution, and kept so, as bytes, in the replay.
-
-    sim-bridge train-avoid --reward sharper --seed 1 --out logs/avoid/sharper
+cells) before the first convolution, and kept so, as bytes, in the replay. From TD3 (Fujimoto et
+al., ICML 2018) it takes the actor that learns every other time. `train_avoid` flies and keeps it.
 """
 
-import csv
-import hashlib
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,43 +15,41 @@ import torch  # pyright: ignore[reportMissingImports]
 from torch import Tensor, nn  # pyright: ignore[reportMissingImports]
 from torch.nn import functional  # pyright: ignore[reportMissingImports]
 
-from companion.core.avoidance_policy import VECTOR_SCALE_M, pooled
-from companion.core.separation_filter import SeparationFilter
-from sim_bridge.training.environment import REWARDS, AvoidEnvironment, Frame, Observation
-from sim_bridge.training.scenes import make_scene
-from sim_bridge.training.world import World
+from companion.core.avoidance_policy import VECTOR_SCALE_M
 
-TRAIN_SCENES, TRAIN_SEEDS = 24, 1_000_000  # `avoid` flies other towns and other seeds
-CHECK_SEEDS = 900_000
+SURE = 2.5  # what goes into a tanh and costs nothing: 0.99 of full deflection
 
 
 @dataclass(frozen=True)
 class TrainParams:
     """Everything that a result depends on; kept in the checkpoint and on the policy's card."""
 
-    reward: str = "sharper"
+    reward: str = "swift"
     seed: int = 1
     filtered: bool = False  # flies behind the safety filter while it learns
+    taught: int = 0  # updates that imitate the shortest way; twice as many until that has faded
     begin_with: str = ""  # checkpoint whose networks it starts from
-    agents: int = 8
-    episodes: int = 12  # flown side by side
+    agents: int = 12
+    episodes: int = 8  # flown side by side
     steps: int = 4000  # decisions of every episode
     longest: int = 45  # decisions, then all start anew
-    warm_up: int = 100
+    warm_up: int = 60
     updates: int = 2  # a step
     critic_first: int = 500  # updates before the actor follows a critic that knows nothing
-    batch: int = 64  # joint transitions
-    replay: int = 1200  # steps of all episodes
-    discount: float = 0.95
+    actor_every: int = 2  # updates of the critic (TD3)
+    batch: int = 40  # joint transitions
+    replay: int = 2000  # steps of all episodes
+    discount: float = 0.93
     target_rate: float = 0.01
-    actor_rate: float = 2e-4
+    actor_rate: float = 5e-4
     critic_rate: float = 1e-3
-    noise_heading: float = 0.15
+    settle_to: float = 0.1  # both rates fall to this share of themselves, evenly over the run
+    noise_heading: float = 0.12
     noise_speed: float = 0.25
-    random_frac: float = 0.25  # decisions drawn evenly; without them the critic guesses, wrongly
-    saturation: float = 1e-2  # what the actor pays for the square of what goes into its tanh
+    random_frac: float = 0.15  # decisions drawn evenly; without them the critic guesses, wrongly
+    saturation: float = 1e-2  # what the actor pays for the square of what its tanh gets beyond SURE
     reward_scale: float = 0.2
-    check_every: int = 150
+    check_every: int = 250
     check_episodes: int = 24
 
 
@@ -84,7 +77,7 @@ class Actor(nn.Module):
         self.hidden = nn.Linear(64, 64)
         self.out = nn.Linear(64, 2)
         nn.init.uniform_(self.out.weight, -0.01, 0.01)
-        self.out.bias.data = torch.tensor([0.0, 1.0])
+        self.out.bias.data = torch.tensor([0.0, 2.0])
 
     def forward(self, view: Tensor, vectors_m: Tensor) -> Tensor:
         return torch.tanh(self.wished(view, vectors_m))
@@ -106,9 +99,13 @@ class Critic(nn.Module):
 
     def forward(self, view: Tensor, vectors_m: Tensor, action: Tensor, flying: Tensor) -> Tensor:
         """`flying` (B, N) tells who counts; returns (B, N)."""
+        return self.judged(self.encoder(view, vectors_m), action, flying)
+
+    def judged(self, seen: Tensor, action: Tensor, flying: Tensor) -> Tensor:
+        """As `forward`, of views that are encoded already (B * N, 64)."""
         angle = torch.pi * action[:, :1]  # so that left about and right about are the same
         turned = torch.cat([torch.cos(angle), torch.sin(angle), action[:, 1:]], dim=1)
-        own = torch.cat([self.encoder(view, vectors_m), turned], dim=1)
+        own = torch.cat([seen, turned], dim=1)
         own = functional.relu(self.joined(own)).view(*flying.shape, 64)
         there = own * flying[..., None]
         count = (flying.sum(dim=1, keepdim=True) - flying).clamp(min=1.0)
@@ -125,6 +122,7 @@ class Replay:
         self.view = np.zeros((*shape, 3, 31, 31), np.uint8)
         self.vectors_m = np.zeros((*shape, 4), np.float32)
         self.action = np.zeros((*shape, 2), np.float32)
+        self.taught = np.zeros((*shape, 2), np.float32)
         self.reward = np.zeros(shape, np.float32)
         self.flying, self.done = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self.followed = np.zeros(params.replay, bool)
@@ -145,7 +143,7 @@ class Replay:
         after = (rows + 1) % len(self.followed)
         picked = {
             name: getattr(self, name)[rows, episode]
-            for name in ("view", "vectors_m", "action", "reward", "flying", "done")
+            for name in ("view", "vectors_m", "action", "taught", "reward", "flying", "done")
         }
         picked |= {
             f"next_{name}": getattr(self, name)[after, episode]
@@ -186,28 +184,63 @@ class Learner:
         action = self.actor(seen, torch.from_numpy(vectors_m.reshape(-1, 4)))
         return action.numpy().reshape(*view.shape[:2], 2)
 
-    def learn(self, batch: dict[str, Tensor]) -> float:
+    def learn(self, batch: dict[str, Tensor], share: float) -> float:
+        """One step on a batch, `share` of the run being over; returns the critic's loss."""
+        self._settle(share)
         flying, count = batch["flying"], batch["flying"].sum().clamp(min=1.0)
         view, vectors = _flat(batch["view"]), _flat(batch["vectors_m"])
-        with torch.no_grad():
-            next_view, next_vectors = _flat(batch["next_view"]), _flat(batch["next_vectors_m"])
-            action = self.slow_actor(next_view, next_vectors)
-            ahead = self.slow_critic(next_view, next_vectors, action, batch["next_flying"])
-            goes_on = (1.0 - batch["done"]) * self.params.discount
-            target = self.params.reward_scale * batch["reward"] + goes_on * ahead
-        value = self.critic(view, vectors, _flat(batch["action"]), flying)
-        error = functional.smooth_l1_loss(value, target, reduction="none")
+        seen = self.critic.encoder(view, vectors)
+        value = self.critic.judged(seen, _flat(batch["action"]), flying)
+        error = functional.smooth_l1_loss(value, self._target(batch), reduction="none")
         critic_loss = (error * flying).sum() / count
         self._step(self.critic_step, self.critic, critic_loss)
         self._follow(self.slow_critic, self.critic)
         self.updates += 1
-        if self.updates > self.params.critic_first:
-            wished = self.actor.wished(view, vectors)
-            worth = self.critic(view, vectors, torch.tanh(wished), flying)
-            large = self.params.saturation * (wished**2).sum(dim=1).view_as(flying)
-            self._step(self.actor_step, self.actor, ((large - worth) * flying).sum() / count)
+        follows = self.updates > self.params.critic_first or self.params.taught
+        if follows and self.updates % self.params.actor_every == 0:
+            loss = self._actor_loss(batch, view, vectors, seen.detach())
+            self._step(self.actor_step, self.actor, (loss * flying).sum() / count)
             self._follow(self.slow_actor, self.actor)
         return float(critic_loss.detach())
+
+    @torch.no_grad()
+    def _target(self, batch: dict[str, Tensor]) -> Tensor:
+        view, vectors = _flat(batch["next_view"]), _flat(batch["next_vectors_m"])
+        action = self.slow_actor(view, vectors)
+        ahead = self.slow_critic(view, vectors, action, batch["next_flying"])
+        goes_on = (1.0 - batch["done"]) * self.params.discount
+        return self.params.reward_scale * batch["reward"] + goes_on * ahead
+
+    def _actor_loss(
+        self, batch: dict[str, Tensor], view: Tensor, vectors: Tensor, seen: Tensor
+    ) -> Tensor:
+        """Against the critic's opinion, and while it is taught, off what it is taught; (B, N)."""
+        wished = self.actor.wished(view, vectors)
+        action, flying = torch.tanh(wished), batch["flying"]
+        too_sure = self.params.saturation * functional.relu(wished.abs() - SURE).square().sum(dim=1)
+        taught = self._taught_share()
+        loss = too_sure.view_as(flying)
+        if taught < 1.0:
+            self.critic.requires_grad_(False)
+            loss = loss - (1.0 - taught) * self.critic.judged(seen, action, flying)
+            self.critic.requires_grad_(True)
+        if taught > 0.0:
+            off = functional.smooth_l1_loss(
+                action, _flat(batch["taught"]), reduction="none", beta=0.05
+            )
+            loss = loss + taught * off.sum(dim=1).view_as(flying)
+        return loss
+
+    def _taught_share(self) -> float:
+        """1 while it is only taught, then less and less until the critic alone is followed."""
+        taught = self.params.taught
+        return min(max(2.0 - self.updates / taught, 0.0), 1.0) if taught else 0.0
+
+    def _settle(self, share: float) -> None:
+        p = self.params
+        kept = 1.0 - (1.0 - p.settle_to) * min(share, 1.0)
+        self.actor_step.param_groups[0]["lr"] = kept * p.actor_rate
+        self.critic_step.param_groups[0]["lr"] = kept * p.critic_rate
 
     @staticmethod
     def _step(optimiser: torch.optim.Optimizer, net: nn.Module, loss: Tensor) -> None:
@@ -224,180 +257,3 @@ class Learner:
 
 def _flat(x: Tensor) -> Tensor:
     return x.reshape(-1, *x.shape[2:])
-
-
-@dataclass(frozen=True)
-class CurvePoint:
-    """One row of curve.csv; shares are of flights, checked without noise on fixed episodes."""
-
-    step: int
-    agent_steps: int
-    reward_mean: float
-    goals_frac: float
-    drone_collision_frac: float
-    building_collision_frac: float
-    decisions_mean: float
-    critic_loss: float
-
-
-def environment_of(params: TrainParams, power_w: Callable[..., Any] | None) -> AvoidEnvironment:
-    scenes = [make_scene(np.random.default_rng([1, k])) for k in range(TRAIN_SCENES)]
-    world = World(scenes, params.agents, wind=True)
-    separation = SeparationFilter() if params.filtered else None
-    return AvoidEnvironment(world, REWARDS[params.reward], Frame.GOAL, separation, power_w)
-
-
-def check(learner: Learner, env: AvoidEnvironment, step: int, seen: int, loss: float) -> CurvePoint:
-    """How the actor does without noise on episodes that are never trained on."""
-    params, world = learner.params, env.world
-    world.reset([CHECK_SEEDS + k for k in range(params.check_episodes)])
-    total, flown = 0.0, 0
-    for _ in range(params.longest):
-        if not world.active.any():
-            break
-        flown += int(world.active.sum())
-        now = env.observe()
-        total += float(env.step(learner.act(pooled(now.view), now.vectors_m)).sum())
-    flights = world.active.size
-    return CurvePoint(
-        step=step,
-        agent_steps=seen,
-        reward_mean=total / flights,
-        goals_frac=float(world.arrived.mean()),
-        drone_collision_frac=float(world.hit_drone.mean()),
-        building_collision_frac=float(world.hit_building.mean()),
-        decisions_mean=flown / flights,
-        critic_loss=loss,
-    )
-
-
-def train(
-    params: TrainParams,
-    out: Path,
-    power_w: Callable[..., Any] | None,
-    progress: Callable[[int, CurvePoint | None], None],
-) -> None:
-    """Learn until `params.steps`; goes on from out/checkpoint.pt, without its replay."""
-    torch.set_num_threads(1)
-    out.mkdir(parents=True, exist_ok=True)
-    learner, kept = Learner(params), out / "checkpoint.pt"
-    env, judged = environment_of(params, power_w), environment_of(params, power_w)
-    done, seen, began = 0, 0, 0
-    if kept.exists():
-        state = torch.load(kept, weights_only=True)
-        _same_settings(params, state["params"], kept)
-        learner.load(state["nets"])
-        done, seen, began = state["step"], state["agent_steps"], state["began"]
-    elif params.begin_with:
-        learner.load(torch.load(Path(params.begin_with), weights_only=True)["nets"])
-    random = np.random.default_rng([params.seed, done])
-    replay, loss, losses = Replay(params), 0.0, []
-    flight = _Flight(env, learner, random, began)
-    for step in range(done, params.steps + 1):
-        if step % params.check_every == 0:
-            loss = float(np.mean(losses)) if losses else 0.0
-            losses = []
-            point = check(learner, judged, step, seen, loss)
-            _append(out / "curve.csv", point)
-            _save(kept, learner, step, seen, flight.began)
-            progress(step, point)
-        seen += flight.step(replay, explore=True)
-        if replay.written > params.warm_up:
-            for _ in range(params.updates):
-                losses.append(learner.learn(replay.sample(params.batch, random)))
-        progress(step, None)
-
-
-class _Flight:
-    """The episodes that experience comes from."""
-
-    def __init__(
-        self, env: AvoidEnvironment, learner: Learner, random: np.random.Generator, began: int
-    ) -> None:
-        self.env, self.learner, self.random, self.began = env, learner, random, began
-        self._begin()
-
-    def _begin(self) -> None:
-        count = self.learner.params.episodes
-        base = TRAIN_SEEDS * (1 + self.learner.params.seed) + self.began * count
-        self.env.world.reset([base + k for k in range(count)])
-        self.began += 1
-        self.age = 0
-        self.now = self._look()
-
-    def _look(self) -> Observation:
-        now = self.env.observe()
-        return Observation(pooled(now.view), now.vectors_m)
-
-    def step(self, replay: Replay, explore: bool) -> int:
-        p, world = self.learner.params, self.env.world
-        flying = world.active.copy()
-        action = self.learner.act(self.now.view, self.now.vectors_m)
-        if explore:
-            noise = self.random.standard_normal(action.shape) * [p.noise_heading, p.noise_speed]
-            action = np.clip(action + noise, -1.0, 1.0)
-            drawn = self.random.random(flying.shape) < p.random_frac
-            action[drawn] = self.random.uniform(-1.0, 1.0, (int(drawn.sum()), 2))
-        reward = self.env.step(action)
-        self.age += 1
-        over = self.age >= p.longest or world.active.mean() < 0.15
-        replay.add(
-            view=self.now.view,
-            vectors_m=self.now.vectors_m,
-            action=action,
-            reward=reward,
-            flying=flying,
-            done=flying & ~world.active,
-            followed=not over,
-        )
-        if over:
-            self._begin()
-        else:
-            self.now = self._look()
-        return int(flying.sum())
-
-
-def _same_settings(params: TrainParams, kept: dict[str, Any], path: Path) -> None:
-    new = asdict(params)
-    other = {k for k in new if k != "steps" and new[k] != kept.get(k, new[k])}
-    if other:
-        words = ", ".join(f"{k} {kept.get(k)} (now {new[k]})" for k in sorted(other))
-        raise ValueError(f"{path} was learned with {words}; name another --out")
-
-
-def _append(path: Path, point: CurvePoint) -> None:
-    row, fresh = asdict(point), not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, list(row))
-        if fresh:
-            writer.writeheader()
-        writer.writerow(row)
-
-
-def _save(path: Path, learner: Learner, step: int, seen: int, began: int) -> None:
-    state = {
-        "params": asdict(learner.params),
-        "nets": learner.state(),
-        "step": step,
-        "agent_steps": seen,
-        "began": began,
-    }
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    partial.replace(path)
-
-
-def weights_of(checkpoint: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The actor's weights as plain float32 arrays, and what is known of the run."""
-    state = torch.load(checkpoint, weights_only=True)
-    actor = state["nets"]["actor"]
-    weights = {name: value.numpy().astype(np.float32) for name, value in actor.items()}
-    return weights, {
-        "params": state["params"],
-        "step": state["step"],
-        "agent_steps": state["agent_steps"],
-    }
-
-
-def sha256_of(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -55,7 +55,7 @@ class AvoidParallelEnv(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
             self._seed = seed
         else:
             self._seed = getattr(self, "_seed", -1) + 1
-        self._batch.world.reset([self._seed])
+        self._batch.reset([self._seed])
         self._decisions = 0
         self.agents = list(self.possible_agents)
         return self._seen(self.agents), {name: {} for name in self.agents}
