@@ -35,6 +35,7 @@ def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
     np.savez(archive, **{key: weights[key] for key in SHAPES})  # pyright: ignore[reportArgumentType]
     params = run["params"]
     filtered = " --filtered" if params["filtered"] else ""
+    taught = f" --taught {params['taught']}" if params["taught"] else ""
     begun = f" --begin-with {params['begin_with']}" if params["begin_with"] else ""
     card = CARD.format(
         name=name,
@@ -49,7 +50,7 @@ def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
         agent_steps=run["agent_steps"],
         commit=commit,
         command=f"sim-bridge train-avoid --reward {params['reward']} --seed {params['seed']}"
-        f" --steps {run['step']}{filtered}{begun}",
+        f" --steps {params['steps']}{filtered}{taught}{begun}",
     )
     written = [archive, out / f"{name}.toml", out / f"{name}_curve.csv"]
     written[1].write_text(card, encoding="utf-8")
