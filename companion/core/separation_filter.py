@@ -11,7 +11,7 @@ Arrays are batched: A vehicles, J neighbours each. Positions and velocities are 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache
 
@@ -88,7 +88,15 @@ class Neighbours:
 
     def picked(self, *index: NDArray[np.int64]) -> "Neighbours":
         """These vehicles, or these neighbours of these vehicles."""
-        return Neighbours(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return Neighbours(
+            self.pos_ned_m[index],
+            self.vel_ned_mps[index],
+            self.age_s[index],
+            self.pos_std_m[index],
+            self.alt_std_m[index],
+            self.vel_std_mps[index],
+            self.present[index],
+        )
 
 
 @dataclass(frozen=True)
@@ -167,7 +175,9 @@ class SeparationFilter:
         choice = cost.argmin(axis=1)
         choice[~np.isfinite(cost[rows, choice])] = fan.shape[1] - 1
         verdict = np.where((choice == fan.shape[1] - 1), Verdict.BRAKED, Verdict.BENT)
-        lost = _evidently_broken(braking, reports, p)
+        lost = brake_slack[:, 0] < 0.0  # who may brake has a separation to everybody
+        if lost.any():
+            lost &= _evidently_broken(braking, reports, p)
         if lost.any():
             away = np.where(clear, _escape_margin(paths, heard, p), -np.inf)
             away[:, -1] = np.maximum(away[:, -1], -1e9)  # braking is always there
@@ -241,7 +251,12 @@ class _Reports:
     absent: NDArray[np.bool_]
 
     def picked(self, *index: NDArray[np.int64]) -> "_Reports":
-        return _Reports(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return _Reports(
+            self.braking[index],
+            self.error_m[index],
+            self.error_vertical_m[index],
+            self.absent[index],
+        )
 
 
 def _reports(heard: Neighbours, p: SeparationParams) -> _Reports:
