@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-AT_ONCE = 25  # episodes
-SEEDS_APART = 1_000_000
 TIMED_EPISODES = 5
 FLOWN_POLICY = "avoid"
 
@@ -50,6 +48,10 @@ def avoid(
         str, typer.Option(help="of maddpg: a name in params/policies, or a card's path")
     ] = FLOWN_POLICY,
     json_out: Annotated[Path | None, typer.Option("--json", help="write the figures here")] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="keep every 25 episodes in this folder; the same command goes on there"),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="draw the first episode's tracks here (PNG)")
     ] = None,
@@ -57,26 +59,28 @@ def avoid(
     """Fly episodes among buildings and other drones, and count collisions by truth.
 
     Each policy meets the same seeds, starts, goals, towns and wind; neighbours' positions are
-    200 ms late and 2 m off. Ctrl-C shows what has been flown.
+    200 ms late and 2 m off. Ctrl-C shows what has been flown. A folder of --keep belongs to one
+    state of the code: what it holds is not flown again.
 
     Example: sim-bridge avoid --policy orca_filtered --agents 8 --episodes 100 --wind
     """
     from companion.core.separation_filter import SeparationFilter
     from sim_bridge.training import evaluation
+    from sim_bridge.training.kept_flights import Evaluation, flights_of
 
-    pilot = _pilot(policy, card)
+    pilot, weights = _pilot(policy, card)
     separation = SeparationFilter() if policy in FILTERED else None
     world = evaluation.evaluation_world(agents, wind)
-    seeds = [SEEDS_APART * (seed + 50) + k for k in range(episodes)]
+    asked = Evaluation(policy.value, agents, seed, wind, weights)
+    seeds = asked.seeds(0, min(episodes, TIMED_EPISODES))
     found, timed, stopped = None, None, False
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
         shown = bar.add_task(f"{policy}, {agents} drones", total=episodes)
         try:
-            timed = evaluation.decision_us(world, pilot, separation, seeds[:TIMED_EPISODES], cpu_s)
-            for first in range(0, episodes, AT_ONCE):
-                part = evaluation.fly(world, pilot, separation, seeds[first : first + AT_ONCE])
+            timed = evaluation.decision_us(world, pilot, separation, seeds, cpu_s)
+            for part in flights_of(asked, episodes, world, pilot, separation, keep):
                 found = part if found is None else found.joined(part)
                 bar.update(shown, completed=len(found.arrived) // agents)
             if picture is not None:
@@ -97,22 +101,23 @@ def avoid(
         raise typer.Exit(INTERRUPTED)
 
 
-def _pilot(policy: PolicyChoice, card: str) -> "Pilot":
+def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
+    """Who flies, and the hash of its weights."""
     from sim_bridge.training import yardsticks
 
     if policy in (PolicyChoice.none, PolicyChoice.none_filtered):
-        return yardsticks.StraightOn()
+        return yardsticks.StraightOn(), ""
     if policy in (PolicyChoice.orca, PolicyChoice.orca_filtered):
         try:
             import pyrvo  # noqa: F401 # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise LeewayError(f"--policy {policy} needs leeway[train] (pyrvo): {error}") from error
-        return yardsticks.Orca()
+        return yardsticks.Orca(), ""
     from companion.adapters.policy_file import read_policy
     from sim_bridge.training.environment import Frame
 
     actor, said = read_policy(card)
-    return yardsticks.Learned(actor, Frame(said.frame))
+    return yardsticks.Learned(actor, Frame(said.frame)), said.sha256
 
 
 def _table(figures: dict[str, Any], wind: bool) -> Table:
@@ -150,7 +155,7 @@ def _draw(
     from sim_bridge.training.evaluation import evaluation_world
 
     separation = SeparationFilter() if policy in FILTERED else None
-    pilot = _pilot(policy, card)
+    pilot, _ = _pilot(policy, card)
     draw_episode(evaluation_world(agents, wind), pilot, separation, seed, policy.value, picture)
 
 
@@ -161,7 +166,7 @@ def avoid_curve(
 ) -> None:
     """Draw learning curves: reward, goals and collisions over the steps that agents flew.
 
-    Example: sim-bridge avoid-curve logs/avoid/sharper-1/curve.csv logs/avoid/paper-1/curve.csv
+    Example: sim-bridge avoid-curve logs/avoid/swift-1/curve.csv logs/avoid/paper-1/curve.csv
     """
     from sim_bridge.training.avoid_picture import draw_curves
 
@@ -181,7 +186,7 @@ def export_avoid(
 ) -> None:
     """Write a trained actor as plain weights with its card and curve; needs leeway[train].
 
-    Example: sim-bridge export-avoid logs/avoid/sharper-1/checkpoint.pt --out params/policies
+    Example: sim-bridge export-avoid logs/avoid/swift-1/checkpoint.pt --out params/policies
     """
     try:
         from sim_bridge.training.export import export

@@ -48,7 +48,12 @@ def train_avoid(
 
     if reward not in REWARDS:
         raise LeewayError(f"--reward {reward}: expected one of {', '.join(REWARDS)}")
-    folder = out or Path("logs") / "avoid" / f"{reward}-{seed}{'-filtered' * filtered}{'-taught' * (taught > 0)}"
+    folder = (
+        out
+        or Path("logs")
+        / "avoid"
+        / f"{reward}-{seed}{'-filtered' * filtered}{'-taught' * (taught > 0)}"
+    )
     if begin_with is not None and not begin_with.exists():
         raise LeewayError(f"--begin-with {begin_with}: no such checkpoint")
     params = TrainParams(

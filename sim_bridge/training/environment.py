@@ -161,13 +161,11 @@ class AvoidEnvironment:
     power_w: Callable[[Floats], Floats] | None = None
     ways: WaysAround | None = None  # without: the way is as the crow flies
     _way: tuple[Floats, Floats] | None = field(default=None, init=False)
+    _from_corners_m: Floats | None = field(default=None, init=False)
 
     def reset(self, seeds: list[int]) -> None:
         self.world.reset(seeds)
-        if self.ways is not None:
-            flat = self.world.goal_ne_m.reshape(-1, 2)
-            scene_of = np.repeat(self.world.scene_of, self.world.agents)
-            self._from_corners_m = self.ways.from_corners_m(scene_of, flat)
+        self._from_corners_m = None
         self._way = self._way_now()
 
     def _way_now(self) -> tuple[Floats, Floats]:
@@ -175,11 +173,11 @@ class AvoidEnvironment:
         w = self.world
         if self.ways is None:
             return w.to_goal()
+        scene_of, goal = np.repeat(w.scene_of, w.agents), w.goal_ne_m.reshape(-1, 2)
+        if self._from_corners_m is None:
+            self._from_corners_m = self.ways.from_corners_m(scene_of, goal)
         bearing, length = self.ways.next_leg(
-            np.repeat(w.scene_of, w.agents),
-            w.pos_m[..., :2].reshape(-1, 2),
-            w.goal_ne_m.reshape(-1, 2),
-            self._from_corners_m,
+            scene_of, w.pos_m[..., :2].reshape(-1, 2), goal, self._from_corners_m
         )
         return bearing.reshape(w.active.shape), length.reshape(w.active.shape)
 

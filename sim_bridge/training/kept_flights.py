@@ -13,12 +13,12 @@ from sim_bridge.training.yardsticks import Pilot
 
 CHUNK = 25  # episodes flown side by side
 SEEDS_APART = 1_000_000
-SEEDS_FROM = 50  # `--seed 0` begins here: training and its checks end below
+SEEDS_FROM = 50  # `--seed 0` begins here; trainings of seeds up to 40 and their checks end below
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What decides its flights: equal evaluations fly equal episodes. `weights`: the actor's hash."""
+    """What decides its flights; `weights` is the hash of the actor's."""
 
     policy: str
     agents: int
@@ -56,18 +56,6 @@ def flights_of(
         if path is not None:
             _keep(path, found)
         yield found
-
-
-def kept(evaluation: Evaluation, episodes: int, folder: Path) -> Flights | None:
-    """What is in `folder` of the first `episodes`, up to the first gap."""
-    found = None
-    for first in range(0, episodes, CHUNK):
-        path = evaluation.path(folder, first, min(CHUNK, episodes - first))
-        if not path.exists():
-            break
-        part = _read(path)
-        found = part if found is None else found.joined(part)
-    return found
 
 
 def _keep(path: Path, found: Flights) -> None:

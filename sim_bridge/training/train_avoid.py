@@ -1,6 +1,6 @@
 """Flying and learning to avoid: experience, checks on fixed episodes, checkpoints and the curve.
 
-    sim-bridge train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
+sim-bridge train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
 """
 
 import csv

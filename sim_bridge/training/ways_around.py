@@ -52,12 +52,12 @@ class WaysAround:
             some = slice(first, first + AT_ONCE)
             boxes, pos = self.boxes_m[scene_of[some]], pos_ne_m[some]
             free, pushed = _pushed_out(pos, boxes)
-            points = np.concatenate(
-                [goal_ne_m[some, None], self.corners_m[scene_of[some]]], axis=1
-            )
+            points = np.concatenate([goal_ne_m[some, None], self.corners_m[scene_of[some]]], axis=1)
             ways = _legs_m(free, points, boxes)
             ways[:, 1:] += from_corners_m[some]
-            ways[:, 0] = np.where(ways.min(axis=1) < FAR_M, ways[:, 0], _lengths(points[:, 0] - free))
+            ways[:, 0] = np.where(
+                ways.min(axis=1) < FAR_M, ways[:, 0], _lengths(points[:, 0] - free)
+            )
             best = ways.argmin(axis=1)
             rows = np.arange(len(pos))
             towards = np.where((pushed > 1.0)[:, None], free, points[rows, best]) - pos
@@ -69,7 +69,7 @@ class WaysAround:
 def ways_around(scenes: list[Scene]) -> WaysAround:
     """What is the same for all goals, worked out once for each town."""
     grown = [s.boxes_m + CLEAR_M * np.array([-1.0, -1.0, 1.0, 1.0]) for s in scenes]
-    most = max(len(g) for g in grown)
+    most = max(1, *(len(g) for g in grown))
     nowhere = np.array([FAR_M, FAR_M, FAR_M + 1.0, FAR_M + 1.0])
     boxes = np.stack([np.concatenate([g, np.tile(nowhere, (most - len(g), 1))]) for g in grown])
     corners = _corners(boxes)
@@ -90,7 +90,8 @@ def _corners(boxes: Floats) -> Floats:
     within = (corners[:, :, None] > boxes[:, None, :, :2]) & (
         corners[:, :, None] < boxes[:, None, :, 2:]
     )
-    return np.where(within.all(axis=-1).any(axis=-1)[..., None], 2.0 * FAR_M, corners)
+    covered: Mask = np.asarray(np.any(np.all(within, axis=-1), axis=-1))
+    return np.where(covered[..., None], 2.0 * FAR_M, corners)
 
 
 def _lengths(vectors: Floats) -> Floats:
@@ -113,20 +114,21 @@ def _legs_m(start: Floats, ends: Floats, boxes: Floats) -> Floats:
         one, other = low[:, None, :, k] * share, high[:, None, :, k] * share
         np.maximum(enter, np.minimum(one, other), out=enter)
         np.minimum(leave, np.maximum(one, other), out=leave)
-    cut: Mask = (enter < leave).any(axis=-1)
+    cut: Mask = np.asarray(np.any(enter < leave, axis=-1))
     length = _lengths(way)
     return np.where(cut | (length >= 0.5 * FAR_M), FAR_M, length)
 
 
 def _pushed_out(pos: Floats, boxes: Floats) -> tuple[Floats, Floats]:
     """The nearest place outside the grown box that a drone is in, and how far that is."""
-    inside = ((pos[:, None] > boxes[..., :2]) & (pos[:, None] < boxes[..., 2:])).all(axis=-1)
+    apart = np.minimum(pos[:, None] - boxes[..., :2], boxes[..., 2:] - pos[:, None])
+    inside: Mask = np.asarray(apart.min(axis=-1) > 0.0)
     which = inside.argmax(axis=1)
     rows = np.arange(len(pos))
     box = boxes[rows, which]
     sides = np.concatenate([pos - box[:, :2], box[:, 2:] - pos], axis=1)
     side = sides.argmin(axis=1)
-    least = np.where(inside.any(axis=1), sides[rows, side] + BEYOND_M, 0.0)
+    least = np.where(inside[rows, which], sides[rows, side] + BEYOND_M, 0.0)
     free = pos.copy()
     free[rows, side % 2] += np.where(side < 2, -least, least)
     return free, least

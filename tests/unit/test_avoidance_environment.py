@@ -1,5 +1,7 @@
 """The environment of row 10: what is seen, done and paid, and whose seeds are the same."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,14 @@ from sim_bridge.training.environment import (
     AvoidEnvironment,
     Frame,
     PaperReward,
+    SwiftReward,
     heading_of,
     observe,
 )
 from sim_bridge.training.evaluation import evaluation_world, fly, upper95
+from sim_bridge.training.kept_flights import Evaluation, flights_of
 from sim_bridge.training.scenes import CELL_M, Scene, make_scene
+from sim_bridge.training.ways_around import ways_around
 from sim_bridge.training.world import World
 from sim_bridge.training.yardsticks import StraightOn
 
@@ -135,3 +140,33 @@ def test_it_is_a_parallel_environment_by_pettingzoos_own_test() -> None:
     from sim_bridge.training.parallel_env import AvoidParallelEnv
 
     parallel_api_test(AvoidParallelEnv(agents=3, scenes=1), num_cycles=30)
+
+
+def test_the_shortest_way_round_a_box_bends_at_its_nearer_corner() -> None:
+    """By hand: a wall from 60 m left to 20 m right, 40 m ahead; the goal 100 m ahead, behind it.
+
+    The box is grown by 8.5 m, so the way leads over (31.5, 28.5) and (68.5, 28.5).
+    """
+    ways = ways_around([open_ground((40.0, -60.0, 60.0, 20.0))])
+    scene, here, goal = np.array([0]), np.zeros((1, 2)), np.array([[100.0, 0.0]])
+    bearing, length = ways.next_leg(scene, here, goal, ways.from_corners_m(scene, goal))
+    assert length[0] == pytest.approx(2.0 * np.hypot(31.5, 28.5) + 37.0, abs=0.1)
+    assert bearing[0] == pytest.approx(np.arctan2(28.5, 31.5), abs=0.01)
+
+
+def test_the_swift_reward_is_what_a_decision_cost_in_seconds() -> None:
+    """Hovering costs its 2 s; flying along the way at full speed, once fast, costs nothing."""
+    world = placed(open_ground(), [(0.0, 0.0), (200.0, 0.0)], [(390.0, 0.0), (200.0, 390.0)])
+    env = AvoidEnvironment(world, SwiftReward(), ways=ways_around(world.scenes))
+    act = np.array([[[0.0, 1.0], [0.0, -1.0]]])
+    for _ in range(4):
+        env.step(act)
+    assert env.step(act)[0] == pytest.approx([0.0, -2.0], abs=0.02)
+
+
+def test_flights_that_are_kept_are_not_flown_again(tmp_path: Path) -> None:
+    asked, world = Evaluation("none", 2, 9, wind=True), evaluation_world(2, wind=True)
+    (first,) = flights_of(asked, 2, world, StraightOn(), None, tmp_path)
+    (again,) = flights_of(asked, 2, World([], 2), StraightOn(), None, tmp_path)
+    assert again.time_ratio == pytest.approx(first.time_ratio, nan_ok=True)
+    assert [f.suffix for f in tmp_path.iterdir()] == [".npz"]
