@@ -104,6 +104,7 @@ class DayDesk:
     _off_ground: set[str] = field(default_factory=set)
     _truck_stop: tuple[str, bool] | None = None
     _tried_s: float = -1e9
+    _tried: object = None
     _waits_s: dict[str, float] = field(default_factory=dict)
     _began_us: int | None = None
     _rows: _Rows | None = None
@@ -175,6 +176,7 @@ class DayDesk:
             replanning=self._asked is not None,
             plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
             tried_s=self._tried_s,
+            tried=self._tried,
             waited_s=self._waited(rows.sorties, drones, now_s),
             wind_off_sigmas=self._wind.off_sigmas(now_s, self.data.day.forecast),
         )
@@ -246,19 +248,23 @@ class DayDesk:
         rows, now_s = self._rows, self.clock.monotonic_s()
         if stirred or (rows is not None and now_s - rows.read_s > ROWS_S):
             self._rows = None
-        view = self.view = self.look(picture)
+        view = self.look(picture)
+        truck = view.truck
+        self.view = view
         self._note_energies(view)
-        if view.truck is None:
+        if truck is None:
             return False
         run = DayRun(self.params, self._may_launch, self._charged)
         self._mind_plan(view)
+        if self._asked is not None and not view.replanning:
+            view = self.view = replace(view, replanning=True)  # asked just now: the truck stays
         deeds = run.decide(view)
         for deed in deeds:
             self._carry_out(deed)
         if deeds:
             self._rows = None
         self.holds = run.holds(view)
-        return bool(deeds) or view.replanning or (view.truck.present and self._under_way(view))
+        return bool(deeds) or view.replanning or (truck.present and self._under_way(view))
 
     def _under_way(self, view: DayView) -> bool:
         return view.here is None or bool(self.holds)
@@ -388,7 +394,7 @@ class DayDesk:
         drones = [d.id for d in self.data.day.drones]
         start = standing(before, drones, self.data.day.truck.recover_s)
         wrong = made.reason if isinstance(made, NoPlan) else unfit(made, start)
-        self._tried_s = before.now_s
+        self._tried_s, self._tried = before.now_s, before.situation
         if wrong is not None or isinstance(made, NoPlan):
             self._refused = why
             self.say(f"no new plan ({wrong}): the old one goes on")

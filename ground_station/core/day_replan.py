@@ -29,7 +29,7 @@ def replan_reason(view: DayView, params: DayRunParams) -> str | None:
     left_out = sorted(view.open - _work_ahead(view) - {line.order for line in view.plan.unplanned})
     if left_out:
         return f"{left_out[0]} is open and not in the plan"
-    if view.delay_s() > params.late_s:
+    if view.delay_s() > params.late_s and view.situation != view.tried:
         return f"the truck is {view.delay_s():.0f} s late"
     if view.wind_off_sigmas > params.wind_sigmas:
         return f"the wind is {view.wind_off_sigmas:.1f} standard deviations from the forecast"

@@ -214,8 +214,11 @@ def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     told = day(6)
     told.world.drones["d1"].mood = "lost"
     assert told.desk.day is not None
-    told.desk.day.params = DayRunParams(lapse_s=400.0)
+    told.desk.day.params = DayRunParams(lapse_s=900.0)
     told.run()
+    plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
+    late = [why for why in plans if "s late" in why]
+    assert len(late) == 3, plans  # held up; d2 aboard; d1 given up: not while nothing is new
     states = told.states()
     assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows what became of it
     assert set(states.values()) == {OrderState.DELIVERED}
