@@ -63,7 +63,8 @@ class Flyer:
                     return DeskProcess.open(self.path, built, plan, where)
                 return DeskHere.open(built, plan, where, seed, self.trials)
 
-            plumb = apart(folder) if self.processes else here(self.wish.loss, folder)
+            loss = self.wish.loss
+            plumb = apart(folder, loss) if self.processes else here(loss, folder)
             return fly_day(options, plumb, take_seat, view.update)
 
     def _marks(self) -> str:
