@@ -40,19 +40,20 @@ from sim_bridge.app.day_clock import DayClock
 from sim_bridge.app.day_desk import LOG, Books, store_url
 from sim_bridge.app.day_drone import Companion, DayDrone
 
-DESK, PEER, PLAN = "desk.json5", "peer.json5", "plan.json"
-RELAY_PEERS, RELAY_DESK = "relay-peers.json5", "relay-desk.json5"
+DESK, MEMBER, PLAN = "desk.json5", "member.json5", "plan.json"
+ROUTER, DESK_ROUTER = "router.json5", "desk-router.json5"
 DESK_MAIN = "from ground_station.app.cli import main; main()"
 
 
 def write_network(folder: Path, *, relayed: bool) -> None:
-    """zenoh configurations on loopback: the desk's listens, the others call it; `relayed`: a relay
-    listens on both sides, and they all call that."""
+    """zenoh configurations on loopback: everybody calls a router of the simulator's; `relayed`: the
+    desk calls another, and nothing but a relay lies between the two.
+    """
     here = "tcp/127.0.0.1:{}"
-    peers, desk = here.format(_free_port()), here.format(_free_port())
-    files = {PEER: _calls(peers), DESK: _listens(peers)}
+    members, desk = here.format(_free_port()), here.format(_free_port())
+    files = {ROUTER: _listens(members), MEMBER: _calls(members), DESK: _calls(members)}
     if relayed:
-        files |= {DESK: _calls(desk), RELAY_PEERS: _listens(peers), RELAY_DESK: _listens(desk)}
+        files |= {DESK_ROUTER: _listens(desk), DESK: _calls(desk)}
     for name, table in files.items():
         (folder / name).write_text(json.dumps(table))
 
@@ -67,7 +68,7 @@ def _listens(endpoint: str) -> dict[str, Any]:
 def _calls(endpoint: str) -> dict[str, Any]:
     retry = {"period_init_ms": 50, "period_max_ms": 500}
     call = {"endpoints": [endpoint], "retry": retry}
-    return ALONE | {"mode": "peer", "listen": {"endpoints": []}, "connect": call}
+    return ALONE | {"mode": "client", "connect": call}
 
 
 def _free_port() -> int:
@@ -149,7 +150,7 @@ class Launcher:
                 f"--airframe={own.airframe}",
                 f"--fleet={self.data.day.fleet}",
                 f"--vehicle={drone.name}",
-                f"--zenoh={self.folder / PEER}",
+                f"--zenoh={self.folder / MEMBER}",
                 "--configure",
             ],
         )
@@ -175,12 +176,12 @@ class ZenohNetwork:
     ) -> "ZenohNetwork":
         """Between a folder's zenoh configurations, which are written here."""
         write_network(folder, relayed=loss > 0.0)
-        dice = relay = None
-        if loss > 0.0:
-            dice = Dice(rng, loss)
-            ends = read_config(folder / RELAY_PEERS), read_config(folder / RELAY_DESK)
-            relay = LossyRelay(fleet, *ends, dice)
-        return cls(ZenohFleet(fleet, folder / PEER), dice=dice, relay=relay)
+        if loss == 0.0:
+            return cls(ZenohFleet(fleet, folder / ROUTER))
+        dice = Dice(rng, loss)
+        ends = read_config(folder / ROUTER), read_config(folder / DESK_ROUTER)
+        relay = LossyRelay(fleet, *ends, dice)
+        return cls(ZenohFleet(fleet, folder / MEMBER), dice=dice, relay=relay)
 
     @property
     def sent(self) -> int:
@@ -210,7 +211,7 @@ def apart(folder: Path, loss: float) -> Plumb:
     """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
 
     def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
-        config, fleet = folder / PEER, data.day.fleet
+        config, fleet = folder / MEMBER, data.day.fleet
         wires = Wires(EndpointSet(["udpin:127.0.0.1:0"] * len(data.day.drones)))
         network = ZenohNetwork.open(folder, fleet, loss, rng)
 
