@@ -13,7 +13,10 @@ def place_at(east_m: float) -> Place:
     return Place(lat_deg=55.47, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0)
 
 
-PADS = {name: {"d1": place_at(0.0), "d2": place_at(30.0)} for name in ("depot", "stop-1")}
+PADS = {
+    name: {"d1": place_at(0.0), "d2": place_at(30.0), "d3": place_at(60.0)}
+    for name in ("depot", "stop-1")
+}
 STOPS = [
     PlannedStop(id="depot", place=place_at(0.0), arrive_s=0.0, depart_s=330.0, pads=PADS["depot"]),
     PlannedStop(
