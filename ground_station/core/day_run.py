@@ -252,7 +252,8 @@ class DayRun:
             return False
         if row.sortie.home == here.id:
             return True
-        return view.now_s >= row.sortie.launch_s + view.delay_s()  # nobody lands before the truck
+        delay_s = max(view.delay_s(), view.held_s())
+        return view.now_s >= row.sortie.launch_s + delay_s  # nobody lands before the truck
 
     # --- the truck -----------------------------------------------------------------------------
 

@@ -145,21 +145,29 @@ class DayView:
 
     def lands_s(self, row: SortieRow) -> float:
         """When a flight is expected to be down: as long after its launch as planned."""
-        launched_s = self.now_s if row.launched_us is None else self.day_s(row.launched_us)
-        return launched_s + row.sortie.land_s - row.sortie.launch_s
+        if row.launched_us is None:
+            return self._would_land_s(row.sortie)
+        return self.day_s(row.launched_us) + row.sortie.land_s - row.sortie.launch_s
+
+    def _would_land_s(self, sortie: PlannedSortie) -> float:
+        return max(self.now_s, sortie.launch_s) + sortie.land_s - sortie.launch_s
 
     def serving(self) -> bool:
         """The driver has orders in hand."""
         return any(row.state in IN_FORCE for row in self.serves)
 
     def held_s(self) -> float:
-        """How much later than planned the truck leaves where it stands, for those that are still
-        to land there."""
+        """How much later than planned the truck leaves where it stands, for flights that are still
+        to land there: in the air, on their pads, or planned (negative: none so late).
+        """
         here = self.here
         if here is None:
             return 0.0
-        awaited = [row for row in self.sorties if row.in_air and row.promised == here.id]
-        return max((self.lands_s(row) for row in awaited), default=here.depart_s) - here.depart_s
+        rows = [row for row in self.sorties if not (row.over or row.gone)]
+        lands_s = [self.lands_s(row) for row in rows if row.promised == here.id]
+        again = [s for s in self.pending() if s.launch == s.home == here.id]
+        lands_s += [self._would_land_s(sortie) for sortie in again]
+        return max(lands_s, default=here.depart_s) - here.depart_s
 
     def delay_s(self) -> float:
         """How much later (negative: earlier) the truck is than planned."""

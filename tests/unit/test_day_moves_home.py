@@ -1,8 +1,10 @@
 """When the desk asks a flight to end where the truck stands: `DayRun` on days written by hand."""
 
+from dataclasses import replace
+
 from companion.core.flight import Place
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
-from ground_station.core.day_run import AskHome, DayRun
+from ground_station.core.day_run import AskHome, DayDeed, DayRun, LaunchFlight
 from ground_station.core.day_view import DayRunParams, DayView, DroneView, TruckView
 from ground_station.core.orders import AssignmentRow, AssignmentState
 from ground_station.core.sorties import SortieRow
@@ -39,18 +41,38 @@ def flight(vehicle: str, home: str, launched_s: float, planned_s: float) -> Sort
     return SortieRow(row, sortie, pads, home, placed=True, launched_us=round(launched_s * 1e6))
 
 
-def asked(*rows: SortieRow, now_s: float) -> list[str]:
+def on_its_pad(row: SortieRow) -> SortieRow:
+    """The same flight, ready and not launched."""
+    ready = replace(row.row, state=AssignmentState.ABOARD)
+    return replace(row, row=ready, launched_us=None)
+
+
+def deeds(*rows: SortieRow, now_s: float) -> list[DayDeed]:
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
         makespan_s=540.0, stops=STOPS, sorties=[row.sortie for row in rows],
     )  # fmt: skip
     view = DayView(
         now_s=now_s, began_us=0, plan=plan, truck=TruckView(True, False, "depot"),
-        drones={row.vehicle: DroneView(row.vehicle, present=True, off_ground=True) for row in rows},
+        drones={
+            row.vehicle: DroneView(
+                row.vehicle, present=True, assignment=row.id, off_ground=row.in_air,
+                ready=not row.in_air,
+            )
+            for row in rows
+        },
         open=frozenset(), sorties=rows, serves=(), told=None,
     )  # fmt: skip
     run = DayRun(DayRunParams(), lambda sortie, others: None, lambda sortie, charge: True)
-    return [d.assignment for d in run.decide(view) if isinstance(d, AskHome)]
+    return run.decide(view)
+
+
+def asked(*rows: SortieRow, now_s: float) -> list[str]:
+    return [d.assignment for d in deeds(*rows, now_s=now_s) if isinstance(d, AskHome)]
+
+
+def launched(*rows: SortieRow, now_s: float) -> list[str]:
+    return [d.assignment for d in deeds(*rows, now_s=now_s) if isinstance(d, LaunchFlight)]
 
 
 def test_who_would_wait_alone_is_asked_as_soon_as_it_is_known_that_the_truck_waits_for_another():
@@ -69,3 +91,15 @@ def test_a_truck_that_is_only_a_little_later_is_waited_for():
     """Down at 360 s, 30 s after the planned departure: stop-1 at 450, before d2 is there."""
     here, next_stop = flight("d1", "depot", 160.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
     assert asked(here, next_stop, now_s=265.0) == []
+
+
+def test_nobody_is_launched_to_the_next_stop_while_the_truck_will_wait_here_for_another():
+    """d1 is only now to be launched: down at 510 s, 180 s after the planned departure; d2 would be
+    at stop-1 at 510, the truck at 600. In a town's day two had so waited alone for 80 and 130 s.
+    """
+    here, next_stop = flight("d1", "depot", 0.0, 60.0), flight("d2", "stop-1", 0.0, 260.0)
+    both = (on_its_pad(here), on_its_pad(next_stop))
+    assert launched(*both, now_s=310.0) == ["O-d1.1"]
+    late = flight("d1", "depot", 310.0, 60.0)
+    assert launched(late, on_its_pad(next_stop), now_s=435.0) == []
+    assert launched(late, on_its_pad(next_stop), now_s=445.0) == ["O-d2.1"]
