@@ -24,6 +24,7 @@ from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.day_replan import (
     candidate_pads,
     day_now,
+    postponed,
     replan_reason,
     standing,
     unfit,
@@ -376,7 +377,7 @@ class DayDesk:
             if made is not None:
                 before, why = self._asked
                 self._asked = None
-                self._take(made, before, why)
+                self._take(made, before, view, why)
             return
         why = replan_reason(view, self.params)
         if why is None or why == self._refused:
@@ -390,17 +391,18 @@ class DayDesk:
         start = standing(view, [d.id for d in self.data.day.drones], self.data.day.truck.recover_s)
         self.replanner.ask(day_now(self._data(), view), start)
 
-    def _take(self, made: DayPlan | NoPlan, before: DayView, why: str) -> None:
+    def _take(self, made: DayPlan | NoPlan, before: DayView, view: DayView, why: str) -> None:
         drones = [d.id for d in self.data.day.drones]
         start = standing(before, drones, self.data.day.truck.recover_s)
         wrong = made.reason if isinstance(made, NoPlan) else unfit(made, start)
-        self._tried_s, self._tried = before.now_s, before.situation
+        self._tried_s, self._tried = view.now_s, before.situation
         if wrong is not None or isinstance(made, NoPlan):
             self._refused = why
             self.say(f"no new plan ({wrong}): the old one goes on")
             return
         wind = self.data.day.forecast if "wind" in why else None
-        self.day.take_plan(made, why, wind)
+        took_s = max(0.0, view.now_s - before.now_s)
+        self.day.take_plan(postponed(made, start, before.now_s, took_s), why, wind)
         in_force = self.day.plan()
         assert in_force is not None
         self.plan, self._refused, self._rows = in_force, None, None

@@ -122,6 +122,31 @@ def unfit(plan: DayPlan, start: DayState) -> str | None:
     return f"{lost[0]} has no such stop" if lost else None
 
 
+def postponed(plan: DayPlan, start: DayState, asked_s: float, by_s: float) -> DayPlan:
+    """The plan that was asked for at `asked_s`, taken `by_s` later: what had not begun then comes
+    as much later, for the truck stays while a plan is made. Else a slow machine's plans are late
+    the moment they are there, and made anew for ever.
+    """
+    flying = {sortie.order for sortie in start.flying}
+    stops = [
+        _timed(
+            stop,
+            stop.arrive_s + (by_s if stop.arrive_s > asked_s else 0.0),
+            stop.depart_s + (by_s if stop.depart_s >= asked_s else 0.0),
+        )
+        for stop in plan.stops
+    ]
+    sorties = [
+        s
+        if s.order in flying
+        else msgspec.structs.replace(s, launch_s=s.launch_s + by_s, land_s=s.land_s + by_s)
+        for s in plan.sorties
+    ]
+    return msgspec.structs.replace(
+        plan, stops=stops, sorties=sorties, makespan_s=plan.makespan_s + by_s
+    )
+
+
 def candidate_pads(
     plan: DayPlan, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]
 ) -> dict[str, Place]:
