@@ -247,7 +247,7 @@ class SlowReplanner(ReplannerAtOnce):
         ReplannerAtOnce.ask(self, data, start)
 
     def made(self) -> DayPlan | NoPlan | None:
-        slow = self.clock.t_s - self.asked_s < 200.0
+        slow = self.clock.t_s - self.asked_s < 500.0
         return None if slow else ReplannerAtOnce.made(self)
 
 
