@@ -120,5 +120,6 @@ class ReplannerBeside:
     def close(self) -> None:
         """Give up what is being made."""
         if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            idle = self._future is None or self._future.done()
+            self._pool.shutdown(wait=idle, cancel_futures=True)
             self._pool = None
