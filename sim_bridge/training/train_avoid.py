@@ -5,6 +5,7 @@ sim-bridge train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
 
 import csv
 import hashlib
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -126,6 +127,7 @@ def train(
             point = checks.point(learner, step, seen, loss)
             _append(out / "curve.csv", point)
             _save(kept, learner, step, seen, flight.began)
+            shutil.copyfile(kept, out / f"checkpoint-{step}.pt")  # the last is not always the best
             progress(step, point)
         share = step / params.steps
         seen += flight.step(replay, noise=1.0 - share)
