@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from sim_bridge.adapters.endpoint import bundled
+from sim_bridge.app.day_clock import EPOCH_US
 from sim_bridge.app.day_judge import Track
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
@@ -179,6 +180,7 @@ class DayDrone:
             world.site,
             world.parameters[self.flavour],
             system_id=self.number,
+            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # satellites tell all the same time
         )
         autopilot.add_link(LINK, LinkKind.ONBOARD)
         self.up = PowerUp(t_s, pad_ne_m, order, charge_frac, vehicle, autopilot)
