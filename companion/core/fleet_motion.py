@@ -20,8 +20,10 @@ SPAN_M = 1.0
 FLEET = SeparationParams(
     horizontal_m=5.0 + SPAN_M,  # between centres; evaluation.md, 12
     vertical_m=4.0 + SPAN_M,
-    accel_mps2=2.5,  # ArduCopter's GUIDED: WPNAV_ACCEL, 2.5; PX4's MPC_ACC_HOR is 3
+    accel_mps2=2.0,  # ArduCopter's GUIDED has 2.5 (WPNAV_ACCEL), PX4 3: what is left, corrects
     climb_accel_mps2=1.0,  # ArduCopter's WPNAV_ACCEL_Z, 1; PX4's MPC_ACC_DOWN_MAX is 3
+    tracking_m=0.8,  # measured, docs/avoidance.md
+    tracking_vertical_m=0.3,
 )
 SKEW_S = 0.1
 """Two that tick ten times a second each decide at most so far from the tick that they share."""

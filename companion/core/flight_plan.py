@@ -49,7 +49,7 @@ ASIDE_S = 10.0
 """How long ArduCopter hovers at most, once set-points have stopped, before it goes on by itself: a
 live companion asks again well before."""
 
-DODGE_M = 10.0
+DODGE_M = 12.0
 """From one height to dodge to, to the next: separation, both barometers' drift, tracking."""
 
 DODGES = (0, 1, -1, 2, -2)

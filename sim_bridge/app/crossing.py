@@ -88,20 +88,17 @@ class LoneCompanion:
     link: MemoryLink
     run: Run
     ended: int | None = None
-
-    @property
-    def running(self) -> bool:
-        """False once it has ended."""
-        return self.ended is None
+    running: bool = True
+    """For the drone: this companion is not started again when its mission is over."""
 
     @property
     def phase(self) -> Phase:
         """What it does."""
         return self.run.pilot.phase
 
-    def authorise(self, t_s: float) -> None:
+    def authorise(self) -> None:
         """An operator says go."""
-        self.run.loop.ask(Authorised(t_s, "the truck"))
+        self.run.loop.ask(Authorised(self.run.loop.clock.t_s, "the truck"))
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
         """Hear all of these; what is said to the autopilot in answer."""
@@ -152,7 +149,7 @@ class Crosser:
     @property
     def is_over(self) -> bool:
         """It stands, and nobody will fly it again."""
-        ended = self.dead or (self.companion is not None and not self.companion.running)
+        ended = self.dead or (self.companion is not None and self.companion.ended is not None)
         return ended and not self.drone.is_airborne
 
 
@@ -277,6 +274,7 @@ class Crossing:
             make_tables=TablesHere,
             wall_clock_s=self.clock.monotonic_s,
         )
+        run.loop.tables = None  # a flight of three minutes: the return budget alone decides
         crosser.companion = LoneCompanion(port, link, run)
         return crosser.companion
 
@@ -335,9 +333,10 @@ class Crossing:
             self._look(crosser, t_s)
         if self.authorised_s is None and all(c.is_ready for c in self.crossers):
             self.authorised_s = t_s
+        if self.authorised_s is not None:
             for crosser in self.crossers:
-                assert crosser.companion is not None
-                crosser.companion.authorise(t_s)
+                if crosser.is_ready and crosser.companion is not None:
+                    crosser.companion.authorise()
 
     def kill(self, number: int) -> None:
         """A companion dies, and is not started again."""
@@ -353,7 +352,7 @@ class Crossing:
         vehicle = up.vehicle
         north, east, down = vehicle.pos_ned_m
         crosser.truth.append((t_s, north, east, down, float(vehicle.is_airborne)))
-        if crosser.companion is not None and crosser.companion.running:
+        if crosser.companion is not None and crosser.companion.ended is None:
             crosser.aside_s += STEP_S * crosser.companion.run.pilot.apart.wanted
 
 
