@@ -43,6 +43,9 @@ ASK_AGAIN_S = 1.5
 RENEW_S = 5.0
 """How often ArduCopter is told to go on with set-points: half of `ASIDE_S`."""
 
+STUCK_TICKS, STUCK_MPS = 20, 0.5
+"""Who has not moved for so many ticks, and wants to, dodges to the next height."""
+
 STRAY_M = 2.0
 """Farther from its reference than this, the vehicle is taken where it is."""
 
@@ -50,7 +53,7 @@ CORRECT_PS = 1.0
 SLOWEST_MPS, FASTEST_MPS = 3.0, 8.0
 """Of the wish: who is near others is slower than the route, and stops in a third of the way."""
 
-LOWEST_M = 12.0
+LOWEST_M = 10.0
 """Nobody dodges lower than this above the depot."""
 
 OWN_STD_M, OWN_ALT_STD_M = 0.8, 0.5
@@ -80,10 +83,12 @@ class Apart:
     motion: Motion | None = None
     free_ticks: int = 0
     rank: int = 0
+    stuck_ticks: int = 0
 
     def stop(self) -> None:
         """No more set-points."""
-        self.wanted, self.motion, self.free_ticks = False, None, 0
+        self.wanted, self.motion = False, None
+        self.free_ticks, self.stuck_ticks = 0, 0
 
 
 # --- what the pilot lets through ------------------------------------------------------------------
@@ -272,6 +277,10 @@ def _move_on(
         found = apart.separation.safe(pos[None], vel[None], wish[None], neighbours, layer)
         then = found.vel_ned_mps[0]
     apart.motion = Motion.of(t_s, pos, vel, then, FLEET)
+    held = float(np.linalg.norm(then)) < STUCK_MPS < float(np.linalg.norm(wish[:2]))
+    apart.stuck_ticks = apart.stuck_ticks + 1 if held else 0
+    if apart.stuck_ticks >= STUCK_TICKS:
+        apart.rank, apart.stuck_ticks = apart.rank + 1, 0
 
 
 def _layer_down_m(pilot: Pilot) -> float:

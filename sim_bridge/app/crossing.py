@@ -39,7 +39,7 @@ AIRFRAME = "m100"
 RING_M = 46.0
 """From the truck to each pad; eight are then 35 m from each other (docs/avoidance.md, 4)."""
 
-CUSTOMER_M = 130.0
+CUSTOMER_M = 100.0
 """From the truck to each customer, on the far side: all ways lead past the truck."""
 
 ASTRAY_RAD = math.radians(20.0)
@@ -54,9 +54,6 @@ VERTICAL_SHARE = 0.25
 """Of the horizontal error: heights are told by barometers."""
 
 PAYLOAD_KG = 0.3
-SWITCHED_ON_S = {"ardupilot": 0.0, "px4": 35.0}
-"""So that they are ready about together: ArduCopter's estimator takes its time."""
-
 STEP_S = 0.1
 STEPS = 10
 LIMIT_S = 420.0
@@ -67,7 +64,7 @@ class CrossOptions:
     """`late_s`, `off_m`: what is wrong with what neighbours are told (1 sigma a horizontal axis).
 
     `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
-    wished. `kill`: (vehicle, seconds of set-points) after which its companion dies for good.
+    wished. Pads and customers lie so far from the truck.
     """
 
     vehicles: int = 8
@@ -77,6 +74,9 @@ class CrossOptions:
     off_m: float = 2.0
     keep_apart: bool = True
     separation_filter: bool = True
+    ring_m: float = RING_M
+    customer_m: float = CUSTOMER_M
+    cruise_height_m: float = 30.0
     run_root: Path = Path("logs")
 
 
@@ -236,7 +236,16 @@ class Crossing:
                 seeds=own,
                 start_companion=self._start,
             )
-            found.append(Crosser(drone, _polar(RING_M, angle), _polar(CUSTOMER_M, across)))
+            found.append(
+                Crosser(
+                    drone,
+                    _polar(self.options.ring_m, angle),
+                    _polar(self.options.customer_m, across),
+                )
+            )
+        for crosser in found:
+            drone = crosser.drone
+            drone.switch_on(0.0, crosser.pad_ne_m, PAYLOAD_KG, drone.name, booted=True)
         return found
 
     def _flavour(self, k: int) -> str:
@@ -295,7 +304,7 @@ class Crossing:
             },
             "vehicle": {"airframe": AIRFRAME, "payload_kg": PAYLOAD_KG, "charge_frac": [0.9, 0.95]},
             "mission": {
-                "cruise_height_m": 40.0,
+                "cruise_height_m": self.options.cruise_height_m,
                 "drop_height_m": 15.0,
                 "leg_length_m": 100.0,
                 "wind_settle_s": 4.0,
@@ -326,11 +335,9 @@ class Crossing:
         t_s = self.clock.t_s = self._steps * STEP_S
         self.bus.deliver(t_s)
         for crosser in self.crossers:
-            drone = crosser.drone
-            if drone.up is None and t_s >= SWITCHED_ON_S[drone.flavour]:
-                drone.switch_on(t_s, crosser.pad_ne_m, PAYLOAD_KG, drone.name)
-            crosser.drone.advance(t_s, STEPS)
-            self._look(crosser, t_s)
+            if not crosser.is_over:
+                crosser.drone.advance(t_s, STEPS)
+                self._look(crosser, t_s)
         if self.authorised_s is None and all(c.is_ready for c in self.crossers):
             self.authorised_s = t_s
         if self.authorised_s is not None:
