@@ -27,7 +27,8 @@ def cross(
     separation_filter: Annotated[
         bool,
         typer.Option(
-            "--filter/--no-filter", help="no-filter: set-points straight on, to see it broken."
+            "--filter/--no-filter",
+            help="no-filter: set-points straight on; a seed ends when separation is broken.",
         ),
     ] = True,
     set_points: Annotated[

@@ -64,7 +64,8 @@ class CrossOptions:
     """`late_s`, `off_m`: what is wrong with what neighbours are told (1 sigma a horizontal axis).
 
     `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
-    wished. Pads and customers lie so far from the truck.
+    wished. Pads and customers lie so far from the truck, customers at
+    most so far from straight across.
     """
 
     vehicles: int = 8
@@ -76,6 +77,7 @@ class CrossOptions:
     separation_filter: bool = True
     ring_m: float = RING_M
     customer_m: float = CUSTOMER_M
+    astray_rad: float = ASTRAY_RAD
     cruise_height_m: float = 30.0
     run_root: Path = Path("logs")
 
@@ -222,7 +224,7 @@ class Crossing:
         found: list[Crosser] = []
         for k, own in enumerate(seed.spawn(count)):
             angle = turn + 2.0 * math.pi * k / count
-            across = angle + math.pi + float(rng.uniform(-ASTRAY_RAD, ASTRAY_RAD))
+            across = angle + math.pi + float(rng.uniform(-1.0, 1.0)) * self.options.astray_rad
             drone = DayDrone(
                 name=f"d{k + 1}",
                 number=k + 1,
@@ -325,9 +327,13 @@ class Crossing:
                 if self._steps % 10 == 0 and not goes_on(self):
                     return
         finally:
-            for crosser in self.crossers:
-                if crosser.companion is not None:
-                    crosser.companion.stop()
+            self.close()
+
+    def close(self) -> None:
+        """End every companion, in order."""
+        for crosser in self.crossers:
+            if crosser.companion is not None:
+                crosser.companion.stop()
 
     def step(self) -> None:
         """A tenth of a second."""

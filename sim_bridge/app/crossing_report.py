@@ -15,12 +15,15 @@ from sim_bridge.app.crossing import LIMIT_S, Crosser, Crossing, CrossOptions
 from sim_bridge.app.crossing_judge import nearest_of, outcome_of
 from sim_bridge.app.run_folder import new_run_dir, saved_on_interrupt
 
+BROKEN_EVERY_S = 5
+
 
 def cross_seeds(
     options: CrossOptions, seeds: Iterable[int], console: Console, json_out: Path | None
 ) -> list[dict[str, Any]]:
     """Fly the scene with each seed; every row is written as soon as it is flown."""
     rows: list[dict[str, Any]] = []
+    is_canary = not (options.separation_filter and options.keep_apart)  # one meeting is enough
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         for seed in seeds:
@@ -29,7 +32,7 @@ def cross_seeds(
             def watch(scene: Crossing, task: Any = task, seed: int = seed) -> bool:
                 words = f"seed {seed}: {scene.clock.t_s:.0f} s, {_flying(scene)} in the air"
                 progress.update(task, completed=scene.clock.t_s, description=words)
-                return True
+                return not (is_canary and _is_broken(scene))
 
             row = cross(replace(options, seed=seed), watch)
             progress.remove_task(task)
@@ -54,9 +57,20 @@ def _flying(scene: Crossing) -> int:
     return sum(c.drone.is_airborne for c in scene.crossers)
 
 
+def _is_broken(scene: Crossing) -> bool:
+    if round(scene.clock.t_s) % BROKEN_EVERY_S:
+        return False
+    near = nearest_of(_flown(scene))
+    return near is not None and near.separations < 1.0
+
+
+def _flown(scene: Crossing) -> dict[str, np.ndarray]:
+    return {c.drone.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers}
+
+
 def row_of(scene: Crossing) -> dict[str, Any]:
     """What the scene came to."""
-    flown = {c.drone.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers}
+    flown = _flown(scene)
     for crosser in scene.crossers:
         np.save(crosser.drone.folder / "truth.npy", flown[crosser.drone.name])
     nearest = nearest_of(flown)
