@@ -181,6 +181,13 @@ def run_command(
             " hand back to the mission (docs/avoidance.md). All vehicles of the fleet should.",
         ),
     ] = False,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="With --keep-apart: the learned actor that wishes where to (params/policies, such"
+            " as avoid, or a card's path); default: straight to the next item."
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
@@ -212,7 +219,7 @@ def run_command(
     where = _Where(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     )
-    options = replace(where.options(pilot), lockstep=lockstep)
+    options = replace(where.options(pilot), lockstep=lockstep, policy=policy)
     if fleet is not None and vehicle is not None:
         _run_in_fleet(fleet, vehicle, zenoh, options, mission)
     code, _ = _run(options, _show)

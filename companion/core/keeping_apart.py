@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity, TellPlace
+from companion.core.actor_view import DECISION_S, Around, Ne, wish_of
+from companion.core.avoidance_policy import AvoidancePolicy
 from companion.core.events import Flavour, GnssTime, MissionProgress, Mode
 from companion.core.fleet_motion import FLEET, SKEW_S, Floats, Motion, stays_free, wish_to
 from companion.core.flight_plan import DODGE_M, DODGES
@@ -53,6 +55,9 @@ CORRECT_PS = 1.0
 SLOWEST_MPS, FASTEST_MPS = 3.0, 8.0
 """Of the wish: who is near others is slower than the route, and stops in a third of the way."""
 
+ARRIVING_M = 20.0
+"""The actor was trained to come this near to a goal, and no nearer."""
+
 LOWEST_M = 10.0
 """Nobody dodges lower than this above the depot."""
 
@@ -84,6 +89,12 @@ class Apart:
     free_ticks: int = 0
     rank: int = 0
     stuck_ticks: int = 0
+    goals: dict[str, Ne] = field(default_factory=dict)
+    """Where neighbours say that they want to."""
+    policy: AvoidancePolicy | None = None
+    """The learned actor; `None`: straight to the item."""
+    acted_s: float = -1e9
+    acted_mps: Floats | None = None
 
     def stop(self) -> None:
         """No more set-points."""
@@ -138,6 +149,11 @@ def heard_neighbour(pilot: Pilot, track: Track) -> None:
         math.hypot(track.alt_std_m, OWN_ALT_STD_M),
         track.vel_std_mps,
     )
+    if track.to_lat_deg is not None and track.to_lon_deg is not None:
+        goal_n, goal_e, _ = frame.to_ned(
+            math.radians(track.to_lat_deg), math.radians(track.to_lon_deg), frame.alt_amsl_m
+        )
+        apart.goals[track.vehicle] = (goal_n, goal_e)
     apart.tracks = apart.tracks.heard(report, pilot.now.t_s + apart.ahead_of_core_s)
 
 
@@ -220,21 +236,49 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     if target is None:
         return
     neighbours = _neighbours(pilot, now_s)
-    wish = wish_to((here[0], here[1], here[2]), target, _speed_mps(pilot), FLEET)
+    straight = wish_to((here[0], here[1], here[2]), target, _speed_mps(pilot), FLEET)
     if not apart.wanted:
-        ways = [velocity, wish] if pilot.phase in LEG_PHASES else [velocity]
+        ways = [velocity, straight] if pilot.phase in LEG_PHASES else [velocity]
         if not stays_free(apart.separation, here, ways, neighbours, AHEAD_S):
             _take_over(pilot, here)
         return
     if not is_flown(pilot):
         apart.motion = None
         return
+    wish = _acted(pilot, here, target, straight)
     _move_on(pilot, here, velocity, wish, neighbours)
     _keep_course(pilot)
-    free = stays_free(apart.separation, here, [velocity, wish], neighbours, FREE_S)
+    free = stays_free(apart.separation, here, [velocity, straight], neighbours, FREE_S)
     apart.free_ticks = apart.free_ticks + 1 if free else 0
     if apart.free_ticks >= FREE_TICKS and _sees(pilot, here):
         _hand_back(pilot, "the way is free")
+
+
+def _acted(pilot: Pilot, here: Floats, target: Ned, straight: Floats) -> Floats:
+    """What the actor wishes over the ground, asked every two seconds; near its goal straight on."""
+    apart, t_s = pilot.apart, pilot.now.t_s
+    away_m = math.hypot(target[0] - here[0], target[1] - here[1])
+    if apart.policy is None or away_m < ARRIVING_M or pilot.phase not in LEG_PHASES:
+        return straight
+    if apart.acted_mps is None or t_s - apart.acted_s >= DECISION_S - 1e-6:
+        apart.acted_s = t_s
+        apart.acted_mps = wish_of(apart.policy, _around(pilot, here, target))
+    return np.array([*apart.acted_mps, straight[2]])
+
+
+def _around(pilot: Pilot, here: Floats, target: Ned) -> Around:
+    assert pilot.flown is not None
+    reports = [track.report for track in pilot.apart.tracks.tracks.values()]
+    known = [pilot.apart.goals[r.name] for r in reports if r.name in pilot.apart.goals]
+    home = pilot.flown.plan.landing_ned_m
+    return Around(
+        (float(here[0]), float(here[1])),
+        (target[0], target[1]),
+        None if pilot.outward else (home[0], home[1]),
+        [(r.pos_ned_m[0], r.pos_ned_m[1]) for r in reports],
+        known,
+        pilot.flown.site.obstacles.grown_at(-float(here[2])),
+    )
 
 
 def _target(pilot: Pilot, here: Floats) -> Ned | None:

@@ -31,6 +31,10 @@ def cross(
             help="no-filter: set-points straight on; a seed ends when separation is broken.",
         ),
     ] = True,
+    policy: Annotated[
+        str | None,
+        typer.Option(help="A learned actor wishes where to (avoid); default: straight on."),
+    ] = None,
     set_points: Annotated[
         bool, typer.Option(help="no-set-points: missions only, nobody keeps away from anybody.")
     ] = True,
@@ -61,6 +65,7 @@ def cross(
         off_m=off_m,
         keep_apart=set_points,
         separation_filter=separation_filter,
+        policy=policy,
         run_root=runs,
     )
     rows = cross_seeds(options, range(int(first), int(last or first) + 1), console, json_out)

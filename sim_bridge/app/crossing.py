@@ -64,7 +64,8 @@ class CrossOptions:
     """`late_s`, `off_m`: what is wrong with what neighbours are told (1 sigma a horizontal axis).
 
     `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
-    wished. Pads and customers lie so far from the truck, customers at
+    wished, by `policy` (a learned actor) or straight on. Pads and customers lie so far from the
+    truck, customers at
     most so far from straight across.
     """
 
@@ -75,6 +76,7 @@ class CrossOptions:
     off_m: float = 2.0
     keep_apart: bool = True
     separation_filter: bool = True
+    policy: str | None = None
     ring_m: float = RING_M
     customer_m: float = CUSTOMER_M
     astray_rad: float = ASTRAY_RAD
@@ -271,6 +273,7 @@ class Crossing:
             mission=self._flight_file(crosser),
             run_dir=drone.folder,
             lockstep=True,
+            policy=self.options.policy,
             pilot=PilotOptions(
                 configure=True,
                 keep_apart=self.options.keep_apart,

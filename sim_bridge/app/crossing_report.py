@@ -83,6 +83,7 @@ def row_of(scene: Crossing) -> dict[str, Any]:
         "off_m": options.off_m,
         "keep_apart": options.keep_apart,
         "separation_filter": options.separation_filter,
+        "policy": options.policy,
         "kept": nearest is None or nearest.separations >= 1.0,
         "nearest": None if nearest is None else asdict(nearest),
         "flights": [_flight(c, flown[c.drone.name]) for c in scene.crossers],
