@@ -1,6 +1,8 @@
 """Re-planning beside the running desk: in a process of its own, or at once (simulated days)."""
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -69,6 +71,25 @@ class ReplannerAtOnce:
         """Nothing is left."""
 
 
+def worker() -> ProcessPoolExecutor:
+    """One process to plan in, which ends with this one, also where this one is killed: it waits
+    on a queue whose other end it holds itself, and would wait there for ever.
+    """
+    context = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
+    return ProcessPoolExecutor(1, context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()
+
+
 @dataclass(slots=True)
 class ReplannerBeside:
     """In a process of its own, which a killed desk takes along: the desk goes on meanwhile."""
@@ -80,8 +101,8 @@ class ReplannerBeside:
 
     def ask(self, data: DayData, start: DayState) -> None:
         """Begin; the process starts with the first plan."""
-        if self._pool is None:  # spawned: a fork would copy zenoh's threads
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        if self._pool is None:
+            self._pool = worker()
         self._future = self._pool.submit(replanned, data, start, self.seed, self.trials)
 
     def made(self) -> DayPlan | NoPlan | None:
@@ -99,5 +120,6 @@ class ReplannerBeside:
     def close(self) -> None:
         """Give up what is being made."""
         if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            idle = self._future is None or self._future.done()
+            self._pool.shutdown(wait=idle, cancel_futures=True)
             self._pool = None
