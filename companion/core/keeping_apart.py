@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity, TellPlace
-from companion.core.actor_view import DECISION_S, Around, Ne, wish_of
+from companion.core.actor_view import Ne
+from companion.core.apart_wish import LEG_PHASES, LOWEST_M, acted, sees, speed_mps, target
 from companion.core.avoidance_policy import AvoidancePolicy
 from companion.core.events import Flavour, GnssTime, MissionProgress, Mode
 from companion.core.fleet_motion import FLEET, SKEW_S, Floats, Motion, stays_free, wish_to
 from companion.core.flight_plan import DODGE_M, DODGES
 from companion.core.geo import Ned
 from companion.core.messages import Track
-from companion.core.mission_items import Part
 from companion.core.neighbour_tracks import NeighbourTracks, Report
 from companion.core.obedience import CourseWatch
-from companion.core.separation_filter import Neighbours, SeparationFilter
+from companion.core.separation_filter import Clearance, Neighbours, SeparationFilter
 from companion.core.transitions import FLIGHT_PHASES, Phase
 
 if TYPE_CHECKING:
@@ -52,22 +52,12 @@ STRAY_M = 2.0
 """Farther from its reference than this, the vehicle is taken where it is."""
 
 CORRECT_PS = 1.0
-SLOWEST_MPS, FASTEST_MPS = 3.0, 8.0
-"""Of the wish: who is near others is slower than the route, and stops in a third of the way."""
-
-ARRIVING_M = 20.0
-"""The actor was trained to come this near to a goal, and no nearer."""
-
-LOWEST_M = 10.0
-"""Nobody dodges lower than this above the depot."""
-
 OWN_STD_M, OWN_ALT_STD_M = 0.8, 0.5
 """What our own place is wrong by beside what neighbours tell of theirs: satellites, barometer."""
 
 POS_STD_M, ALT_STD_M, VEL_STD_MPS = 2.15, 0.7, 0.1
 """What we tell of ours: what evaluation.md, 12, puts on it (2 m; 0.5 m of height), and our own."""
 
-LEG_PHASES = (Phase.OUTBOUND, Phase.RETURN, Phase.DIVERT)
 PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
 """Where set-points may take over. Climbing, measuring and the release are not broken off."""
 
@@ -232,11 +222,11 @@ def _may_take_over(pilot: Pilot) -> bool:
 def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     """Take over, move the reference on, or hand back."""
     apart = pilot.apart
-    target = _target(pilot, here)
-    if target is None:
+    goal = target(pilot, here)
+    if goal is None:
         return
     neighbours = _neighbours(pilot, now_s)
-    straight = wish_to((here[0], here[1], here[2]), target, _speed_mps(pilot), FLEET)
+    straight = wish_to((here[0], here[1], here[2]), goal, speed_mps(pilot), FLEET)
     if not apart.wanted:
         ways = [velocity, straight] if pilot.phase in LEG_PHASES else [velocity]
         if not stays_free(apart.separation, here, ways, neighbours, AHEAD_S):
@@ -245,64 +235,13 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     if not is_flown(pilot):
         apart.motion = None
         return
-    wish = _acted(pilot, here, target, straight)
+    wish = acted(pilot, here, goal, straight)
     _move_on(pilot, here, velocity, wish, neighbours)
     _keep_course(pilot)
     free = stays_free(apart.separation, here, [velocity, straight], neighbours, FREE_S)
     apart.free_ticks = apart.free_ticks + 1 if free else 0
-    if apart.free_ticks >= FREE_TICKS and _sees(pilot, here):
+    if apart.free_ticks >= FREE_TICKS and sees(pilot, here):
         _hand_back(pilot, "the way is free")
-
-
-def _acted(pilot: Pilot, here: Floats, target: Ned, straight: Floats) -> Floats:
-    """What the actor wishes over the ground, asked every two seconds; near its goal straight on."""
-    apart, t_s = pilot.apart, pilot.now.t_s
-    away_m = math.hypot(target[0] - here[0], target[1] - here[1])
-    if apart.policy is None or away_m < ARRIVING_M or pilot.phase not in LEG_PHASES:
-        return straight
-    if apart.acted_mps is None or t_s - apart.acted_s >= DECISION_S - 1e-6:
-        apart.acted_s = t_s
-        apart.acted_mps = wish_of(apart.policy, _around(pilot, here, target))
-    return np.array([*apart.acted_mps, straight[2]])
-
-
-def _around(pilot: Pilot, here: Floats, target: Ned) -> Around:
-    assert pilot.flown is not None
-    reports = [track.report for track in pilot.apart.tracks.tracks.values()]
-    known = [pilot.apart.goals[r.name] for r in reports if r.name in pilot.apart.goals]
-    home = pilot.flown.plan.landing_ned_m
-    return Around(
-        (float(here[0]), float(here[1])),
-        (target[0], target[1]),
-        None if pilot.outward else (home[0], home[1]),
-        [(r.pos_ned_m[0], r.pos_ned_m[1]) for r in reports],
-        known,
-        pilot.flown.site.obstacles.grown_at(-float(here[2])),
-    )
-
-
-def _target(pilot: Pilot, here: Floats) -> Ned | None:
-    """Where the mission wants to be; over a customer or a pad the height is kept meanwhile."""
-    flown, air = pilot.flown, pilot.air
-    index = air.jump.index if air.jump is not None else air.index
-    if flown is None or index is None:
-        return None
-    spot = flown.mission.spot_at(index)
-    if spot is None:
-        return None
-    north, east, down = flown.spot_ned(spot)
-    keeps = flown.mission.part_at(index) in (Part.DELIVER, Part.LAND, Part.RALLY_LAND)
-    return north, east, min(float(here[2]), -LOWEST_M) if keeps else down
-
-
-def _sees(pilot: Pilot, here: Floats) -> bool:
-    target = _target(pilot, here)
-    assert pilot.flown is not None
-    return target is not None and pilot.flown.sees((here[0], here[1], here[2]), target)
-
-
-def _speed_mps(pilot: Pilot) -> float:
-    return min(max(pilot.air.speed_mps or SLOWEST_MPS, SLOWEST_MPS), FASTEST_MPS)
 
 
 def _move_on(
@@ -318,13 +257,22 @@ def _move_on(
     then = wish
     if pilot.options.separation_filter:
         layer = np.array([_layer_down_m(pilot)])
-        found = apart.separation.safe(pos[None], vel[None], wish[None], neighbours, layer)
+        found = apart.separation.safe(
+            pos[None], vel[None], wish[None], neighbours, layer, _clearance(pilot)
+        )
         then = found.vel_ned_mps[0]
     apart.motion = Motion.of(t_s, pos, vel, then, FLEET)
     held = float(np.linalg.norm(then)) < STUCK_MPS < float(np.linalg.norm(wish[:2]))
     apart.stuck_ticks = apart.stuck_ticks + 1 if held else 0
     if apart.stuck_ticks >= STUCK_TICKS:
         apart.rank, apart.stuck_ticks = apart.rank + 1, 0
+
+
+def _clearance(pilot: Pilot) -> Clearance | None:
+    """How far points are from what stands on the site, at their heights."""
+    assert pilot.flown is not None
+    obstacles = pilot.flown.site.obstacles
+    return (lambda points, _: obstacles.clearance_at(points)) if obstacles.obstacles else None
 
 
 def _layer_down_m(pilot: Pilot) -> float:

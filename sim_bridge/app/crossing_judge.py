@@ -82,8 +82,9 @@ def outcome_of(
         return "NONE"
     down = rows[-1, 4] == 0.0 and not crashed
     home = down and math.dist(rows[-1, 1:3], pad_ne_m) <= HOME_M
-    brought = released_ned_m is not None
-    brought = brought and math.dist(released_ned_m[:2], customer_ne_m) <= DELIVERED_M
+    brought = (
+        released_ned_m is not None and math.dist(released_ned_m[:2], customer_ne_m) <= DELIVERED_M
+    )
     if home:
         return "SUC" if brought else "ABRT"
     return "DEL" if brought else "FAIL"

@@ -69,6 +69,7 @@ def test_both_flavours_keep_apart_and_go_home_or_on_when_their_companions_die(ma
 
 def test_the_same_without_the_filter_breaks_the_separation(make_scene):
     scene = make_scene(separation_filter=False)
+    near = None
     while scene.clock.t_s < 90.0:
         on_for(scene, 1.0)
         near = nearest(scene)

@@ -1,6 +1,7 @@
 """The actor in flight is shown what it was shown in training: two programs, one picture."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sim_bridge.training.environment import Frame, observe
 from sim_bridge.training.scenes import CELL_M, cells_of
 
 
-def trained_on(seed, obstacle_ne_m):
+def trained_on(seed, obstacle_ne_m) -> Any:
     """Six drones about a town of one building, as the training environment sees them."""
     rng = np.random.default_rng(seed)
     pos = np.concatenate([rng.uniform(-120, 120, (1, 6, 2)), np.zeros((1, 6, 1))], axis=-1)

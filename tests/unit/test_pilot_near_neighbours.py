@@ -83,6 +83,11 @@ class Beside(World):
         )
 
     @property
+    def above_m(self) -> float:
+        assert self.neighbour is not None
+        return abs(self.height + self.neighbour[2])
+
+    @property
     def away_m(self) -> float:
         assert self.neighbour is not None
         return math.dist((self.north, self.east), self.neighbour[:2])
@@ -102,7 +107,7 @@ def beside(flavour: Flavour, options: PilotOptions = OPTIONS) -> Beside:
 def coming(w: Beside, ahead_m: float = 90.0) -> Beside:
     """Somebody comes towards us in our own layer."""
     w.neighbour, w.neighbour_vel = (w.north + ahead_m, w.east, -w.height), (-8.0, 0.0, 0.0)
-    w.run(lambda w: w.guided, 5.0)
+    w.run(lambda _: w.guided, 5.0)
     return w
 
 
@@ -115,8 +120,7 @@ def test_it_takes_over_before_a_neighbour_goes_round_it_and_delivers(flavour):
     nearest = math.inf
     while w.pilot.apart.wanted:
         w.step()
-        high = abs(-w.height - w.neighbour[2])
-        nearest = min(nearest, max(w.away_m / 6.0, high / 5.0))
+        nearest = min(nearest, max(w.away_m / 6.0, w.above_m / 5.0))
         assert w.t_s < 120.0
     assert nearest >= 1.0
     assert "back" in w.kinds
@@ -134,7 +138,7 @@ def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mis
         assert SetMode(Mode.GUIDED) in told
     else:
         assert w.mode is Mode.MISSION
-        assert w.pilot.flown.mission.is_aside(w.index)
+        assert w.items[w.index].kind is ItemKind.ASIDE_LIMIT
 
 
 @BOTH
@@ -157,7 +161,7 @@ def test_the_gate_stands_above_the_detour(flavour):
     assert w.guided  # still near: home, by set-points
     north = w.north
     w.neighbour_vel = (8.0, 0.0, 0.0)  # it turns away
-    w.run(lambda w: not w.guided, 30.0)
+    w.run(lambda _: not w.guided, 30.0)
     w.neighbour = None
     assert w.to_the_end().outcome == "ABRT"
     assert north > 0.0
@@ -175,7 +179,7 @@ def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flav
     w.run(lambda w: not w.pilot.apart.tracks.tracks, 20.0)
     assert "neighbour lost: d2" in w.said
     w.neighbour = None
-    w.run(lambda w: not w.guided, 10.0)
+    w.run(lambda _: not w.guided, 10.0)
 
 
 @BOTH
@@ -197,5 +201,5 @@ def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_compa
     w.neighbour = None
     w.pilot.apart.stop()
     w.pilot.apart.tracks = type(w.pilot.apart.tracks)()
-    w.run(lambda w: not w.guided, 3.0)
+    w.run(lambda _: not w.guided, 3.0)
     assert w.pilot.phase is Phase.OUTBOUND
