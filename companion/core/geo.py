@@ -182,7 +182,7 @@ class ObstacleMap:
         """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
         points = points_ned_m.reshape(-1, 3)
         found = np.full(len(points), np.inf)
-        places = shapely.points(points[:, :2])
+        places = np.asarray(shapely.points(points[:, :2]))
         for outline, top_m in zip(self._outlines, self._tops_m, strict=True):
             low = -points[:, 2] < top_m + self.clearance_up_m
             away = shapely.distance(places[low], outline)
