@@ -52,6 +52,7 @@ STREAMS = (
     ("VFR_HUD", mavlink.MAVLINK_MSG_ID_VFR_HUD, 5.0, False),
     ("EXTENDED_SYS_STATE", mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, True),
     ("EKF_STATUS_REPORT", mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, 1.0, False),
+    ("SYSTEM_TIME", mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, False),
     ("HOME_POSITION", mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, False),
     ("WIND", mavlink.MAVLINK_MSG_ID_WIND, 2.0, False),
 )
@@ -208,6 +209,15 @@ class ArduPilot:
                 ("LAND_SPD_MS", 1.0),
                 facts.landing_mps,
                 "the landing speed that the energy model knows",
+            ),
+            Requirement(
+                ("GUID_TIMEOUT",),
+                "a halt when set-points stop",
+                lambda v: (
+                    not facts.set_points or _known(v, "GUID_TIMEOUT", lambda x: 0.0 < x <= 3.0)
+                ),
+                lambda v: {"GUID_TIMEOUT": 3.0},
+                True,
             ),
             Requirement(
                 ("ARMING_CHECK",),

@@ -22,6 +22,7 @@ from companion.core.actions import (
     AskTelemetry,
     Configure,
     Disarm,
+    FlyVelocity,
     JumpTo,
     Order,
     ReadMissionBack,
@@ -60,6 +61,15 @@ HEARTBEATS_WITHOUT_TIME = 10
 
 ECHO_S = 1.5
 """When a jump is sent again that only MISSION_CURRENT confirms: PX4 sends that once a second."""
+
+VELOCITY_AND_ACCELERATION = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+)
+"""What a set-point says; the heading is the autopilot's own."""
 
 STREAM = "stream "
 
@@ -317,6 +327,20 @@ class AutopilotPort:
                 params = (1.0, order.ground_speed_mps, -1.0)
                 self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
                               t_s, replace=True)  # fmt: skip
+            case FlyVelocity():
+                self._send(
+                    mavlink.MAVLink_set_position_target_local_ned_message(
+                        self._clock.boot_ms,
+                        system,
+                        AUTOPILOT,
+                        mavlink.MAV_FRAME_LOCAL_NED,
+                        VELOCITY_AND_ACCELERATION,
+                        *(0.0, 0.0, 0.0),
+                        *order.vel_ned_mps,
+                        *order.accel_ned_mps2,
+                        *(0.0, 0.0),
+                    )
+                )
             case Release():
                 params = (1.0, float(mavlink.GRIPPER_ACTION_RELEASE))
                 self._command("release", "release", mavlink.MAV_CMD_DO_GRIPPER, params, t_s)

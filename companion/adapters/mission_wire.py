@@ -85,6 +85,10 @@ def item_from_wire(message: Any, *, home_items: int) -> MissionItem:
         case ItemKind.RELEASE:
             if values[1] != mavlink.GRIPPER_ACTION_RELEASE:
                 kind = ItemKind.OTHER
+        case ItemKind.ASIDE_LIMIT | ItemKind.ASIDE:
+            if any(other != 0.0 for other in values[1:]):
+                kind = ItemKind.OTHER
+            value = values[0]
         case ItemKind.OTHER:
             value = 0.0
     label = "" if kind is not ItemKind.OTHER else f"command {message.command} {values}"

@@ -48,6 +48,7 @@ STREAMS = (
     ("VFR_HUD", mavlink.MAVLINK_MSG_ID_VFR_HUD, 5.0, False),
     ("EXTENDED_SYS_STATE", mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, True),
     ("ESTIMATOR_STATUS", mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 1.0, False),
+    ("SYSTEM_TIME", mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, False),
     ("HOME_POSITION", mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, False),
     ("WIND_COV", mavlink.MAVLINK_MSG_ID_WIND_COV, 2.0, False),
 )
@@ -206,6 +207,13 @@ class Px4:
             _near("MPC_Z_V_AUTO_UP", facts.climb_mps, "climb speed"),
             _near("MPC_Z_V_AUTO_DN", facts.descent_mps, "descent speed"),
             _near("MPC_LAND_SPEED", facts.landing_mps, "landing speed"),
+            Requirement(
+                ("COM_OBL_RC_ACT", "COM_OF_LOSS_T"),
+                "a return to launch when set-points stop",
+                lambda v: not facts.set_points or _offboard_loss_returns(v),
+                lambda v: {"COM_OBL_RC_ACT": 3.0, "COM_OF_LOSS_T": 1.0},
+                True,
+            ),
             _at_least("COM_DISARM_LAND", 0.1, 2.0, "disarming by itself after a landing", False),
         )
 
@@ -243,6 +251,12 @@ def _inside_fence(values: Values, facts: RouteFacts) -> bool | None:
     if radius_m and radius_m < facts.farthest_m + 20.0:
         return False
     return not (top_m and top_m < facts.cruise_height_m + 10.0)
+
+
+def _offboard_loss_returns(values: Values) -> bool | None:
+    """COM_OBL_RC_ACT 3: return; without a pilot's radio PX4 returns anyway (measured)."""
+    action, loss_s = values.get("COM_OBL_RC_ACT"), values.get("COM_OF_LOSS_T")
+    return None if action is None or loss_s is None else action == 3.0 and loss_s <= 1.0
 
 
 def _has_gripper(values: Values) -> bool | None:

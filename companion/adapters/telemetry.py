@@ -14,6 +14,7 @@ from companion.core.events import (
     Event,
     Flavour,
     GnssFix,
+    GnssTime,
     Ground,
     GroundState,
     Home,
@@ -40,6 +41,7 @@ GROUND = {
     mavlink.MAV_LANDED_STATE_LANDING: Ground.LANDING,
 }
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+LEAST_UNIX_S = 1.0e9  # 2001: before that a clock counts from its own start
 UNKNOWN_U16 = 65535
 UNKNOWN_I16 = 32767
 
@@ -129,6 +131,8 @@ def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> 
             ]
         case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
             return [EstimatorHealth(t_s, words.position_ok(message.flags))]
+        case "SYSTEM_TIME":
+            return _gnss_time(message, t_s)
         case "WIND" | "WIND_COV":
             return words.wind(message, values, t_s)
         case "STATUSTEXT":
@@ -155,6 +159,12 @@ def _position(message: Any, t_s: float) -> list[Event]:
             message.vz / 100.0,
         )
     ]
+
+
+def _gnss_time(message: Any, t_s: float) -> list[Event]:
+    """Both stamps are of one moment; before a fix there is no calendar time (0, or near it)."""
+    unix_s = message.time_unix_usec / 1e6
+    return [GnssTime(t_s, unix_s)] if unix_s > LEAST_UNIX_S else []
 
 
 def _system_status(message: Any, t_s: float) -> list[Event]:

@@ -9,6 +9,7 @@ import os
 import queue
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -22,6 +23,8 @@ from companion.core.topics import VehicleKeys, life_of
 OPEN_AGAIN_S = 5.0
 WAITING = 256
 LEAVING = 4096
+TRACKS = 256
+"""Two seconds of 25 neighbours; the oldest go first."""
 AFTER = "after"
 
 
@@ -49,6 +52,7 @@ class ZenohLink:
         self._life = life
         self._wake = wake
         self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
+        self._tracks: deque[bytes] = deque(maxlen=TRACKS)
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -92,6 +96,17 @@ class ZenohLink:
         if sample.kind == zenoh.SampleKind.PUT and seen is not None and seen[1] != self._life:
             self._put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
 
+    def tracks(self) -> list[bytes]:
+        """What neighbours told since the last call."""
+        found: list[bytes] = []
+        while self._tracks:
+            found.append(self._tracks.popleft())
+        return found
+
+    def _hear_track(self, sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) != self._keys.track:
+            self._tracks.append(sample.payload.to_bytes())
+
     def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
         def answer(replies: list[bytes]) -> None:
             def send() -> None:
@@ -120,6 +135,11 @@ class ZenohLink:
     def publish_event(self, raw: bytes) -> None:
         """Tell an event, if anybody listens."""
         self._leave(lambda: self._publish(self._keys.event, raw))
+
+    def publish_track(self, raw: bytes) -> None:
+        """Tell the neighbours where we are; never waits behind anything that is worth keeping."""
+        if self._leaving.qsize() < TRACKS:
+            self._leave(lambda: self._publish(self._keys.track, raw))
 
     def _publish(self, key: str, raw: bytes) -> None:
         if self._session is not None:
@@ -163,6 +183,7 @@ class ZenohLink:
             session.declare_queryable(keys.event, self._hear_events_wanted),
             session.declare_queryable(keys.state, self._hear_state_wanted),
             liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
+            session.declare_subscriber(keys.tracks, self._hear_track),
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""

@@ -173,6 +173,21 @@ def run_command(
         Path | None,
         typer.Option(help="zenoh's configuration (JSON5); default: a peer, found by multicast."),
     ] = None,
+    keep_apart: Annotated[
+        bool,
+        typer.Option(
+            "--keep-apart",
+            help="In a fleet: fly set-points near neighbours so that nobody comes near anybody, and"
+            " hand back to the mission (docs/avoidance.md). All vehicles of the fleet should.",
+        ),
+    ] = False,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="With --keep-apart: the learned actor that wishes where to (params/policies, such"
+            " as avoid, or a card's path); default: straight to the next item."
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
@@ -184,8 +199,15 @@ def run_command(
     """
     del seed
     pilot = PilotOptions(
-        gate_on=gate is Gate.ON, configure=configure, authorise=authorise, here=here
+        gate_on=gate is Gate.ON,
+        configure=configure,
+        authorise=authorise,
+        here=here,
+        keep_apart=keep_apart,
+        name=vehicle or "",
     )
+    if keep_apart and fleet is None:
+        _mistake(LeewayError("--keep-apart: expected with --fleet and --vehicle: who is near?"))
     if (fleet is None) != (vehicle is None):
         _mistake(LeewayError("--fleet and --vehicle: expected both or neither"))
     if mission is None and (fleet is None or airframe is None):
@@ -197,7 +219,7 @@ def run_command(
     where = _Where(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     )
-    options = replace(where.options(pilot), lockstep=lockstep)
+    options = replace(where.options(pilot), lockstep=lockstep, policy=policy)
     if fleet is not None and vehicle is not None:
         _run_in_fleet(fleet, vehicle, zenoh, options, mission)
     code, _ = _run(options, _show)

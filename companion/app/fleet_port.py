@@ -25,6 +25,7 @@ from companion.core.actions import (
     Reply,
     Say,
     Severity,
+    TellPlace,
 )
 from companion.core.airframe import Airframe
 from companion.core.command_book import CommandBook, Verdict
@@ -37,9 +38,11 @@ from companion.core.events import (
     Event,
     HomeMoved,
     LimitsChanged,
+    NeighbourHeard,
 )
 from companion.core.fleet_link import MemberLink
 from companion.core.home_aboard import home_now
+from companion.core.keeping_apart import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.messages import (
     Answered,
     Assign,
@@ -51,8 +54,11 @@ from companion.core.messages import (
     MoveHome,
     Recall,
     SetLimits,
+    Track,
     TruckDeed,
     Withdraw,
+    decode_track,
+    encode,
 )
 from companion.core.pilot import Pilot
 from companion.core.situation import Situation
@@ -184,6 +190,8 @@ class FleetPort:
             case Say() if action.severity <= Severity.NOTICE:
                 self.member.remark = action.text
                 self.tell(EventKind.SAID, action.text)
+            case TellPlace():
+                self._tell_place(action)
             case Finished():
                 self.tell(
                     EventKind.OUTCOME,
@@ -195,6 +203,35 @@ class FleetPort:
                 )
             case _:
                 return
+
+    def _tell_place(self, place: TellPlace) -> None:
+        north, east, down = place.vel_ned_mps
+        track = Track(
+            vehicle=self.vehicle,
+            gnss_s=place.gnss_s,
+            lat_deg=place.lat_deg,
+            lon_deg=place.lon_deg,
+            alt_amsl_m=place.alt_amsl_m,
+            vel_n_mps=north,
+            vel_e_mps=east,
+            vel_d_mps=down,
+            pos_std_m=POS_STD_M,
+            alt_std_m=ALT_STD_M,
+            vel_std_mps=VEL_STD_MPS,
+            aside=place.aside,
+            to_lat_deg=place.to_lat_deg,
+            to_lon_deg=place.to_lon_deg,
+        )
+        self.link.publish_track(encode(track))
+
+    def neighbours(self, t_s: float) -> list[Event]:
+        """What neighbours told since the last call; what is no track of another is left out."""
+        told = [decode_track(raw) for raw in self.link.tracks()]
+        return [
+            NeighbourHeard(t_s, track)
+            for track in told
+            if isinstance(track, Track) and track.vehicle != self.vehicle
+        ]
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:
         """Write an event down, then tell it."""

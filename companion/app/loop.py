@@ -233,6 +233,8 @@ class Loop:
             self._decided_wall_s = self.wall_clock_s()
             self._publish_next()
             self._give(self.autopilot.tick(t_s))
+            if self.port is not None:
+                self._give(self.port.neighbours(t_s))
             table = self.tables.due(t_s) if self.tables is not None else None
             if table is not None:
                 self._give([table])

@@ -20,11 +20,13 @@ from companion.adapters.files import (
 )
 from companion.adapters.mavlink_codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.mavlink_link import Link, open_link
+from companion.adapters.policy_file import read_policy
 from companion.adapters.px4 import Px4
 from companion.app.loop import Loop
 from companion.app.recorder import Recorder
 from companion.app.table_worker import LOCKSTEP_WAIT_S, Tables, TableWorker
 from companion.core.actions import Action, Say, Severity
+from companion.core.avoidance_policy import AvoidancePolicy
 from companion.core.errors import LeewayError
 from companion.core.events import Flavour
 from companion.core.flight_state import PilotOptions
@@ -55,6 +57,7 @@ class RunOptions:
     system_id: int | None = None
     silence_limit_s: float = 300.0
     lockstep: bool = False
+    policy: str | None = None
     pilot: PilotOptions = field(default_factory=PilotOptions)
 
 
@@ -117,6 +120,8 @@ class Run:
             options=options.pilot,
             kept=kept,
         )
+        if options.policy is not None:
+            pilot.apart.policy = flying_policy(options.policy)
         link = open_link(options.link)
         continues = kept is not None and not kept.finished
         recorder = Recorder(
@@ -184,6 +189,14 @@ def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]
     """What the promise asks of this flavour's parameters."""
     words = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
     return words.requirements(facts)
+
+
+def flying_policy(name: str) -> AvoidancePolicy:
+    """A learned actor, by name or by its card; only one whose view this companion draws."""
+    policy, card = read_policy(name)
+    if card.frame != "goal":
+        raise LeewayError(f"policy {name}: its frame is {card.frame!r}, expected 'goal'")
+    return policy
 
 
 def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:

@@ -91,6 +91,14 @@ class Release(Order):
 
 
 @dataclass(frozen=True, slots=True)
+class FlyVelocity(Order):
+    """A set-point: a velocity over ground, NED, and how it is changing."""
+
+    vel_ned_mps: tuple[float, float, float]
+    accel_ned_mps2: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class DropOrders(Action):
     """Forget every order that is still being sent, retried or waited for."""
 
@@ -129,6 +137,20 @@ class MakeTable(Action):
 
     request: TableRequest
     allowed_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TellPlace(Action):
+    """Where we are and where to, for the neighbours; the fleet's port adds our name."""
+
+    gnss_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    vel_ned_mps: tuple[float, float, float]
+    aside: bool
+    to_lat_deg: float | None = None
+    to_lon_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

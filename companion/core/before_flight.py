@@ -22,6 +22,7 @@ from companion.core.errors import LeewayError
 from companion.core.events import (
     AutopilotParameters,
     Event,
+    Flavour,
     MissionReadBack,
     MissionUploaded,
     Mode,
@@ -261,7 +262,8 @@ def _planned(pilot: Pilot, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
     frame = frame_of(pilot.flight, now.position, here=here)
     site = site_map(pilot.flight, frame, pilot.obstacles, here=here)
     reserve_frac = pilot.judge.limits.reserve_frac
-    return make_plan(pilot.flight, site, pilot.planner, energy, reserve_frac)
+    asides = pilot.options.keep_apart and pilot.flavour is Flavour.ARDUPILOT
+    return make_plan(pilot.flight, site, pilot.planner, energy, reserve_frac, asides=asides)
 
 
 def _plan(pilot: Pilot) -> None:
@@ -307,7 +309,9 @@ def ask_parameters(pilot: Pilot) -> None:
     """Ask for the settings that the promise rests on."""
     if pilot.flown is None or pilot.flavour is None:
         return
-    facts = route_facts(pilot.flight, pilot.airframe, pilot.flown)
+    facts = route_facts(
+        pilot.flight, pilot.airframe, pilot.flown, keep_apart=pilot.options.keep_apart
+    )
     pilot.ground.requirements = pilot.requirements(pilot.flavour, facts)
     pilot.do(AskParameters(names_read(pilot.ground.requirements)))
 

@@ -7,6 +7,7 @@ Mission indices are flavour-free (0 is the first item that we uploaded). Unknown
 from dataclasses import dataclass
 from enum import Enum
 
+from companion.core.messages import Track
 from companion.core.value_gate import ValueTable
 
 
@@ -318,6 +319,20 @@ class HomeMoved(Event):
     stop: str | None = None
     lat_deg: float | None = None
     lon_deg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GnssTime(Event):
+    """What the autopilot's satellite receiver says of the time, seconds since 1970."""
+
+    unix_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbourHeard(Event):
+    """Another vehicle of the fleet told where it is."""
+
+    track: Track
 
 
 @dataclass(frozen=True, slots=True)

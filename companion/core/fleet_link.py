@@ -46,6 +46,14 @@ class MemberLink(Protocol):
         """Tell an event, if anybody listens."""
         ...
 
+    def publish_track(self, raw: bytes) -> None:
+        """Tell the neighbours where we are; what cannot leave at once is worth nothing later."""
+        ...
+
+    def tracks(self) -> list[bytes]:
+        """What neighbours told since the last call, our own excepted."""
+        ...
+
     def close(self) -> None:
         """Say what is left to say, and leave."""
         ...

@@ -45,6 +45,14 @@ CUSTOMER_HOLD_S = 6.0
 SETTLE_SLACK_S = 8.0
 """The loiter over the depot lasts this much longer than the wind is measured."""
 
+ASIDE_S = 10.0
+"""How long ArduCopter hovers at most, once set-points have stopped, before it goes on by itself: a
+live companion asks again well before."""
+
+DODGE_M = 12.0
+"""From one height to dodge to, to the next: separation, both barometers' drift, tracking."""
+
+DODGES = (0, 1, -1, 2, -2)
 DEPOT_RADIUS_M = 30.0
 LEAST_ROOM_M = 3.0
 """The cruise height is at least this far above the drop height at the customer."""
@@ -193,8 +201,13 @@ def make_plan(
     planner: Planner,
     energy: EnergyBelief | None,
     reserve_frac: float,
+    *,
+    asides: bool = False,
 ) -> FlightPlan | NoRoute:
-    """Plan the flight before take-off, when no wind is known yet."""
+    """Plan the flight before take-off, when no wind is known yet.
+
+    `asides`: with the items by which ArduCopter obeys set-points and goes on without.
+    """
     mission = flight.mission
     trouble = _too_low(flight, site) or _home_built_in(site)
     if trouble:
@@ -215,7 +228,7 @@ def make_plan(
     plan = planner.plan(request)
     if isinstance(plan, NoRoute):
         return plan
-    return FlightPlan(site, plan, lay_out(flight, site, plan))
+    return FlightPlan(site, plan, lay_out(flight, site, plan, asides=asides))
 
 
 def _too_low(flight: Flight, site: SiteMap) -> str:
@@ -248,7 +261,7 @@ def _home_built_in(site: SiteMap) -> str:
     return f"site.home = {site.home}: within {clearance_m:g} m of {blocking.name}"
 
 
-def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
+def lay_out(flight: Flight, site: SiteMap, plan: Plan, *, asides: bool = False) -> DeadMansMission:
     """Turn a plan into the dead man's mission."""
 
     def spot(ned_m: Ned) -> Spot:
@@ -276,6 +289,7 @@ def lay_out(flight: Flight, site: SiteMap, plan: Plan) -> DeadMansMission:
         home_speed_mps=plan.home_ground_speed_mps,
         start=spot(over(plan.depot_ned_m, plan.outbound_ned_m[0])),
         away=[spot(p) for p in plan.away_ned_m],
+        aside_s=ASIDE_S if asides else None,
     )
 
 
@@ -305,7 +319,9 @@ def plan_row(flown: FlightPlan) -> dict[str, Any]:
     }
 
 
-def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteFacts:
+def route_facts(
+    flight: Flight, airframe: Airframe, flown: FlightPlan, *, keep_apart: bool = False
+) -> RouteFacts:
     """What the autopilot's settings are judged against on this flight."""
     plan = flown.plan
     points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.sites)]
@@ -320,9 +336,10 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
         np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
     )
     speeds = airframe.speeds
+    top_m = max(-plan.outbound_ned_m[-1][2], -plan.return_ned_m[-1][2])
     return RouteFacts(
         highest_obstacle_m=highest_m,
-        cruise_height_m=max(-plan.outbound_ned_m[-1][2], -plan.return_ned_m[-1][2]),
+        cruise_height_m=top_m + (max(DODGES) * DODGE_M if keep_apart else 0.0),
         farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
         first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),
         max_ground_mps=speeds.max_ground_mps,
@@ -335,4 +352,5 @@ def route_facts(flight: Flight, airframe: Airframe, flown: FlightPlan) -> RouteF
         battery_cells=battery.cells,
         battery_capacity_mah=round(1000.0 * battery.nominal_wh / (battery.cells * mean_cell_v)),
         carries_parcel=flight.vehicle.payload_kg > 0.0,
+        set_points=keep_apart,
     )

@@ -13,6 +13,9 @@ from companion.core.release import ReleaseWatch
 class PilotOptions:
     """How this run is to be flown. `authorise` counts once and never after a restart.
 
+    `keep_apart`: fly set-points near neighbours; without `separation_filter` they are what is
+    wished, for comparison only. `name`: as which the fleet knows this vehicle.
+
     `here`: the site lies about where the vehicle stands, not about the flight file's depot.
     """
 
@@ -21,6 +24,9 @@ class PilotOptions:
     authorise: bool = False
     check_only: bool = False
     here: bool = False
+    keep_apart: bool = False
+    name: str = ""
+    separation_filter: bool = True
 
 
 @dataclass(frozen=True, slots=True)

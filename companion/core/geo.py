@@ -132,6 +132,7 @@ class ObstacleMap:
         for obstacle, outline in zip(obstacles, outlines, strict=True):
             if not outline.is_valid:
                 raise LeewayError(f"{obstacle.name}: the polygon crosses itself")
+        self._outlines = outlines
         self._grown = [outline.buffer(clearance_m) for outline in outlines]
         for grown in self._grown:
             shapely.prepare(grown)
@@ -176,6 +177,17 @@ class ObstacleMap:
         """Height above the depot of the tallest obstacle within clearance of a-b (0 if none)."""
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         return float(self._tops_m[self._tree.query(line, predicate="intersects")].max(initial=0.0))
+
+    def clearance_at(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
+        points = points_ned_m.reshape(-1, 3)
+        found = np.full(len(points), np.inf)
+        places = np.asarray(shapely.points(points[:, :2]))
+        for outline, top_m in zip(self._outlines, self._tops_m, strict=True):
+            low = -points[:, 2] < top_m + self.clearance_up_m
+            away = shapely.distance(places[low], outline)
+            found[low] = np.minimum(found[low], away)
+        return found.reshape(points_ned_m.shape[:-1])
 
     def grown_at(self, height_m: float) -> list[shapely.Polygon]:
         """Outlines with clearance, north and east, of what blocks level flight at this height."""

@@ -86,7 +86,8 @@ def tick(pilot: Pilot) -> None:
             _homeward(pilot)
         case _:
             pass
-    _command_speed(pilot)
+    if not pilot.apart.wanted:
+        _command_speed(pilot)
     watch_landing(pilot)
 
 

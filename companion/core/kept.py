@@ -36,6 +36,7 @@ class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     rally: str | None
     home: str | None = None
     wanted: str | None = None
+    asides: bool = False
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

@@ -18,7 +18,7 @@ from companion.core.errors import LeewayError
 
 VERSION = 1
 
-LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096}
+LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096, "track": 1024}
 """A command may carry a site's obstacles; the others are a few hundred bytes."""
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
@@ -75,6 +75,30 @@ class State(_Message, frozen=True, kw_only=True):
     home: Id | None = None
     stop: Id | None = None
     text: Words = ""
+
+
+class Track(_Message, frozen=True, kw_only=True):
+    """Where a vehicle is, five times a second, for its neighbours.
+
+    `gnss_s`: satellite time of the place, seconds since 1970, the one clock that all share.
+    Errors are standard deviations, of each horizontal axis and of height. `aside`: it flies
+    set-points to keep apart; `to_...`: where it wants to, for people and for actors.
+    """
+
+    vehicle: Name
+    gnss_s: Annotated[float, Meta(ge=0.0)]
+    lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    alt_amsl_m: Annotated[float, Meta(ge=-500.0, le=20_000.0)]
+    vel_n_mps: float
+    vel_e_mps: float
+    vel_d_mps: float
+    pos_std_m: Annotated[float, Meta(ge=0.0)]
+    alt_std_m: Annotated[float, Meta(ge=0.0)]
+    vel_std_mps: Annotated[float, Meta(ge=0.0)]
+    aside: bool = False
+    to_lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
+    to_lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
 
 
 class EventKind(Enum):
@@ -268,11 +292,12 @@ _KINDS: dict[str, type[_Message]] = {
     "event": FleetEvent,
     "command": Command,
     "result": Result,
+    "track": Track,
 }
 _decoders = {kind: msgspec.json.Decoder(type_) for kind, type_ in _KINDS.items()}
 
 
-def encode(message: State | FleetEvent | Command | Result) -> bytes:
+def encode(message: State | FleetEvent | Command | Result | Track) -> bytes:
     """The bytes of a message; LeewayError where they are more than its kind may have."""
     kind = next(kind for kind, type_ in _KINDS.items() if isinstance(message, type_))
     raw = msgspec.json.encode(message)
@@ -294,6 +319,11 @@ def decode_event(raw: bytes) -> FleetEvent | Refused:
 def decode_command(raw: bytes) -> Command | Refused:
     """A command, or why these bytes are none."""
     return _decode("command", raw)
+
+
+def decode_track(raw: bytes) -> Track | Refused:
+    """A neighbour's place, or why these bytes are none."""
+    return _decode("track", raw)
 
 
 def decode_result(raw: bytes) -> Result | Refused:

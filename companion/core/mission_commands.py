@@ -14,6 +14,8 @@ COMMAND = {
     ItemKind.SPEED: 178,  # MAV_CMD_DO_CHANGE_SPEED
     ItemKind.JUMP: 177,  # MAV_CMD_DO_JUMP
     ItemKind.RELEASE: 211,  # MAV_CMD_DO_GRIPPER
+    ItemKind.ASIDE_LIMIT: 222,  # MAV_CMD_DO_GUIDED_LIMITS
+    ItemKind.ASIDE: 92,  # MAV_CMD_NAV_GUIDED_ENABLE
 }
 GRIPPER, GRIPPER_RELEASE = 1.0, 0.0  # the first gripper; GRIPPER_ACTION_RELEASE
 GROUND_SPEED = 1.0
@@ -40,5 +42,7 @@ def params_of(item: MissionItem, shift: int, free_yaw: float) -> Params:
             return (item.value + shift, float(JUMP_REPEATS), 0.0, 0.0)
         case ItemKind.RELEASE:
             return (GRIPPER, GRIPPER_RELEASE, 0.0, 0.0)
+        case ItemKind.ASIDE_LIMIT | ItemKind.ASIDE:
+            return (item.value, 0.0, 0.0, 0.0)
         case ItemKind.OTHER:
             raise LeewayError(f"{item.label}: not an item of ours")

@@ -6,6 +6,8 @@
    (home elsewhere: SPEED home; WAYPOINTs over the launch pad ...; JUMP over home)
  for each outbound waypoint i:  WAYPOINT out i;  SPEED home;  JUMP ret(entry of i)
  for each rally point, and each other stop of the truck:  WAYPOINT over it;  LAND;  JUMP to the end
+ (ArduCopter beside neighbours, for each placed item k from here on and each outbound waypoint:
+    ASIDE_LIMIT;  ASIDE;  JUMP k)               <- set-points that stop: on with k by itself
  DELIVER: WAYPOINT at drop height, held; RELEASE; LOITER_TIME; SPEED home
  ret 0..n: WAYPOINT climb-out at the customer, return waypoints, over home;  LAND at home
  SPEED: the end, which goes nowhere
@@ -40,6 +42,8 @@ class ItemKind(Enum):
     SPEED = "speed"
     JUMP = "jump"
     RELEASE = "release"
+    ASIDE_LIMIT = "set-points for so long"
+    ASIDE = "set-points"
     OTHER = "other"
 
 
@@ -59,6 +63,7 @@ class Part(Enum):
     RALLY = "rally"
     RALLY_LAND = "rally landing"
     END = "end"
+    ASIDE = "set-points"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +77,7 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One item; `value` is a hold in s (WAYPOINT, LOITER_TIME), m/s (SPEED), an index (JUMP)."""
+    """One item; `value` is s (WAYPOINT, LOITER_TIME, ASIDE_LIMIT), m/s (SPEED), an index (JUMP)."""
 
     kind: ItemKind
     part: Part
@@ -97,6 +102,20 @@ class DeadMansMission:
     land: int
     rally: tuple[tuple[int, int], ...]
     away: tuple[int, ...] = ()
+    asides: tuple[tuple[int, int], ...] = ()
+    """(item, first of the three items by which set-points lead to it); ArduCopter's only."""
+
+    def stands_for(self, index: int) -> int:
+        """The item that an item leads to where it is one of set-points; else itself."""
+        return next((k for k, first in self.asides if first <= index <= first + 2), index)
+
+    def aside_of(self, index: int) -> int | None:
+        """Where set-points begin that lead to this item, if the mission has such."""
+        return next((first for k, first in self.asides if k == index), None)
+
+    def is_aside(self, index: int) -> bool:
+        """Tell whether set-points are obeyed at this item (or are about to be)."""
+        return any(first <= index <= first + 1 for _, first in self.asides)
 
     def part_at(self, index: int) -> Part | None:
         """Return the part of the flight at an item, `None` when it is not one of ours."""
@@ -147,6 +166,7 @@ def build_dead_mans_mission(
     home_speed_mps: float,
     start: Spot | None = None,
     away: Sequence[Spot] = (),
+    aside_s: float | None = None,
 ) -> DeadMansMission:
     """Lay out the mission above.
 
@@ -156,7 +176,9 @@ def build_dead_mans_mission(
     From `outbound[i]` the way home enters at `returning[entries[i]]`.
     Over the customer the vehicle holds for `hold_s`, so that leave to descend can be given there;
     at the drop for `weigh_s` before the release and `delay_s` after it (safety rule 5).
-    `rally` holds (over it, its ground). Raises LeewayError where these do not fit together.
+    `rally` holds (over it, its ground). `aside_s`: ArduCopter flies set-points for that long at
+    most before the mission goes on by itself; `None`: there are no such items.
+    Raises LeewayError where these do not fit together.
     """
     if not outbound or len(returning) < 2 or len(entries) != len(outbound):
         raise LeewayError("mission: expected outbound waypoints, each with its way home")
@@ -169,9 +191,12 @@ def build_dead_mans_mission(
     over_depot = returning[-1] if start is None else start
     out_start = 4 + len(away)
     rally_start = out_start + 3 * len(outbound)
-    deliver = rally_start + 3 * len(rally)
+    aside_start = rally_start + 3 * len(rally)
+    led_to = len(away) + len(outbound) + 2 * len(rally) + 1 + len(returning) + 1
+    deliver = aside_start + (3 * led_to if aside_s is not None else 0)
     ret_start = deliver + 4
     land = ret_start + len(returning)
+    outward = tuple(out_start + 3 * i for i in range(len(outbound)))
 
     items = [
         MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", over_depot),
@@ -200,6 +225,12 @@ def build_dead_mans_mission(
             MissionItem(ItemKind.LAND, Part.RALLY_LAND, f"rally {number} landing", ground),
             MissionItem(ItemKind.JUMP, Part.RALLY_LAND, "end", None, float(land + 1)),
         ]
+    aboard = (*range(3, 3 + len(away)), *outward, *(i for pair in rally_items for i in pair))
+    asides: list[tuple[int, int]] = []
+    if aside_s is not None:
+        for target in (*aboard, deliver, *range(ret_start, land + 1)):
+            asides.append((target, len(items)))
+            items += _aside(target, aside_s)
     items += [
         MissionItem(ItemKind.WAYPOINT, Part.DELIVER, "drop", drop, weigh_s),
         MissionItem(ItemKind.RELEASE, Part.RELEASE, "release"),
@@ -216,7 +247,7 @@ def build_dead_mans_mission(
         items=tuple(items),
         takeoff=0,
         settle=1,
-        outbound=tuple(out_start + 3 * i for i in range(len(outbound))),
+        outbound=outward,
         entry_of_outbound=tuple(ret_start + entry for entry in entries),
         deliver=deliver,
         release=deliver + 1,
@@ -225,7 +256,17 @@ def build_dead_mans_mission(
         land=land,
         rally=tuple(rally_items),
         away=tuple(range(3, 3 + len(away))),
+        asides=tuple(asides),
     )
+
+
+def _aside(target: int, for_s: float) -> list[MissionItem]:
+    """Set-points on the way to an item: for so long, unless asked again; then the item itself."""
+    return [
+        MissionItem(ItemKind.ASIDE_LIMIT, Part.ASIDE, "set-point limits", None, for_s),
+        MissionItem(ItemKind.ASIDE, Part.ASIDE, "set-points", None, 1.0),
+        MissionItem(ItemKind.JUMP, Part.ASIDE, f"on to {target}", None, float(target)),
+    ]
 
 
 DEGREES_TOLERANCE = 3e-7

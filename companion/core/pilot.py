@@ -12,6 +12,7 @@ from companion.core import (
     before_flight,
     foresight,
     in_flight,
+    keeping_apart,
     moving_home,
     progress,
     recognising,
@@ -46,6 +47,7 @@ from companion.core.events import (
     ControlTaken,
     Event,
     Flavour,
+    GnssTime,
     HomeMoved,
     Identified,
     LimitsChanged,
@@ -56,6 +58,7 @@ from companion.core.events import (
     MissionUploaded,
     Mode,
     ModeNow,
+    NeighbourHeard,
     OrderRefused,
     OtherComputer,
     ParametersSet,
@@ -125,6 +128,7 @@ class Pilot:
         self.flown: FlightPlan | None = None
         self.air = FlightState()
         self.ground = GroundWork()
+        self.apart = keeping_apart.Apart()
         self.tables = table_watch.TableWatch()
         self.assessment: Assessment | None = None
         self.outcome: str | None = None
@@ -141,9 +145,12 @@ class Pilot:
     def handle(self, event: Event) -> list[Action]:
         """Take one event; returns what is to be done. Orders leave only in commanding phases."""
         self._out = []
+        if isinstance(event, MissionProgress):
+            event = keeping_apart.heard_progress(self, event)
         self.now.hear(event)
         self._hear(event)
-        actions, self._out = self._out, []
+        actions = [keeping_apart.routed(self, action) for action in self._out]
+        self._out = []
         if self.phase not in COMMANDING_PHASES:
             actions = [action for action in actions if not isinstance(action, Order)]
         return actions
@@ -237,6 +244,10 @@ class Pilot:
                 recognising.read_back(self, event)
             case TableMade():
                 table_watch.take(self, event)
+            case GnssTime():
+                keeping_apart.heard_time(self, event)
+            case NeighbourHeard():
+                keeping_apart.heard_neighbour(self, event.track)
             case _:
                 return
 
@@ -252,6 +263,7 @@ class Pilot:
         else:
             before_flight.tick(self)
             in_flight.tick(self)
+            keeping_apart.tick(self)
             table_watch.mind(self)
         reports.report(self)
 

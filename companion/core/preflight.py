@@ -29,6 +29,7 @@ class RouteFacts:
     battery_cells: int
     battery_capacity_mah: float
     carries_parcel: bool
+    set_points: bool = False
 
     @property
     def rtl_height_m(self) -> float:

@@ -31,7 +31,8 @@ def restore(pilot: Pilot) -> None:
     pilot.ground.settings_before = dict(kept.settings_before)
     if kept.flying and kept.plan is not None and kept.frame is not None:
         site = site_map(pilot.flight, kept.frame, pilot.obstacles, here=pilot.options.here)
-        pilot.flown = FlightPlan(site, kept.plan, lay_out(pilot.flight, site, kept.plan))
+        mission = lay_out(pilot.flight, site, kept.plan, asides=kept.asides)
+        pilot.flown = FlightPlan(site, kept.plan, mission)
         air.flying = True
 
 

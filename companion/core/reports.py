@@ -89,6 +89,7 @@ def kept(pilot: Pilot) -> Kept:
         rally=air.rally,
         home=air.home,
         wanted=air.wanted,
+        asides=flown is not None and bool(flown.mission.asides),
         settings_before=dict(pilot.ground.settings_before),
         judgement=pilot.judge.snapshot(),
     )

@@ -113,6 +113,17 @@ class SeparationFilter:
 
     params: SeparationParams = field(default_factory=SeparationParams)
 
+    def allows(
+        self, pos_ned_m: Floats, vel_ned_mps: Floats, wanted_ned_mps: Floats, neighbours: Neighbours
+    ) -> Mask:
+        """Which wanted velocities (A, 3) would pass as they are, whatever stands on the ground."""
+        p = self.params
+        first = _reach(vel_ned_mps, wanted_ned_mps, p)[:, None, :]
+        heard = _relevant(pos_ned_m, vel_ned_mps, neighbours, p)
+        paths = _paths(pos_ned_m, vel_ned_mps, first, p)
+        slack = _slack(paths, _braking(pos_ned_m, vel_ned_mps, p), _reports(heard, p), p)
+        return np.asarray(slack.min(axis=-1, initial=np.inf)[:, 0] >= 0.0)
+
     def safe(
         self,
         pos_ned_m: Floats,

@@ -3,6 +3,7 @@
 leeway/FLEET/vehicle/ID/alive/LIFE   liveliness token of one life of a companion
 leeway/FLEET/vehicle/ID/state        published about once a second; asked for, the newest
 leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
+leeway/FLEET/vehicle/ID/track        published five times a second in the air; heard by all vehicles
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
 """
 
@@ -47,6 +48,15 @@ class VehicleKeys:
     @property
     def event(self) -> str:
         return f"{self._base}/event"
+
+    @property
+    def track(self) -> str:
+        return f"{self._base}/track"
+
+    @property
+    def tracks(self) -> str:
+        """Those of the whole fleet."""
+        return VehicleKeys(self.fleet, "*").track
 
     @property
     def command(self) -> str:

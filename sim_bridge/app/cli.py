@@ -17,6 +17,7 @@ from sim_bridge.app import (
     avoid_cli,
     campaign_cli,
     conform_cli,
+    cross_cli,
     day_cli,
     experiments_cli,
     paths_cli,
@@ -87,6 +88,14 @@ def fly(
     vehicles: Annotated[
         int | None, typer.Option(min=1, max=100, help="How many fly at once. Default: 1.")
     ] = None,
+    crossing: Annotated[
+        bool,
+        typer.Option(
+            "--cross",
+            help="All leave one truck and cross each other's paths, companions keep them apart"
+            " (see sim-bridge cross; takes --vehicles, --autopilot, --seed, --json, --runs).",
+        ),
+    ] = False,
     link: Annotated[
         list[str] | None,
         typer.Option(
@@ -128,6 +137,17 @@ def fly(
     from sim_bridge.app.report import LiveView, grounded_words, results_table
 
     console = Console()
+    if crossing:
+        _refuse_with_cross({"FLIGHT": flight, "--wind-log": wind_log, "--link": link})
+        flavour = autopilot.value if autopilot else "mixed"
+        cross_cli.cross(
+            vehicles=vehicles or 8,
+            autopilot=flavour,
+            seeds=str(1 if seed is None else seed),
+            json_out=json_out,
+            runs=runs,
+        )
+        return
     file = flight or _default_flight(wind_log)
     gate_on = gate is Switch.on
     if link:
@@ -166,6 +186,12 @@ def fly(
         console.print(f"run folder: {row['run']}", highlight=False)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _refuse_with_cross(told: dict[str, object]) -> None:
+    given = [name for name, value in told.items() if value is not None]
+    if given:
+        raise LeewayError(f"{', '.join(given)}: not with --cross, whose scene is its own")
 
 
 def _refuse_with_link(given: list[str]) -> None:
@@ -280,6 +306,7 @@ app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
 app.registered_commands += avoid_cli.app.registered_commands
 app.registered_commands += train_cli.app.registered_commands
+app.registered_commands += cross_cli.app.registered_commands
 app.registered_commands += day_cli.app.registered_commands
 
 

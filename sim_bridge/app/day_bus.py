@@ -49,6 +49,8 @@ class Bus:
     t_s: float = 0.0
     sent: int = 0
     lost: int = 0
+    track_delay_s: float = DELAY_S
+    spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
     states: dict[str, State] = field(default_factory=dict)
     """What each vehicle last said, whether or not anybody heard it: for the judge."""
     _links: list["BusLink"] = field(default_factory=list)
@@ -109,11 +111,21 @@ class Bus:
 
     def post(self, deliver: Callable[[], None]) -> None:
         """Send a message: it arrives after `DELAY_S`, or never."""
+        if not self._is_lost():
+            self.later(DELAY_S, deliver)
+
+    def post_track(self, sender: "BusLink", raw: bytes) -> None:
+        """To every other vehicle, as late and as wrong as this network makes it."""
+        spoilt = self.spoil(raw, self.t_s)
+        for link in self.links_of():
+            if link.vehicle != sender.vehicle and not self._is_lost():
+                self.later(self.track_delay_s, lambda link=link: link.hear_track(spoilt))
+
+    def _is_lost(self) -> bool:
         self.sent += 1
-        if self.loss > 0.0 and self.rng.random() < self.loss:
-            self.lost += 1
-            return
-        self.later(DELAY_S, deliver)
+        lost = self.loss > 0.0 and self.rng.random() < self.loss
+        self.lost += lost
+        return lost
 
     def later(self, after_s: float, do: Callable[[], None]) -> None:
         """Do something after a while."""
@@ -136,6 +148,7 @@ class BusLink:
     life: str
     state: bytes = b""
     _waiting: list[Asked] = field(default_factory=list)
+    _tracks: list[bytes] = field(default_factory=list)
 
     def asked(self) -> list[Asked]:
         """Everything that waits."""
@@ -162,6 +175,19 @@ class BusLink:
         """Tell an event, to whoever listens."""
         for desk in self.bus.desks:
             self.bus.post(lambda desk=desk: desk.hear_event(self.vehicle, raw))
+
+    def publish_track(self, raw: bytes) -> None:
+        """Tell the neighbours where we are."""
+        self.bus.post_track(self, raw)
+
+    def tracks(self) -> list[bytes]:
+        """What neighbours told since the last call."""
+        tracks, self._tracks = self._tracks, []
+        return tracks
+
+    def hear_track(self, raw: bytes) -> None:
+        """A neighbour's place arrives."""
+        self._tracks.append(raw)
 
     def close(self) -> None:
         """Leave."""

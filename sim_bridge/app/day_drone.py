@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from sim_bridge.adapters.endpoint import bundled
+from sim_bridge.app.day_clock import EPOCH_US
 from sim_bridge.app.day_judge import Track
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
@@ -30,6 +31,9 @@ LINK = 0
 COMPANION_BOOT_S = 8.0
 """From power to a companion that is on the network: a Raspberry Pi class computer takes 10 to 20 s,
 the autopilot's own boot is simulated beside it; less here because everybody waits for it."""
+
+BOOTED_S = 60.0
+"""A minute after power: both autopilots' estimators are ready."""
 
 RESTART_S = 6.0
 """systemd's second, and the program's start (deploy/leeway-companion-fleet.service)."""
@@ -152,9 +156,18 @@ class DayDrone:
     # --- the driver's hands --------------------------------------------------------------------
 
     def switch_on(
-        self, t_s: float, pad_ne_m: tuple[float, float], payload_kg: float, order: str | None
+        self,
+        t_s: float,
+        pad_ne_m: tuple[float, float],
+        payload_kg: float,
+        order: str | None,
+        *,
+        booted: bool = False,
     ) -> None:
-        """On its pad, with a parcel and a pack from the shelf."""
+        """On its pad, with a parcel and a pack from the shelf.
+
+        `booted`: as if for a while, autopilot and companion with it.
+        """
         self.switch_off()
         charge_seed, gust_seed, sensor_seed = self.seeds.spawn(3)
         charge_frac = float(np.random.default_rng(charge_seed).uniform(*self.shelf_frac))
@@ -179,10 +192,12 @@ class DayDrone:
             world.site,
             world.parameters[self.flavour],
             system_id=self.number,
+            boot_age_s=BOOTED_S if booted else 0.0,
+            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # satellites tell all the same time
         )
         autopilot.add_link(LINK, LinkKind.ONBOARD)
         self.up = PowerUp(t_s, pad_ne_m, order, charge_frac, vehicle, autopilot)
-        self.companion_due_s = t_s + COMPANION_BOOT_S
+        self.companion_due_s = t_s if booted else t_s + COMPANION_BOOT_S
 
     def switch_off(self) -> None:
         """Power off: autopilot and companion with it; an armed one is disarmed by hand first."""

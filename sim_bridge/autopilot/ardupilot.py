@@ -59,6 +59,8 @@ _NAMES = {
     Cmd.DO_CHANGE_SPEED: "ChangeSpeed",
     Cmd.DO_GRIPPER: "Gripper",
     Cmd.DO_SET_SERVO: "SetServo",
+    Cmd.NAV_GUIDED_ENABLE: "GuidedEnable",
+    Cmd.DO_GUIDED_LIMITS: "GuidedLimits",
 }
 
 
@@ -307,6 +309,8 @@ class ArduPilot:
                 self.servo(ap, int(item.param1), int(item.param2))
             case Cmd.CONDITION_YAW:
                 self.turn_to(ap, item.param1, item.param3, relative=item.param4 == 1.0)
+            case Cmd.DO_GUIDED_LIMITS:
+                self.modes.limit_guided(item.param1, item.param2, item.param3, item.param4)
             case Cmd.CONDITION_DELAY:
                 return max(item.param1, 0.0)
             case Cmd.DO_SET_HOME:

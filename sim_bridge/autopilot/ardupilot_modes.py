@@ -7,8 +7,17 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_bridge.autopilot.enums import AMSL_FRAMES, MissionState
-from sim_bridge.autopilot.executor import Phase
-from sim_bridge.autopilot.goals import Descend, FlyVelocity, FollowLine, Goal, HoldPoint, Idle, Vec3
+from sim_bridge.autopilot.executor import Leg, Phase
+from sim_bridge.autopilot.goals import (
+    Descend,
+    FlyVelocity,
+    FollowLine,
+    Goal,
+    HoldPoint,
+    Idle,
+    Vec3,
+    distance_ne_m,
+)
 from sim_bridge.autopilot.guidance import heading_along
 from sim_bridge.autopilot.modes import PILOTED, Mode
 from sim_bridge.autopilot.piloted import level_descent, piloted_goal
@@ -18,6 +27,7 @@ from sim_bridge.autopilot.setpoints import Setpoint
 if TYPE_CHECKING:
     from sim_bridge.autopilot.autopilot import Autopilot
 
+NO_LIMITS = (0.0, 0.0, 0.0, 0.0)
 _SPOOL_DOWN_S = 0.4
 """From landed to ground idle, and so to disarming (flown; MOT_SPOOL_TIM_DN)."""
 
@@ -27,6 +37,7 @@ class ArduPilotModes:
 
     def __init__(self) -> None:
         self._leg_start: Vec3 | None = None
+        self._limits = NO_LIMITS
 
     def entered(self, ap: "Autopilot", mode: Mode) -> None:
         """Begin a mode afresh."""
@@ -35,6 +46,7 @@ class ArduPilotModes:
         if not ap.is_armed:
             return
         if mode is Mode.AUTO:
+            self._limits = NO_LIMITS
             ap.executor.start()
         elif mode is Mode.RTL:
             ap.returning = ap.plan_return()
@@ -98,7 +110,12 @@ class ArduPilotModes:
             if ap.t_s - setpoint.t_s > max(ap.params["GUID_TIMEOUT"], 0.1):
                 ap.setpoint = None  # halts, and stays in GUIDED
                 return HoldPoint(ap.hold_here())
-            return FlyVelocity(setpoint.vel_ned_mps, setpoint.yaw_rad, setpoint.yaw_rate_rps)
+            return FlyVelocity(
+                setpoint.vel_ned_mps,
+                setpoint.yaw_rad,
+                setpoint.yaw_rate_rps,
+                setpoint.accel_ned_mps2,
+            )
         assert setpoint.pos_ned_m is not None
         start = self._leg_start or ap.pos_ned_m
         yaw = setpoint.yaw_rad
@@ -120,9 +137,29 @@ class ArduPilotModes:
             return HoldPoint(top)
         return FollowLine((north, east, start_down), top, ap.flight_rules.takeoff_speed_mps)
 
+    def limit_guided(self, for_s: float, low_m: float, high_m: float, away_m: float) -> None:
+        """DO_GUIDED_LIMITS: seconds, heights above home, metres from where it began; 0 is none."""
+        self._limits = (for_s, low_m, high_m, away_m)
+
+    def guided_in_mission(self, ap: "Autopilot", leg: Leg) -> Goal | None:
+        """NAV_GUIDED_ENABLE: set-points until a limit is passed (ModeGuided::limit_check)."""
+        if leg.item.param1 <= 0.0:
+            return None
+        for_s, low_m, high_m, away_m = self._limits
+        height_m = ap.home_ned_m[2] - ap.pos_ned_m[2]
+        passed = (
+            (for_s > 0.0 and ap.t_s - leg.since_s >= for_s)
+            or (low_m != 0.0 and height_m < low_m)
+            or (high_m != 0.0 and height_m > high_m)
+            or (away_m > 0.0 and distance_ne_m(ap.pos_ned_m, leg.start) > away_m)
+        )
+        return None if passed else self._guided(ap)
+
     def take_setpoint(self, ap: "Autopilot", setpoint: Setpoint) -> None:
-        """Only in GUIDED, and not before the take-off is done."""
-        if ap.mode is not Mode.GUIDED or ap.takeoff_down_m is not None:
+        """Only in GUIDED, or where the mission says so, and not before a take-off is done."""
+        leg = ap.executor.leg
+        in_mission = ap.mode is Mode.AUTO and leg is not None and leg.phase is Phase.GUIDED
+        if not (ap.mode is Mode.GUIDED or in_mission) or ap.takeoff_down_m is not None:
             return
         ap.setpoint = setpoint
         ap.hold_point = None

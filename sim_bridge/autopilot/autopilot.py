@@ -20,7 +20,7 @@ from sim_bridge.autopilot.battery import BatteryMonitor
 from sim_bridge.autopilot.codec import Signer
 from sim_bridge.autopilot.control import Actuation, Controller, ControlParams
 from sim_bridge.autopilot.enums import MissionType, Severity, VehicleType
-from sim_bridge.autopilot.executor import FlightRules, MissionExecutor
+from sim_bridge.autopilot.executor import FlightRules, Leg, MissionExecutor
 from sim_bridge.autopilot.failsafe import Failsafes
 from sim_bridge.autopilot.fence import Fence
 from sim_bridge.autopilot.flavour import BatterySensing, Flavour, LinkKind
@@ -521,6 +521,16 @@ class Autopilot:
     def item_reached(self, seq: int) -> None:
         """An item is done."""
         self.behaviour.item_reached(self, seq)
+
+    def begin_guided(self) -> None:
+        """Set-points are obeyed from now on, as a mission item says; earlier ones are void."""
+        self.setpoint = None
+        self.hold_point = None
+        self.takeoff_down_m = None
+
+    def guided_in_mission(self, leg: Leg) -> Goal | None:
+        """What set-points want; None when a limit of theirs is passed."""
+        return self.behaviour.modes.guided_in_mission(self, leg)
 
     def mission_ended(self) -> None:
         """There is no further item."""

@@ -117,11 +117,19 @@ class Controller:
         return self._send(0.0, 0.0, readings.yaw_rad, self.params.min_thrust_frac, dt_s)
 
     def track_velocity(
-        self, vel_sp_ned: Vec3, yaw_sp: float, readings: Readings, dt_s: float
+        self,
+        vel_sp_ned: Vec3,
+        yaw_sp: float,
+        readings: Readings,
+        dt_s: float,
+        accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0),
     ) -> Actuation:
-        """Follow a velocity over ground, within the limits of speed, acceleration and jerk."""
+        """Follow a velocity over ground, within the limits of speed, acceleration and jerk.
+
+        `accel_ned_mps2` is how it is changing: fed forward, so that it is not lagged behind.
+        """
         self._begin(readings, dt_s)
-        return self._track(vel_sp_ned, yaw_sp, readings, dt_s)
+        return self._track(vel_sp_ned, yaw_sp, readings, dt_s, accel_ned_mps2)
 
     def hold(
         self,
@@ -240,12 +248,19 @@ class Controller:
         self._rising = [0.0, 0.0, 0.0]
         self._held = [0.0, 0.0, 0.0]
 
-    def _track(self, wanted: Vec3, yaw: float, readings: Readings, dt_s: float) -> Actuation:
+    def _track(
+        self,
+        wanted: Vec3,
+        yaw: float,
+        readings: Readings,
+        dt_s: float,
+        lead: Vec3 = (0.0, 0.0, 0.0),
+    ) -> Actuation:
         p = self.params
         down = min(max(wanted[2], -p.max_climb_mps), p.max_descent_mps)
         if self._touching and down >= 0.0:
             return self._settle(yaw, dt_s)
-        self._shape(wanted[0], wanted[1], down, dt_s)
+        self._shape((wanted[0], wanted[1], down), lead, dt_s)
         upward = GRAVITY_MPS2 - self._vertical_accel(dt_s)
         if self._touching:
             self._held[0] = self._held[1] = 0.0
@@ -274,9 +289,13 @@ class Controller:
         self._yaw_rad = yaw
         return Actuation(roll, pitch, yaw, thrust, True, self.release)
 
-    def _shape(self, north: float, east: float, down: float, dt_s: float) -> None:
-        """Move the velocity set-point towards the wanted one, acceleration and jerk limited."""
+    def _shape(self, wanted: Vec3, lead: Vec3, dt_s: float) -> None:
+        """Move the velocity set-point towards the wanted one, acceleration and jerk limited.
+
+        `lead` is the acceleration that the wanted one has itself.
+        """
         p, shaped, rising = self.params, self._shaped, self._rising
+        north, east, down = wanted
         speed = math.hypot(north, east)
         if speed > p.max_speed_mps:
             north, east = north * p.max_speed_mps / speed, east * p.max_speed_mps / speed
@@ -284,7 +303,11 @@ class Controller:
         error = math.hypot(error_n, error_e)
         accel = min(p.max_accel_mps2, 2.0 * error, math.sqrt(p.max_jerk_mps3 * error))
         share = accel / error if error > 1e-9 else 0.0
-        jump_n, jump_e = error_n * share - rising[0], error_e * share - rising[1]
+        push_n, push_e = error_n * share + lead[0], error_e * share + lead[1]
+        push = math.hypot(push_n, push_e)
+        if push > p.max_accel_mps2:
+            push_n, push_e = push_n * p.max_accel_mps2 / push, push_e * p.max_accel_mps2 / push
+        jump_n, jump_e = push_n - rising[0], push_e - rising[1]
         jump = math.hypot(jump_n, jump_e)
         most = p.max_jerk_mps3 * dt_s
         if jump > most:
@@ -292,7 +315,8 @@ class Controller:
         rising[0] += jump_n
         rising[1] += jump_e
         accel_d = min(
-            max(3.0 * (down - shaped[2]), -p.max_vertical_accel_mps2), p.max_vertical_accel_mps2
+            max(3.0 * (down - shaped[2]) + lead[2], -p.max_vertical_accel_mps2),
+            p.max_vertical_accel_mps2,
         )
         rising[2] += min(max(accel_d - rising[2], -most), most)
         for axis in range(3):

@@ -108,6 +108,14 @@ class MissionVehicle(Protocol):
         """The item is done."""
         ...
 
+    def begin_guided(self) -> None:
+        """Set-points are obeyed from now on, as an item says."""
+        ...
+
+    def guided_in_mission(self, leg: "Leg") -> Goal | None:
+        """What set-points want; None when a limit of theirs is passed."""
+        ...
+
     def mission_ended(self) -> None:
         """There is no further item."""
         ...
@@ -121,6 +129,7 @@ class Phase(Enum):
     STAY = "stay"
     DESCEND = "descend"
     RETURN = "return"
+    GUIDED = "guided"
 
 
 @dataclass(slots=True)
@@ -374,6 +383,9 @@ class MissionExecutor:
             vehicle.item_started(item, self.index)
         if command == Cmd.NAV_RETURN_TO_LAUNCH and not self._sequential:
             self.leg = Leg(item, Phase.RETURN, here, here, returning=vehicle.plan_return())
+        elif command == Cmd.NAV_GUIDED_ENABLE:
+            vehicle.begin_guided()
+            self.leg = Leg(item, Phase.GUIDED, here, here, since_s=now)
         elif command == Cmd.NAV_DELAY:
             stay_s = item.param1 if math.isfinite(item.param1) else 0.0
             self.leg = Leg(item, Phase.STAY, here, self._stop_point(), stay_s, now)
@@ -454,6 +466,8 @@ class MissionExecutor:
             case Phase.RETURN:
                 assert leg.returning is not None
                 return leg.returning.step(self._vehicle)
+            case Phase.GUIDED:
+                return self._vehicle.guided_in_mission(leg)
 
     def _fly_climb(self, leg: Leg) -> Goal | None:
         vehicle = self._vehicle

@@ -31,11 +31,12 @@ class HoldPoint:
 
 @dataclass(frozen=True, slots=True)
 class FlyVelocity:
-    """A velocity over ground."""
+    """A velocity over ground, and how it is about to change."""
 
     vel_ned_mps: Vec3
     yaw_rad: float | None = None
     yaw_rate_rps: float = 0.0
+    accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,9 @@ class Guidance:
             case FlyVelocity():
                 self._turn(goal.yaw_rad)
                 self.yaw_sp_rad += goal.yaw_rate_rps * dt_s
-                return controller.track_velocity(goal.vel_ned_mps, self.yaw_sp_rad, readings, dt_s)
+                return controller.track_velocity(
+                    goal.vel_ned_mps, self.yaw_sp_rad, readings, dt_s, goal.accel_ned_mps2
+                )
             case FlyLevel():
                 return self._level(goal, readings, dt_s)
             case FlyByHand():

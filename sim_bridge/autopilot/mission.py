@@ -75,6 +75,7 @@ NAVIGATING = frozenset(
         Cmd.NAV_RETURN_TO_LAUNCH,
         Cmd.NAV_LAND,
         Cmd.NAV_TAKEOFF,
+        Cmd.NAV_GUIDED_ENABLE,
         Cmd.NAV_DELAY,
     }
 )
@@ -169,6 +170,7 @@ _ARDUPILOT_COMMANDS = frozenset(
         Cmd.DO_SET_CAM_TRIGG_DIST,
         Cmd.DO_FENCE_ENABLE,
         Cmd.DO_GRIPPER,
+        Cmd.DO_GUIDED_LIMITS,
     }
 ) - {Cmd.NAV_LOITER_TO_ALT}
 _ARDUPILOT_YAW_MAY_BE_NAN = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LAND, Cmd.NAV_TAKEOFF})
@@ -183,6 +185,7 @@ _ARDUPILOT_KEPT = {
     Cmd.DO_CHANGE_SPEED: 0b0111,
     Cmd.DO_SET_SERVO: 0b0011,
     Cmd.DO_GRIPPER: 0b0011,
+    Cmd.NAV_GUIDED_ENABLE: 0b0001,
     Cmd.DO_FENCE_ENABLE: 0b0001,
     Cmd.CONDITION_DELAY: 0b0001,
 }

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_bridge.autopilot.enums import Severity
+from sim_bridge.autopilot.executor import Leg
 from sim_bridge.autopilot.goals import (
     Descend,
     FlyVelocity,
@@ -123,7 +124,9 @@ class Px4Modes:
             return Idle()
         if pos is None:
             assert vel is not None
-            return FlyVelocity(vel, setpoint.yaw_rad, setpoint.yaw_rate_rps)
+            return FlyVelocity(
+                vel, setpoint.yaw_rad, setpoint.yaw_rate_rps, setpoint.accel_ned_mps2
+            )
         return HoldPoint(pos, setpoint.yaw_rad)
 
     def _offboard_lost(self, ap: "Autopilot") -> None:
@@ -152,6 +155,10 @@ class Px4Modes:
             return Idle()
         north, east, _ = ap.hold_here()
         return Descend((north, east), ap.sink_mps(ap.height_above_home_m()))
+
+    def guided_in_mission(self, ap: "Autopilot", leg: Leg) -> Goal | None:
+        """PX4 refuses such an item at its upload."""
+        return None
 
     def has_setpoints(self, ap: "Autopilot") -> bool:
         """Whether a set-point has come within COM_OF_LOSS_T."""

@@ -15,13 +15,17 @@ _LOCAL_FRAMES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """A position, a velocity, or both, NED about the site's origin; None is not given."""
+    """A position, a velocity, or both, NED about the site's origin; None is not given.
+
+    An acceleration only ever goes with a velocity.
+    """
 
     t_s: float
     pos_ned_m: Vec3 | None
     vel_ned_mps: Vec3 | None
     yaw_rad: float | None
     yaw_rate_rps: float
+    accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +53,23 @@ def _common(message: Message, here: Here, pos: Vec3 | None) -> Setpoint | None:
         vel = (message.vx, message.vy, message.vz)
         if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
             vel = _turned(vel, here.yaw_rad)
+    accel = (0.0, 0.0, 0.0)
+    if vel is not None and not mask & TypeMask.IGNORE_ACCELERATION:
+        accel = (message.afx, message.afy, message.afz)
+        if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
+            accel = _turned(accel, here.yaw_rad)
     if mask & TypeMask.IGNORE_POSITION == TypeMask.IGNORE_POSITION:
         pos = None
     numbers = (*(pos or ()), *(vel or ()))
-    if not numbers or not all(math.isfinite(number) for number in numbers):
+    if not all(math.isfinite(number) for number in accel) or not numbers:
+        return None
+    if not all(math.isfinite(number) for number in numbers):
         return None
     yaw = None if mask & TypeMask.IGNORE_YAW else message.yaw
     rate = 0.0 if mask & TypeMask.IGNORE_YAW_RATE else message.yaw_rate
     if yaw is not None and not math.isfinite(yaw):
         yaw = None
-    return Setpoint(here.t_s, pos, vel, yaw, rate if math.isfinite(rate) else 0.0)
+    return Setpoint(here.t_s, pos, vel, yaw, rate if math.isfinite(rate) else 0.0, accel)
 
 
 def local_setpoint(message: Message, here: Here) -> Setpoint | None:

@@ -60,6 +60,12 @@ class Wire:
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
+    def publish_track(self, raw: bytes) -> None:
+        del raw
+
+    def tracks(self) -> list[bytes]:
+        return []
+
     def close(self) -> None:
         pass
 

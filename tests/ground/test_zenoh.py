@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from companion.core.actions import TellPlace
 from companion.core.command_book import Verdict
 from companion.core.messages import Answered, Command, Deed, EventKind, Launch, Recall
 from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
@@ -212,3 +213,23 @@ def test_a_companion_without_a_network_waits_for_nobody(tmp_path):
         vehicle.port.tell(EventKind.SAID, f"words {n}")
     assert vehicle.port.log.last_seq == 50
     vehicle.close()
+
+
+def test_vehicles_hear_where_their_neighbours_are_and_nothing_of_themselves(tmp_path):
+    port = free_port()
+    one = Vehicle("d1", tmp_path / "1", config_file(tmp_path / "1.json5", listen=port))
+    two = Vehicle("d2", tmp_path / "2", config_file(tmp_path / "2.json5", connect=port))
+    place = TellPlace(1.8e9, 55.0, 8.0, 50.0, (1.0, 2.0, 0.0), aside=True)
+    heard: list[Any] = []
+    limit_s = monotonic_s() + PATIENCE_S
+    try:
+        while not heard and monotonic_s() < limit_s:
+            two.port.take(place)
+            one.woken.wait(0.05)
+            heard = one.port.neighbours(5.0)
+        first = heard[0]
+        assert (first.t_s, first.track.vehicle, first.track.vel_e_mps) == (5.0, "d2", 2.0)
+        assert two.port.neighbours(5.0) == []
+    finally:
+        one.close()
+        two.close()

@@ -99,6 +99,12 @@ class Desk:
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
+    def publish_track(self, raw: bytes) -> None:
+        del raw
+
+    def tracks(self) -> list[bytes]:
+        return []
+
     def close(self) -> None:
         return
 

@@ -298,3 +298,57 @@ def test_headwind_near_the_limit_saturates_the_tilt_and_slows_the_flight(make_ri
     rig.set_mode(Mode.AUTO)
     rig.step(20.0)
     assert rig.vehicle.truth.vel_ned_mps[0] < 0.75 * rig.ap.cruise_mps()
+
+
+def test_set_points_in_a_mission_end_by_themselves_as_arducopters_do(make_rig):
+    """ArduCopter 4.7-dev, its own SITL: entered by a jump at speed it stays in AUTO and obeys; ten
+    seconds (DO_GUIDED_LIMITS) after it was last sent there the mission goes on at what follows;
+    set-points at another item change nothing."""
+    rig = make_rig(AP, SETTINGS[AP], payload_kg=0.0)
+    begin(
+        rig,
+        [
+            rig.place(TAKEOFF, 0, 0, 15),
+            rig.place(WAYPOINT, 200, 0, 15),
+            {"command": 222, "frame": 2, "param1": 10.0},
+            {"command": 92, "frame": 2, "param1": 1.0},
+            {"command": JUMP, "frame": 2, "param1": 2.0, "param2": 9.0},
+            rig.place(LAND, 0, 0, 0),
+        ],
+    )
+    ap = rig.ap
+    assert rig.until(lambda: ap.executor.index == 2 and rig.ne_m[0] > 30.0, 60.0)
+
+    names = ("time_boot_ms", "x", "y", "z", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
+    unsaid = dict.fromkeys(names, 0)
+
+    def fly(north_mps, east_mps, for_s):
+        for _ in range(round(for_s / 0.2)):
+            rig.send(
+                "SET_POSITION_TARGET_LOCAL_NED",
+                **unsaid,
+                target_system=1,
+                target_component=1,
+                coordinate_frame=1,
+                type_mask=0b110000000111,
+                vx=north_mps,
+                vy=east_mps,
+            )
+            rig.step(0.2)
+
+    fly(0.0, 4.0, 1.0)
+    assert abs(ap.vel_ned_mps[1]) < 0.5
+    assert rig.command(224, 3.0) == 0
+    fly(0.0, 4.0, 6.0)
+    assert ap.mode is Mode.AUTO
+    assert ap.vel_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.6)
+    assert rig.command(224, 3.0) == 0  # asked again: ten seconds more
+    renewed_s = ap.t_s
+    fly(0.0, 4.0, 8.0)
+    assert ap.executor.index == 4  # the item of set-points
+    assert rig.until(lambda: ap.executor.index == 2, 6.0)
+    assert ap.t_s - renewed_s == pytest.approx(10.0, abs=0.3)
+    east_m = rig.ne_m[1]
+    rig.step(5.0)
+    assert ap.vel_ned_mps[0] > 2.0
+    assert rig.ne_m[1] < east_m + 10.0

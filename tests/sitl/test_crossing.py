@@ -1,0 +1,80 @@
+"""Two vehicles, one of each flavour, head on in one layer, beside their true companions.
+
+Separation is judged by truth. `sim-bridge cross` flies the whole scene (docs/avoidance.md).
+"""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from sim_bridge.app.crossing import Crossing, CrossOptions
+from sim_bridge.app.crossing_judge import Nearest, nearest_of
+from sim_bridge.autopilot.executor import Phase
+from sim_bridge.autopilot.modes import Mode
+
+SHORT = {
+    "vehicles": 2,
+    "ring_m": 40.0,
+    "customer_m": 60.0,
+    "astray_rad": 0.0,  # nose to nose
+    "cruise_height_m": 20.0,
+}
+ASIDE_S = 5.0
+
+
+@pytest.fixture
+def make_scene(tmp_path):
+    with contextlib.ExitStack() as stack:
+
+        def make(**wish) -> Crossing:
+            scene = Crossing(CrossOptions(seed=4, **SHORT, **wish), tmp_path)
+            stack.callback(scene.close)
+            return scene
+
+        yield make
+
+
+def nearest(scene: Crossing) -> Nearest | None:
+    return nearest_of({c.drone.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers})
+
+
+def on_for(scene: Crossing, seconds: float) -> None:
+    end_s = scene.clock.t_s + seconds
+    while scene.clock.t_s < end_s:
+        scene.step()
+
+
+def test_both_flavours_keep_apart_and_go_home_or_on_when_their_companions_die(make_scene):
+    scene = make_scene()
+    while min(c.aside_s for c in scene.crossers) < ASIDE_S:
+        scene.step()
+        assert scene.clock.t_s < 90.0, [c.aside_s for c in scene.crossers]
+    px4, ardupilot = (c.drone.up.autopilot for c in scene.crossers)
+    assert px4.mode is Mode.GUIDED
+    assert ardupilot.mode is Mode.AUTO
+    assert ardupilot.executor.leg.phase is Phase.GUIDED
+    kept = nearest(scene)
+    assert kept is not None
+    assert kept.separations >= 1.0
+
+    for number in range(2):  # in the midst of it, for good
+        scene.kill(number)
+    on_for(scene, 3.0)
+    assert px4.mode is Mode.RTL
+    on_for(scene, 9.0)
+    assert ardupilot.mode is Mode.AUTO
+    assert ardupilot.executor.leg.phase is not Phase.GUIDED  # on with its mission
+
+
+def test_the_same_without_the_filter_breaks_the_separation(make_scene):
+    scene = make_scene(separation_filter=False)
+    near = None
+    while scene.clock.t_s < 90.0:
+        on_for(scene, 1.0)
+        near = nearest(scene)
+        if near is not None and near.separations < 1.0:
+            break
+    assert near is not None
+    assert near.separations < 1.0
+    assert min(c.aside_s for c in scene.crossers) > 0.0

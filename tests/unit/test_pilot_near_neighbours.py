@@ -1,0 +1,204 @@
+"""The pilot beside neighbours, event by event: who takes over when, and what ends it.
+
+The vehicle is test_pilot_flight's, and obeys velocity set-points as each flavour does.
+"""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+
+from companion.core import events as ev
+from companion.core.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
+from companion.core.events import Flavour, Mode
+from companion.core.flight_state import PilotOptions
+from companion.core.messages import Track
+from companion.core.mission_items import ItemKind, Part
+from companion.core.transitions import Phase
+from tests.unit.test_pilot_flight import DEPOT, M_PER_DEG, World, world
+
+UNIX_S = 1.8e9
+OPTIONS = PilotOptions(configure=True, authorise=True, keep_apart=True, name="d1")
+BOTH = pytest.mark.parametrize("flavour", list(Flavour))
+
+
+@dataclass
+class Beside(World):
+    """The vehicle, and one neighbour that flies a straight line (NED m about the depot, m/s)."""
+
+    flavour: Flavour = Flavour.PX4
+    neighbour: tuple[float, float, float] | None = None
+    neighbour_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    told_velocity: tuple[float, float, float] | None = None
+    tells: bool = True
+
+    @property
+    def guided(self) -> bool:
+        """Whether it obeys set-points now."""
+        if self.flavour is Flavour.PX4:
+            return self.mode is Mode.GUIDED
+        item = self.items[self.index] if self.index < len(self.items) else None
+        return item is not None and item.kind in (ItemKind.ASIDE, ItemKind.ASIDE_LIMIT)
+
+    def obey(self, order: Order) -> None:
+        if isinstance(order, FlyVelocity):
+            self.told_velocity = order.vel_ned_mps
+        super().obey(order)
+
+    def fly(self, dt_s: float) -> None:
+        if self.neighbour is not None:
+            moved = zip(self.neighbour, self.neighbour_vel, strict=True)
+            north, east, down = (x + v * dt_s for x, v in moved)
+            self.neighbour = (north, east, down)
+        if not (self.armed and self.guided):
+            super().fly(dt_s)
+            return
+        self.velocity = self.told_velocity or (0.0, 0.0, 0.0)
+        self.north += self.velocity[0] * dt_s
+        self.east += self.velocity[1] * dt_s
+        self.height -= self.velocity[2] * dt_s
+
+    def telemetry(self) -> list[ev.Event]:
+        found = super().telemetry()
+        found.append(ev.GnssTime(self.t_s, UNIX_S + self.t_s))
+        if self.neighbour is not None and self.tells and round(self.t_s * 10) % 2 == 0:
+            found.append(ev.NeighbourHeard(self.t_s, self.track()))
+        return found
+
+    def track(self) -> Track:
+        assert self.neighbour is not None
+        north, east, down = self.neighbour
+        return Track(
+            vehicle="d2",
+            gnss_s=UNIX_S + self.t_s,
+            lat_deg=DEPOT[0] + north / M_PER_DEG,
+            lon_deg=DEPOT[1] + east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
+            alt_amsl_m=DEPOT[2] - down,
+            vel_n_mps=self.neighbour_vel[0],
+            vel_e_mps=self.neighbour_vel[1],
+            vel_d_mps=self.neighbour_vel[2],
+            pos_std_m=2.0,
+            alt_std_m=0.5,
+            vel_std_mps=0.1,
+        )
+
+    @property
+    def above_m(self) -> float:
+        assert self.neighbour is not None
+        return abs(self.height + self.neighbour[2])
+
+    @property
+    def away_m(self) -> float:
+        assert self.neighbour is not None
+        return math.dist((self.north, self.east), self.neighbour[:2])
+
+
+def beside(flavour: Flavour, options: PilotOptions = OPTIONS) -> Beside:
+    """On its way out, with nobody near yet."""
+    plain = world(options=options, armed=True)
+    plain.armed = False
+    made = Beside(plain.pilot, plain.judge, flavour=flavour)
+    made.tell(ev.VehicleState(0.0, made.mode, made.mode.value, False))
+    made.tell(ev.Identified(0.0, flavour, 1))
+    made.run(lambda w: w.pilot.phase is Phase.OUTBOUND and w.north > 20.0)
+    return made
+
+
+def coming(w: Beside, ahead_m: float = 90.0) -> Beside:
+    """Somebody comes towards us in our own layer."""
+    w.neighbour, w.neighbour_vel = (w.north + ahead_m, w.east, -w.height), (-8.0, 0.0, 0.0)
+    w.run(lambda _: w.guided, 5.0)
+    return w
+
+
+@BOTH
+def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
+    """One that stands in the way: all keep what they promise, so it would brake as well."""
+    w = coming(beside(flavour))
+    assert w.away_m > 40.0
+    w.neighbour_vel = (0.0, 0.0, 0.0)
+    nearest = math.inf
+    while w.pilot.apart.wanted:
+        w.step()
+        nearest = min(nearest, max(w.away_m / 6.0, w.above_m / 5.0))
+        assert w.t_s < 120.0
+    assert nearest >= 1.0
+    assert "back" in w.kinds
+    w.run(lambda _: not w.guided, 3.0)
+    assert (w.mode, w.pilot.phase) == (Mode.MISSION, Phase.OUTBOUND)
+    assert w.index == w.pilot.air.index
+
+
+@BOTH
+def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mission(flavour):
+    w = coming(beside(flavour))
+    told = [a for _, a in w.log if isinstance(a, FlyVelocity | SetMode | JumpTo)]
+    first = next(k for k, a in enumerate(told) if isinstance(a, FlyVelocity))
+    if flavour is Flavour.PX4:
+        assert SetMode(Mode.GUIDED) not in told[: first + 3]
+        assert SetMode(Mode.GUIDED) in told
+    else:
+        assert w.mode is Mode.MISSION
+        assert w.items[w.index].kind is ItemKind.ASIDE_LIMIT
+
+
+@BOTH
+def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(flavour):
+    w = coming(beside(flavour))
+    w.mode = Mode.HOLD
+    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 2.0)
+    since_s = w.t_s
+    for _ in range(100):
+        w.step()
+    assert w.orders_after(since_s) == []
+    assert w.mode is Mode.HOLD
+
+
+@BOTH
+def test_the_gate_stands_above_the_detour(flavour):
+    w = coming(beside(flavour))
+    w.judge.turn_back = lambda judge: True
+    w.run(lambda w: w.pilot.phase is Phase.RETURN, 5.0)
+    assert w.guided  # still near: home, by set-points
+    w.neighbour_vel = (8.0, 0.0, 0.0)  # it turns away
+    w.run(lambda _: not w.guided, 30.0)
+    assert w.pilot.phase is Phase.RETURN
+    assert w.items[w.index].part is Part.RETURN
+
+
+@BOTH
+def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flavour):
+    w = coming(beside(flavour), 120.0)
+    w.tells = False
+    north = w.north
+    for _ in range(250):
+        w.step()
+    assert w.guided
+    assert w.north < north + 60.0  # it does not press on to where the silent one may be
+    w.run(lambda w: not w.pilot.apart.tracks.tracks, 20.0)
+    assert "neighbour lost: d2" in w.said
+    w.neighbour = None
+    w.run(lambda _: not w.guided, 10.0)
+
+
+@BOTH
+def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(flavour):
+    w = beside(flavour)
+    w.neighbour, w.neighbour_vel = (w.north + 60.0, 400.0, -30.0), (0.0, 8.0, 0.0)
+    w.log.clear()
+    for _ in range(50):
+        w.step()
+    assert not w.pilot.apart.wanted
+    times = [a.gnss_s for _, a in w.log if isinstance(a, TellPlace)]
+    assert len(times) == 25
+    assert all(abs(t / 0.2 - round(t / 0.2)) < 1e-3 for t in times)
+
+
+def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_companion_is_back():
+    """A companion that begins anew finds the vehicle at an item of set-points: on, at once."""
+    w = coming(beside(Flavour.ARDUPILOT))
+    w.neighbour = None
+    w.pilot.apart.stop()
+    w.pilot.apart.tracks = type(w.pilot.apart.tracks)()
+    w.run(lambda _: not w.guided, 3.0)
+    assert w.pilot.phase is Phase.OUTBOUND
