@@ -24,6 +24,7 @@ from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.day_replan import (
     candidate_pads,
     day_now,
+    postponed,
     replan_reason,
     standing,
     unfit,
@@ -104,6 +105,7 @@ class DayDesk:
     _off_ground: set[str] = field(default_factory=set)
     _truck_stop: tuple[str, bool] | None = None
     _tried_s: float = -1e9
+    _tried: object = None
     _waits_s: dict[str, float] = field(default_factory=dict)
     _began_us: int | None = None
     _rows: _Rows | None = None
@@ -175,6 +177,7 @@ class DayDesk:
             replanning=self._asked is not None,
             plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
             tried_s=self._tried_s,
+            tried=self._tried,
             waited_s=self._waited(rows.sorties, drones, now_s),
             wind_off_sigmas=self._wind.off_sigmas(now_s, self.data.day.forecast),
         )
@@ -246,19 +249,23 @@ class DayDesk:
         rows, now_s = self._rows, self.clock.monotonic_s()
         if stirred or (rows is not None and now_s - rows.read_s > ROWS_S):
             self._rows = None
-        view = self.view = self.look(picture)
+        view = self.look(picture)
+        truck = view.truck
+        self.view = view
         self._note_energies(view)
-        if view.truck is None:
+        if truck is None:
             return False
         run = DayRun(self.params, self._may_launch, self._charged)
         self._mind_plan(view)
+        if self._asked is not None and not view.replanning:
+            view = self.view = replace(view, replanning=True)  # asked just now: the truck stays
         deeds = run.decide(view)
         for deed in deeds:
             self._carry_out(deed)
         if deeds:
             self._rows = None
         self.holds = run.holds(view)
-        return bool(deeds) or view.replanning or (view.truck.present and self._under_way(view))
+        return bool(deeds) or view.replanning or (truck.present and self._under_way(view))
 
     def _under_way(self, view: DayView) -> bool:
         return view.here is None or bool(self.holds)
@@ -370,7 +377,7 @@ class DayDesk:
             if made is not None:
                 before, why = self._asked
                 self._asked = None
-                self._take(made, before, why)
+                self._take(made, before, view, why)
             return
         why = replan_reason(view, self.params)
         if why is None or why == self._refused:
@@ -384,17 +391,18 @@ class DayDesk:
         start = standing(view, [d.id for d in self.data.day.drones], self.data.day.truck.recover_s)
         self.replanner.ask(day_now(self._data(), view), start)
 
-    def _take(self, made: DayPlan | NoPlan, before: DayView, why: str) -> None:
+    def _take(self, made: DayPlan | NoPlan, before: DayView, view: DayView, why: str) -> None:
         drones = [d.id for d in self.data.day.drones]
         start = standing(before, drones, self.data.day.truck.recover_s)
         wrong = made.reason if isinstance(made, NoPlan) else unfit(made, start)
-        self._tried_s = before.now_s
+        self._tried_s, self._tried = view.now_s, before.situation
         if wrong is not None or isinstance(made, NoPlan):
             self._refused = why
             self.say(f"no new plan ({wrong}): the old one goes on")
             return
         wind = self.data.day.forecast if "wind" in why else None
-        self.day.take_plan(made, why, wind)
+        took_s = max(0.0, view.now_s - before.now_s)
+        self.day.take_plan(postponed(made, start, before.now_s, took_s), why, wind)
         in_force = self.day.plan()
         assert in_force is not None
         self.plan, self._refused, self._rows = in_force, None, None

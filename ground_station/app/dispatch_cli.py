@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.table import Table
 
@@ -23,7 +23,8 @@ from ground_station.app.open_desk import is_done, is_idle, left_over, open_desk,
 from ground_station.app.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.order_cli import list_impossible, take_orders
 from ground_station.app.stopping import stop_signals
-from ground_station.app.views import day_shown, report_of, report_table, watch_table
+from ground_station.app.views import report_of, report_view
+from ground_station.app.watch_view import day_shown, watch_view
 from ground_station.core.truck import TRUCK
 
 TURN_S = 0.2
@@ -134,10 +135,10 @@ def watch(
     desk.begin()
     console, day = Console(), DayStore(opened.database, epoch_us)
 
-    def view() -> Table:
+    def view() -> RenderableType:
         rows = opened.assignments(in_force=True)
         shown = day_shown(day, epoch_us())
-        return watch_table(desk.picture, rows, opened.orders(), monotonic_s(), shown)
+        return watch_view(desk.picture, rows, opened.orders(), monotonic_s(), shown)
 
     try:
         with stop_signals() as stopped:
@@ -212,7 +213,7 @@ def report(
     opened = open_store(store)
     figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()
-    Console().print(report_table(figures))
+    Console().print(report_view(figures))
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=1))
 

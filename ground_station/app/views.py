@@ -1,128 +1,19 @@
-"""Tables of the desk: the live view and the day in numbers."""
+"""The day in numbers."""
 
 from collections import Counter
-from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Any
 
+from rich import box
+from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from companion.core.messages import EventKind, FleetEvent
 from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.store import Store
-from ground_station.core.day_plan import DayPlan
-from ground_station.core.orders import AssignmentRow, OrderRow, OrderState
-from ground_station.core.picture import Picture, VehicleSeen
+from ground_station.core.orders import OrderState
 from ground_station.core.sorties import SortieRow, Visit
-
-NEXT = 5
-
-
-@dataclass(frozen=True, slots=True)
-class DayShown:
-    """A day with a truck, for people: the plan in force, promises by assignment, the truck."""
-
-    plan: DayPlan
-    sorties: list[SortieRow]
-    began_us: int | None
-    now_us: int
-
-    def next_words(self, open_orders: set[str]) -> str:
-        """Launches and deliveries that come next, with their slots."""
-        begun = [row.sortie for row in self.sorties]
-        left = [s for s in self.plan.sorties if s.order in open_orders and s not in begun]
-        slots = [
-            f"{s.order} by {s.vehicle} from {s.launch} at {_clock(s.launch_s)} to {s.home}"
-            for s in sorted(left, key=lambda s: s.launch_s)
-        ]
-        return "; ".join(slots[:NEXT]) or "nothing to launch"
-
-    @property
-    def title(self) -> str:
-        """The plan's number and the day's time."""
-        if self.began_us is None:
-            return f"plan {self.plan.revision}, not begun"
-        now_s = (self.now_us - self.began_us) / 1e6
-        planned = _clock(self.plan.makespan_s)
-        return f"plan {self.plan.revision}, {_clock(now_s)} of {planned}"
-
-    def promise(self, vehicle: str) -> str:
-        """Where a drone ends, and where it was asked to."""
-        for row in self.sorties:
-            if row.vehicle == vehicle and not (row.aboard or row.gone):
-                asked = f" (asked: {row.asked})" if row.asked else ""
-                return f"{row.promised}{asked}"
-        return "-"
-
-
-def day_shown(day: DayStore, now_us: int) -> DayShown | None:
-    """What the store tells of a day with a truck; None: it is none."""
-    plan = day.plan()
-    return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(max(0, round(seconds)), 60)
-    return f"{minutes}:{rest:02d}"
-
-
-def watch_table(
-    picture: Picture,
-    rows: list[AssignmentRow],
-    orders: list[OrderRow],
-    t_s: float,
-    day: DayShown | None = None,
-) -> Table:
-    """Every vehicle with what it says, and the orders that wait; of a day with a truck also its
-    promises and next slots.
-    """
-    held = {row.vehicle: row for row in rows}
-    counts = Counter(row.state.value for row in orders)
-    waiting = [row.order.id for row in orders if row.state is OrderState.OPEN]
-    counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
-    following = ", ".join(waiting[:NEXT]) or "nothing"
-    if day is not None:
-        counted, following = f"{counted}; {day.title}", day.next_words(set(waiting))
-    table = Table(
-        "vehicle", "phase", "order", "home", "margin Wh", "P(home)", "P(success)", "V",
-        "heard", "remarks",
-        title=counted,
-        caption=f"next: {following}",
-    )  # fmt: skip
-    for name in sorted({*picture.vehicles, *held}):
-        seen = picture.of(name)
-        row = held.get(name)
-        order = f"{row.order_id} ({row.state.value})" if row is not None else "-"
-        home = "-" if day is None else day.promise(name)
-        table.add_row(name, *_cells(seen, order, home, t_s))
-    return table
-
-
-def _cells(seen: VehicleSeen, order: str, home: str, t_s: float) -> tuple[str, ...]:
-    state, silent_s = seen.state, seen.silent_s(t_s)
-    heard = "never" if silent_s is None else f"{silent_s:.0f} s ago"
-    remarks = [*seen.doubts]
-    if not seen.lives:
-        remarks.insert(0, "not on the network")
-    if state is None:
-        return ("-", order, home, "-", "-", "-", "-", heard, "; ".join(remarks))
-    if state.text:
-        remarks.append(state.text)
-    return (
-        f"{state.phase} {state.stop}" if state.stop else state.phase,
-        order,
-        home,
-        _figure(state.margin_wh, ".1f"),
-        _figure(state.p_home, ".4f"),
-        _figure(state.p_success, ".3f"),
-        _figure(state.voltage_v, ".1f"),
-        heard,
-        "; ".join(remarks),
-    )
-
-
-def _figure(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
@@ -144,6 +35,12 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "p_home_decided_min": min(p_home, default=None),
         "commands": dict(Counter(c.answer.value if c.answer else "waiting" for c in commands)),
         "events": len(events),
+        "by_vehicle": _by_vehicle(outcomes),
+        "left": [
+            {"order": row.order.id, "state": row.state.value, "why": row.why}
+            for row in orders
+            if row.state not in (OrderState.DELIVERED, OrderState.CANCELLED)
+        ],
         **(_truck_figures(day) if day is not None else {}),
     }
 
@@ -186,6 +83,21 @@ def _kept(row: SortieRow, visits: dict[str, Visit]) -> str:
     return "kept" if left_us is None or left_us >= row.landed_us else "BROKEN"
 
 
+def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
+    """What each vehicle ended, and with how little above its reserve."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in sorted({event.vehicle for event in outcomes}):
+        mine = [event for event in outcomes if event.vehicle == name]
+        margins = [event.margin_wh for event in mine if event.margin_wh is not None]
+        found[name] = {
+            "ended": len(mine),
+            "delivered": sum(bool(event.delivered) for event in mine),
+            "not_home": sum(event.home is False for event in mine),
+            "margin_wh_min": min(margins, default=None),
+        }
+    return found
+
+
 def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
     """The first outcome of each assignment: a companion killed at the end may tell it twice."""
     first: dict[str, FleetEvent] = {}
@@ -195,11 +107,11 @@ def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
     return list(first.values())
 
 
-def report_table(figures: dict[str, Any]) -> Table:
+def report_view(figures: dict[str, Any]) -> RenderableType:
     """The same for people."""
-    table = Table("what", "figure", title="the day")
+    table = Table("what", "figure", title="the day", title_justify="left", box=box.SIMPLE_HEAD)
     for name, value in figures.items():
-        if name == "format":
+        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
@@ -208,4 +120,23 @@ def report_table(figures: dict[str, Any]) -> Table:
         elif isinstance(value, float):
             value = f"{value:.4g}"
         table.add_row(name.replace("_", " "), "-" if value is None else str(value))
+    return Group(table, _vehicles_table(figures["by_vehicle"]), *_left_lines(figures["left"]))
+
+
+def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("vehicle")
+    for name in ("ended", "delivered", "not home", "least margin Wh"):
+        table.add_column(name, justify="right")
+    for name, row in by_vehicle.items():
+        margin_wh = row["margin_wh_min"]
+        least = "-" if margin_wh is None else f"{margin_wh:.1f}"
+        counts = (str(row[key]) for key in ("ended", "delivered", "not_home"))
+        table.add_row(name, *counts, least, style="bold red" if row["not_home"] else None)
     return table
+
+
+def _left_lines(left: list[dict[str, str]]) -> list[Text]:
+    if not left:
+        return [Text("every order is delivered or cancelled")]
+    return [Text(f"left: {row['order']} {row['state']} {row['why']}".rstrip()) for row in left]

@@ -29,7 +29,7 @@ def replan_reason(view: DayView, params: DayRunParams) -> str | None:
     left_out = sorted(view.open - _work_ahead(view) - {line.order for line in view.plan.unplanned})
     if left_out:
         return f"{left_out[0]} is open and not in the plan"
-    if view.delay_s() > params.late_s:
+    if view.delay_s() > params.late_s and view.situation != view.tried:
         return f"the truck is {view.delay_s():.0f} s late"
     if view.wind_off_sigmas > params.wind_sigmas:
         return f"the wind is {view.wind_off_sigmas:.1f} standard deviations from the forecast"
@@ -120,6 +120,31 @@ def unfit(plan: DayPlan, start: DayState) -> str | None:
     known = set(ids)
     lost = [s.order for s in plan.sorties if s.launch not in known or s.home not in known]
     return f"{lost[0]} has no such stop" if lost else None
+
+
+def postponed(plan: DayPlan, start: DayState, asked_s: float, by_s: float) -> DayPlan:
+    """The plan that was asked for at `asked_s`, taken `by_s` later: what had not begun then comes
+    as much later, for the truck stays while a plan is made. Else a slow machine's plans are late
+    the moment they are there, and made anew for ever.
+    """
+    flying = {sortie.order for sortie in start.flying}
+    stops = [
+        _timed(
+            stop,
+            stop.arrive_s + (by_s if stop.arrive_s > asked_s else 0.0),
+            stop.depart_s + (by_s if stop.depart_s >= asked_s else 0.0),
+        )
+        for stop in plan.stops
+    ]
+    sorties = [
+        s
+        if s.order in flying
+        else msgspec.structs.replace(s, launch_s=s.launch_s + by_s, land_s=s.land_s + by_s)
+        for s in plan.sorties
+    ]
+    return msgspec.structs.replace(
+        plan, stops=stops, sorties=sorties, makespan_s=plan.makespan_s + by_s
+    )
 
 
 def candidate_pads(

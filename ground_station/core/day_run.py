@@ -197,16 +197,19 @@ class DayRun:
         launched_s = view.now_s if row.launched_us is None else view.day_s(row.launched_us)
         if view.now_s - launched_s > self.params.lapse_s and self._silent(row, view):
             return [Lapse(row.id)]
-        return self._move_home(row, view, launched_s)
+        return self._move_home(row, view)
 
-    def _move_home(self, row: SortieRow, view: DayView, launched_s: float) -> list[DayDeed]:
-        """To where the truck stands, when it would come too late to where it was promised."""
+    def _move_home(self, row: SortieRow, view: DayView) -> list[DayDeed]:
+        """To where the truck stands, when it would come too late to where it was promised: it is
+        late already, or others that are longer in the air are to land here first.
+        """
         here = view.here
         if here is None or row.asked or here.id == row.promised or here.id not in row.pads:
             return []
         expected = {stop.id: stop.arrive_s for stop in view.plan.stops}
-        lands_s = row.sortie.land_s + launched_s - row.sortie.launch_s
-        comes_s = expected.get(row.promised, view.now_s) + max(0.0, view.delay_s())
+        lands_s = view.lands_s(row)
+        delay_s = max(0.0, view.delay_s(), view.held_s())
+        comes_s = expected.get(row.promised, view.now_s) + delay_s
         if comes_s <= lands_s + self.params.move_home_s or view.now_s >= lands_s:
             return []
         moved = msgspec.structs.replace(row.sortie, home=here.id)
@@ -249,7 +252,8 @@ class DayRun:
             return False
         if row.sortie.home == here.id:
             return True
-        return view.now_s >= row.sortie.launch_s + view.delay_s()  # nobody lands before the truck
+        delay_s = max(view.delay_s(), view.held_s())
+        return view.now_s >= row.sortie.launch_s + delay_s  # nobody lands before the truck
 
     # --- the truck -----------------------------------------------------------------------------
 

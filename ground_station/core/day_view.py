@@ -60,7 +60,8 @@ class DroneView:
 class DayView:
     """The day now. `now_s`: since it began; `open`: orders that nobody has; `told`: the stop that
     the truck was last told to drive to. `wind_off_sigmas`: how far the measured wind is from the
-    planned one, in the forecast's standard deviations; `tried_s`: when a new plan was made last;
+    planned one, in the forecast's standard deviations; `tried_s`: when a new plan was made last,
+    and `tried` from what (`situation` then);
     `waited_s`: how long each drone on its pad has not been ready, by assignment.
     """
 
@@ -77,6 +78,7 @@ class DayView:
     replanning: bool = False
     plan_made_s: float = 0.0
     tried_s: float = -1e9
+    tried: object = None
     waited_s: Mapping[str, float] = field(default_factory=dict)
     wind_off_sigmas: float = 0.0
 
@@ -128,9 +130,44 @@ class DayView:
         left = [s for s in self.plan.sorties if s.order in self.open and s not in begun]
         return sorted(left, key=lambda s: s.launch_s)
 
+    @property
+    def situation(self) -> object:
+        """All that a plan is made from, but for the clock: where the truck is, what is open, what
+        became of each flight, who is out of service."""
+        truck = self.truck
+        flights = [
+            (row.id, row.row.state, row.aboard, row.gone, row.promised, row.asked)
+            for row in self.sorties
+        ]
+        out = frozenset(vehicle for vehicle in self.drones if self.out(vehicle) is not None)
+        where = None if truck is None else (truck.stop, truck.driving)
+        return where, self.open, tuple(flights), out
+
+    def lands_s(self, row: SortieRow) -> float:
+        """When a flight is expected to be down: as long after its launch as planned."""
+        if row.launched_us is None:
+            return self._would_land_s(row.sortie)
+        return self.day_s(row.launched_us) + row.sortie.land_s - row.sortie.launch_s
+
+    def _would_land_s(self, sortie: PlannedSortie) -> float:
+        return max(self.now_s, sortie.launch_s) + sortie.land_s - sortie.launch_s
+
     def serving(self) -> bool:
         """The driver has orders in hand."""
         return any(row.state in IN_FORCE for row in self.serves)
+
+    def held_s(self) -> float:
+        """How much later than planned the truck leaves where it stands, for flights that are still
+        to land there: in the air, on their pads, or planned (negative: none so late).
+        """
+        here = self.here
+        if here is None:
+            return 0.0
+        rows = [row for row in self.sorties if not (row.over or row.gone)]
+        lands_s = [self.lands_s(row) for row in rows if row.promised == here.id]
+        again = [s for s in self.pending() if s.launch == s.home == here.id]
+        lands_s += [self._would_land_s(sortie) for sortie in again]
+        return max(lands_s, default=here.depart_s) - here.depart_s
 
     def delay_s(self) -> float:
         """How much later (negative: earlier) the truck is than planned."""

@@ -287,6 +287,17 @@ def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     stop_by_signal(signal.SIGTERM)
     try:
+        _run()
+    except SystemExit as ended:
+        if "zenoh" in sys.modules:  # its threads can keep an interpreter from ending
+            from companion.adapters.zenoh_link import leave_process
+
+            leave_process(ended.code if isinstance(ended.code, int) else 0)
+        raise
+
+
+def _run() -> None:
+    try:
         app()
     except (LeewayError, TruthError, EndpointError) as error:
         print(f"sim-bridge: {error}", file=sys.stderr)

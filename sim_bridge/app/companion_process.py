@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
+from sim_bridge.adapters.lifeline import entry
+
 ENTRY = "from companion.app.cli import main; main()"
 
 
@@ -29,7 +31,15 @@ class CompanionProcess:
         self._output = (self.run_dir / "companion.out").open("ab")
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
-            [sys.executable, "-c", ENTRY, "run", *self.arguments, "--run-dir", str(self.run_dir)],
+            [
+                sys.executable,
+                "-c",
+                entry(ENTRY),
+                "run",
+                *self.arguments,
+                "--run-dir",
+                str(self.run_dir),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=subprocess.STDOUT,

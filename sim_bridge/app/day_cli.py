@@ -63,8 +63,8 @@ def day(
         bool,
         typer.Option(
             "--processes",
-            help="Desk and companions as processes, MAVLink over UDP, the fleet over zenoh, real"
-            " time; --loss falls on MAVLink only.",
+            help="Desk and companions as processes, MAVLink over UDP, the fleet over zenoh (with"
+            " --loss through a relay that loses messages), in real time.",
         ),
     ] = False,
     runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),

@@ -40,7 +40,7 @@ class Flyer:
     def row(self, seed: int, *, picture: bool) -> dict[str, Any]:
         """One day's row: of the day that lies finished in its folder, or flown now."""
         folder = self.runs / f"day-{self.data.day.name}{self._marks()}-seed{seed}"
-        known = self._finished(folder)
+        known = finished(folder, self.settings)
         if known is not None:
             self.console.print(f"{folder}: finished before, not flown again", highlight=False)
             return known
@@ -63,7 +63,8 @@ class Flyer:
                     return DeskProcess.open(self.path, built, plan, where)
                 return DeskHere.open(built, plan, where, seed, self.trials)
 
-            plumb = apart(folder) if self.processes else here(self.wish.loss, folder)
+            loss = self.wish.loss
+            plumb = apart(folder, loss) if self.processes else here(loss, folder)
             return fly_day(options, plumb, take_seat, view.update)
 
     def _marks(self) -> str:
@@ -78,13 +79,15 @@ class Flyer:
         apart_ = "-processes" if self.processes else ""
         return apart_ + "".join(f"-{name}{value:g}" for name, value in marks.items() if value)
 
-    def _finished(self, folder: Path) -> dict[str, Any] | None:
-        try:
-            row = json.loads((folder / RESULT).read_text())
-        except (OSError, json.JSONDecodeError):
-            return None
-        same = isinstance(row, dict) and row.get(SETTINGS) == self.settings
-        return row if same else None
-
     def _planned(self, data: DayData, seed: int, tell: Callable[[float, float], None]) -> DayPlan:
         return plan_day(data, first_state(data), PlanParams(trials=self.trials, seed=seed), tell)
+
+
+def finished(folder: Path, settings: str) -> dict[str, Any] | None:
+    """The row of a day that was flown to its end with these settings; None: it is to be flown."""
+    try:
+        row = json.loads((folder / RESULT).read_text())
+    except (OSError, json.JSONDecodeError):
+        return None
+    same = isinstance(row, dict) and row.get(SETTINGS) == settings
+    return row if same else None

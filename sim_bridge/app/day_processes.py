@@ -1,16 +1,17 @@
 """A simulated day whose desk and companions are processes: `sim-bridge day --processes`.
 
 MAVLink goes over UDP on loopback, the fleet over zenoh, time is the wall's. The world (vehicles,
-truck with its driver, wind) is this process; it meets the others only by what they send.
+truck with its driver, wind) is this process; it meets the others only by what they send. No other
+process outlives it, however it ends.
 """
 
+import contextlib
 import json
 import os
 import socket
 import subprocess
 import sys
 from collections import deque
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -20,6 +21,7 @@ import numpy as np
 
 from companion.adapters.clock import epoch_us
 from companion.adapters.zenoh_link import ZenohLink, read_config
+from companion.core.errors import LeewayError
 from companion.core.fleet_link import MemberLink
 from companion.core.messages import State
 from companion.core.topics import VehicleKeys
@@ -29,6 +31,8 @@ from ground_station.core.day_plan import DayPlan
 from ground_station.core.fleet import StateHeard
 from ground_station.core.truck import TRUCK
 from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.lifeline import entry
+from sim_bridge.adapters.lossy_relay import Dice, LossyRelay
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.app.companion_process import CompanionProcess
 from sim_bridge.app.day_build import BuiltDay, Plumb, Plumbing
@@ -36,22 +40,41 @@ from sim_bridge.app.day_clock import DayClock
 from sim_bridge.app.day_desk import LOG, Books, store_url
 from sim_bridge.app.day_drone import Companion, DayDrone
 
-DESK, PEER, PLAN = "desk.json5", "peer.json5", "plan.json"
+DESK, MEMBER, PLAN = "desk.json5", "member.json5", "plan.json"
+ROUTER, DESK_ROUTER = "router.json5", "desk-router.json5"
+DESK_MAIN = "from ground_station.app.cli import main; main()"
 
 
-def write_network(folder: Path) -> None:
-    """zenoh configurations on loopback: the desk's listens, the others call it."""
+def write_network(folder: Path, *, relayed: bool) -> None:
+    """zenoh configurations on loopback: everybody calls a router of the simulator's; `relayed`: the
+    desk calls another, and nothing but a relay lies between the two.
+    """
+    here = "tcp/127.0.0.1:{}"
+    members, desk = here.format(_free_port()), here.format(_free_port())
+    files = {ROUTER: _listens(members), MEMBER: _calls(members), DESK: _calls(members)}
+    if relayed:
+        files |= {DESK_ROUTER: _listens(desk), DESK: _calls(desk)}
+    for name, table in files.items():
+        (folder / name).write_text(json.dumps(table))
+
+
+ALONE: dict[str, Any] = {"scouting": {"multicast": {"enabled": False}}}
+
+
+def _listens(endpoint: str) -> dict[str, Any]:
+    return ALONE | {"mode": "router", "listen": {"endpoints": [endpoint]}}
+
+
+def _calls(endpoint: str) -> dict[str, Any]:
+    retry = {"period_init_ms": 50, "period_max_ms": 500}
+    call = {"endpoints": [endpoint], "retry": retry}
+    return ALONE | {"mode": "client", "connect": call}
+
+
+def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        meeting = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    alone = {"scouting": {"multicast": {"enabled": False}}}
-    retry = {"period_init_ms": 50, "period_max_ms": 500}
-    call = {"endpoints": [meeting], "retry": retry}
-    listen: dict[str, list[str]] = {"endpoints": []}
-    peer = alone | {"mode": "peer", "listen": listen, "connect": call}
-    desk = alone | {"mode": "router", "listen": {"endpoints": [meeting]}}
-    (folder / PEER).write_text(json.dumps(peer))
-    (folder / DESK).write_text(json.dumps(desk))
+        return probe.getsockname()[1]
 
 
 @dataclass(slots=True)
@@ -127,7 +150,7 @@ class Launcher:
                 f"--airframe={own.airframe}",
                 f"--fleet={self.data.day.fleet}",
                 f"--vehicle={drone.name}",
-                f"--zenoh={self.folder / PEER}",
+                f"--zenoh={self.folder / MEMBER}",
                 "--configure",
             ],
         )
@@ -137,46 +160,77 @@ class Launcher:
 
 @dataclass(slots=True)
 class ZenohNetwork:
-    """The fleet's network as the world listens in on it: states only, for the judge."""
+    """The fleet's network as the world listens in on it, on the vehicles' side: states only, for
+    the judge. With `dice` a relay that loses messages lies between there and the desk.
+    """
 
     ears: ZenohFleet
     states: dict[str, State] = field(default_factory=dict)
-    sent: int = 0
-    lost: int = 0
+    dice: Dice | None = None
+    relay: LossyRelay | None = None
+    heard: int = 0
+
+    @classmethod
+    def open(
+        cls, folder: Path, fleet: str, loss: float, rng: np.random.Generator
+    ) -> "ZenohNetwork":
+        """Between a folder's zenoh configurations, which are written here."""
+        write_network(folder, relayed=loss > 0.0)
+        if loss == 0.0:
+            return cls(ZenohFleet(fleet, folder / ROUTER))
+        dice = Dice(rng, loss)
+        ends = read_config(folder / ROUTER), read_config(folder / DESK_ROUTER)
+        relay = LossyRelay(fleet, *ends, dice)
+        return cls(ZenohFleet(fleet, folder / MEMBER), dice=dice, relay=relay)
+
+    @property
+    def sent(self) -> int:
+        """Messages that were to be relayed; without a relay, states that were heard."""
+        return self.heard if self.dice is None else self.dice.sent
+
+    @property
+    def lost(self) -> int:
+        """How many of them were lost."""
+        return 0 if self.dice is None else self.dice.lost
 
     def deliver(self, t_s: float) -> None:
         """Take what has been heard."""
         for heard in self.ears.heard(0.0):
             if isinstance(heard, StateHeard):
-                self.sent += 1
+                self.heard += 1
                 self.states[heard.state.vehicle] = heard.state
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop listening, and relaying."""
         self.ears.close()
+        if self.relay is not None:
+            self.relay.close()
 
 
-def apart(folder: Path) -> Plumb:
-    """Companions and truck over UDP and zenoh, on the wall's time."""
+def apart(folder: Path, loss: float) -> Plumb:
+    """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
 
     def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
-        write_network(folder)
-        config, fleet = folder / PEER, data.day.fleet
+        config, fleet = folder / MEMBER, data.day.fleet
         wires = Wires(EndpointSet(["udpin:127.0.0.1:0"] * len(data.day.drones)))
-        network = ZenohNetwork(ZenohFleet(fleet, config))
+        network = ZenohNetwork.open(folder, fleet, loss, rng)
 
         def truck_link(life: str) -> MemberLink:
             keys = VehicleKeys(fleet, TRUCK)
             return ZenohLink(read_config(config), keys, life, lambda: None)
 
         def close() -> None:
-            network.close()
-            wires.endpoints.close()
+            with contextlib.closing(wires.endpoints):
+                network.close()
 
         start = Launcher(data, wires, folder).start
         return Plumbing(network, start, truck_link, epoch_us, pace=wires.pace, close=close)
 
     return plumb
+
+
+IN_ORDER = (0, 3)
+"""How a desk's process ends by itself; 3: orders are left that nobody can bring."""
 
 
 @dataclass(slots=True)
@@ -211,7 +265,7 @@ class DeskProcess:
             "--until-done",
         ]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", "from ground_station.app.cli import main; main()", *arguments],
+            [sys.executable, "-c", entry(DESK_MAIN), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=subprocess.STDOUT,
@@ -220,7 +274,13 @@ class DeskProcess:
         )
 
     def turn(self) -> None:
-        """It turns by itself."""
+        """It turns by itself. Raises LeewayError where it has ended, and not in order."""
+        code = None if self._process is None else self._process.poll()
+        if code not in (None, *IN_ORDER):
+            words = (self.folder / LOG).read_text(errors="replace").strip().splitlines()[-5:]
+            raise LeewayError(
+                "\n".join([f"{self.folder}: the desk ended with code {code}:", *words])
+            )
 
     def kill(self) -> None:
         """SIGKILL."""
@@ -230,19 +290,19 @@ class DeskProcess:
 
     @property
     def is_done(self) -> bool:
-        """It has ended, in order (3: orders are left that nobody can bring)."""
-        return self._process is not None and self._process.poll() in (0, 3)
+        """It has ended, in order."""
+        return self._process is not None and self._process.poll() in IN_ORDER
 
     @property
     def plans(self) -> list[DayPlan]:
         """Every plan that was in force, as its store has them."""
-        with closing(Books.open(self.folder, self.clock)) as books:
+        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
             return books.plans
 
     @property
     def told(self) -> dict[str, str]:
         """Each order's state, and why, as its store has them."""
-        with closing(Books.open(self.folder, self.clock)) as books:
+        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
             return books.told
 
     def close(self) -> None:

@@ -71,16 +71,16 @@ def fly_day(
         shutil.rmtree(folder)  # of a day that was stopped: the same seed flies the same day
     folder.mkdir(parents=True)
     need_s = min(options.limit_s, EXPECTED_S)
-    made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
-    seat = take_seat(made, folder)
-    world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
-    began_wall_s, began_cpu_s = wall_s(), cpu_s()
     with contextlib.ExitStack() as stack:  # each is ended, whatever becomes of the others
+        made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
         stack.callback(made.plumbing.close)
         stack.callback(made.truck.port.close)
         for drone in made.drones:
             stack.callback(drone.switch_off)
+        seat = take_seat(made, folder)  # plans, which may take minutes, and be stopped
         stack.callback(seat.close)
+        world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
+        began_wall_s, began_cpu_s = wall_s(), cpu_s()
         ended = world.run(options.limit_s, progress)
         spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
         row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}

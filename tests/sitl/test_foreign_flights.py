@@ -31,7 +31,7 @@ ROUTE = {"customer": {"name": "customer", "east_m": -110.0, "north_m": -20.0}}
 DEPOT = {"lat_deg": 55.47, "lon_deg": 8.45, "alt_amsl_m": 12.0}
 ELSEWHERE = Home(lat_deg=47.397742, lon_deg=8.545594, alt_amsl_m=489.4)
 PAYLOAD_KG = 0.5
-SPEEDUP = 3.0
+SPEEDUP = 5.0
 
 
 def flight_file(folder: Path, **changes: Any) -> Path:

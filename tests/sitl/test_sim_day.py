@@ -17,7 +17,9 @@ from ground_station.adapters.day_files import read_day
 from ground_station.core.day_data import DayData
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
 from sim_bridge.app.day_build import DayWish, here
+from sim_bridge.app.day_cli import settings_of
 from sim_bridge.app.day_desk import DeskHere
+from sim_bridge.app.day_fly import finished
 from sim_bridge.app.day_run import DayOptions, fly_day
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
@@ -86,21 +88,25 @@ def planned(data: DayData) -> DayPlan:
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def row(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("day")
+def flown(folder: Path, limit_s: float) -> dict[str, Any]:
+    """The day with 5 % of messages lost and the desk killed once, so far."""
     (folder / "day.toml").write_text(DAY)
     (folder / "orders.csv").write_text(ORDERS)
     data = read_day(folder / "day.toml")
     run = folder / "run"
     wish = DayWish(loss=0.05, ground_kills=1)
-    options = DayOptions("tiny", data, wish, 3, run, 600.0, "test", picture=False)
+    options = DayOptions("tiny", data, wish, 3, run, limit_s, "test", picture=False)
     return fly_day(
         options,
         here(wish.loss, run),
         lambda built, where: DeskHere.open(built, planned(built.data), where, 0, 100),
         lambda world: True,
     )
+
+
+@pytest.fixture(scope="module")
+def row(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return flown(tmp_path_factory.mktemp("day"), 600.0)
 
 
 def test_a_day_with_a_lossy_network_and_a_killed_desk_delivers_all_and_loses_nobody(row):
@@ -121,3 +127,38 @@ def test_both_flavours_fly_at_once_and_planned_separation_holds(row):
 def test_its_row_is_in_its_folder(row):
     kept = msgspec.json.decode((Path(row["run"]) / "day.json").read_bytes())
     assert kept["flights"] == row["flights"]
+
+
+def test_the_same_seed_is_the_same_day(row, tmp_path):
+    """Everything that the desk says, with its times, from the start until drones fly out."""
+    until_s = 95.0
+    again = flown(tmp_path, until_s)
+    assert not again["ended"]
+    first = (Path(row["run"]) / "desk.log").read_text().splitlines()
+    second = (tmp_path / "run" / "desk.log").read_text().splitlines()
+    assert any("take_off" in line for line in second)
+    assert second == [line for line in first if float(line.split()[0]) < until_s]
+
+
+def test_a_finished_day_is_known_by_what_decides_it_and_no_other_is(row):
+    folder = Path(row["run"])
+    assert finished(folder, "test") == msgspec.json.decode((folder / "day.json").read_bytes())
+    assert finished(folder, "of another program") is None
+    assert finished(folder.parent, "test") is None
+
+
+def test_a_half_written_day_is_flown_again(row, tmp_path):
+    whole = (Path(row["run"]) / "day.json").read_text()
+    (tmp_path / "day.json").write_text(whole[: len(whole) // 2])
+    assert finished(tmp_path, "test") is None
+
+
+def test_what_decides_a_day_is_its_files_and_options(tmp_path):
+    (tmp_path / "day.toml").write_text(DAY)
+    (tmp_path / "orders.csv").write_text(ORDERS)
+    settings = settings_of(tmp_path / "day.toml", DayWish(), None)
+    assert settings == settings_of(tmp_path / "day.toml", DayWish(), None)
+    assert settings != settings_of(tmp_path / "day.toml", DayWish(loss=0.1), None)
+    assert settings != settings_of(tmp_path / "day.toml", DayWish(), 500)
+    (tmp_path / "orders.csv").write_text(ORDERS.replace("0.4", "0.5"))
+    assert settings != settings_of(tmp_path / "day.toml", DayWish(), None)

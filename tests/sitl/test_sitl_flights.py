@@ -275,17 +275,19 @@ CASES = [
 
 
 CANARIES = [case for case in CASES if case.canary is not None]
+_WORLDS = [case.world for case in CASES] + [case.canary for case in CANARIES]
+_SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight(fly_case, flavour, case):
-    flown = fly_case(flavour, case.world, after_hands_off_s=case.hands_off_s)
+    flown = _flown_once(fly_case, flavour, case.world, hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
 
-_WRONG_WORLDS: dict[str, Any] = {}
-"""Flights in wrong worlds: several checks share the untroubled one, which is flown once."""
+_FLOWN: dict[str, Any] = {}
+"""Flights that several checks look at, the untroubled one above all: flown once (a worker)."""
 
 
 @pytest.mark.parametrize("case", CANARIES, ids=lambda c: c.name.replace(" ", "_"))
@@ -295,11 +297,14 @@ def test_the_check_fails_in_a_wrong_world(fly_case, case):
     assert not case.check(flown), _story(flown)
 
 
-def _flown_once(fly_case, flavour, changes, *, gate):
-    world = f"{flavour} {changes} {gate}"
-    if world not in _WRONG_WORLDS:
-        _WRONG_WORLDS[world] = fly_case(flavour, changes, gate=gate)
-    return _WRONG_WORLDS[world]
+def _flown_once(fly_case, flavour, changes, *, gate=True, hands_off_s=None):
+    world = f"{flavour} {changes} {gate} {hands_off_s}"
+    if world not in _FLOWN:
+        flown = fly_case(flavour, changes, gate=gate, after_hands_off_s=hands_off_s)
+        if changes not in _SHARED_WORLDS:
+            return flown
+        _FLOWN[world] = flown
+    return _FLOWN[world]
 
 
 def test_a_replay_says_what_the_flight_said(fly_case):
