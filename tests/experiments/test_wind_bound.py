@@ -7,16 +7,21 @@ the transforms of MIL-F-8785C's spectra: exp(-s), and (1 - s/2) exp(-s) across.
 """
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.special import softmax
 
-from sim_bridge.experiments.envelope_flight import Condition, EnvelopeFlight, Sample
+from sim_bridge.experiments.envelope_flight import END_S, Condition, EnvelopeFlight, Sample
 from sim_bridge.experiments.wind_bound import flight_bound
 from sim_bridge.truth.params import AirframeTruth, load_airframe
 from sim_bridge.truth.signals import SensorReadings, Truth
+
+Floats = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[2]
 WIND_MPS, HEIGHT_M, SAMPLES, FIRST_S, DT_S = 4.0, 30.0, 160, 38.1, 0.1
@@ -75,8 +80,27 @@ def _unread(t_s: float) -> SensorReadings:
     )  # fmt: skip
 
 
-def least_variance(params: AirframeTruth, k: int, *, wind_step: bool) -> float:
-    """Of the mean over samples k-49 to k+50, both axes, given the measurements to sample k."""
+@dataclass(frozen=True)
+class Joint:
+    """Gaussian of one axis: what is seen to a sample, and the window's mean about it."""
+
+    seen: Floats
+    cross: Floats
+    mean: float
+
+    @property
+    def weights(self) -> Floats:
+        """Of what is seen, in the best estimate of the mean."""
+        return np.asarray(np.linalg.solve(self.seen, self.cross), np.float64)
+
+    @property
+    def least_variance(self) -> float:
+        return self.mean - float(self.cross @ self.weights)
+
+
+def joints(params: AirframeTruth, k: int, begin_s: float | None) -> list[Joint]:
+    """The mean over samples k-49 to k+50, and the measurements to sample k; the wind's mean ramps
+    for 10 s from a time on, or never."""
     feet = HEIGHT_M / 0.3048
     shape = 0.177 + 0.000823 * feet
     sigma = 0.1 * WIND_MPS / shape**0.4
@@ -84,7 +108,7 @@ def least_variance(params: AirframeTruth, k: int, *, wind_step: bool) -> float:
     walk = 2.0 * (0.035 - 0.023) / 270.0 * WIND_MPS**2  # envelope_flight: the coast recording's
     t = DT_S * np.arange(1, SAMPLES + 1)
     lag = np.abs(t[:, None] - t[None, :])
-    ramped = np.clip(FIRST_S - DT_S + t - 45.0, 0.0, 10.0) if wind_step else np.zeros(SAMPLES)
+    ramped = np.clip(FIRST_S - DT_S + t - (begin_s or math.inf), 0.0, 10.0)
     mean = 8.0**2 + walk * np.minimum(t[:, None], t[None, :])
     mean += (0.5**2 / 2.0) * np.outer(ramped, ramped)
     s = lag / memory_s
@@ -96,18 +120,19 @@ def least_variance(params: AirframeTruth, k: int, *, wind_step: bool) -> float:
     jitter = sensors.gnss_velocity_noise_mps**2 / DT_S**2
     velocity = jitter * (2.0 * np.eye(SAMPLES) - np.eye(SAMPLES, k=1) - np.eye(SAMPLES, k=-1))
     white = (GRAVITY * math.radians(sensors.tilt_noise_deg)) ** 2 * np.eye(SAMPLES)
+    floor = (0.01 * slope * WIND_MPS) ** 2 * np.exp(-lag / 5.0)  # m100.toml's model_std_frac
     gain = (0.05**2 + 0.03**2) * (slope * WIND_MPS) ** 2  # along the wind only: none blows across
     window = np.zeros(SAMPLES)
     window[k - 49 : k + 51] = 0.01
-    total = 0.0
+    found = []
     for axis in (0, 1):
         wind = mean + sigma**2 * gusts[axis]
-        seen = slope**2 * wind + trim + velocity + white
+        seen = slope**2 * wind + trim + velocity + white + floor
         if axis == 0:
             seen = seen + gain
-        known, cross = seen[: k + 1, : k + 1], slope * (wind @ window)[: k + 1]
-        total += float(window @ wind @ window - cross @ np.linalg.solve(known, cross))
-    return total
+        cross = slope * (wind @ window)[: k + 1]
+        found.append(Joint(seen[: k + 1, : k + 1], cross, float(window @ wind @ window)))
+    return found
 
 
 @pytest.mark.parametrize("wind_step", [False, True])
@@ -115,9 +140,33 @@ def test_where_all_is_linear_and_gaussian_the_bound_is_the_conditional_covarianc
     wind_step: bool,
 ) -> None:
     params = plain_truth()
-    bound = flight_bound(hover(params, wind_step=wind_step))
+    bound = flight_bound(hover(params, wind_step=wind_step), np.random.default_rng(0))
     for k in (49, 59, 74, 99):  # 43 s, 44 s, 45.5 s and 48 s: before and in the ramp
         at = int(np.argmin(np.abs(bound.t_s - (FIRST_S + k * DT_S))))
-        assert bound.mse_m2ps2[at] == pytest.approx(
-            least_variance(params, k, wind_step=wind_step), rel=1e-4
-        )
+        least = sum(j.least_variance for j in joints(params, k, 45.0 if wind_step else None))
+        assert bound.told_m2ps2[at] == pytest.approx(least, rel=1e-4)
+
+
+def test_who_is_not_told_of_a_step_weighs_every_beginning_by_what_is_seen() -> None:
+    # Bayes' estimate, by every beginning's joint Gaussian: half of all flights step, each second
+    # to the end of the flight alike, and the beginnings to come look like none.
+    params, k, draws = plain_truth(), 99, 2000  # 48 s: in the ramp
+    begins = [*np.arange(FIRST_S, FIRST_S + k * DT_S, 1.0), 45.0]
+    count = np.arange(FIRST_S, END_S, 1.0).size + 1
+    chance = np.full(1 + len(begins), 0.5 / count)
+    chance[0] = 1.0 - chance[1:].sum()
+    every = [joints(params, k, None)] + [joints(params, k, begin) for begin in begins]
+    rng = np.random.default_rng(1)
+    data = [np.linalg.cholesky(j.seen) @ rng.standard_normal((k + 1, draws)) for j in every[-1]]
+    fit, estimates = np.tile(np.log(chance)[:, None], draws), []
+    for row, hypothesis in enumerate(every):
+        for joint, seen in zip(hypothesis, data, strict=True):
+            fit[row] -= 0.5 * np.einsum("kd,kd->d", seen, np.linalg.solve(joint.seen, seen))
+            fit[row] -= 0.5 * np.linalg.slogdet(joint.seen)[1]
+        estimates.append([j.weights @ seen for j, seen in zip(hypothesis, data, strict=True)])
+    best = np.einsum("hd,had->ad", softmax(fit, axis=0), np.array(estimates))
+    off_m2ps2 = float(((best - estimates[-1]) ** 2).sum(axis=0).mean())
+    bound = flight_bound(hover(params, wind_step=True), np.random.default_rng(0))
+    at = int(np.argmin(np.abs(bound.t_s - (FIRST_S + k * DT_S))))
+    added = bound.untold_m2ps2[at] - bound.told_m2ps2[at]
+    assert added == pytest.approx(off_m2ps2, rel=0.3)  # 100 draws there: 10 % one sigma
