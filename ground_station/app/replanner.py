@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from companion.core.errors import LeewayError
 from ground_station.adapters.compiled_code import keep_compiled_code
@@ -71,23 +71,36 @@ class ReplannerAtOnce:
         """Nothing is left."""
 
 
-def worker() -> ProcessPoolExecutor:
-    """One process to plan in, which ends with this one, also where this one is killed: it waits
-    on a queue whose other end it holds itself, and would wait there for ever.
+class Lifeline(Protocol):
+    """One end of a pipe between two processes (its class is another on other systems)."""
+
+    def recv(self) -> Any:
+        """Waits; EOFError where the other end is closed."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+def worker() -> tuple[ProcessPoolExecutor, Lifeline]:
+    """One process to plan in, and its lifeline: it ends when that is closed, whatever it is at, and
+    so with this process, also where this one is killed (it waits on a queue whose other end it
+    holds itself, and would wait there for ever).
     """
     context = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
-    return ProcessPoolExecutor(1, context, initializer=_end_with_parent)
+    theirs, ours = context.Pipe(duplex=False)
+    return ProcessPoolExecutor(1, context, _end_with, (theirs,)), ours
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
+def _end_with(lifeline: Lifeline) -> None:
     def wait() -> None:
-        parent.join()
-        os._exit(1)
+        try:
+            lifeline.recv()
+        except (EOFError, OSError):
+            os._exit(1)
 
-    threading.Thread(target=wait, name="parent", daemon=True).start()
+    threading.Thread(target=wait, name="lifeline", daemon=True).start()
 
 
 @dataclass(slots=True)
@@ -97,12 +110,13 @@ class ReplannerBeside:
     seed: int = 0
     trials: int | None = None
     _pool: ProcessPoolExecutor | None = None
+    _lifeline: Lifeline | None = None
     _future: "Future[DayPlan] | None" = field(default=None)
 
     def ask(self, data: DayData, start: DayState) -> None:
         """Begin; the process starts with the first plan."""
         if self._pool is None:
-            self._pool = worker()
+            self._pool, self._lifeline = worker()
         self._future = self._pool.submit(replanned, data, start, self.seed, self.trials)
 
     def made(self) -> DayPlan | NoPlan | None:
@@ -118,8 +132,12 @@ class ReplannerBeside:
         return NoPlan(f"{type(error).__name__}: {error}"[:300])
 
     def close(self) -> None:
-        """Give up what is being made."""
-        if self._pool is not None:
-            idle = self._future is None or self._future.done()
-            self._pool.shutdown(wait=idle, cancel_futures=True)
-            self._pool = None
+        """Give up what is being made: nobody waits for it."""
+        if self._pool is None or self._lifeline is None:
+            return
+        idle = self._future is None or self._future.done()
+        if not idle:
+            self._lifeline.close()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._lifeline.close()
+        self._pool = self._lifeline = self._future = None

@@ -117,12 +117,14 @@ class MortalDatabase(Database):
 class DayTold:
     """One day: a world, a store, and desks that may be killed."""
 
-    def __init__(self, folder: Path, seed: int, loss: float = 0.0) -> None:
+    def __init__(self, url: str, seed: int, loss: float = 0.0) -> None:
         self.rng = np.random.default_rng(seed)
         self.world = World(["d1", "d2"], self.rng, loss)
-        self.database = MortalDatabase(f"sqlite:///{folder}/desk.db")
-        engine = self.database._engine  # only this process is killed, not the machine
-        sa.event.listen(engine, "connect", lambda raw, _: raw.execute("PRAGMA synchronous = OFF"))
+        self.database = MortalDatabase(url)
+        engine = self.database._engine
+        if engine.name == "sqlite":  # only this process is killed, not the machine
+            sync_off = "PRAGMA synchronous = OFF"
+            sa.event.listen(engine, "connect", lambda raw, _: raw.execute(sync_off))
         engine.dispose()
         self.store = Store(self.database, self.world.clock.epoch_us)
         self.store.add_orders(HARBOUR.orders)
@@ -170,10 +172,8 @@ class DayTold:
 def day(tmp_path: Path) -> Iterator[type[DayTold]]:
     made: list[DayTold] = []
 
-    def start(seed: int, loss: float = 0.0) -> DayTold:
-        folder = tmp_path / str(len(made))
-        folder.mkdir()
-        made.append(DayTold(folder, seed, loss))
+    def start(seed: int, loss: float = 0.0, url: str | None = None) -> DayTold:
+        made.append(DayTold(url or f"sqlite:///{tmp_path}/desk{len(made)}.db", seed, loss))
         return made[-1]
 
     yield start  # type: ignore[misc]
@@ -192,9 +192,11 @@ def test_a_planned_day_is_carried_out_and_ends_with_everybody_aboard(day):
     assert [plan.revision for plan, _ in DayStore(told.database, lambda: 1).plans()] == [0]
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_killed_anywhere_with_lost_messages_no_order_is_lost_or_flown_twice(day, seed):
-    told = day(seed, loss=0.2)
+@pytest.mark.parametrize(
+    ("store_url", "seed"), [("sqlite", 0), ("sqlite", 1), ("postgresql", 0)], indirect=["store_url"]
+)
+def test_killed_anywhere_with_lost_messages_no_order_is_lost_or_flown_twice(day, seed, store_url):
+    told = day(seed, loss=0.2, url=store_url)
     told.run(kill_every=12)
     assert told.deaths > 3
     assert set(told.states().values()) == {OrderState.DELIVERED}

@@ -11,7 +11,7 @@ DESK = """
 import os, sys
 from ground_station.app.replanner import worker
 if __name__ == "__main__":
-    pool = worker()
+    pool, lifeline = worker()
     print(pool.submit(os.getpid).result(), flush=True)
     sys.stdin.read()
 """
