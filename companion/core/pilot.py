@@ -304,10 +304,11 @@ class Pilot:
         state = self.now.state
         if state is not None and state.ready_state:
             self.authority.ground_mode = state.mode_name
-        if not self.now.armed:
+        if self.checkpoint is not None and self.checkpoint.flying and self.flown is not None:
+            found = "armed" if self.now.armed else "disarmed"  # down meanwhile: never flown again
+            self.fire(Trigger.AIRBORNE_AT_START, f"{found}, and our checkpoint says in flight")
+        elif not self.now.armed:
             self.fire(Trigger.IDENTIFIED)
-        elif self.checkpoint is not None and self.checkpoint.flying and self.flown is not None:
-            self.fire(Trigger.AIRBORNE_AT_START, "armed, and our checkpoint says in flight")
         else:
             self.fire(Trigger.MISSION_UNKNOWN, "armed, and not by us")
 

@@ -16,6 +16,9 @@ from companion.core.transitions import FLIGHT_PHASES, Phase, Trigger
 if TYPE_CHECKING:
     from companion.core.pilot import Pilot
 
+POSITION_WAIT_S = 30.0
+"""Found on the ground, where it is tells whether it is home; a receiver may take as long."""
+
 
 def restore(pilot: Pilot) -> None:
     """Take up what a checkpoint kept, if there is one to go on from."""
@@ -68,7 +71,9 @@ def tick(pilot: Pilot) -> None:
         return
     if not state.armed:
         if pilot.air.flying:
-            touchdown.watch_landing(pilot)
+            waited_s = pilot.now.t_s - pilot.phase_since_s
+            if pilot.now.position is not None or waited_s > POSITION_WAIT_S:
+                touchdown.watch_landing(pilot)
         else:
             pilot.fire(Trigger.STILL_ON_GROUND)
         return
@@ -98,6 +103,8 @@ def read_back(pilot: Pilot, event: MissionReadBack) -> None:
     if not event.differences:
         pilot.ground.mission_matches = True
         return
+    if not pilot.now.armed:
+        return  # down: whatever is aboard is not flown any more, and the tick ends the flight
     for words in event.differences[:10]:
         pilot.do(Note(f"mission aboard: {words}"))
     if event.differences[0].startswith("no answer"):

@@ -99,7 +99,7 @@ def _put_settings_back(pilot: Pilot) -> None:
     """Give the autopilot its own settings, or say which ones it does not get, and why."""
     ground, state = pilot.ground, pilot.now.state
     armed = state is None or state.armed
-    if pilot.phase in FLIGHT_PHASES and not armed:
+    if pilot.phase in (*FLIGHT_PHASES, Phase.RECOGNISE) and not armed:
         pilot.do(Configure(dict(ground.settings_before)))
         ground.giving_up = "landed"
         return

@@ -7,7 +7,17 @@ which command is under way) is heard again after a restart. So it may be killed 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from companion.core.messages import FINAL, Answered, Command, FleetEvent, Launch, Recall, State
+from companion.core.messages import (
+    FINAL,
+    Answered,
+    Command,
+    EventKind,
+    FleetEvent,
+    Launch,
+    Recall,
+    State,
+)
+from companion.core.transitions import FLIGHT_PHASES
 from ground_station.adapters.day_files import DayData
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import WallClock
@@ -34,6 +44,7 @@ LAUNCHES = 3
 """Refused so often, an assignment is withdrawn: something on that vehicle wants a person."""
 
 READY = "ready"
+IN_THE_AIR = frozenset(phase.value for phase in FLIGHT_PHASES)
 LOOK_S = 0.5
 """So often the day is looked at, where nothing new is heard."""
 
@@ -70,6 +81,7 @@ class Desk:
     _asked_log_s: dict[str, float] = field(default_factory=dict)
     _seen_to: dict[tuple[str, str], int] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
+    _flown: set[str] = field(default_factory=set)
     _launched_s: float = -1e9
     _looked_s: float = -1e9
     _stirred: bool = True
@@ -202,7 +214,10 @@ class Desk:
         self.moved_s = now_s  # it is being brought
         ready = state.phase == READY and state.assignment == row.id and not state.armed
         if row.state is AssignmentState.FLYING and ready and self._restarted(row, state):
-            self.store.not_flying(row.id, "its companion restarted before take-off")
+            if self._flew(row):
+                self._say_once(f"{row.vehicle}: {row.id} was flown: not launched again: look at it")
+            else:
+                self.store.not_flying(row.id, "its companion restarted before take-off")
         elif row.state is AssignmentState.ABOARD and ready and not seen.doubts:
             if self.day is None:
                 self._launch(row, now_s)
@@ -219,6 +234,14 @@ class Desk:
             return False
         last = launches[-1]  # interrupted: answered by the life that did not do it
         return last.life != state.life or last.answer is Answered.INTERRUPTED
+
+    def _flew(self, row: AssignmentRow) -> bool:
+        """Its vehicle told that it left a phase which it is in only in the air."""
+        if row.id not in self._flown:
+            phases = (e for e in self.store.events(EventKind.PHASE) if e.assignment == row.id)
+            if any(event.text.partition(" -> ")[0] in IN_THE_AIR for event in phases):
+                self._flown.add(row.id)
+        return row.id in self._flown
 
     def _forgotten(self, row: AssignmentRow, seen: VehicleSeen, state: State) -> bool:
         told_all = self._known_to(seen.vehicle, state) >= state.last_seq

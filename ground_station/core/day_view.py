@@ -166,8 +166,15 @@ class DayView:
         rows = [row for row in self.sorties if not (row.over or row.gone)]
         lands_s = [self.lands_s(row) for row in rows if row.promised == here.id]
         again = [s for s in self.pending() if s.launch == s.home == here.id]
-        lands_s += [self._would_land_s(sortie) for sortie in again]
+        lands_s += [self._would_land_s(s) for s in again if self._is_or_comes(s.vehicle, here.id)]
         return max(lands_s, default=here.depart_s) - here.depart_s
+
+    def _is_or_comes(self, vehicle: str, stop: str) -> bool:
+        """Whether a drone is on the truck, or ends its flight at this stop: else no plan can use it
+        here, and nothing may wait for it.
+        """
+        mine = [row for row in self.sorties if row.vehicle == vehicle and not row.aboard]
+        return self.out(vehicle) is None and all(row.promised == stop for row in mine)
 
     def delay_s(self) -> float:
         """How much later (negative: earlier) the truck is than planned."""

@@ -151,6 +151,23 @@ def test_a_companion_that_restarts_before_take_off_is_launched_again_by_a_new_or
     assert [c.id for c in again.done] == ["H-101.1:launch2"]
 
 
+def test_a_vehicle_that_flew_and_says_that_it_is_ready_again_is_not_launched_twice(day):
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(), make_vehicle("d1")
+    drone.flies = False
+    ground.store.add_orders(DAY.orders[:1])
+    ground.until(lambda: [r.state for r in ground.store.assignments()] == [AssignmentState.FLYING])
+    drone.port.tell(EventKind.PHASE, "climb -> measure wind: at cruise height")
+    ground.until(lambda: any("measure wind" in words for words in ground.said))
+    drone.close()
+    again = make_vehicle("d1")
+    again.phase = "ready"
+    ground.until(lambda: "d1: H-101.1 was flown: not launched again: look at it" in ground.said)
+    for _ in range(20):
+        ground.desk.turn(0.02)
+    assert again.launches() == []
+
+
 def test_two_companions_of_one_name_get_no_work(day):
     make_ground, make_vehicle = day
     ground = make_ground()

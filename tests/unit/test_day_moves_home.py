@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import msgspec
+
 from companion.core.flight import Place
 from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.day_run import AskHome, DayDeed, DayRun, LaunchFlight
@@ -47,10 +49,10 @@ def on_its_pad(row: SortieRow) -> SortieRow:
     return replace(row, row=ready, launched_us=None)
 
 
-def deeds(*rows: SortieRow, now_s: float) -> list[DayDeed]:
+def deeds(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()) -> list[DayDeed]:
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
-        makespan_s=540.0, stops=STOPS, sorties=[row.sortie for row in rows],
+        makespan_s=540.0, stops=STOPS, sorties=[*(row.sortie for row in rows), *planned],
     )  # fmt: skip
     view = DayView(
         now_s=now_s, began_us=0, plan=plan, truck=TruckView(True, False, "depot"),
@@ -61,7 +63,7 @@ def deeds(*rows: SortieRow, now_s: float) -> list[DayDeed]:
             )
             for row in rows
         },
-        open=frozenset(), sorties=rows, serves=(), told=None,
+        open=frozenset(s.order for s in planned), sorties=rows, serves=(), told=None,
     )  # fmt: skip
     run = DayRun(DayRunParams(), lambda sortie, others: None, lambda sortie, charge: True)
     return run.decide(view)
@@ -71,8 +73,9 @@ def asked(*rows: SortieRow, now_s: float) -> list[str]:
     return [d.assignment for d in deeds(*rows, now_s=now_s) if isinstance(d, AskHome)]
 
 
-def launched(*rows: SortieRow, now_s: float) -> list[str]:
-    return [d.assignment for d in deeds(*rows, now_s=now_s) if isinstance(d, LaunchFlight)]
+def launched(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()) -> list[str]:
+    due = deeds(*rows, now_s=now_s, planned=planned)
+    return [d.assignment for d in due if isinstance(d, LaunchFlight)]
 
 
 def test_who_would_wait_alone_is_asked_as_soon_as_it_is_known_that_the_truck_waits_for_another():
@@ -103,3 +106,17 @@ def test_nobody_is_launched_to_the_next_stop_while_the_truck_will_wait_here_for_
     late = flight("d1", "depot", 310.0, 60.0)
     assert launched(late, on_its_pad(next_stop), now_s=435.0) == []
     assert launched(late, on_its_pad(next_stop), now_s=445.0) == ["O-d2.1"]
+
+
+def test_a_launch_waits_for_one_planned_here_but_not_where_its_drone_ends_elsewhere():
+    """d1 is to fly once more from the depot and back, down at 500 s at the soonest: it can where it
+    is promised the depot, and cannot where its home was moved to the next stop. Waited for there,
+    nothing would ever be launched any more."""
+    again = msgspec.structs.replace(flight("d1", "depot", 0.0, 60.0).sortie, order="O-more")
+    waits = on_its_pad(flight("d2", "stop-1", 0.0, 260.0))
+    comes_back, ends_elsewhere = (
+        flight("d1", "depot", 50.0, 50.0),
+        flight("d1", "stop-1", 50.0, 50.0),
+    )
+    assert launched(comes_back, waits, now_s=300.0, planned=(again,)) == []
+    assert launched(ends_elsewhere, waits, now_s=300.0, planned=(again,)) == ["O-d2.1"]

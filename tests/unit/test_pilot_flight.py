@@ -961,6 +961,18 @@ def test_killed_in_mid_air_and_restarted_it_picks_the_flight_up_without_arming(p
     assert not any(isinstance(a, Arm | UploadMission) for _, a in again.log)
 
 
+@pytest.mark.parametrize("phase", [Phase.RETURN, Phase.LAND])
+def test_killed_in_the_air_and_restarted_on_its_pad_it_ends_the_flight_and_never_flies_again(phase):
+    """A town's day with faults flew an order twice: the companion was killed while it landed."""
+    w, kept = interrupted(phase)
+    again = world(kept=kept, armed=False)
+    again.t_s, again.items, again.loaded = w.t_s + 20.0, w.items, w.loaded
+    start(again)
+    done = again.to_the_end()
+    assert (done.outcome, done.delivered, done.home) == ("SUC", True, True)
+    assert not any(isinstance(a, Arm | UploadMission) for _, a in again.log)
+
+
 def test_restarted_beside_a_pilot_who_has_taken_over_it_sends_nothing():
     w, kept = interrupted(Phase.OUTBOUND)
     again = restarted(w, kept, mode=Mode.OTHER)
