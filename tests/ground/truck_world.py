@@ -96,6 +96,7 @@ class Drone(Member):
     lost: bool = False
     flies_s: float = 200.0
     mood: str = "good"
+    wind_ne_mps: tuple[float, float] | None = None
 
     @property
     def in_air(self) -> bool:
@@ -133,6 +134,7 @@ class Drone(Member):
 
     def state(self) -> State:
         phase = "standby"
+        north, east = (self.in_air and self.wind_ne_mps) or (None, None)
         if self.in_air:
             phase = "outbound"
         elif self.flight is not None:
@@ -145,6 +147,7 @@ class Drone(Member):
             assignment=self.flight.assignment if self.flight else None,
             lat_deg=self.place[0], lon_deg=self.place[1],
             height_rel_m=40.0 if self.in_air else 0.0, home=self.home,
+            wind_to_n_mps=north, wind_to_e_mps=east,
         )  # fmt: skip
 
 
