@@ -77,6 +77,22 @@ LIMIT_S = 900.0
 END_S = 5.0
 
 
+class Readable(Protocol):
+    """This side's end of the pipe."""
+
+    def poll(self) -> bool:
+        """Is there something, or the end?"""
+        ...
+
+    def recv(self) -> DayPlan | NoPlan:
+        """What was sent. Raises EOFError at the end."""
+        ...
+
+    def close(self) -> None:
+        """Read no more."""
+        ...
+
+
 def _plan_beside(
     pipe: Connection, data: DayData, start: DayState, seed: int, trials: int | None
 ) -> None:
@@ -102,14 +118,15 @@ class ReplannerBeside:
     trials: int | None = None
     limit_s: float = LIMIT_S
     process: SpawnProcess | None = None
-    _pipe: Connection | None = None
+    _pipe: Readable | None = None
     _asked_s: float = 0.0
 
     def ask(self, data: DayData, start: DayState) -> None:
         """Begin."""
         self.close()
         spawn = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
-        self._pipe, theirs = spawn.Pipe(duplex=False)
+        ours, theirs = spawn.Pipe(duplex=False)
+        self._pipe = ours
         self.process = spawn.Process(
             target=_plan_beside, args=(theirs, data, start, self.seed, self.trials), daemon=True
         )
