@@ -45,7 +45,8 @@ def open_desk(
         raise LeewayError(
             "a day with a truck is run whole: expected no --no-assign, no --no-launch"
         )
-    day = _day_desk(data, plan, store, say, options, clock, replanner or ReplannerBeside())
+    replanner = replanner or ReplannerBeside(clock)
+    day = _day_desk(data, plan, store, say, options, clock, replanner)
     return Desk(store, fleet, say, options, data, None, picture, clock, day)
 
 

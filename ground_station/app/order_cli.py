@@ -17,7 +17,13 @@ from ground_station.core.choosing import Chooser
 from ground_station.core.day_data import DayData
 from ground_station.core.orders import Order, OrderState, Service
 
-app = typer.Typer(no_args_is_help=True, help="Orders in, and what has become of them.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help=(
+        "Orders in, and what has become of them.\n\n"
+        "ground-station order import params/days/harbour.toml --store sqlite:///desk.db"
+    ),
+)
 
 
 @app.command()

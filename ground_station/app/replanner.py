@@ -2,17 +2,20 @@
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Protocol
 
 from companion.core.errors import LeewayError
 from ground_station.adapters.compiled_code import keep_compiled_code
 from ground_station.core.day_data import DayData
 from ground_station.core.day_plan import DayPlan
 from ground_station.core.day_state import DayState
+from ground_station.core.fleet import Clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,73 +74,100 @@ class ReplannerAtOnce:
         """Nothing is left."""
 
 
-class Lifeline(Protocol):
-    """One end of a pipe between two processes (its class is another on other systems)."""
+LIMIT_S = 900.0
+"""A thousand customers take five minutes; what takes three times that has hung."""
+END_S = 5.0
 
-    def recv(self) -> Any:
-        """Waits; EOFError where the other end is closed."""
+
+class Readable(Protocol):
+    """This side's end of the pipe."""
+
+    def poll(self) -> bool:
+        """Is there something, or the end?"""
+        ...
+
+    def recv(self) -> DayPlan | NoPlan:
+        """What was sent. Raises EOFError at the end."""
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Read no more."""
         ...
 
 
-def worker() -> tuple[ProcessPoolExecutor, Lifeline]:
-    """One process to plan in, and its lifeline: it ends when that is closed, whatever it is at, and
-    so with this process, also where this one is killed (it waits on a queue whose other end it
-    holds itself, and would wait there for ever).
-    """
-    context = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
-    theirs, ours = context.Pipe(duplex=False)
-    return ProcessPoolExecutor(1, context, _end_with, (theirs,)), ours
+def _plan_beside(
+    pipe: Connection, data: DayData, start: DayState, seed: int, trials: int | None
+) -> None:
+    """The planner's process: one plan, or why there is none, into the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the desk's, which ends this process
+    threading.Thread(target=_end_with_the_desk, name="desk", daemon=True).start()
+    try:
+        made: DayPlan | NoPlan = replanned(data, start, seed, trials)
+    except LeewayError as error:
+        made = NoPlan(str(error))
+    pipe.send(made)
 
 
-def _end_with(lifeline: Lifeline) -> None:
-    def wait() -> None:
-        try:
-            lifeline.recv()
-        except (EOFError, OSError):
-            os._exit(1)
-
-    threading.Thread(target=wait, name="lifeline", daemon=True).start()
+def _end_with_the_desk() -> None:
+    """Also where it is killed: nobody would take the plan."""
+    desk = multiprocessing.parent_process()
+    assert desk is not None
+    desk.join()
+    os._exit(1)
 
 
 @dataclass(slots=True)
 class ReplannerBeside:
-    """In a process of its own, which a killed desk takes along: the desk goes on meanwhile."""
+    """In a process of its own for each plan: the desk goes on meanwhile, and ends it with itself.
 
+    While a plan is made the truck stays, so a process that dies or hangs must not hold the day: the
+    one is heard at once, the other is ended after `limit_s`.
+    """
+
+    clock: Clock
     seed: int = 0
     trials: int | None = None
-    _pool: ProcessPoolExecutor | None = None
-    _lifeline: Lifeline | None = None
-    _future: "Future[DayPlan] | None" = field(default=None)
+    limit_s: float = LIMIT_S
+    process: SpawnProcess | None = None
+    _pipe: Readable | None = None
+    _asked_s: float = 0.0
 
     def ask(self, data: DayData, start: DayState) -> None:
-        """Begin; the process starts with the first plan."""
-        if self._pool is None:
-            self._pool, self._lifeline = worker()
-        self._future = self._pool.submit(replanned, data, start, self.seed, self.trials)
+        """Begin."""
+        self.close()
+        spawn = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
+        ours, theirs = spawn.Pipe(duplex=False)
+        self._pipe = ours
+        self.process = spawn.Process(
+            target=_plan_beside, args=(theirs, data, start, self.seed, self.trials), daemon=True
+        )
+        self.process.start()
+        theirs.close()  # else the end of the process would not be heard
+        self._asked_s = self.clock.monotonic_s()
 
     def made(self) -> DayPlan | NoPlan | None:
         """The plan, once."""
-        if self._future is None or not self._future.done():
+        if self._pipe is None or self.process is None:
             return None
-        future, self._future = self._future, None
-        error = future.exception()
-        if error is None:
-            return future.result()
-        if not isinstance(error, LeewayError):  # its process died: the next gets a new one
+        alive = self.process.is_alive()  # asked first: what it sent before it ended is there then
+        if alive and not self._pipe.poll():
+            if self.clock.monotonic_s() - self._asked_s < self.limit_s:
+                return None
             self.close()
-        return NoPlan(f"{type(error).__name__}: {error}"[:300])
+            return NoPlan(f"the planner was not done within {self.limit_s:.0f} s")
+        try:
+            return self._pipe.recv()
+        except EOFError:
+            return NoPlan("the planner's process died")
+        finally:
+            self.close()
 
     def close(self) -> None:
-        """Give up what is being made: nobody waits for it."""
-        if self._pool is None or self._lifeline is None:
-            return
-        idle = self._future is None or self._future.done()
-        if not idle:
-            self._lifeline.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._lifeline.close()
-        self._pool = self._lifeline = self._future = None
+        """End the process, whatever it is doing."""
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+        if self.process is not None:
+            self.process.kill()
+            self.process.join(END_S)
+            self.process = None

@@ -13,6 +13,7 @@ from ground_station.core.day_nodes import DayNodes
 from ground_station.core.day_pads import StopPads
 from ground_station.core.day_slots import Blocked, Slot, SlotFinder, Wish
 from ground_station.core.separation import SLACK_S, Filled
+from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan
 
@@ -55,9 +56,9 @@ class Drive:
         self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
         self._ready_s = ready_s
 
-    def wished(self, plan: Plan) -> tuple[list[int], list[Wish]]:
+    def wished(self, problem: TruckAndDrones, plan: Plan) -> tuple[list[int], list[Wish]]:
         """The route and the sorties of a plan of the search, in its order of launches."""
-        stops, flights = flights_of(self._nodes.problem, plan)
+        stops, flights = flights_of(problem, plan)
         wishes = [Wish(f.customer, f.kind, f.launch, f.meet) for f in flights]
         return [stop.node for stop in stops], wishes
 

@@ -17,15 +17,20 @@ from ground_station.core.day_data import DEPOT, DayData
 from ground_station.core.order_rows import place_of
 from ground_station.core.orders import Order, Service
 from ground_station.core.reach import Reach
-from ground_station.core.separation import LAYER_GAP_M
-from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
+from ground_station.core.separation import APART_M, LAYER_GAP_M, SLACK_S
+from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 from ground_station.core.ways import Ways
 from ground_station.core.wind_sorties import WindSorties
 
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int32]
 
 LEAD_S = 30.0
 """A drone lands this long after the truck is planned to have come, or later."""
+TOP_M = 120.0
+"""Above the ground: EU 2019/947, UAS.OPEN.010, and the same in 14 CFR 107.51 (400 ft)."""
+LEAST_ROOM_M = 10.0
+"""Of a layer above pads and customers."""
 PRICED_LAYER = 2
 """Sorties are priced in the third layer until each has its own."""
 
@@ -152,6 +157,14 @@ def day_nodes(
         pads=True,
         lead_s=LEAD_S,
         hold_s=hold_s,
+        air=Air(
+            ned_m[:, :2],
+            *layers_over(-ned_m[:, 2], mission.cruise_height_m),
+            pads_m,
+            truck.ready_s,
+            APART_M,
+            SLACK_S,
+        ),
     )
     cruise_m = mission.cruise_height_m
     return DayNodes(frame, obstacles, tuple(orders), ned_m, classes, ways, problem, cruise_m)
@@ -198,6 +211,7 @@ def without(nodes: DayNodes, lost: set[str]) -> DayNodes:
         kinds=tuple(replace(kind, can_serve=kind.can_serve[keep]) for kind in problem.kinds),
         legs=legs,
         truck_can_serve=problem.truck_can_serve[keep],
+        air=None if problem.air is None else _air_of(problem.air, keep),
     )
     orders = tuple(order for order in nodes.orders if order.id not in lost)
     ned_m = nodes.ned_m[keep]
@@ -205,9 +219,20 @@ def without(nodes: DayNodes, lost: set[str]) -> DayNodes:
     return replace(nodes, orders=orders, ned_m=ned_m, ways=ways, problem=smaller)
 
 
+def _air_of(air: Air, keep: list[int]) -> Air:
+    return replace(air, ne_m=air.ne_m[keep], lowest=air.lowest[keep], layers=air.layers[keep])
+
+
 def layer_height_m(cruise_height_m: float, number: int) -> float:
     """How high above the depot a layer lies."""
     return cruise_height_m + LAYER_GAP_M * number
+
+
+def layers_over(ground_up_m: Floats, cruise_height_m: float) -> tuple[Counts, Counts]:
+    """By place: the lowest layer with room above the ground, and the first that is too high."""
+    lowest = np.ceil((ground_up_m + LEAST_ROOM_M - cruise_height_m) / LAYER_GAP_M - 1e-9)
+    layers = np.floor((TOP_M + ground_up_m - cruise_height_m) / LAYER_GAP_M) + 1
+    return np.maximum(lowest, 0).astype(np.int32), np.maximum(layers, 0).astype(np.int32)
 
 
 def _flags(orders: list[Order], each: list[bool]) -> NDArray[np.bool_]:

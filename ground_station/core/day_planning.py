@@ -31,6 +31,10 @@ from ground_station.core.truck_drones.search import (
 from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
+LAYERED_SHARE = 10
+"""One trial with layers for so many without: each takes five to ten times as long."""
+LAYERED_FROM = 0.3
+"""A share of the cooling: hot enough to move a sortie, too cold to lose the plan it starts from."""
 Tell = Callable[[float, float], None]
 """Called now and then with the share of the search that is done, and the makespan so far."""
 
@@ -59,8 +63,9 @@ def plan_day(
 
 
 def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
-    """The truck-and-drones problem that the policies are given."""
-    return _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None).nodes().problem
+    """The truck-and-drones problem that the policies are given, without layers."""
+    planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
+    return replace(planner.nodes().problem, air=None)
 
 
 class _DayPlanner:
@@ -87,17 +92,17 @@ class _DayPlanner:
     def _driven(self, nodes: DayNodes) -> Driven:
         """The best of the policy's plans, driven forward."""
         drive = self._drive(nodes)
-        found = [self._repaired(nodes, drive, plan) for plan in self._plans(nodes)]
+        found = [self._repaired(nodes, drive, *plan) for plan in self._plans(nodes)]
         route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
         if self._params.policy == "dynamic":
             return driven
         return polished(drive, route, wishes, driven)
 
     def _repaired(
-        self, nodes: DayNodes, drive: Drive, plan: Plan
+        self, nodes: DayNodes, drive: Drive, problem: TruckAndDrones, plan: Plan
     ) -> tuple[list[int], list[Wish], Driven]:
         """Who finds no slot is brought by the truck, where it may."""
-        route, wishes = drive.wished(plan)
+        route, wishes = drive.wished(problem, plan)
         driven = drive.driven(route, wishes)
         while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
             lost = driven.lost[0]
@@ -142,36 +147,72 @@ class _DayPlanner:
         until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
         return until_s - self._t0_s
 
-    def _plans(self, nodes: DayNodes) -> Iterator[Plan]:
-        """By the search: two, with drones met where they were launched, and met anywhere.
+    def _plans(self, nodes: DayNodes) -> Iterator[tuple[TruckAndDrones, Plan]]:
+        """Plans, each with the problem that it is one of.
 
-        Neither knows of layers; the first loses least to them, the second reaches furthest.
+        By the search: two that know of no layers, with drones met where they were launched, and met
+        anywhere (the first loses least to layers, the second reaches furthest); then the first
+        again, cooled once more with layers priced.
         """
-        problem = nodes.problem
+        layered = nodes.problem
+        anywhere = replace(layered, air=None)
+        loops = replace(anywhere, loops_only=True)
         rng = np.random.default_rng(self._params.seed)
         if self._params.policy == "dynamic":
-            yield DynamicAssignment().plan(problem, rng)
+            yield anywhere, DynamicAssignment().plan(anywhere, rng)
             return
-        trials = self._params.trials or default_trials(problem.customers)
+        trials = self._params.trials or default_trials(anywhere.customers)
         self._trials = trials
-        yield self._searched(replace(problem, loops_only=True), rng, trials // 2, 0.0)
-        yield self._searched(problem, rng, trials - trials // 2, 0.5)
+        first = self._searched(loops, rng, trials // 2, (0.0, 0.4))
+        yield loops, first
+        yield anywhere, self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8))
+        apart = replace(layered, loops_only=True)
+        kept = self._kept_apart(apart, rng, first, trials // LAYERED_SHARE)
+        if kept is not None:
+            yield apart, kept
 
     def _searched(
-        self, problem: TruckAndDrones, rng: np.random.Generator, trials: int, done_frac: float
+        self,
+        problem: TruckAndDrones,
+        rng: np.random.Generator,
+        trials: int,
+        tell_frac: tuple[float, float],
     ) -> Plan:
-        params = SearchParams()
-        search = Search(problem, rng, params)
+        search = Search(problem, rng, SearchParams())
         rounds = default_rounds(problem.customers) if problem.customers else 0
+        each_frac = (tell_frac[1] - tell_frac[0]) / max(1, rounds)
         for number in range(rounds):
-            done, of_round = 0, max(1, trials // rounds)
-            while done < of_round:
-                now = min(params.step_trials, of_round - done)
-                search.step(now, done / of_round, (done + now) / of_round)
-                done += now
-                share = (number + done / of_round) / rounds
-                self._tell(done_frac + 0.5 * share, search.best_s)
+            from_frac = tell_frac[0] + number * each_frac
+            of_round = max(1, trials // rounds)
+            self._cooled(search, of_round, 0.0, (from_frac, from_frac + each_frac))
         return search.best
+
+    def _kept_apart(
+        self, problem: TruckAndDrones, rng: np.random.Generator, start: Plan, trials: int
+    ) -> Plan | None:
+        """From a plan that knew of no layers to one that does, by the colder part of a round.
+
+        None: some sortie of the first finds no layer at all, however long it waits.
+        """
+        search = Search(problem, rng, SearchParams(), start)
+        if search.best_s == math.inf:
+            return None
+        if problem.customers:
+            self._cooled(search, max(1, trials), LAYERED_FROM, (0.8, 1.0))
+        return search.best
+
+    def _cooled(
+        self, search: Search, trials: int, begin: float, tell_frac: tuple[float, float]
+    ) -> None:
+        """One cooling, from this part of a round to its end."""
+        done, most = 0, SearchParams().step_trials
+        while done < trials:
+            now = min(most, trials - done)
+            shares = [begin + (1.0 - begin) * n / trials for n in (done, done + now)]
+            search.step(now, *shares)
+            done += now
+            told = tell_frac[0] + (tell_frac[1] - tell_frac[0]) * done / trials
+            self._tell(told, search.best_s)
 
     def _drive(self, nodes: DayNodes) -> Drive:
         stops = {stop.id: stop for stop in self._start.stops}

@@ -17,7 +17,11 @@ from ground_station.core.sorties import SortieRow
 
 
 def replan_reason(view: DayView, params: DayRunParams) -> str | None:
-    """Why the plan in force will not do; None: it will."""
+    """Why the plan in force will not do; None: it will.
+
+    The same words while the same is wrong: a reason for which no plan was found is not tried again,
+    and does not keep a day from ending.
+    """
     if view.truck is None or view.index is None or view.replanning:
         return None
     if view.now_s - view.tried_s < params.replan_again_s:
@@ -30,9 +34,9 @@ def replan_reason(view: DayView, params: DayRunParams) -> str | None:
     if left_out:
         return f"{left_out[0]} is open and not in the plan"
     if view.delay_s() > params.late_s and view.situation != view.tried:
-        return f"the truck is {view.delay_s():.0f} s late"
+        return f"the truck is more than {params.late_s:.0f} s late"
     if view.wind_off_sigmas > params.wind_sigmas:
-        return f"the wind is {view.wind_off_sigmas:.1f} standard deviations from the forecast"
+        return f"the wind is {params.wind_sigmas:g} standard deviations from the forecast, or more"
     return None
 
 

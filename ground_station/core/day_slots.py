@@ -7,18 +7,15 @@ the sortie is apart from all others in the air, and for which the energy is ther
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from companion.core.geo import Ned
-from ground_station.core.day_nodes import DayNodes, layer_height_m
+from ground_station.core.day_nodes import DayNodes, layer_height_m, layers_over
 from ground_station.core.day_pads import StopPads, pad_places
 from ground_station.core.reach import Need
-from ground_station.core.separation import LAYER_GAP_M, Filled, Near, near
+from ground_station.core.separation import Filled, Near, near
 
 Points = tuple[tuple[float, float], ...]
-
-TOP_M = 120.0
-"""Above the ground: EU 2019/947, UAS.OPEN.010, and the same in 14 CFR 107.51 (400 ft)."""
-LEAST_ROOM_M = 10.0
-"""Of a layer above pads and customers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +118,9 @@ class SlotFinder:
 
     def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[int]:
         """Layers with the room for this sortie, upwards."""
-        grounds_m = [-p[2] for p in (here, self._nodes.ned(wish.customer), there)]
-        count = int((TOP_M + min(grounds_m) - self._cruise_m) // LAYER_GAP_M) + 1
-        for layer in range(count):
-            if layer_height_m(self._cruise_m, layer) - max(grounds_m) >= LEAST_ROOM_M:
-                yield layer
+        grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
+        lowest, layers = layers_over(grounds_m, self._cruise_m)
+        yield from range(int(lowest.max()), int(layers.min()))
 
     def _need(self, wish: Wish, here: Ned, there: Ned, layer: int) -> Need | None:
         """What it takes in this layer; None where that is more than there is."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from companion.core.errors import LeewayError
 from companion.core.flight import Place
 from ground_station.adapters.database import Database
 from ground_station.adapters.day_files import read_day
@@ -87,6 +88,10 @@ def by_truck(data: DayData, start: DayState, seed: int, trials: int | None) -> D
         makespan_s=more[-1].depart_s, stops=[*start.stops, *more], sorties=list(start.flying),
         revision=start.revision,
     )  # fmt: skip
+
+
+def fails(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
+    raise LeewayError("no plan today")
 
 
 class Killed(BaseException):
@@ -261,6 +266,33 @@ def test_a_late_truck_is_planned_anew_once_however_long_it_takes_and_keeps_its_p
     told.run()
     plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
     assert sum("s late" in why for why in plans) == 1, plans
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
+def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_restart(day):
+    told = day(12)
+    for drone in told.world.drones.values():
+        drone.wind_ne_mps = (0.0, -14.0)
+    told.run()
+    kept = DayStore(told.database, lambda: 1)
+    assert any("standard deviations from the forecast" in why for _, why in kept.plans())
+    wind = kept.wind()
+    assert wind is not None
+    assert (wind.speed_mps, wind.from_deg) == pytest.approx((14.0, 90.0))  # from the east
+    restarted = told.start()
+    assert restarted.day is not None
+    assert restarted.day.data.day.forecast == wind
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
+def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day):
+    told = day(13)
+    told.world.driver.late_s = 400.0
+    assert told.desk.day is not None
+    told.desk.day.replanner = ReplannerAtOnce(plan=fails)
+    told.run()
+    assert any("the old one goes on" in words for words in told.said)
+    assert len(DayStore(told.database, lambda: 1).plans()) == 1
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 

@@ -1,28 +1,119 @@
-"""The process beside the desk in which plans are made."""
+"""Plans made beside the running desk, by the real planner in its real process."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
-PATIENCE_S = 20.0
+import pytest
+
+from ground_station.adapters.day_files import read_day
+from ground_station.app.replanner import NoPlan, ReplannerBeside
+from ground_station.core.day_data import DayData
+from ground_station.core.day_plan import DayPlan
+from ground_station.core.day_replan import unfit
+from ground_station.core.day_state import DayState, first_state
+
+ROOT = Path(__file__).parents[2]
+FOR_EVER = 10**9  # trials
+PATIENCE_S = 60.0
 
 DESK = """
-import os, sys
-from ground_station.app.replanner import worker
+import sys
+from pathlib import Path
+from ground_station.adapters.day_files import read_day
+from ground_station.app.replanner import ReplannerBeside
+from ground_station.core.day_state import first_state
+
 if __name__ == "__main__":
-    pool, lifeline = worker()
-    print(pool.submit(os.getpid).result(), flush=True)
+    beside, day = ReplannerBeside(None, trials=10**9), read_day(Path(sys.argv[1]))
+    beside.clock = type("Clock", (), {"monotonic_s": lambda self: 0.0})()
+    beside.ask(day, first_state(day))
+    print(beside.process.pid, flush=True)
     sys.stdin.read()
 """
 
 
-def test_a_desk_that_is_killed_takes_its_planning_process_along(tmp_path):
+@dataclass
+class HandClock:
+    t_s: float = 0.0
+
+    def monotonic_s(self) -> float:
+        return self.t_s
+
+    def epoch_us(self) -> int:
+        return 0
+
+
+@pytest.fixture(scope="module")
+def harbour() -> DayData:
+    return read_day(ROOT / "params" / "days" / "harbour.toml")
+
+
+@pytest.fixture
+def beside() -> Iterator[ReplannerBeside]:
+    replanner = ReplannerBeside(HandClock(), trials=FOR_EVER)
+    yield replanner
+    replanner.close()
+
+
+def begun(beside: ReplannerBeside, harbour: DayData) -> SpawnProcess:
+    beside.ask(harbour, first_state(harbour))
+    assert beside.made() is None
+    assert beside.process is not None
+    return beside.process
+
+
+def test_the_real_planner_plans_the_rest_of_a_day_in_its_own_process(harbour, beside):
+    beside.trials = 200
+    whole = first_state(harbour)
+    start = DayState(whole.stops, (), whole.open[2:], {"d2": 50.0}, revision=3)  # d1 is out
+    beside.ask(harbour, start)
+    assert beside.process is not None
+    assert wait([beside.process.sentinel], timeout=300.0)
+    made = beside.made()
+    assert isinstance(made, DayPlan), made
+    assert unfit(made, start) is None
+    served = {order for stop in made.stops for order in stop.serves}
+    brought = served | {sortie.order for sortie in made.sorties}
+    assert brought | {line.order for line in made.unplanned} == set(start.open)
+    assert {sortie.vehicle for sortie in made.sorties} <= {"d2"}
+    assert beside.made() is None  # once
+
+
+def test_a_planner_that_is_killed_is_heard_of_and_the_next_plan_begins_anew(harbour, beside):
+    process = begun(beside, harbour)
+    os.kill(process.pid or 0, signal.SIGKILL)
+    process.join(60.0)
+    assert beside.made() == NoPlan("the planner's process died")
+    assert begun(beside, harbour).pid != process.pid
+
+
+def test_a_planner_that_hangs_is_ended_so_that_the_truck_goes_on(harbour, beside):
+    process = begun(beside, harbour)
+    beside.clock.t_s = beside.limit_s + 1.0
+    assert beside.made() == NoPlan("the planner was not done within 900 s")
+    assert process.exitcode == -signal.SIGKILL
+
+
+def test_a_desk_that_ends_takes_its_planner_along(harbour, beside):
+    process = begun(beside, harbour)
+    beside.close()
+    assert process.exitcode == -signal.SIGKILL
+    assert beside.made() is None
+
+
+def test_a_desk_that_is_killed_takes_its_planner_along(tmp_path):
     script = tmp_path / "desk.py"
     script.write_text(DESK)
-    desk = subprocess.Popen(
-        [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, str(script), str(ROOT / "params" / "days" / "harbour.toml")]
+    desk = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with desk:
         assert desk.stdout is not None
         planner = int(desk.stdout.readline())
@@ -36,8 +127,7 @@ def test_a_desk_that_is_killed_takes_its_planning_process_along(tmp_path):
 
 def _lives(pid: int) -> bool:
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
         return False
-    with open(f"/proc/{pid}/stat") as stat:
-        return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
+    return stat.rsplit(")", 1)[1].split()[0] != "Z"

@@ -1,9 +1,5 @@
-"""Days that depart from their plan, planned anew by the planner itself, beside the desk too."""
+"""Days that depart from their plan, planned anew by the planner itself."""
 
-import multiprocessing
-import os
-import signal
-import time
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +11,9 @@ from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.store import Store
 from ground_station.app.desk import Desk, DeskOptions
 from ground_station.app.open_desk import is_done, open_desk
-from ground_station.app.replanner import NoPlan, ReplannerAtOnce, ReplannerBeside, replanned
+from ground_station.app.replanner import ReplannerAtOnce, replanned
 from ground_station.core.day_plan import DayPlan
-from ground_station.core.day_replan import unfit
-from ground_station.core.day_state import DayState, first_state
+from ground_station.core.day_state import first_state
 from ground_station.core.day_view import DayRunParams
 from ground_station.core.orders import OrderState
 from tests.ground.truck_world import World
@@ -26,7 +21,6 @@ from tests.ground.truck_world import World
 HARBOUR = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
 TRIALS, SEED = 400, 3
 LIMIT_S = 5400.0
-PATIENCE_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +94,7 @@ def test_what_a_lost_drone_was_to_bring_is_planned_for_the_others(day: Day):
 def test_a_wind_that_is_not_the_forecasts_is_planned_with(day: Day):
     assert HARBOUR.day.forecast.speed_mps == 4.0
     for drone in day.world.drones.values():
-        drone.wind_to_ne_mps = (9.0, 0.0)
+        drone.wind_ne_mps = (9.0, 0.0)
     day.run()
     assert any("the wind is" in why for why in day.reasons()), day.reasons()
     assert sum("the wind is" in why for why in day.reasons()) == 1  # it is the forecast now
@@ -114,59 +108,6 @@ def test_a_wind_that_is_not_the_forecasts_is_planned_with(day: Day):
 def test_the_canary_in_the_forecasts_own_wind_nothing_is_planned_anew_for_it(day: Day):
     north, east = HARBOUR.day.forecast.to_ne_mps
     for drone in day.world.drones.values():
-        drone.wind_to_ne_mps = (north, east + 1.0)
+        drone.wind_ne_mps = (north, east + 1.0)
     day.run()
     assert not [why for why in day.reasons() if "wind" in why]
-
-
-def test_beside_the_desk_it_makes_the_same_plan_and_survives_its_process(plan: DayPlan):
-    start = first_state(HARBOUR)
-    beside = ReplannerBeside(SEED, TRIALS)
-    try:
-        beside.ask(HARBOUR, start)
-        assert beside.made() is None  # the desk goes on meanwhile
-        assert _made(beside) == plan
-        assert beside.made() is None  # once
-        beside.ask(HARBOUR, start)
-        (planner,) = multiprocessing.active_children()
-        assert planner.pid is not None
-        os.kill(planner.pid, signal.SIGKILL)
-        died = _made(beside)
-        assert isinstance(died, NoPlan)
-        assert "terminated" in died.reason
-        beside.ask(HARBOUR, start)
-        again = _made(beside)
-        assert isinstance(again, DayPlan)
-        assert unfit(again, start) is None
-    finally:
-        beside.close()
-
-
-def test_a_day_that_cannot_be_planned_is_said_by_the_process_beside():
-    beside = ReplannerBeside(SEED, TRIALS)
-    try:
-        beside.ask(HARBOUR, DayState((), (), ("H-101",), {}))
-        made = _made(beside)
-        assert isinstance(made, NoPlan)
-        assert made.reason
-    finally:
-        beside.close()
-
-
-def test_a_desk_that_ends_gives_up_a_plan_that_never_comes():
-    beside = ReplannerBeside(SEED, 1_000_000_000)
-    beside.ask(HARBOUR, first_state(HARBOUR))
-    (planner,) = multiprocessing.active_children()
-    began_s = time.monotonic()
-    beside.close()
-    assert time.monotonic() - began_s < PATIENCE_S / 10.0
-    planner.join(PATIENCE_S)
-    assert not planner.is_alive()
-
-
-def _made(beside: ReplannerBeside) -> DayPlan | NoPlan:
-    until_s = time.monotonic() + PATIENCE_S
-    while (made := beside.made()) is None:
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
-    return made

@@ -96,7 +96,7 @@ class Drone(Member):
     lost: bool = False
     flies_s: float = 200.0
     mood: str = "good"
-    wind_to_ne_mps: tuple[float, float] | None = None
+    wind_ne_mps: tuple[float, float] | None = None
 
     @property
     def in_air(self) -> bool:
@@ -134,20 +134,20 @@ class Drone(Member):
 
     def state(self) -> State:
         phase = "standby"
+        north, east = (self.in_air and self.wind_ne_mps) or (None, None)
         if self.in_air:
             phase = "outbound"
         elif self.flight is not None:
             ready = self.clock.t_s - self.assigned_s >= READY_S
             phase = "ready" if ready else "checks"
-        wind = self.wind_to_ne_mps if self.in_air else None
         return State(
-            wind_to_n_mps=wind[0] if wind else None, wind_to_e_mps=wind[1] if wind else None,
             vehicle=self.name, life=self.name, uptime_s=self.clock.t_s,
             epoch_us=self.clock.epoch_us(), airframe="m100", max_payload_kg=1.0, phase=phase,
             log=self.name, last_seq=len(self.events), armed=self.in_air, voltage_v=FULL_V,
             assignment=self.flight.assignment if self.flight else None,
             lat_deg=self.place[0], lon_deg=self.place[1],
             height_rel_m=40.0 if self.in_air else 0.0, home=self.home,
+            wind_to_n_mps=north, wind_to_e_mps=east,
         )  # fmt: skip
 
 

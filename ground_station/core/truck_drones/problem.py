@@ -55,6 +55,24 @@ class DroneKind:
 
 
 @dataclass(frozen=True, slots=True)
+class Air:
+    """The day's air, for days on which drones are kept apart by plan (safety rule 7).
+
+    By node: where it is (north, east), the lowest layer with room above its ground and the first
+    that is too high over it. Pads lie `pads_m` from a stop; a drone lifts off `ready_s` after its
+    launch and may land `slack_s` late; sorties are apart from `apart_m` on.
+    """
+
+    ne_m: Floats
+    lowest: NDArray[np.int32]
+    layers: NDArray[np.int32]
+    pads_m: float
+    ready_s: float
+    apart_m: float
+    slack_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class TruckAndDrones:
     """The whole problem. `travel_s` is directed; `deliver_s` is 0 where nobody is served.
 
@@ -63,7 +81,7 @@ class TruckAndDrones:
     published mFSTSP) it is met at a later stop and hovers until the driver takes it.
     `loops_only`: every drone is met where it was launched.
     `hold_s`: the truck does not leave the first node before. `release_s`, by customer: the driver
-    does not begin to launch its drone before (a launch slot).
+    does not begin to launch its drone before (a launch slot). `air`: where drones must keep apart.
     """
 
     travel_s: Floats
@@ -77,6 +95,7 @@ class TruckAndDrones:
     loops_only: bool = False
     hold_s: float = 0.0
     release_s: Floats | None = None
+    air: Air | None = None
 
     def __post_init__(self) -> None:
         nodes = self.nodes

@@ -6,15 +6,18 @@ that is marked LATE; and waits where nothing can be done, or nothing that ends b
 that is marked AT_ONCE. A drone that would hover too long before it is met is launched later by as
 much (which costs nothing where the truck waits on the way), and the pass goes on from there: with
 the order of launches and recoveries thus given, these are the earliest times. Where drones have
-pads of their own, the same is done with one that would land before the truck has come.
+pads of their own, the same is done with one that would land before the truck has come. Where they
+must keep apart, a launch that finds no layer waits until the first who is in its way has landed.
 """
 
 import math
 
+from ground_station.core.truck_drones.air import lay_ground, layer_for
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     AT_ONCE,
+    BLOCKED,
     DELIVERED,
     DEPART,
     FIRST_LAUNCH,
@@ -24,6 +27,9 @@ from ground_station.core.truck_drones.tables import (
     LATE,
     LAUNCH,
     LAUNCHED,
+    LAYER,
+    LOG,
+    LOGGED,
     MEET,
     MET,
     NEXT_LAUNCH,
@@ -78,6 +84,8 @@ def _index_sorties(t, plan, whole, times_s):
         whole[FIRST_MEET, meet] = customer
         times_s[WORK_AFTER, whole[PLACE, launch]] += launch_s[kind]
         times_s[WORK_AFTER, whole[PLACE, meet]] += recover_s[kind]
+        if t.layered:
+            lay_ground(t, plan, times_s, customer)
     return True
 
 
@@ -107,11 +115,12 @@ def index_plan(t, plan, whole, times_s):
 
 
 @compiled
-def _mark_pending(plan, whole, node):
+def _mark_pending(plan, whole, times_s, node):
     """All sorties of this node are still to be launched (1) and met (2) here; loops first 1."""
     customer = whole[FIRST_LAUNCH, node]
     while customer >= 0:
         whole[PENDING, customer] = 1
+        times_s[BLOCKED, customer] = 0.0
         customer = whole[NEXT_LAUNCH, customer]
     customer = whole[FIRST_MEET, node]
     while customer >= 0:
@@ -151,8 +160,9 @@ def _launch_to_do(plan, whole, times_s, aboard, node, now_s):
         if whole[PENDING, customer] == 1:
             left += 1
             if aboard[plan[KIND, customer]] > 0:
-                if times_s[RELEASE, customer] > now_s + EPSILON_S:
-                    later_s = min(later_s, times_s[RELEASE, customer])
+                from_s = max(times_s[RELEASE, customer], times_s[BLOCKED, customer])
+                if from_s > now_s + EPSILON_S:
+                    later_s = min(later_s, from_s)
                 elif chosen < 0 or _launch_before(plan, whole, times_s, customer, chosen):
                     chosen = customer
         customer = whole[NEXT_LAUNCH, customer]
@@ -201,17 +211,19 @@ def _too_early(whole, times_s, node, from_s):
 
 
 @compiled
-def _stop_here(plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
+def _stop_here(t, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
     """Do all that is to do at this place. (departure, place to go on from; -1: impossible)."""
     node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
-    _mark_pending(plan, whole, node)
-    deliver = deliver_s > 0.0
+    _mark_pending(plan, whole, times_s, node)
+    deliver, logged = deliver_s > 0.0, whole[LOGGED, at]
     while True:
         launch, launch_later_s, launches = _launch_to_do(plan, whole, times_s, aboard, node, now_s)
         meet, deadline_s, meet_later_s, at_once_s, meetings = _meeting_to_do(
             plan, whole, times_s, node, now_s
         )
         if launches == 0 and meetings == 0 and not deliver:
+            if at + 1 < whole.shape[1]:
+                whole[LOGGED, at + 1] = logged
             return now_s, at + 1
         if launch >= 0:
             ends_s = now_s + launch_s[plan[KIND, launch]]
@@ -232,6 +244,15 @@ def _stop_here(plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at)
             now_s = at_once_s
             continue
         if launch >= 0:
+            if t.layered:
+                layer, free_s = layer_for(t, plan, whole, times_s, launch, now_s + lasts_s, logged)
+                if layer < 0:
+                    if free_s == IMPOSSIBLE:
+                        return IMPOSSIBLE, -1
+                    times_s[BLOCKED, launch] = max(free_s - lasts_s, now_s + 2.0 * EPSILON_S)
+                    continue
+                whole[LAYER, launch], whole[LOG, logged] = layer, launch
+                logged += 1
             times_s[LAUNCHED, launch] = now_s + lasts_s
             aboard[plan[KIND, launch]] -= 1
             whole[PENDING, launch] = 2 if plan[MEET, launch] == node else 0
@@ -261,7 +282,7 @@ def simulate(t, plan, w, give_up_s):
     aboard = free[free.shape[0] - 1]
     for kind in range(len(aboard)):
         free[0, kind] = t.fleet[kind]
-    times_s[ARRIVE, 0] = 0.0
+    times_s[ARRIVE, 0], whole[LOGGED, 0] = 0.0, 0
     at, depart_s = 0, 0.0
     while at < places:
         if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
@@ -270,7 +291,7 @@ def simulate(t, plan, w, give_up_s):
             aboard[kind] = free[at, kind]
         node = plan[ROUTE, at]
         if t.pads:
-            _mark_pending(plan, whole, node)
+            _mark_pending(plan, whole, times_s, node)
             landed_s = times_s[ARRIVE, at] + t.lead_s
             early = _too_early(whole, times_s, node, landed_s)
             if early >= 0:
@@ -280,7 +301,7 @@ def simulate(t, plan, w, give_up_s):
                 at = whole[PLACE, plan[LAUNCH, early]]
                 continue
         depart_s, go_on = _stop_here(
-            plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
+            t, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
         )
         if go_on < 0:
             return IMPOSSIBLE

@@ -46,6 +46,15 @@ class Tables(NamedTuple):
     pads: bool
     lead_s: float
     loops_only: bool
+    layered: bool
+    """Is rule 7 priced? What follows is empty where it is not."""
+    ne_m: NDArray[np.float64]
+    lowest: NDArray[np.int32]
+    layers: NDArray[np.int32]
+    pads_m: float
+    apart_m: float
+    ready_s: float
+    slack_s: float
 
 
 class Work(NamedTuple):
@@ -61,14 +70,18 @@ class Work(NamedTuple):
     """By place on the route and kind: drones aboard when the truck arrives; last row: right now."""
 
 
-# Rows of `Work.whole`, by node.
-PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES = range(7)
+# Rows of `Work.whole`, by node;
+PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES, LAYER = range(8)
+# by number of the launch: whose; by place on the route: how many launches came before it.
+LOG, LOGGED = range(8, 10)
 # Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
 # of the recovery, start of the truck's own delivery;
 RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
 # by place on the route: arrival, departure, and what truck and driver have to do from arriving
 # there to the end, waiting aside.
 ARRIVE, DEPART, WORK_AFTER = range(6, 9)
+# by node: blocked by others in the air until then; the corners of what a sortie flies over, m.
+BLOCKED, PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E = range(9, 16)
 
 
 NEAR = 30
@@ -76,7 +89,7 @@ NEAR = 30
 
 def tables_of(problem: TruckAndDrones) -> Tables:
     """The arrays of a problem."""
-    kinds, legs = problem.kinds, problem.legs
+    kinds, legs, air = problem.kinds, problem.legs, problem.air
     both_ways_s = problem.travel_s + problem.travel_s.T
     np.fill_diagonal(both_ways_s, np.inf)
     near = np.argsort(both_ways_s, axis=1, kind="stable")[:, : min(NEAR, problem.nodes - 1)]
@@ -100,6 +113,14 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         pads=problem.pads,
         lead_s=problem.lead_s,
         loops_only=problem.loops_only,
+        layered=air is not None,
+        ne_m=np.ascontiguousarray(air.ne_m) if air else np.zeros((0, 2)),
+        lowest=air.lowest.astype(np.int32) if air else np.zeros(0, np.int32),
+        layers=air.layers.astype(np.int32) if air else np.zeros(0, np.int32),
+        pads_m=air.pads_m if air else 0.0,
+        apart_m=air.apart_m if air else 0.0,
+        ready_s=air.ready_s if air else 0.0,
+        slack_s=air.slack_s if air else 0.0,
     )
 
 
@@ -107,8 +128,8 @@ def work_for(tables: Tables) -> Work:
     """Room for simulations of this problem."""
     nodes, kinds = len(tables.travel_s), len(tables.fleet)
     return Work(
-        whole=np.full((7, nodes), NOWHERE, dtype=np.int32),
-        times_s=np.zeros((9, nodes)),
+        whole=np.full((10, nodes), NOWHERE, dtype=np.int32),
+        times_s=np.zeros((16, nodes)),
         free=np.zeros((nodes + 1, kinds), dtype=np.int32),
     )
 
