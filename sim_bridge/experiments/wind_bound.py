@@ -361,8 +361,9 @@ def _rows(
 def _gain(cov: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Kalman's gain for noise of unit variance, and the innovations' covariance."""
     across = cov[:, :PAST] @ rows.T
-    s = rows @ across[:PAST] + np.eye(len(rows))
-    return np.linalg.solve(s, across.T).T, s
+    s = np.asarray(rows @ across[:PAST] + np.eye(len(rows)), dtype=np.float64)
+    gain = np.asarray(np.linalg.solve(s, across.T).T, dtype=np.float64)
+    return gain, s
 
 
 def _window(flight: EnvelopeFlight, gusts: _Gusts) -> tuple[Floats, float]:
