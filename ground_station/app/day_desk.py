@@ -98,8 +98,9 @@ class DayDesk:
     _orders: int = -1
     _airspace: Airspace | None = None
     _reach: dict[str, Reach] = field(default_factory=dict)
-    _asked: tuple[DayView, str] | None = None
+    _asked: tuple[DayView, str, Forecast] | None = None
     _refused: str | None = None
+    _died: tuple[str, int] = ("", 0)
     _wind: MeasuredWind = field(default_factory=MeasuredWind)
     _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
     _off_ground: set[str] = field(default_factory=set)
@@ -375,21 +376,41 @@ class DayDesk:
         if self._asked is not None:
             made = self.replanner.made()
             if made is not None:
-                before, why = self._asked
+                before, why, wind = self._asked
                 self._asked = None
-                self._take(made, before, view, why)
+                if self._is_asked_again(made, why):
+                    self._tried_s = view.now_s
+                    if self.data.day.forecast != wind:  # else the reason would be gone
+                        self._plan_with(wind)
+                else:
+                    self._take(made, before, view, why)
             return
         why = replan_reason(view, self.params)
         if why is None or why == self._refused:
             return
+        wind = self.data.day.forecast
         if "wind" in why:
-            now_s = self.clock.monotonic_s()
-            self.data = self._with_forecast(self._wind.forecast(now_s, self.data.day.forecast))
-            self._reach.clear()
+            self._plan_with(self._wind.forecast(self.clock.monotonic_s(), wind))
         self.say(f"a new plan: {why}")
-        self._asked = (view, why)
+        self._asked = (view, why, wind)
         start = standing(view, [d.id for d in self.data.day.drones], self.data.day.truck.recover_s)
         self.replanner.ask(day_now(self._data(), view), start)
+
+    def _plan_with(self, wind: Forecast) -> None:
+        self.data = self._with_forecast(wind)
+        self._reach.clear()
+
+    def _is_asked_again(self, made: DayPlan | NoPlan, why: str) -> bool:
+        """Whether a planner ended without an answer, and not too often for this reason."""
+        if not isinstance(made, NoPlan) or not made.again:
+            return False
+        times = self._died[1] + 1 if self._died[0] == why else 1
+        self._died = (why, times)
+        again = times < self.params.replan_tries
+        if again:
+            wait_s = self.params.replan_again_s
+            self.say(f"no new plan ({made.reason}): asked again in {wait_s:.0f} s")
+        return again
 
     def _take(self, made: DayPlan | NoPlan, before: DayView, view: DayView, why: str) -> None:
         drones = [d.id for d in self.data.day.drones]
@@ -405,7 +426,7 @@ class DayDesk:
         self.day.take_plan(postponed(made, start, before.now_s, took_s), why, wind)
         in_force = self.day.plan()
         assert in_force is not None
-        self.plan, self._refused, self._rows = in_force, None, None
+        self.plan, self._refused, self._rows, self._died = in_force, None, None, ("", 0)
         self._note_stops(in_force)
         left = f", {len(made.unplanned)} by nobody" if made.unplanned else ""
         self.say(f"plan {made.revision} in force: {len(made.stops)} stops{left}")

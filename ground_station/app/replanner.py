@@ -20,9 +20,12 @@ from ground_station.core.fleet import Clock
 
 @dataclass(frozen=True, slots=True)
 class NoPlan:
-    """Why none was made."""
+    """Why none was made. `again`: its process ended before it had an answer, so that the same
+    question may have one.
+    """
 
     reason: str
+    again: bool = False
 
 
 class Replanner(Protocol):
@@ -154,11 +157,11 @@ class ReplannerBeside:
             if self.clock.monotonic_s() - self._asked_s < self.limit_s:
                 return None
             self.close()
-            return NoPlan(f"the planner was not done within {self.limit_s:.0f} s")
+            return NoPlan(f"the planner was not done within {self.limit_s:.0f} s", again=True)
         try:
             return self._pipe.recv()
         except EOFError:
-            return NoPlan("the planner's process died")
+            return NoPlan("the planner's process died", again=True)
         finally:
             self.close()
 

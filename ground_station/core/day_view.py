@@ -13,7 +13,9 @@ class DayRunParams:
     """When the desk departs from the plan. `late_s`: the truck is so much later than planned;
     `silent_s`: a drone says nothing; `take_off_s`: a launched drone leaves the ground in this time;
     `lapse_s`: after its launch no drone can still be in the air (its time limit, and more);
-    `ready_s`: put on its pad, a drone is ready in this time, or taken back.
+    `ready_s`: put on its pad, a drone is ready in this time, or taken back; `replan_tries`: so
+    often a planner whose process ends without an answer is asked about one reason,
+    `replan_again_s` apart.
     """
 
     late_s: float = 120.0
@@ -22,6 +24,7 @@ class DayRunParams:
     lapse_s: float = 2100.0
     move_home_s: float = 60.0
     replan_again_s: float = 60.0
+    replan_tries: int = 3
     launches: int = 3
     ready_s: float = 300.0
     wind_sigmas: float = 2.0

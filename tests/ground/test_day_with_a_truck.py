@@ -296,6 +296,59 @@ def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day)
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+@dataclass(slots=True)
+class DyingReplanner(ReplannerAtOnce):
+    """Its process ends without an answer so many times."""
+
+    clock: WorldClock = field(default_factory=WorldClock)
+    deaths: int = 0
+    asked_s: list[float] = field(default_factory=list)
+
+    def ask(self, data: DayData, start: DayState) -> None:
+        self.asked_s.append(self.clock.t_s)
+        ReplannerAtOnce.ask(self, data, start)
+
+    def made(self) -> DayPlan | NoPlan | None:
+        made = ReplannerAtOnce.made(self)
+        dead = len(self.asked_s) <= self.deaths
+        return NoPlan("the planner's process died", again=True) if dead else made
+
+
+@pytest.mark.parametrize("wrong", ["late", "wind"])
+def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, wrong):
+    told = day(13)
+    if wrong == "late":
+        told.world.driver.late_s = 400.0
+    for drone in told.world.drones.values():
+        drone.wind_ne_mps = (0.0, -14.0 if wrong == "wind" else 0.0)
+    assert told.desk.day is not None
+    dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=2)
+    told.desk.day.replanner = dying
+    told.run()
+    why = [why for _, why in DayStore(told.database, lambda: 1).plans()][1]
+    assert wrong in why
+    first_s, second_s, third_s = dying.asked_s[:3]
+    again_s = DayRunParams().replan_again_s
+    for between_s in (second_s - first_s, third_s - second_s):
+        assert again_s <= between_s <= again_s + 4 * TURN_S
+    asked = [words for words in told.said if words == f"a new plan: {why}"]
+    assert len(asked) == 3
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
+def test_a_planner_that_always_dies_is_asked_three_times_and_the_old_plan_ends_the_day(day):
+    told = day(13)
+    told.world.driver.late_s = 400.0
+    assert told.desk.day is not None
+    dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=1000)
+    told.desk.day.replanner = dying
+    told.run()
+    assert len(dying.asked_s) == DayRunParams().replan_tries
+    assert sum("the old one goes on" in words for words in told.said) == 1
+    assert len(DayStore(told.database, lambda: 1).plans()) == 1
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
 def test_the_canary_a_truck_that_ignores_promises_is_caught(day, monkeypatch):
     told = day(1)
     monkeypatch.setattr(f"{CORE}.sorties.SortieRow.binds", lambda self, stop: None)
