@@ -25,6 +25,8 @@ def json_object(raw: bytes, where: str, expected: str = "a JSON object") -> dict
         document = json.loads(raw)
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise LeewayError(f"{where}: not JSON: {error}") from error
+    except RecursionError as error:
+        raise LeewayError(f"{where}: nested too deeply") from error
     if not isinstance(document, dict):
         raise LeewayError(f"{where}: expected {expected}")
     return document

@@ -91,6 +91,8 @@ def _key(path: Path | None) -> str | None:
     if path is None:
         return None
     try:
-        return path.read_text().strip()
+        return path.read_text(encoding="ascii").strip()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{path}: expected an ASCII key, byte {error.start} is none") from error

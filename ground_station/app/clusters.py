@@ -80,8 +80,12 @@ def cluster_by_llm(problem: Problem, params: LlmParams, log: Path | None = None)
         wrong = faults(problem, proposed)
         notes = tuple(f"repaired: {words}" for words in wrong)
         done = Clustered(repair(problem, proposed) if wrong else proposed, "llm", notes)
-    if log is not None:
+    if log is None:
+        return done
+    try:
         _append(log, params, user, answer, done)
+    except OSError as error:  # a full disk costs the log, not the day
+        return done.noting(f"{log}: nothing logged: {error.strerror}")
     return done
 
 

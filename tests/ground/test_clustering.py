@@ -1,5 +1,6 @@
 """Clusters: each customer once, within reach and capacity, whatever proposed them."""
 
+import gzip
 import itertools
 import json
 import threading
@@ -292,11 +293,49 @@ def test_a_server_that_says_nothing_or_drips_is_left_in_time(serving):
             handler.wfile.write(b" ")
             handler.wfile.flush()
 
-    servers = [serving(silent), serving(dripping)]
+    def dripping_headers(handler: BaseHTTPRequestHandler) -> None:
+        handler.wfile.write(b"HTTP/1.1 200 OK\r\nX: ")
+        while not servers[2].leave.wait(0.05):
+            handler.wfile.write(b"x")
+            handler.wfile.flush()
+
+    servers = [serving(silent), serving(dripping), serving(dripping_headers)]
     for server in servers:
         made = by(server, timeout_s=0.5)
         assert made.method == "ours"
         assert "in 0.5 s" in made.notes[-1]
+
+
+def test_an_answer_that_unpacks_to_anything_is_not_unpacked(serving):
+    def bomb(handler: BaseHTTPRequestHandler) -> None:
+        packed = gzip.compress(completion(json.dumps(GOOD)) + b" " * (8 << 20), compresslevel=1)
+        handler.send_response(200)
+        handler.send_header("Content-Encoding", "gzip")
+        handler.send_header("Content-Length", str(len(packed)))
+        handler.end_headers()
+        handler.wfile.write(packed)
+
+    made = by(serving(bomb))
+    assert made.method == "ours"
+    assert "not an OpenAI-compatible answer" in made.notes[-1]
+
+
+def test_a_server_that_sends_elsewhere_is_not_followed_there(serving):
+    elsewhere = serving(completion(json.dumps(GOOD)))
+
+    def redirect(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(307)
+        handler.send_header("Location", f"{elsewhere.url}/chat/completions")
+        handler.end_headers()
+
+    assert "answers 307" in by(serving(redirect)).notes[-1]
+    assert elsewhere.asked == []  # neither the key nor the day
+
+
+def test_a_full_disk_costs_the_log_not_the_clusters(serving):
+    made = by(serving(completion(json.dumps(GOOD))), Path("/dev/full"))
+    assert made.method == "llm"
+    assert made.notes == ("/dev/full: nothing logged: No space left on device",)
 
 
 def test_no_server_at_all_is_said(serving):
