@@ -16,10 +16,18 @@ SpeedRule = Literal["least_energy", "cruise", "fastest"]
 headwind makes that cheaper; the fastest with which the mission still keeps its promise."""
 
 
+class RangeError(LeewayError):
+    """A number out of its range: of which `key`, and the least that is allowed."""
+
+    def __init__(self, key: str, value: float, low: float, high: float) -> None:
+        self.key, self.low = key, low
+        super().__init__(f"{key} = {value!r}: expected a number from {low:g} to {high:g}")
+
+
 def check_range(key: str, value: float, low: float, high: float) -> None:
-    """Raise LeewayError naming `key` when `value` is not a finite number in [low, high]."""
+    """Raise RangeError naming `key` when `value` is not a finite number in [low, high]."""
     if not (math.isfinite(value) and low <= value <= high):
-        raise LeewayError(f"{key} = {value!r}: expected a number from {low:g} to {high:g}")
+        raise RangeError(key, value, low, high)
 
 
 class Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

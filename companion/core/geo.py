@@ -94,7 +94,7 @@ def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obst
         height_m = math.inf if no_fly else float(properties["height_m"])
         polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
         rings = [[(float(lon), float(lat)) for lon, lat, *_ in outer[0]] for outer in polygons]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise LeewayError(
             f"{where}: expected a Polygon of [lon, lat] with a height_m property, got {error!r}"
         ) from error

@@ -16,6 +16,7 @@ from companion.core.geo import obstacles_from_geojson
 from ground_station.adapters.files import read_airframe, read_json, read_toml
 from ground_station.core.day import DataProblems, Day, Depot, Problem
 from ground_station.core.day_data import DEPOT, DayData
+from ground_station.core.faults import faults_of
 from ground_station.core.order_rows import check_columns, duplicates, order_of
 from ground_station.core.orders import Order
 
@@ -23,9 +24,14 @@ from ground_station.core.orders import Order
 def read_day(path: Path) -> DayData:
     """Read a day and all its files. Raises DataProblems with everything that is wrong in them."""
     try:
-        day = msgspec.convert(read_toml(path), Day)
-    except (msgspec.ValidationError, LeewayError) as error:
+        table = read_toml(path)
+    except LeewayError as error:
         raise DataProblems([Problem(str(path), None, None, _said(error, path))]) from error
+    try:
+        day = msgspec.convert(table, Day)
+    except (msgspec.ValidationError, LeewayError) as error:
+        words = faults_of(table, Day) or [str(error)]
+        raise DataProblems([Problem(str(path), None, None, one) for one in words]) from error
     problems: list[Problem] = []
     rows: list[tuple[str, int, Order]] = []
     for name in day.orders:
@@ -172,12 +178,16 @@ def _read_roads(
         return None
     names = [name.strip() for name in table[0][1:]] if table else []
     before = len(problems)
+    for twice in sorted({name for name in names if names.count(name) > 1}):
+        problems.append(Problem(file, 1, twice, "column more than once"))
     for missing in sorted({DEPOT, *ids} - set(names)):
         problems.append(Problem(file, 1, missing, "column missing"))
     roads: dict[tuple[str, str], float] = {}
     seen: set[str] = set()
     for row, cells in enumerate(table[1:], start=2):
         start = cells[0].strip() if cells else ""
+        if start in seen:
+            problems.append(Problem(file, row, None, f"row {start} more than once"))
         seen.add(start)
         if start not in names or len(cells) != len(names) + 1:
             words = f"expected a name of the header and {len(names)} numbers"

@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from companion.core.errors import LeewayError
 from companion.core.flight_plan import frame_at
 from companion.core.geo import LocalFrame, obstacles_from_geojson, place_ned
 from ground_station.core.day_data import DayData
@@ -53,7 +54,10 @@ def draw_day_plan(data: DayData, plan: DayPlan, out: Path) -> None:
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
-    figure.savefig(out, bbox_inches="tight")
+    try:
+        figure.savefig(out, bbox_inches="tight")
+    except OSError as error:
+        raise LeewayError(f"{out}: {error.strerror}") from error
 
 
 def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:

@@ -44,10 +44,10 @@ class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     battery_health_frac: float = 1.0
 
     def __post_init__(self) -> None:
-        checked_name("drones.id", self.id)
         check_range(f"drones.{self.id}.charge_frac", self.charge_frac, 0.05, 1.0)
         check_range(f"drones.{self.id}.temperature_c", self.temperature_c, -30.0, 60.0)
         check_range(f"drones.{self.id}.battery_health_frac", self.battery_health_frac, 0.3, 1.0)
+        checked_name("drones.id", self.id)
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

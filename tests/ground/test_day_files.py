@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from companion.core.airframe import Airframe
 from companion.core.flight import Mission
 from companion.core.geo import Ned
 from ground_station.adapters.day_files import DayData, read_day, read_orders
+from ground_station.app.order_cli import app as order_app
 from ground_station.core.day import DataProblems, Drone, Forecast
 from ground_station.core.orders import Service
 from ground_station.core.reach import CanBring, CannotBring, Reach
@@ -141,6 +143,101 @@ def test_a_day_names_the_problems_of_all_its_files(tmp_path):
 def test_a_day_that_breaks_the_format_names_the_key(tmp_path, change, words):
     (tmp_path / "day.toml").write_text(HARBOUR.read_text().replace(*change, 1))
     assert words in "\n".join(problems_of(tmp_path / "day.toml"))
+
+
+def test_everything_wrong_in_a_day_itself_is_listed_at_once(tmp_path):
+    (tmp_path / "day.toml").write_text(
+        'format = "day/1"\nlorry = 1\norders = "o.csv"\n'
+        "[depot]\nlat_deg = 95.0\nlon_deg = 200.0\nalt_amsl_m = 1.0\n"
+        "[truck]\nspeed_mps = 0.0\ncapacity_kg = -1.0\n"
+        '[mission]\nmax_loss = "small"\nreserve_frac = 0.2\n'
+        '[[drones]]\nid = "d1"\n'
+        '[[drones]]\nid = "D 2"\nairframe = "m100"\ncharge_frac = 7.0\n'
+    )
+    said = "\n".join(problems_of(tmp_path / "day.toml"))
+    for words in (
+        "lorry: unknown key",
+        "orders: Expected `array`, got `str`",
+        "depot.lat_deg = 95.0: expected a number from -85 to 85",
+        "depot.lon_deg = 200.0: expected a number from -180 to 180",
+        "truck.speed_mps = 0.0",
+        "truck.capacity_kg = -1.0",
+        "mission.max_loss: Expected `float`, got `str`",
+        "drones[0].airframe: missing",
+        "drones.id",
+        "drones.D 2.charge_frac = 7.0",
+    ):
+        assert words in said
+    assert len(said.splitlines()) == 10
+
+
+def test_a_road_matrix_names_what_stands_in_it_twice_and_what_is_missing(tmp_path):
+    (tmp_path / "orders.csv").write_text(
+        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg\na,55,8,3,1\nb,55.1,8,3,1\n"
+    )
+    (tmp_path / "roads.csv").write_text(
+        "from,depot,a,a\ndepot,0,60,61\na,75,0,x\na,75,0,0\nz,1,1,1\n"
+    )
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    text = text.replace("no_fly =", "roads = 'roads.csv' #")
+    (tmp_path / "day.toml").write_text(text)
+    assert sorted(problems_of(tmp_path / "day.toml")) == [
+        "roads.csv, row 1, column a: column more than once",
+        "roads.csv, row 1, column b: column missing",
+        "roads.csv, row 3, column a: 'x': expected seconds, 0 or more",
+        "roads.csv, row 4: row a more than once",
+        "roads.csv, row 5: expected a name of the header and 3 numbers",
+        "roads.csv: row b missing",
+    ]
+
+
+def test_no_fly_areas_name_every_feature_that_is_wrong(tmp_path):
+    ring = [[8.0, 55.0], [8.1, 55.0], [8.1, 55.1], [8.0, 55.0]]
+    features = [
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring[:3]]},
+         "properties": {"height_m": 10}},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": None},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": {"height_m": 10}},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": {"height_m": -3}},
+    ]  # fmt: skip
+    document = {"type": "FeatureCollection", "features": features}
+    (tmp_path / "areas.geojson").write_text(json.dumps(document))
+    text = HARBOUR.read_text().replace("../sites/harbour.geojson", "areas.geojson")
+    orders = HARBOUR.parent / "harbour_orders.csv"
+    (tmp_path / "day.toml").write_text(text.replace("harbour_orders.csv", str(orders)))
+    said = problems_of(tmp_path / "day.toml")
+    assert [words.partition(":")[0] for words in said] == [
+        f"areas.geojson, row {row}, column geometry" for row in (1, 2, 4)
+    ]
+
+
+def test_a_file_nested_without_end_is_refused_in_a_line(tmp_path):
+    path = tmp_path / "orders.geojson"
+    path.write_text("[" * 200_000)
+    (words,) = problems_of(path)
+    assert "nested too deeply" in words
+
+
+def test_taking_a_days_orders_lists_what_no_drone_can_bring_and_what_would_help(tmp_path):
+    orders = (HARBOUR.parent / "harbour_orders.csv").read_text()
+    (tmp_path / "orders.csv").write_text(orders + "H-900,55.60,8.45,12,0.5,drone,\n")
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    (tmp_path / "day.toml").write_text(text.replace("no_fly =", "# no_fly ="))
+    taking = ["import", str(tmp_path / "day.toml"), "--store", f"sqlite:///{tmp_path}/d.db"]
+    runner = CliRunner(env={"COLUMNS": "160"})
+    done = runner.invoke(order_app, taking)
+    assert done.exit_code == 0, done.output
+    assert "9 orders taken" in done.output
+    far, heavy = (next(x for x in done.output.splitlines() if n in x) for n in ("H-900", "H-105"))
+    assert "Wh short" in far
+    assert "within" in far
+    assert "the truck" in heavy
+    assert "H-101" not in done.output
+    again = runner.invoke(order_app, taking)
+    assert "0 orders taken, 9 known before" in again.output
 
 
 def test_a_road_matrix_gives_seconds_each_way(tmp_path):
