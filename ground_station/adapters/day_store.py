@@ -105,6 +105,16 @@ class DayStore:
         assert began is not None
         return began
 
+    def newest_us(self) -> int | None:
+        """The newest stamp of the day: the day's time does not go back behind it."""
+        stamps = (
+            t.visits.c.arrived_us, t.visits.c.left_us, t.sorties.c.launched_us,
+            t.sorties.c.landed_us, t.plans.c.made_us,
+        )  # fmt: skip
+        with self._database.read() as db:
+            found = [db.execute(sa.select(sa.func.max(stamp))).scalar() for stamp in stamps]
+        return max((stamp for stamp in found if stamp is not None), default=None)
+
     # --- flights -------------------------------------------------------------------------------
 
     def assign(

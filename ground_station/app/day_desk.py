@@ -110,8 +110,10 @@ class DayDesk:
     _waits_s: dict[str, float] = field(default_factory=dict)
     _began_us: int | None = None
     _rows: _Rows | None = None
+    _from_us: int = 0
 
     def __post_init__(self) -> None:
+        self._from_us = self.clock.epoch_us()
         wind = self.day.wind()
         if wind is not None:
             self.data = self._with_forecast(wind)
@@ -181,6 +183,7 @@ class DayDesk:
             tried=self._tried,
             waited_s=self._waited(rows.sorties, drones, now_s),
             wind_off_sigmas=self._wind.off_sigmas(now_s, self.data.day.forecast),
+            desk_from_s=(self._from_us - began_us) / 1e6,
         )
 
     def _begun_us(self, truck_here: bool) -> int:

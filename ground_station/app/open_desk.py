@@ -12,7 +12,7 @@ from ground_station.app.replanner import Replanner, ReplannerBeside
 from ground_station.core.choosing import Chooser
 from ground_station.core.day_data import DayData
 from ground_station.core.day_plan import DayPlan
-from ground_station.core.fleet import Clock, Fleet
+from ground_station.core.fleet import Clock, Fleet, LaterClock
 from ground_station.core.orders import IN_FORCE, OrderRow, OrderState, Service
 from ground_station.core.picture import Picture
 
@@ -60,6 +60,13 @@ def _day_desk(
     replanner: Replanner,
 ) -> DayDesk:
     check_plan(data, plan)
+    newest_us = DayStore(store.database, clock.epoch_us).newest_us()
+    behind_us = 0 if newest_us is None else newest_us - clock.epoch_us()
+    if behind_us > 0:
+        say(
+            f"the clock is {behind_us / 1e6:.0f} s behind the store's last entry: goes on from that"
+        )
+        clock = LaterClock(clock, behind_us)
     day = DayStore(store.database, clock.epoch_us)
     if not day.take_plan(plan, "as given"):
         kept = day.plans()

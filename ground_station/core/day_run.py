@@ -195,7 +195,9 @@ class DayRun:
 
     def _in_flight(self, row: SortieRow, view: DayView) -> list[DayDeed]:
         launched_s = view.now_s if row.launched_us is None else view.day_s(row.launched_us)
-        if view.now_s - launched_s > self.params.lapse_s and self._silent(row, view):
+        # The launch's stamp may be of a desk before this one, by a clock that was off.
+        listened_s = view.now_s - max(launched_s, view.desk_from_s)
+        if listened_s > self.params.lapse_s and self._silent(row, view):
             return [Lapse(row.id)]
         return self._move_home(row, view)
 

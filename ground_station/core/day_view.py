@@ -65,6 +65,7 @@ class DayView:
     the truck was last told to drive to. `wind_off_sigmas`: how far the measured wind is from the
     planned one, in the forecast's standard deviations; `tried_s`: when a new plan was made last,
     and `tried` from what (`situation` then);
+    `desk_from_s`: since when this desk listens;
     `waited_s`: how long each drone on its pad has not been ready, by assignment.
     """
 
@@ -84,6 +85,7 @@ class DayView:
     tried: object = None
     waited_s: Mapping[str, float] = field(default_factory=dict)
     wind_off_sigmas: float = 0.0
+    desk_from_s: float = 0.0
 
     def drone(self, vehicle: str) -> DroneView:
         """A drone, heard or not."""

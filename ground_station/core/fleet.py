@@ -84,3 +84,21 @@ class Clock(Protocol):
     def epoch_us(self) -> int:
         """Microseconds since 1970: for people, and for the day's time through restarts."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class LaterClock:
+    """A clock whose stamps are so much later: the day's time goes on where a desk comes back with
+    a clock that was set back.
+    """
+
+    clock: Clock
+    later_us: int
+
+    def monotonic_s(self) -> float:
+        """For silences and waits."""
+        return self.clock.monotonic_s()
+
+    def epoch_us(self) -> int:
+        """Later than the clock's."""
+        return self.clock.epoch_us() + self.later_us

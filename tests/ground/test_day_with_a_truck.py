@@ -296,6 +296,22 @@ def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day)
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+@pytest.mark.parametrize("off_s", [7200.0, -7200.0])
+def test_safety_rule_3_a_desk_started_again_with_a_clock_that_is_off_keeps_its_promises(day, off_s):
+    told = day(14)
+    drone = told.world.drones["d2"]
+    while not drone.in_air or told.desk.store.outbox():
+        told.world.step()
+        told.desk.turn(0.0)
+    drone.mood, drone.flies_s = "unheard", 500.0
+    told.world.clock.off_s = off_s
+    told.desk = told.start()
+    told.run()
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert told.world.on_truck == {"d1", "d2"}
+    assert told.world.clock.t_s < 2100.0  # it does not wait for the clock
+
+
 @dataclass(slots=True)
 class DyingReplanner(ReplannerAtOnce):
     """Its process ends without an answer so many times."""

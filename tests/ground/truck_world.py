@@ -33,12 +33,13 @@ SWITCHED_ON_S, READY_S, TASK_S, DRIVE_S = 8.0, 20.0, 10.0, 90.0
 @dataclass
 class WorldClock:
     t_s: float = 0.0
+    off_s: float = 0.0
 
     def monotonic_s(self) -> float:
         return self.t_s
 
     def epoch_us(self) -> int:
-        return 1_000_000_000_000_000 + round(self.t_s * 1e6)
+        return 1_000_000_000_000_000 + round((self.t_s + self.off_s) * 1e6)
 
 
 @dataclass
@@ -270,6 +271,8 @@ class World:
             self.fly(drone)
         self.drive()
         for member in self.members():
+            if isinstance(member, Drone) and member.mood == "unheard":
+                continue
             if not self.lost():
                 self.waiting.append(StateHeard(member.state()))
             seq = self.told_seq.get(member.name, 0)
