@@ -12,6 +12,7 @@ from ground_station.core.orders import BOUNDS, Order, Service
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
 SAME_PLACE_M = 2.0
+SAME_PLACE_DEG = SAME_PLACE_M / 111_195.0  # of latitude, on a sphere of 6371.0 km
 
 
 def check_columns(file: str, columns: list[str]) -> list[Problem]:
@@ -74,27 +75,43 @@ def duplicates(file_rows: list[tuple[str, int, Order]]) -> list[Problem]:
     """Rows that repeat an id, or the same parcel to the same place."""
     problems: list[Problem] = []
     by_id: dict[str, str] = {}
-    by_parcel: dict[tuple[int, int, float, str], str] = {}
+    near: dict[tuple[int, int], list[tuple[Order, str]]] = {}
     for file, row, order in file_rows:
         here = f"{file} row {row}"
         if order.id in by_id:
             words = f"{order.id!r} stands in {by_id[order.id]} already"
             problems.append(Problem(file, row, "id", words))
         by_id.setdefault(order.id, here)
-        metres = SAME_PLACE_M / 111_195.0  # of latitude, on a sphere of 6371.0 km
-        east = metres / max(math.cos(math.radians(order.lat_deg)), 0.05)
-        parcel = (
-            round(order.lat_deg / metres),
-            round(order.lon_deg / east),
-            order.mass_kg,
-            order.note,
-        )
-        if parcel in by_parcel and not problems_at(problems, file, row):
-            words = f"the same parcel to the same place as {by_parcel[parcel]}: one of them, or"
+        around = (one for cell in _cells(order, (-1, 0, 1)) for one in near.get(cell, ()))
+        same = next((where for other, where in around if _is_same_parcel(order, other)), None)
+        if same is not None and not problems_at(problems, file, row):
+            words = f"the same parcel to the same place as {same}: one of them, or"
             words += " a note that tells them apart"
             problems.append(Problem(file, row, None, words))
-        by_parcel.setdefault(parcel, here)
+        for cell in _cells(order, (0,)):
+            near.setdefault(cell, []).append((order, here))
     return problems
+
+
+def _cells(order: Order, steps: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Squares of `SAME_PLACE_M` around an order, by their band of latitude and place in it."""
+    band = math.floor(order.lat_deg / SAME_PLACE_DEG)
+    found: list[tuple[int, int]] = []
+    for other in (band + step for step in steps):
+        column = math.floor(order.lon_deg * _east_frac(other * SAME_PLACE_DEG) / SAME_PLACE_DEG)
+        found += [(other, column + step) for step in steps]
+    return found
+
+
+def _east_frac(lat_deg: float) -> float:
+    return math.cos(math.radians(lat_deg))
+
+
+def _is_same_parcel(one: Order, other: Order) -> bool:
+    north_deg = one.lat_deg - other.lat_deg
+    east_deg = (one.lon_deg - other.lon_deg) * _east_frac(one.lat_deg)
+    near = math.hypot(north_deg, east_deg) <= SAME_PLACE_DEG
+    return near and (one.mass_kg, one.note) == (other.mass_kg, other.note)
 
 
 def problems_at(problems: list[Problem], file: str, row: int) -> bool:

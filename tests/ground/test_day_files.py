@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -93,6 +94,26 @@ def test_duplicates_are_named_with_the_row_that_they_repeat(tmp_path):
     assert said[0].startswith("orders.csv, row 4, column id: 'a' stands in")
     assert said[0].endswith("row 2 already")
     assert "row 5: the same parcel to the same place as" in said[1]
+
+
+@pytest.mark.parametrize(("apart_m", "named"), [(1.0, 60), (3.0, 0)])
+def test_the_same_parcel_within_two_metres_is_named_wherever_it_lies(tmp_path, apart_m, named):
+    rng, lines = np.random.default_rng(5), ["id,lat_deg,lon_deg,alt_amsl_m,mass_kg"]
+    for n in range(60):
+        lat, lon, turn = rng.uniform(-80, 80), rng.uniform(-180, 180), rng.uniform(0, 6.28)
+        # WGS84 at any latitude is within 0.7 % of a sphere of 6371 km
+        north, east = np.cos(turn) / 111_195.0, np.sin(turn) / 111_195.0 / np.cos(np.radians(lat))
+        for id_, along_m in ((f"a{n}", 0.0), (f"b{n}", apart_m)):
+            place = f"{lat + along_m * north:.9f},{lon + along_m * east:.9f}"
+            lines.append(f"{id_},{place},0,0.5")
+    path = tmp_path / "orders.csv"
+    path.write_text("\n".join(lines))
+    if named == 0:
+        assert len(read_orders(path, None)) == 120
+    else:
+        said = problems_of(path)
+        assert len(said) == named
+        assert all("the same parcel to the same place" in words for words in said)
 
 
 def test_geojson_points_are_orders_and_what_is_wrong_names_its_feature(tmp_path):

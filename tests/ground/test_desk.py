@@ -1,5 +1,6 @@
 """The running desk over real zenoh, with vehicles that do as they are told and tell it."""
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from companion.core.messages import Answered, Assign, Command, EventKind, Launch
 from ground_station.adapters.database import Database
 from ground_station.adapters.day_files import read_day
 from ground_station.adapters.store import Store
-from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
+from ground_station.adapters.zenoh_fleet import WallClock, ZenohFleet, monotonic_s
 from ground_station.app.desk import LAUNCHES, Desk, DeskOptions
 from ground_station.core.choosing import Chooser, Free
 from ground_station.core.orders import AssignmentState, OrderState
@@ -268,6 +269,15 @@ def test_a_clock_that_is_off_is_said_once_and_costs_nothing():
     assert "off by 3600 s" in picture.hear(off, 0.0, 0)[0]
     assert picture.hear(off, 1.0, 0) == []
     assert picture.of("d1").free(1.0)
+
+
+def test_a_wall_clock_that_is_set_does_not_move_the_running_desks_stamps(monkeypatch):
+    clock = WallClock()
+    before_us = clock.epoch_us()
+    assert abs(before_us - time.time_ns() / 1000) < 1e6
+    now_ns = time.time_ns()
+    monkeypatch.setattr("time.time_ns", lambda: now_ns - 7200 * 10**9)
+    assert 0 <= clock.epoch_us() - before_us < 60e6
 
 
 # --- choosing ------------------------------------------------------------------------------------
