@@ -54,8 +54,8 @@ def settings_of(rows: list[BenchRow], params: BenchParams) -> str:
     digest = hashlib.sha256(repr((params, [str(row) for row in rows])).encode())
     folders = sorted({row.folder for row in rows})
     inputs = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
-    for package in ground_station.core.__path__:
-        inputs += sorted(Path(package).rglob("*.py"))
+    core = Path(next(iter(ground_station.core.__path__)))
+    inputs += [core / "mfstsp.py", *sorted((core / "truck_drones").glob("*.py"))]
     for path in [*inputs, *sorted(folders[0].parent.glob("tbl_vehicles_*.csv"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

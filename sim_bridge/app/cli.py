@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from companion.adapters.files import params_dir
+from companion.adapters.zenoh_link import leave_process
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
@@ -26,6 +27,7 @@ from sim_bridge.app import (
     serve_cli,
     train_cli,
 )
+from sim_bridge.app.day_processes import ON_ZENOH
 from sim_bridge.app.stopping import stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
@@ -316,9 +318,7 @@ def main() -> None:
     try:
         _run()
     except SystemExit as ended:
-        if "zenoh" in sys.modules:  # its threads can keep an interpreter from ending
-            from companion.adapters.zenoh_link import leave_process
-
+        if ON_ZENOH.is_set():
             leave_process(ended.code if isinstance(ended.code, int) else 0)
         raise
 

@@ -11,6 +11,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -207,8 +208,13 @@ class ZenohNetwork:
             self.relay.close()
 
 
+ON_ZENOH = threading.Event()
+"""This process opened zenoh sessions: their threads can keep an interpreter from ending."""
+
+
 def apart(folder: Path, loss: float) -> Plumb:
     """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
+    ON_ZENOH.set()
 
     def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
         config, fleet = folder / MEMBER, data.day.fleet

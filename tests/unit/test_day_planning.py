@@ -259,6 +259,8 @@ def test_mission_commands_are_numbered_as_pymavlink_numbers_them():
         ItemKind.SPEED: mavlink.MAV_CMD_DO_CHANGE_SPEED,
         ItemKind.JUMP: mavlink.MAV_CMD_DO_JUMP,
         ItemKind.RELEASE: mavlink.MAV_CMD_DO_GRIPPER,
+        ItemKind.ASIDE_LIMIT: mavlink.MAV_CMD_DO_GUIDED_LIMITS,
+        ItemKind.ASIDE: mavlink.MAV_CMD_NAV_GUIDED_ENABLE,
     }
     assert names == COMMAND
     assert mavlink.GRIPPER_ACTION_RELEASE == GRIPPER_RELEASE
