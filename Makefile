@@ -12,8 +12,9 @@ help:  ## this list
 fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what it leaves
 	@$(BIN)/sim-bridge fly
 
+# Three workers on two cores: some tests wait for real time.
 test: $(VENV)/.test lint  ## lint, types, layers and all tests
-	@$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n 3 --dist worksteal $(PYTEST_ARGS)
 
 lint: $(VENV)/.test
 	@$(BIN)/ruff format --check .
