@@ -11,7 +11,6 @@ import typer
 from rich.console import Console
 
 from companion.adapters.files import params_dir
-from companion.adapters.zenoh_link import leave_process
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.endpoint import EndpointError
 from sim_bridge.app import (
@@ -27,8 +26,7 @@ from sim_bridge.app import (
     serve_cli,
     train_cli,
 )
-from sim_bridge.app.day_processes import ON_ZENOH
-from sim_bridge.app.stopping import stop_by_signal
+from sim_bridge.app.stopping import LEAVES_AT_ONCE, stop_by_signal
 from sim_bridge.truth.errors import TruthError
 
 app = typer.Typer(
@@ -318,7 +316,9 @@ def main() -> None:
     try:
         _run()
     except SystemExit as ended:
-        if ON_ZENOH.is_set():
+        if LEAVES_AT_ONCE.is_set():
+            from companion.adapters.zenoh_link import leave_process
+
             leave_process(ended.code if isinstance(ended.code, int) else 0)
         raise
 

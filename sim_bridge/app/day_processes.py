@@ -11,7 +11,6 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +39,7 @@ from sim_bridge.app.day_build import BuiltDay, Plumb, Plumbing
 from sim_bridge.app.day_clock import DayClock
 from sim_bridge.app.day_desk import LOG, Books, store_url
 from sim_bridge.app.day_drone import Companion, DayDrone
+from sim_bridge.app.stopping import LEAVES_AT_ONCE
 
 DESK, MEMBER, PLAN = "desk.json5", "member.json5", "plan.json"
 ROUTER, DESK_ROUTER = "router.json5", "desk-router.json5"
@@ -208,13 +208,9 @@ class ZenohNetwork:
             self.relay.close()
 
 
-ON_ZENOH = threading.Event()
-"""This process opened zenoh sessions: their threads can keep an interpreter from ending."""
-
-
 def apart(folder: Path, loss: float) -> Plumb:
     """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
-    ON_ZENOH.set()
+    LEAVES_AT_ONCE.set()
 
     def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
         config, fleet = folder / MEMBER, data.day.fleet

@@ -1,7 +1,11 @@
 """SIGTERM as an orderly end: the stack unwinds, and with it every process that was started."""
 
 import signal
+import threading
 from types import FrameType
+
+LEAVES_AT_ONCE = threading.Event()
+"""Set by what opens zenoh sessions: their threads can keep an interpreter from ending."""
 
 
 def stop_by_signal(number: int) -> None:

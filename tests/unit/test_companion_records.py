@@ -341,6 +341,15 @@ def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
     assert seen.stdout.strip() == "[]"
 
 
+def test_the_simulators_commands_start_without_the_desks_and_the_planners_libraries():
+    heavy = ("zenoh", "numba", "sqlalchemy", "torch")
+    code = f"import sys; import sim_bridge.app.cli; print([m for m in {heavy} if m in sys.modules])"
+    seen = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert seen.stdout.strip() == "[]"
+
+
 def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
     command = [
         sys.executable, "-c", "from companion.app.cli import main; main()", "run",
