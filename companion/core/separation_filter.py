@@ -26,6 +26,7 @@ from companion.core.braking_paths import (
     Reports,
     Rows,
     SeparationParams,
+    Singles,
     braking_of,
     flat_of,
     instants_of,
@@ -182,9 +183,7 @@ def _bent(
     return fan[:, every, choice], verdict.astype(np.int64)
 
 
-def _among(
-    scene: _Blocked, fan: Floats, cost: Floats, columns: Rows
-) -> tuple[Rows, NDArray[np.float32]]:
+def _among(scene: _Blocked, fan: Floats, cost: Floats, columns: Rows) -> tuple[Rows, Singles]:
     """The cheapest of these columns (a, c) that is let through, or -1; the slack of braking."""
     rows = np.arange(len(columns))
     braking = np.full((len(columns), 1), cost.shape[1] - 1)
@@ -198,7 +197,7 @@ def _cheapest(fine: Mask, cost: Floats) -> Rows:
     return np.where(fine.any(axis=1), np.where(fine, cost, np.inf).argmin(axis=1), -1)
 
 
-def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, NDArray[np.float32]]:
+def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, Singles]:
     """Which velocities (3, a, c), braking the last, are let through; (a, c), and its slack (a,)."""
     paths = paths_of(scene.vel, fan, scene.now)
     slack = slack_of(paths, scene.braking, scene.reports, scene.now)
@@ -216,14 +215,21 @@ def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, NDArray[np.float32]]:
     return fine, slack[:, -1]
 
 
-def _creeps_away(scene: _Blocked, fan: Floats, paths: Floats, slack: NDArray[np.float32]) -> Mask:
-    """Slow enough, and no nearer to anybody, where not even braking is certain; (a, c)."""
-    brake_slack = slack[:, -1:]
-    slow = (np.sqrt((fan**2).sum(axis=0)) <= CREEP_MPS) & (brake_slack < 0.0)
-    if slow.any():
-        off = paths - scene.braking[:, :, None]
-        moved = np.sqrt((off**2).sum(axis=0)).max(axis=-1)
-        slow &= slack >= brake_slack - CREEP_SLACK * moved / scene.now.params.horizontal_m
+def _creeps_away(scene: _Blocked, fan: Floats, paths: Floats, slack: Singles) -> Mask:
+    """Slow enough, and no nearer to anybody, where not even braking is certain; (a, c).
+
+    To nobody: who backs out from one into another, both of them uncertain, meets the other.
+    """
+    slow = (np.sqrt((fan**2).sum(axis=0)) <= CREEP_MPS) & (slack[:, -1:] < 0.0)
+    a, c = np.nonzero(slow)
+    if len(a):
+        now, some = scene.now, scene.of(a)
+        moved = np.sqrt(((paths[:, a, c] - some.braking) ** 2).sum(axis=0)).max(axis=-1)
+        two = np.stack([paths[:, a, c], paths[:, a, -1]], axis=2)
+        either = slack_of(two, some.braking, some.reports, now, each=True)
+        backed = either[:, 1] - CREEP_SLACK * moved[:, None] / now.params.horizontal_m
+        least = np.where(either[:, 1] < 0.0, backed, 0.0)
+        slow[a, c] = (either[:, 0] >= least).all(axis=-1)
     return slow
 
 

@@ -235,6 +235,20 @@ def test_one_that_does_not_give_way_is_dodged_though_nothing_is_promised() -> No
     assert least > 1.0
 
 
+@pytest.mark.parametrize("beside_m", [9.0, 10.0, 12.0])
+def test_backing_out_from_one_neighbour_never_leads_towards_another(beside_m: float) -> None:
+    """Found in flight: at rest between two, both too near to be certain, one of them nearer."""
+    pos, still = np.zeros((1, 3)), np.zeros((1, 3))
+    two = np.array([[[8.0, 0.0, 0.0], [-beside_m, 0.0, 0.0]]])
+    heard = neighbours_of(two, np.zeros_like(two))
+    wish = np.array([[-15.0, 0.0, 0.0]])
+    both = SeparationFilter().safe(pos, still, wish, heard, np.array([0.0]))
+    assert abs(float(both.vel_ned_mps[0, 0])) < 0.02
+    alone = neighbours_of(two[:, :1], np.zeros((1, 1, 3)))
+    away = SeparationFilter().safe(pos, still, wish, alone, np.array([0.0]))
+    assert float(away.vel_ned_mps[0, 0]) < -0.5
+
+
 def test_params_that_are_not_above_zero_are_refused_by_name() -> None:
     with pytest.raises(LeewayError, match="accel_mps2"):
         SeparationParams(accel_mps2=0.0)
