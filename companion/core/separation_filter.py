@@ -51,7 +51,7 @@ Clearance = Callable[[Floats, Rows], Floats]
 
 DIRECTIONS = 12
 CREEP_MPS = 1.0  # speed at which one may back out of a place too close to be certain
-CREEP_SLACK = 0.1  # of the way made; backing out leads straight away, within some 25 degrees
+NO_WAY_M2 = 1e-6  # rounding
 RIGHT_BIAS_MPS = 0.3  # both give way to the right, as the rules of the air have it (SERA.3210)
 DODGE_WEIGHT = 0.3  # of a vertical metre a second beside a horizontal one
 ESCAPE_S = 3.0  # how far an escape looks ahead
@@ -202,12 +202,11 @@ def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, Singles]:
     paths = paths_of(scene.vel, fan, scene.now)
     slack = slack_of(paths, scene.braking, scene.reports, scene.now)
     fine = slack >= 0.0
-    brakes = (np.abs(fan[:2] - fan[:2, :, -1:]) < 1e-9).all(axis=0) & ~fine
-    if brakes.any():
-        a, c = np.nonzero(brakes)
-        fine[a, c] = _leaves_by_height(scene.of(a), paths[:, a, c], fan[2, a, c] - fan[2, a, -1])
-    if (slack[:, -1] < 0.0).any():
-        fine |= _creeps_away(scene, fan, paths, slack)
+    brakes = (np.abs(fan[:2] - fan[:2, :, -1:]) < 1e-9).all(axis=0)
+    creeps = (np.sqrt((fan**2).sum(axis=0)) <= CREEP_MPS) & (slack[:, -1:] < 0.0)
+    a, c = np.nonzero((brakes | creeps) & ~fine)
+    if len(a):
+        fine[a, c] = _gives_way(scene.of(a), paths[:, a, c])
     if scene.clearance is not None:
         a, c = np.nonzero(fine)
         p = scene.now.params
@@ -215,39 +214,27 @@ def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, Singles]:
     return fine, slack[:, -1]
 
 
-def _creeps_away(scene: _Blocked, fan: Floats, paths: Floats, slack: Singles) -> Mask:
-    """Slow enough, and no nearer to anybody, where not even braking is certain; (a, c).
+def _gives_way(scene: _Blocked, paths: Floats) -> Mask:
+    """Whether these paths (3, a, T) come no nearer to whom one is not certain of; (a,).
 
-    To nobody: who backs out from one into another, both of them uncertain, meets the other.
-    """
-    slow = (np.sqrt((fan**2).sum(axis=0)) <= CREEP_MPS) & (slack[:, -1:] < 0.0)
-    a, c = np.nonzero(slow)
-    if len(a):
-        now, some = scene.now, scene.of(a)
-        moved = np.sqrt(((paths[:, a, c] - some.braking) ** 2).sum(axis=0)).max(axis=-1)
-        two = np.stack([paths[:, a, c], paths[:, a, -1]], axis=2)
-        either = slack_of(two, some.braking, some.reports, now, each=True)
-        backed = either[:, 1] - CREEP_SLACK * moved[:, None] / now.params.horizontal_m
-        least = np.where(either[:, 1] < 0.0, backed, 0.0)
-        slow[a, c] = (either[:, 0] >= least).all(axis=-1)
-    return slow
-
-
-def _leaves_by_height(scene: _Blocked, paths: Floats, climbs_mps: Floats) -> Mask:
-    """Whether one that brakes (3, a, T) may climb or sink so, out of a neighbour's way; (a,).
-
-    Over the ground it is the braking path, so it harms only who counts on the height between: no
-    one does while that is too little, and no one suffers while it grows.
+    However the report errs: the way off the braking path leads away from every place where the
+    neighbour may be, over the ground and by height. Height is free as long as it is too little for
+    anybody to count on it.
     """
     now, reports, p = scene.now, scene.reports, scene.now.params
     slack = slack_of(paths[:, :, None], scene.braking, reports, now, each=True)[:, 0]
-    apart = scene.braking[2][:, None] - reports.braking[2] / now.shares[2]
+    metre = 1.0 / now.shares[:, None, None]
+    apart = scene.braking[:, :, None] - metre * reports.braking
+    unsure = metre[1:] * np.maximum(reports.unsure, 0.0)
+    moved = (paths - scene.braking)[:, :, None]
+    flat = moved[0] * apart[0] + moved[1] * apart[1] >= flat_of(moved) * unsure[0] - NO_WAY_M2
+    high = moved[2] * apart[2] >= np.abs(moved[2]) * unsure[1] - NO_WAY_M2
     longest = 2.0 * p.climb_accel_mps2 * p.tick_s
     longest *= p.max_climb_mps / p.climb_accel_mps2 + p.tick_s
-    most = np.abs(apart) + reports.unsure[1] / now.shares[2] + longest
+    most = np.abs(apart[2]) + unsure[1] + longest
     little = (most < p.vertical_m + 2.0 * p.tracking_vertical_m).all(axis=-1)
-    grows = climbs_mps[:, None] * apart[..., 0] >= 0.0
-    return np.asarray(((slack >= 0.0) | little | grows).all(axis=-1))
+    away = flat.all(axis=-1) & (little | high.all(axis=-1))
+    return np.asarray(((slack >= 0.0) | away).all(axis=-1))
 
 
 def _evidently_broken(scene: _Blocked) -> Mask:
