@@ -160,6 +160,22 @@ def _draw(
     draw_episode(evaluation_world(agents, wind), pilot, separation, seed, policy.value, picture)
 
 
+@app.command("avoid-table")
+def avoid_table(
+    folder: Annotated[Path, typer.Argument(help="of `sim-bridge avoid --keep`")],
+    out: Annotated[Path, typer.Option(help="folder for the tables")] = OUT,
+) -> None:
+    """Tables of all flights kept in a folder: each policy, and the learned one against the others.
+
+    Example: sim-bridge avoid-table logs/avoid/kept
+    """
+    from sim_bridge.experiments import avoid_table as experiment
+
+    rows = experiment.rows_of(folder)
+    finish(experiment.results(rows), out, "avoid")
+    finish(experiment.compared(rows), out, "avoid_against")
+
+
 @app.command("avoid-bench")
 def avoid_bench(
     scenes: Annotated[int, typer.Option(min=1, help="decisions of each kind")] = 400,
