@@ -1,5 +1,6 @@
 """The tables of docs/avoidance.md from the flights that `sim-bridge avoid --keep` has kept."""
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,7 +73,7 @@ def results(rows: list[Row]) -> Sheet:
                 f"{row.agents}, {row.episodes}",
                 f"`{row.policy}`",
                 f"{flown.arrived.mean():.1%}",
-                f"{drones} of {flights} (< {upper95(drones, flights):.2%})",
+                f"{drones} of {flights} (< {_rounded_up(upper95(drones, flights)):.2%})",
                 str(int(flown.hit_building.sum())),
                 _shown(*by_episode(flown.time_ratio, row.agents)),
                 _shown(*by_episode(flown.energy_ratio, row.agents)),
@@ -109,6 +110,10 @@ def _pair(ours: Row, theirs: Row) -> list[str]:
         _shown(*by_episode(energy, ours.agents), signed=True),
         f"{more or 0.0:+.1f} ± {half or 0.0:.1f} points",
     ]
+
+
+def _rounded_up(bound: float) -> float:
+    return math.ceil(1e4 * bound) / 1e4
 
 
 def _shown(mean: float | None, half: float | None, signed: bool = False) -> str:
