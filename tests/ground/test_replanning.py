@@ -18,6 +18,8 @@ from ground_station.core.day_view import DayRunParams
 from ground_station.core.orders import OrderState
 from tests.ground.truck_world import World
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 HARBOUR = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
 TRIALS, SEED = 400, 3
 LIMIT_S = 5400.0

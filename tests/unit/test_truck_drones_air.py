@@ -1,6 +1,7 @@
 """What the compiled search knows of safety rule 7, against the rule itself (by shapely)."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from ground_station.core.separation import APART_M, LAYER_GAP_M, Filled, near
@@ -17,6 +18,8 @@ from ground_station.core.truck_drones.tables import (
     tables_of,
     work_for,
 )
+
+pytestmark = pytest.mark.usefixtures("compiled_planner")
 
 LAYERS = 8
 NODES = 12
