@@ -233,6 +233,7 @@ class DayStore:
             deed = Recover(
                 assignment=assignment,
                 vehicle=row.vehicle,
+                parcel=rows.parcel_missed(db, assignment),
                 lat_deg=pad.lat_deg or 0.0,
                 lon_deg=pad.lon_deg or 0.0,
             )

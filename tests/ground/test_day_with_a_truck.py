@@ -233,6 +233,17 @@ def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     assert told.world.on_truck == {"d2"}
 
 
+@pytest.mark.parametrize("mood", ["drops unseen", "holds on"])
+def test_a_parcel_that_was_perhaps_dropped_is_looked_for_before_anybody_brings_it_again(day, mood):
+    told = day(6)
+    told.world.drones["d1"].mood = mood
+    told.run()  # the world minds what is brought twice
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert sorted(told.world.delivered) == sorted(told.states())
+    again = [row for row in told.desk.store.assignments() if row.id.endswith(".2")]
+    assert len(again) == (mood == "holds on")
+
+
 def test_a_truck_that_stays_too_long_has_the_homes_moved_to_it(day):
     told = day(8)
     told.world.slow_s = {"d2": 400.0}  # to take it aboard

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from companion.core.errors import LeewayError
@@ -155,6 +156,20 @@ def test_what_the_driver_confirms_or_cannot_do_is_told_for_its_assignment(termin
     assert told == [(EventKind.RECOVERED, "o2.1"), (EventKind.CANNOT, "o2.1")]
     with pytest.raises(LeewayError, match="not to be done"):
         truck.port.confirm(serve)
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_drone_is_not_aboard_before_its_parcel_has_been_looked_for(terminal, gone):
+    truck = terminal()
+    truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
+    (back,) = truck.port.todo
+    assert "is the parcel o2 still on it?" in back.words
+    with pytest.raises(LeewayError, match="gone or still on it"):
+        truck.port.confirm(back)
+    assert truck.port.todo == [back]
+    truck.port.confirm(back, gone=gone)
+    told = [(e.order, e.delivered) for e in truck.wire.events if e.kind is EventKind.RECOVERED]
+    assert told == [("o2", gone)]
 
 
 def test_a_terminal_that_is_killed_knows_what_was_to_be_done_and_what_was(terminal):
