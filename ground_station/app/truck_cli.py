@@ -78,7 +78,7 @@ def _drive(port: TruckPort, console: Console, woken: threading.Event) -> None:
                 line = lines.get().strip()
                 if line == "q":
                     return
-                _obey(port, line, console)
+                obey(port, line, console)
                 shown = None
 
 
@@ -102,7 +102,7 @@ def _show(port: TruckPort, console: Console) -> None:
     console.print(table)
 
 
-def _obey(port: TruckPort, line: str, console: Console) -> None:
+def obey(port: TruckPort, line: str, console: Console) -> None:
     """Do what the driver typed, or say what was expected."""
     cannot = line.startswith("x")
     number, _, more = (line[1:] if cannot else line).strip().partition(" ")
