@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.braking_paths import Neighbours, SeparationParams
 from companion.core.geo import Ned
-from companion.core.separation_filter import Neighbours, SeparationFilter, SeparationParams
+from companion.core.separation_filter import SeparationFilter
 
 Floats = NDArray[np.float64]
 

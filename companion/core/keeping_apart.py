@@ -17,6 +17,7 @@ from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severit
 from companion.core.actor_view import Ne
 from companion.core.apart_wish import LEG_PHASES, LOWEST_M, acted, sees, speed_mps, target
 from companion.core.avoidance_policy import AvoidancePolicy
+from companion.core.braking_paths import Neighbours
 from companion.core.events import Flavour, GnssTime, MissionProgress, Mode
 from companion.core.fleet_motion import FLEET, SKEW_S, Floats, Motion, stays_free, wish_to
 from companion.core.flight_plan import DODGE_M, DODGES
@@ -24,7 +25,7 @@ from companion.core.geo import Ned
 from companion.core.messages import Track
 from companion.core.neighbour_tracks import NeighbourTracks, Report
 from companion.core.obedience import CourseWatch
-from companion.core.separation_filter import Clearance, Neighbours, SeparationFilter
+from companion.core.separation_filter import Clearance, SeparationFilter
 from companion.core.transitions import FLIGHT_PHASES, Phase
 
 if TYPE_CHECKING:

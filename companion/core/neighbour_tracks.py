@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from companion.core.separation_filter import Neighbours, SeparationParams
+from companion.core.braking_paths import Neighbours, SeparationParams
 
 LOST_S = 30.0  # without a report for so long, a neighbour is down, or no longer near its last place
 DOUBT_S = 10.0  # how long what did not fit is remembered

@@ -13,6 +13,7 @@ from rich.table import Table
 from companion.core.errors import LeewayError
 from sim_bridge.adapters.wall_clock import cpu_s
 from sim_bridge.app.campaign_cli import INTERRUPTED
+from sim_bridge.app.experiments_cli import OUT, finish, progress_bar
 
 if TYPE_CHECKING:
     from sim_bridge.training.yardsticks import Pilot
@@ -157,6 +158,48 @@ def _draw(
     separation = SeparationFilter() if policy in FILTERED else None
     pilot, _ = _pilot(policy, card)
     draw_episode(evaluation_world(agents, wind), pilot, separation, seed, policy.value, picture)
+
+
+@app.command("avoid-table")
+def avoid_table(
+    folder: Annotated[Path, typer.Argument(help="of `sim-bridge avoid --keep`")],
+    out: Annotated[Path, typer.Option(help="folder for the tables")] = OUT,
+) -> None:
+    """Tables of all flights kept in a folder: each policy, and the learned one against the others.
+
+    Example: sim-bridge avoid-table logs/avoid/kept
+    """
+    from sim_bridge.experiments import avoid_table as experiment
+
+    rows = experiment.rows_of(folder)
+    finish(experiment.results(rows), out, "avoid")
+    finish(experiment.compared(rows), out, "avoid_against")
+
+
+@app.command("avoid-bench")
+def avoid_bench(
+    scenes: Annotated[int, typer.Option(min=1, help="decisions of each kind")] = 400,
+    neighbours: Annotated[int, typer.Option(min=0, max=200, help="about the drone")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="of the scenes")] = 1,
+    card: Annotated[
+        str, typer.Option(help="the actor: a name in params/policies, or a card's path")
+    ] = FLOWN_POLICY,
+    out: Annotated[Path, typer.Option(help="folder for the table")] = OUT,
+) -> None:
+    """Time one decision on board: the safety filter among neighbours, and the actor with its view.
+
+    CPU time, so that other work on the machine matters less; the least is what a quiet one takes.
+
+    Example: OMP_NUM_THREADS=1 sim-bridge avoid-bench --neighbours 20
+    """
+    from companion.adapters.policy_file import read_policy
+    from sim_bridge.experiments import avoid_bench as experiment
+
+    policy, _ = read_policy(card)
+    with progress_bar() as bar:
+        shown = bar.add_task("decisions", total=2 * scenes)
+        costs = experiment.measured(policy, scenes, neighbours, seed, lambda: bar.advance(shown))
+    finish(experiment.sheet(costs, neighbours), out, "avoid_bench")
 
 
 @app.command("avoid-curve")

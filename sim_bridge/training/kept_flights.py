@@ -50,7 +50,7 @@ def flights_of(
         count = min(CHUNK, episodes - first)
         path = evaluation.path(folder, first, count) if folder else None
         if path is not None and path.exists():
-            yield _read(path)
+            yield read_flights(path)
             continue
         found = fly(world, pilot, separation, evaluation.seeds(first, count))
         if path is not None:
@@ -66,6 +66,6 @@ def _keep(path: Path, found: Flights) -> None:
     partial.replace(path)
 
 
-def _read(path: Path) -> Flights:
+def read_flights(path: Path) -> Flights:
     with np.load(path, allow_pickle=False) as arrays:
         return Flights(*(arrays[name] for name in Flights.__dataclass_fields__))

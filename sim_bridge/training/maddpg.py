@@ -7,6 +7,7 @@ cells) before the first convolution, and kept so, as bytes, in the replay. From 
 al., ICML 2018) it takes the actor that learns every other time. `train_avoid` flies and keeps it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,16 +69,37 @@ class Encoder(nn.Module):
         return functional.relu(self.joined(torch.cat([seen, vectors_m / VECTOR_SCALE_M], dim=1)))
 
 
-class Actor(nn.Module):
-    """Observation -> (heading, speed) in [-1, 1]; begins near straight ahead and fast."""
+def heading_and_speed(action: Tensor) -> Tensor:
+    """An action as the critic reads it: left about and right about are the same; (B, 3)."""
+    angle = torch.pi * action[:, :1]
+    return torch.cat([torch.cos(angle), torch.sin(angle), action[:, 1:]], dim=1)
 
-    def __init__(self) -> None:
+
+@dataclass(frozen=True)
+class Task:
+    """What is seen and done: our own, or one that another library is compared on."""
+
+    encoder: Callable[[], nn.Module] = Encoder  # (view, vectors) -> (B, 64)
+    reads: Callable[[Tensor], Tensor] = heading_and_speed
+    read_size: int = 3
+    first_action: tuple[float, ...] = (0.0, 2.0)  # into the tanh: straight ahead and fast
+    view: tuple[int, ...] = (3, 31, 31)
+    vectors: int = 4
+
+
+AVOID = Task()
+
+
+class Actor(nn.Module):
+    """Observation -> action in [-1, 1], for us (heading, speed); begins near the first action."""
+
+    def __init__(self, task: Task = AVOID) -> None:
         super().__init__()
-        self.encoder = Encoder()
+        self.encoder = task.encoder()
         self.hidden = nn.Linear(64, 64)
-        self.out = nn.Linear(64, 2)
+        self.out = nn.Linear(64, len(task.first_action))
         nn.init.uniform_(self.out.weight, -0.01, 0.01)
-        self.out.bias.data = torch.tensor([0.0, 2.0])
+        self.out.bias.data = torch.tensor(task.first_action)
 
     def forward(self, view: Tensor, vectors_m: Tensor) -> Tensor:
         return torch.tanh(self.wished(view, vectors_m))
@@ -90,10 +112,11 @@ class Actor(nn.Module):
 class Critic(nn.Module):
     """Everybody's observations and actions -> the value to each; flat (B * N, ...) in and out."""
 
-    def __init__(self) -> None:
+    def __init__(self, task: Task = AVOID) -> None:
         super().__init__()
-        self.encoder = Encoder()
-        self.joined = nn.Linear(67, 64)
+        self.encoder = task.encoder()
+        self.reads = task.reads
+        self.joined = nn.Linear(64 + task.read_size, 64)
         self.hidden = nn.Linear(128, 64)
         self.out = nn.Linear(64, 1)
 
@@ -103,9 +126,7 @@ class Critic(nn.Module):
 
     def judged(self, seen: Tensor, action: Tensor, flying: Tensor) -> Tensor:
         """As `forward`, of views that are encoded already (B * N, 64)."""
-        angle = torch.pi * action[:, :1]  # so that left about and right about are the same
-        turned = torch.cat([torch.cos(angle), torch.sin(angle), action[:, 1:]], dim=1)
-        own = torch.cat([seen, turned], dim=1)
+        own = torch.cat([seen, self.reads(action)], dim=1)
         own = functional.relu(self.joined(own)).view(*flying.shape, 64)
         there = own * flying[..., None]
         count = (flying.sum(dim=1, keepdim=True) - flying).clamp(min=1.0)
@@ -117,12 +138,12 @@ class Critic(nn.Module):
 class Replay:
     """The last steps of all episodes; a step's successor is the next row, unless all began anew."""
 
-    def __init__(self, params: TrainParams) -> None:
+    def __init__(self, params: TrainParams, task: Task = AVOID) -> None:
         shape = (params.replay, params.episodes, params.agents)
-        self.view = np.zeros((*shape, 3, 31, 31), np.uint8)
-        self.vectors_m = np.zeros((*shape, 4), np.float32)
-        self.action = np.zeros((*shape, 2), np.float32)
-        self.taught = np.zeros((*shape, 2), np.float32)
+        self.view = np.zeros((*shape, *task.view), np.uint8)
+        self.vectors_m = np.zeros((*shape, task.vectors), np.float32)
+        self.action = np.zeros((*shape, len(task.first_action)), np.float32)
+        self.taught = np.zeros_like(self.action)
         self.reward = np.zeros(shape, np.float32)
         self.flying, self.done = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self.followed = np.zeros(params.replay, bool)
@@ -155,11 +176,11 @@ class Replay:
 class Learner:
     """Actor, critic, their slow copies and optimisers; `learn` takes one step on a batch."""
 
-    def __init__(self, params: TrainParams) -> None:
+    def __init__(self, params: TrainParams, task: Task = AVOID) -> None:
         torch.manual_seed(params.seed)
         self.params = params
-        self.actor, self.critic = Actor(), Critic()
-        self.slow_actor, self.slow_critic = Actor(), Critic()
+        self.actor, self.critic = Actor(task), Critic(task)
+        self.slow_actor, self.slow_critic = Actor(task), Critic(task)
         self.slow_actor.load_state_dict(self.actor.state_dict())
         self.slow_critic.load_state_dict(self.critic.state_dict())
         self.actor_step = torch.optim.Adam(self.actor.parameters(), params.actor_rate)
@@ -179,10 +200,10 @@ class Learner:
 
     @torch.no_grad()
     def act(self, view: np.ndarray, vectors_m: np.ndarray) -> np.ndarray:
-        """Actions (E, N, 2) for pooled views (E, N, 3, 31, 31)."""
-        seen = torch.from_numpy(view.reshape(-1, 3, 31, 31).astype(np.float32))
-        action = self.actor(seen, torch.from_numpy(vectors_m.reshape(-1, 4)))
-        return action.numpy().reshape(*view.shape[:2], 2)
+        """Actions (E, N, 2) for pooled views (E, N, 3, 31, 31) and vectors (E, N, 4)."""
+        seen = torch.from_numpy(view.reshape(-1, *view.shape[2:]).astype(np.float32))
+        action = self.actor(seen, torch.from_numpy(vectors_m.reshape(-1, vectors_m.shape[2])))
+        return action.numpy().reshape(*view.shape[:2], -1)
 
     def learn(self, batch: dict[str, Tensor], share: float) -> float:
         """One step on a batch, `share` of the run being over; returns the critic's loss."""

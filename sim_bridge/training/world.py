@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.separation_filter import Neighbours, SeparationFilter, SeparationParams
+from companion.core.braking_paths import Neighbours, SeparationParams
+from companion.core.separation_filter import SeparationFilter
 from sim_bridge.training.scenes import HALF_SIDE_M, Scene, Start, cells_of, draw_start
 
 Floats = NDArray[np.float64]

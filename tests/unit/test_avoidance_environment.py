@@ -1,11 +1,14 @@
 """The environment of row 10: what is seen, done and paid, and whose seeds are the same."""
 
+import statistics
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from companion.core.errors import LeewayError
 from companion.core.separation_filter import SeparationFilter
+from sim_bridge.experiments import avoid_table
 from sim_bridge.training.environment import (
     AvoidEnvironment,
     Frame,
@@ -14,7 +17,7 @@ from sim_bridge.training.environment import (
     heading_of,
     observe,
 )
-from sim_bridge.training.evaluation import evaluation_world, fly, upper95
+from sim_bridge.training.evaluation import by_episode, evaluation_world, fly, upper95
 from sim_bridge.training.kept_flights import Evaluation, flights_of
 from sim_bridge.training.scenes import CELL_M, Scene, make_scene
 from sim_bridge.training.ways_around import ways_around
@@ -131,6 +134,29 @@ def test_the_upper_bound_of_no_collisions_is_the_rule_of_three() -> None:
     """Hanley and Lippman-Hand, JAMA 249, 1983: 3 / n."""
     assert upper95(0, 4000) == pytest.approx(3.0 / 4000, rel=0.01)
     assert upper95(5, 5) == 1.0
+
+
+def test_drones_that_share_a_fate_count_once_in_an_interval() -> None:
+    """Four drones alike in each of six episodes: the interval of six numbers, by `statistics`."""
+    each = [1.1, 1.3, 1.2, 1.6, 1.15, 1.25]
+    mean, half = by_episode(np.repeat(each, 4), 4)
+    assert mean == pytest.approx(statistics.mean(each))
+    assert half == pytest.approx(1.96 * statistics.stdev(each) / 6**0.5)
+    assert by_episode(np.full(8, np.nan), 4) == (None, None)
+
+
+def test_the_table_joins_kept_episodes_up_to_the_first_gap(tmp_path: Path) -> None:
+    """Counts by hand: two drones, 25 episodes kept from 0 on, and 25 after a gap."""
+    asked = Evaluation("none", 2, 7, True)
+    (few,) = flights_of(asked, 2, evaluation_world(2, wind=True), StraightOn(), None, tmp_path)
+    asked.path(tmp_path, 0, 2).rename(asked.path(tmp_path, 0, 25))
+    asked.path(tmp_path, 50, 25).write_bytes(asked.path(tmp_path, 0, 25).read_bytes())
+    (row,) = avoid_table.rows_of(tmp_path)
+    assert (row.policy, row.agents, row.episodes) == ("none", 2, 25)
+    assert row.flights.arrived.tolist() == few.arrived.tolist()
+    (tmp_path / "other.npz").touch()
+    with pytest.raises(LeewayError, match=r"other\.npz"):
+        avoid_table.rows_of(tmp_path)
 
 
 def test_it_is_a_parallel_environment_by_pettingzoos_own_test() -> None:

@@ -235,6 +235,52 @@ def test_one_that_does_not_give_way_is_dodged_though_nothing_is_promised() -> No
     assert least > 1.0
 
 
+@pytest.mark.parametrize("beside_m", [9.0, 10.0, 12.0])
+def test_backing_out_from_one_neighbour_never_leads_towards_another(beside_m: float) -> None:
+    """Found in flight: at rest between two, both too near to be certain, one of them nearer."""
+    pos, still = np.zeros((1, 3)), np.zeros((1, 3))
+    two = np.array([[[8.0, 0.0, 0.0], [-beside_m, 0.0, 0.0]]])
+    heard = neighbours_of(two, np.zeros_like(two))
+    wish = np.array([[-15.0, 0.0, 0.0]])
+    both = SeparationFilter().safe(pos, still, wish, heard, np.array([0.0]))
+    assert abs(float(both.vel_ned_mps[0, 0])) < 0.02
+    alone = neighbours_of(two[:, :1], np.zeros((1, 1, 3)))
+    away = SeparationFilter().safe(pos, still, wish, alone, np.array([0.0]))
+    assert float(away.vel_ned_mps[0, 0]) < -0.5
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    flat_m=st.floats(0.5, 11.0),
+    down_m=st.floats(-5.0, 5.0),
+    towards_rad=st.floats(0.0, 6.28),
+    seed=st.integers(0, 10_000),
+)
+def test_who_stands_too_near_to_be_certain_comes_nearer_to_no_place_where_the_other_may_be(
+    flat_m: float, down_m: float, towards_rad: float, seed: int
+) -> None:
+    """Found in flight: one climbed away from a neighbour and drifted over it while it did so."""
+    random = np.random.default_rng(seed)
+    pos, still = np.zeros((1, 3)), np.zeros((1, 3))
+    said = np.array([[[flat_m, 0.0, down_m]]])
+    wish = FASTEST_MPS * np.array([[np.cos(towards_rad), np.sin(towards_rad), 0.0]])
+    heard = neighbours_of(said, np.zeros_like(said))
+    vel = SeparationFilter().safe(pos, still, wish, heard, np.array([8.0])).vel_ned_mps[0]
+    stop_s = np.linalg.norm(vel[:2]) / ACCEL_MPS2, abs(vel[2]) / CLIMB_ACCEL_MPS2
+    moved = 0.5 * TICK_S * vel + 0.5 * vel * [stop_s[0], stop_s[0], stop_s[1]]
+    angle, reach = random.uniform(0.0, 2.0 * np.pi, 400), 3.0 * STD_M * random.random(400) ** 0.5
+    error = np.stack([reach * np.cos(angle), reach * np.sin(angle), 0.0 * angle], axis=-1)
+    error[:, 2] = 1.5 * random.uniform(-1.0, 1.0, 400)
+    true = said[0] + error
+
+    def apart(away: Arrays) -> Arrays:
+        flat = np.hypot(away[:, 0], away[:, 1]) / HORIZONTAL_M
+        return np.maximum(flat, np.abs(away[:, 2]) / VERTICAL_M)
+
+    began = apart(true)
+    assert (apart(true - moved)[began >= 1.0] >= 1.0 - 1e-6).all()
+
+
 def test_params_that_are_not_above_zero_are_refused_by_name() -> None:
     with pytest.raises(LeewayError, match="accel_mps2"):
         SeparationParams(accel_mps2=0.0)
