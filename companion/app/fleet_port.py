@@ -200,6 +200,7 @@ class FleetPort:
                     delivered=action.delivered,
                     home=action.home,
                     margin_wh=action.margin_wh,
+                    drop_unproven=action.drop_unproven or None,
                 )
             case _:
                 return

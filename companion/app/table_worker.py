@@ -1,23 +1,27 @@
 """Value tables made in a process of their own, and handed over at a time that is known before.
 
-A process for each table: its memory goes with it, and numpy's sweep, which keeps Python's lock most
-of the time, does not hold up the loop. It is this module, run: request in, table out, as pickles.
-The next one is started beforehand, because its imports take longer than a table.
+Numpy's sweep keeps Python's lock most of the time and would hold up the loop. The process is this
+module, run: its imports take longer than a table, so it is started beforehand and forks for each
+request; a table's memory goes with its fork. Requests and answers are pickles behind their length.
 """
 
 import os
 import pickle
 import select
 import signal
+import struct
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import IO, Protocol
 
 from companion.adapters.clock import wall_s
 from companion.core.actions import MakeTable
 from companion.core.events import TableMade
 from companion.core.value_gate import TableRequest, ValueTable, make_table
+
+LENGTH = struct.Struct("<Q")
 
 COMMAND = (sys.executable, "-m", "companion.app.table_worker")
 
@@ -43,10 +47,17 @@ class Tables(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Work:
-    process: "subprocess.Popen[bytes]"
     asked_s: float
     due_s: float
-    said: list[bytes] = field(default_factory=list)
+    said: bytearray = field(default_factory=bytearray)
+
+    @property
+    def answer(self) -> bytes | None:
+        """The whole answer, if it is there."""
+        if len(self.said) < LENGTH.size:
+            return None
+        end = LENGTH.size + LENGTH.unpack_from(self.said)[0]
+        return bytes(self.said[LENGTH.size : end]) if len(self.said) >= end else None
 
 
 LOCKSTEP_WAIT_S = 15.0
@@ -61,17 +72,17 @@ class TableWorker:
         self._wait_s = wait_s
         self._command = (*command, str(NICE if wait_s == 0.0 else 0))
         self._work: _Work | None = None
-        self._next: subprocess.Popen[bytes] | None = self._started()
+        self._process: subprocess.Popen[bytes] | None = self._started()
 
     def order(self, action: MakeTable, t_s: float) -> None:
         """Start on a table."""
-        self._drop()
-        process, self._next = self._next or self._started(), None
-        self._work = _Work(process, t_s, t_s + action.allowed_s)
-        assert process.stdin is not None
+        if self._work is not None:
+            self._end()
+        self._process = self._process or self._started()
+        self._work = _Work(t_s, t_s + action.allowed_s)
+        assert self._process.stdin is not None
         try:
-            process.stdin.write(pickle.dumps(action.request))
-            process.stdin.close()
+            write_framed(self._process.stdin, pickle.dumps(action.request))
         except OSError:
             return  # it has died: `due` says so at its time
 
@@ -81,32 +92,69 @@ class TableWorker:
         if work is None:
             return None
         if work.asked_s <= t_s < work.due_s:
-            _listen(work, 0.0)  # a pipe holds less than a table
+            self._listen(work, 0.0)  # a pipe holds less than a table
             return None
         if t_s < work.asked_s:
             made: ValueTable | str = "the autopilot's clock went back"
         else:
-            made = _answer(work, self._wait_s)
-        self._drop()
-        self._next = self._started()
+            made = self._answer(work)
+        if work.answer is None:
+            self._end()  # late, hung or dead: the next one starts anew
+            self._process = self._started()
+        self._work = None
         return TableMade(t_s, None, made) if isinstance(made, str) else TableMade(t_s, made)
 
     def stop(self) -> None:
-        """End the workers, whatever they are doing."""
-        self._drop()
-        if self._next is not None:
-            _end(self._next)
-            self._next = None
-
-    def _drop(self) -> None:
-        work, self._work = self._work, None
-        if work is not None:
-            _end(work.process)
+        """End the worker, whatever it is doing."""
+        self._work = None
+        self._end()
 
     def _started(self) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            process_group=0,  # it is ended with its fork
         )
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # what it did not read any more
+                    pipe.close()
+
+    def _listen(self, work: _Work, patience_s: float) -> bool:
+        """Take what the worker says, waiting so long; tells whether no more is to come."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        pipe, until_s = self._process.stdout.fileno(), wall_s() + patience_s
+        while work.answer is None:
+            if not select.select([pipe], [], [], max(0.0, until_s - wall_s()))[0]:
+                return False
+            some = os.read(pipe, 1 << 20)
+            if not some:
+                return True
+            work.said.extend(some)
+        return True
+
+    def _answer(self, work: _Work) -> ValueTable | str:
+        """What the worker made, waited for as long as that is allowed, or why there is none."""
+        if not self._listen(work, self._wait_s):
+            return "the worker took too long"
+        if work.answer is None:
+            return "the worker died"
+        try:
+            made = pickle.loads(work.answer)
+        except (EOFError, pickle.UnpicklingError):
+            return "the worker talks nonsense"
+        return made if isinstance(made, ValueTable | str) else "the worker talks nonsense"
 
 
 class TablesHere:
@@ -139,38 +187,6 @@ class TablesHere:
         self._asked = None
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    process.kill()
-    process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            pipe.close()
-
-
-def _listen(work: _Work, patience_s: float) -> bool:
-    """Take what the worker says, waiting so long; tells whether it has ended."""
-    if work.said and not work.said[-1]:
-        return True
-    assert work.process.stdout is not None
-    pipe, until_s = work.process.stdout.fileno(), wall_s() + patience_s
-    while select.select([pipe], [], [], max(0.0, until_s - wall_s()))[0]:
-        work.said.append(os.read(pipe, 1 << 20))
-        if not work.said[-1]:
-            return True
-    return False
-
-
-def _answer(work: _Work, patience_s: float) -> ValueTable | str:
-    """What the worker made, waited for so long, or why there is none."""
-    if not _listen(work, patience_s):
-        return "the worker took too long"
-    try:
-        made = pickle.loads(b"".join(work.said))
-    except (EOFError, pickle.UnpicklingError):
-        return "the worker died"
-    return made if isinstance(made, ValueTable | str) else "the worker talks nonsense"
-
-
 def answer_to(request: TableRequest) -> ValueTable | str:
     """One table, or the words for why there is none."""
     try:
@@ -179,11 +195,29 @@ def answer_to(request: TableRequest) -> ValueTable | str:
         return f"{type(error).__name__}: {error}"
 
 
+def write_framed(pipe: IO[bytes], what: bytes) -> None:
+    """One message, behind its length."""
+    pipe.write(LENGTH.pack(len(what)) + what)
+    pipe.flush()
+
+
+def read_framed(pipe: IO[bytes]) -> bytes:
+    """The next message, whole; none once the other side has gone."""
+    head = pipe.read(LENGTH.size)
+    return pipe.read(LENGTH.unpack(head)[0]) if len(head) == LENGTH.size else b""
+
+
 def main() -> None:
-    """The worker process."""
+    """The worker process: ends with its companion, or after a fork that died."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the companion's to handle
     os.nice(int(sys.argv[1]))
-    sys.stdout.buffer.write(pickle.dumps(answer_to(pickle.load(sys.stdin.buffer)), protocol=5))
+    while request := read_framed(sys.stdin.buffer):
+        fork = os.fork()
+        if not fork:
+            write_framed(sys.stdout.buffer, pickle.dumps(answer_to(pickle.loads(request)), 5))
+            os._exit(0)
+        if os.waitpid(fork, 0)[1]:
+            sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -250,7 +250,8 @@ class Finished(Action):
     """The mission is over: nothing more will be asked of the autopilot.
 
     `home` and `margin_wh` (energy above the reserve) are as the companion saw them at the end;
-    `None` = it cannot tell.
+    `None` = it cannot tell. `drop_unproven`: the gripper was told to open, and nothing showed that
+    it did: somebody has to look where the parcel is.
     """
 
     outcome: str
@@ -258,3 +259,4 @@ class Finished(Action):
     reason: str
     home: bool | None = None
     margin_wh: float | None = None
+    drop_unproven: bool = False

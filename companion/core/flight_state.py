@@ -44,6 +44,8 @@ class FlightState:
     authorised: bool = False
     flying: bool = False
     delivered: bool = False
+    drop_begun: bool = False
+    """The gripper was told to open: without proof nobody knows where the parcel is."""
     gate_closed: str = ""
     took_off_s: float | None = None
     leg: int = 0

@@ -48,6 +48,7 @@ def enter(pilot: Pilot, left: Phase) -> None:
         case Phase.MEASURE:
             air.settled_s = pilot.now.t_s if air.settled_s is None else air.settled_s
         case Phase.RELEASE:
+            air.drop_begun = True
             watch_release(pilot).begin(pilot.now.t_s)
         case Phase.RETURN | Phase.DIVERT if left is Phase.RELEASE:
             release_ends(pilot)

@@ -37,6 +37,7 @@ class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     home: str | None = None
     wanted: str | None = None
     asides: bool = False
+    drop_begun: bool = False
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

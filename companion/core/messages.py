@@ -119,7 +119,9 @@ class EventKind(Enum):
 class FleetEvent(_Message, frozen=True, kw_only=True):
     """Something that happened aboard: `seq` counts up in `log`, which outlives restarts.
 
-    `outcome` (SUC, DEL, FAIL, ABRT; with `delivered` and `home`) closes an assignment.
+    `outcome` (SUC, DEL, FAIL, ABRT; with `delivered` and `home`) closes an assignment;
+    `drop_unproven`: nobody knows yet whether the parcel is still aboard. `recovered` with
+    `delivered` tells what the driver found: False, it was aboard.
     """
 
     vehicle: Name
@@ -135,6 +137,7 @@ class FleetEvent(_Message, frozen=True, kw_only=True):
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT)\Z")] | None = None
     delivered: bool | None = None
     home: bool | None = None
+    drop_unproven: bool | None = None
 
 
 class _Deed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do"):
@@ -210,10 +213,14 @@ class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
 
 
 class Recover(_Deed, frozen=True, kw_only=True, tag="recover"):
-    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is."""
+    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is.
+
+    `parcel`: look whether this order's parcel is still on it, and tell.
+    """
 
     assignment: Id
     vehicle: Name
+    parcel: Id | None = None
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
 

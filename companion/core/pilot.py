@@ -387,7 +387,9 @@ class Pilot:
         """End the mission."""
         self.outcome = outcome
         self.decide("finished", f"{outcome}: {reason}")
-        self.do(Finished(outcome, self.air.delivered, reason, home, margin_wh))
+        air = self.air
+        unproven = air.drop_begun and not air.delivered and self.flight.vehicle.payload_kg > 0.0
+        self.do(Finished(outcome, air.delivered, reason, home, margin_wh, unproven))
 
     @property
     def outward(self) -> bool:

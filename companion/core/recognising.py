@@ -29,6 +29,11 @@ def restore(pilot: Pilot) -> None:
     pilot.now.t_s = kept.t_s
     air = pilot.air
     air.authorised, air.delivered = kept.authorised, kept.delivered
+    over_customer = (
+        Phase.DELIVER.value,
+        Phase.RELEASE.value,
+    )  # the mission aboard went on by itself
+    air.drop_begun = kept.drop_begun or kept.phase in over_customer
     air.gate_closed, air.took_off_s, air.rally = kept.gate_closed, kept.took_off_s, kept.rally
     air.leg, air.home, air.wanted = kept.leg, kept.home, kept.wanted
     pilot.ground.settings_before = dict(kept.settings_before)

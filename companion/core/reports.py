@@ -81,6 +81,7 @@ def kept(pilot: Pilot) -> Kept:
         flying=air.flying,
         finished=pilot.phase in END_PHASES,
         delivered=air.delivered,
+        drop_begun=air.drop_begun,
         gate_closed=air.gate_closed,
         leg=air.leg,
         took_off_s=air.took_off_s,

@@ -13,7 +13,6 @@ from sqlalchemy.exc import IntegrityError
 
 from companion.core.flight import Place
 from companion.core.messages import (
-    Answered,
     Assign,
     Deed,
     Drive,
@@ -23,6 +22,7 @@ from companion.core.messages import (
     Serve,
     Withdraw,
 )
+from ground_station.adapters import day_rows as steps
 from ground_station.adapters import store_rows as rows
 from ground_station.adapters import tables as t
 from ground_station.adapters.database import Database
@@ -132,8 +132,8 @@ class DayStore:
         """
         try:
             with self._database.write() as db:
-                self._lock(db)
-                last = self._last_drive(db)
+                steps.lock(db)
+                last = steps.last_drive(db)
                 if last is not None and last != sortie.launch:
                     return None
                 id_ = rows.order_taken(db, sortie.order)
@@ -199,9 +199,9 @@ class DayStore:
         states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
         with self._database.write() as db:
             row = rows.in_state(db, assignment, states)
-            if row is None or self._launching(db, assignment):
+            if row is None or steps.launching(db, assignment):
                 return False
-            if self._held(db, assignment):  # its companion has never heard of it
+            if steps.held(db, assignment):  # its companion has never heard of it
                 state = AssignmentState.WITHDRAWN
                 rows.end_assignment(db, self._now(), row, state, False, why)
             else:
@@ -213,17 +213,6 @@ class DayStore:
             )
         return True
 
-    def _launching(self, db: sa.Connection, assignment: str) -> bool:
-        waiting = sa.select(sa.func.count()).where(
-            t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
-            t.commands.c.answer.is_(None),
-        )
-        return db.execute(waiting).scalar_one() > 0
-
-    def _held(self, db: sa.Connection, assignment: str) -> bool:
-        query = sa.select(t.commands.c.held).where(t.commands.c.id == f"{assignment}:assign")
-        return bool(db.execute(query).scalar_one_or_none())
-
     def recover(self, assignment: str, pad: Place, by: str) -> bool:
         """Tell the driver to take a drone aboard; False where that was told."""
         with self._database.write() as db:
@@ -233,6 +222,7 @@ class DayStore:
             deed = Recover(
                 assignment=assignment,
                 vehicle=row.vehicle,
+                parcel=rows.parcel_missed(db, assignment),
                 lat_deg=pad.lat_deg or 0.0,
                 lon_deg=pad.lon_deg or 0.0,
             )
@@ -246,10 +236,10 @@ class DayStore:
         """Ask a flight to end at another stop; both bind until it has said where it ends."""
         here = t.sorties.c.assignment == assignment
         with self._database.write() as db:
-            self._lock(db)
+            steps.lock(db)
             row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
             sortie = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
-            last = self._last_drive(db)
+            last = steps.last_drive(db)
             if row is None or sortie is None or sortie.asked or (last and last != stop):
                 return False
             number = rows.count_commands(db, f"{assignment}:home") + 1
@@ -289,7 +279,7 @@ class DayStore:
         with self._database.read() as db:
             found = db.execute(query).all()
             answers = db.execute(told).all()
-        return [_sortie_row(row, answers) for row in found]
+        return [steps.sortie_row(row, answers) for row in found]
 
     # --- the truck -----------------------------------------------------------------------------
 
@@ -309,11 +299,11 @@ class DayStore:
         or it has been told already.
         """
         with self._database.write() as db:
-            self._lock(db)
-            drives = self._drives(db)
-            if drives and (drives[-1][1] is None or drives[-1][0].stop != here):
+            steps.lock(db)
+            told = steps.drives(db)
+            if told and (told[-1][1] is None or told[-1][0].stop != here):
                 return False
-            if any(row.binds(here) for row in self._bound(db)) or self._serving(db):
+            if any(row.binds(here) for row in steps.bound(db)) or steps.serving(db):
                 return False
             deed = Drive(
                 stop=stop.id,
@@ -327,7 +317,7 @@ class DayStore:
     def told(self) -> str | None:
         """The stop that the truck was last told to drive to; None: it never was."""
         with self._database.read() as db:
-            return self._last_drive(db)
+            return steps.last_drive(db)
 
     def truck_is(self, stop: str | None) -> None:
         """The truck stands at this stop, and has left all others; None: it drives."""
@@ -347,40 +337,6 @@ class DayStore:
 
     # --- inside a transaction ------------------------------------------------------------------
 
-    def _lock(self, db: sa.Connection) -> None:
-        """Where the truck goes and what is promised: one transaction at a time (PostgreSQL)."""
-        db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
-
-    def _drives(self, db: sa.Connection) -> list[tuple[Drive, Answered | None]]:
-        """What the truck was told and has not refused, oldest first."""
-        query = sa.select(t.commands.c.deed, t.commands.c.answer).where(
-            t.commands.c.id.like("drive-%")
-        )
-        found: list[tuple[Drive, Answered | None]] = []
-        for row in db.execute(query.order_by(t.commands.c.n)):
-            deed = msgspec.json.decode(row.deed, type=Deed)
-            answer = None if row.answer is None else Answered(row.answer)
-            if isinstance(deed, Drive) and answer is not Answered.REFUSED:
-                found.append((deed, answer))
-        return found
-
-    def _last_drive(self, db: sa.Connection) -> str | None:
-        drives = self._drives(db)
-        return drives[-1][0].stop if drives else None
-
-    def _bound(self, db: sa.Connection) -> list[SortieRow]:
-        query = sa.select(t.assignments, t.sorties).join(
-            t.sorties, t.sorties.c.assignment == t.assignments.c.id
-        )
-        return [_sortie_row(row, ()) for row in db.execute(query)]
-
-    def _serving(self, db: sa.Connection) -> bool:
-        query = sa.select(sa.func.count()).where(
-            t.assignments.c.vehicle == TRUCK,
-            t.assignments.c.state.in_([state.value for state in rows.IN_FORCE]),
-        )
-        return db.execute(query).scalar_one() > 0
-
     def _put_out(
         self,
         db: sa.Connection,
@@ -393,24 +349,3 @@ class DayStore:
         held: bool = False,
     ) -> None:
         rows.put_out(db, self._now(), id_, vehicle, assignment, deed, by, held=held)
-
-
-def _sortie_row(row: Any, answers: Any) -> SortieRow:
-    launches = [a.answer for a in answers if a.id.startswith(f"{row.id}:launch")]
-    return SortieRow(
-        row=rows.assignment_row(row),
-        sortie=msgspec.json.decode(row.content, type=PlannedSortie),
-        pads=msgspec.json.decode(row.pads, type=dict[str, Place]),
-        promised=row.promised,
-        asked=row.asked,
-        placed=row.placed,
-        recovered=row.recovered,
-        away=row.away,
-        lapsed=row.lapsed,
-        launched_us=row.launched_us,
-        landed_us=row.landed_us,
-        used_wh=row.used_wh,
-        launching=any(answer is None for answer in launches),
-        refused=sum(answer == Answered.REFUSED.value for answer in launches),
-        recovering=any(a.id == f"{row.id}:recover" for a in answers),
-    )

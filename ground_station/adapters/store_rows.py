@@ -130,6 +130,8 @@ def end_assignment(
     state: AssignmentState,
     delivered: bool,
     why: str,
+    *,
+    unproven: bool = False,
 ) -> None:
     """An assignment is over: what becomes of its order, and what was still to be said is void."""
     db.execute(
@@ -148,7 +150,7 @@ def end_assignment(
     attempts = db.execute(
         sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
     ).scalar_one()
-    order = order_after(state, delivered, attempts)
+    order = order_after(state, delivered, attempts, unproven)
     db.execute(
         sa.update(t.orders).where(t.orders.c.id == row.order_id).values(state=order.value, why=why)
     )
@@ -161,7 +163,9 @@ def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
         return
     delivered = bool(event.delivered)
     state = ends_as(event.outcome or "FAIL", delivered, bool(event.home))
-    end_assignment(db, now_us, row, state, delivered, f"{event.outcome}: {event.text}")
+    unproven = bool(event.drop_unproven)
+    why = f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
+    end_assignment(db, now_us, row, state, delivered, why, unproven=unproven)
 
 
 def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
@@ -175,6 +179,8 @@ def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
             db.execute(sa.update(t.sorties).where(here).values(placed=True))
         case EventKind.RECOVERED:
             db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
+            if event.delivered is not None:
+                _parcel_found(db, row.assignment, gone=event.delivered)
         case _ if row.placed:
             db.execute(sa.update(t.sorties).where(here).values(away=True))
         case _:
@@ -183,6 +189,38 @@ def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
                 why = f"the driver: {event.text}"
                 end_assignment(db, now_us, held, AssignmentState.WITHDRAWN, False, why)
             db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
+    """The order whose parcel may still be on a drone that came home; None: all is known."""
+    query = (
+        sa.select(t.orders.c.id)
+        .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
+        .where(
+            t.assignments.c.id == assignment,
+            t.assignments.c.state == AssignmentState.RETURNED.value,
+            t.orders.c.state == OrderState.STUCK.value,
+        )
+    )
+    return db.execute(query).scalar_one_or_none()
+
+
+def _parcel_found(db: sa.Connection, assignment: str, *, gone: bool) -> None:
+    order = parcel_missed(db, assignment)
+    if order is None:
+        return
+    here = t.orders.c.id == order
+    attempts = db.execute(sa.select(t.orders.c.attempts).where(here)).scalar_one()
+    state = AssignmentState.DELIVERED if gone else AssignmentState.RETURNED
+    words = "gone: it was dropped" if gone else "still on it"
+    why = f"the driver looked: the parcel is {words}"
+    db.execute(
+        sa.update(t.assignments)
+        .where(t.assignments.c.id == assignment)
+        .values(state=state.value, delivered=gone, why=why)
+    )
+    after = order_after(state, gone, attempts)
+    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=why))
 
 
 def follow(

@@ -6,8 +6,9 @@ from companion.core.errors import LeewayError
 from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import WallClock
-from ground_station.app.day_desk import DayDesk, check_plan
+from ground_station.app.day_desk import DayDesk
 from ground_station.app.desk import Desk, DeskOptions
+from ground_station.app.plan_in_force import PlanInForce, check_plan
 from ground_station.app.replanner import Replanner, ReplannerBeside
 from ground_station.core.choosing import Chooser
 from ground_station.core.day_data import DayData
@@ -75,7 +76,8 @@ def _day_desk(
         say(f"plan {kept[-1][0].revision} goes on ({kept[-1][1]})")
     in_force = day.plan()
     assert in_force is not None
-    return DayDesk(store, day, data, in_force, clock, replanner, say, options.by)
+    plans = PlanInForce(day, data, in_force, replanner, say)
+    return DayDesk(store, day, plans, clock, say, options.by)
 
 
 def is_done(desk: Desk, impossible: frozenset[str] = frozenset()) -> bool:
@@ -111,7 +113,7 @@ def why_left(desk: Desk, row: OrderRow) -> str:
         if held.order_id == row.order.id and held.state in IN_FORCE:
             return f"{held.state.value} with {held.vehicle}"
     if desk.day is not None:
-        for line in desk.day.plan.unplanned:
+        for line in desk.day.plans.plan.unplanned:
             if line.order == row.order.id:
                 return f"{line.why}; possible with {line.remedy}"
     return "nobody took it"

@@ -112,6 +112,14 @@ def reopen(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
     _move(order_id, (OrderState.STUCK, OrderState.CANCELLED), OrderState.OPEN, store)
 
 
+@app.command()
+def brought(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+    """A stuck order has been brought after all: only who has asked its customer, or has looked at
+    the drone.
+    """
+    _move(order_id, (OrderState.STUCK,), OrderState.DELIVERED, store)
+
+
 def take_orders(store: Store, orders: list[Order]) -> None:
     """Put orders into the store and say what became of them."""
     taken = store.add_orders(orders)

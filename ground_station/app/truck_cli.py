@@ -21,6 +21,8 @@ from ground_station.core.truck import TRUCK, Task
 
 TURN_S = 0.1
 HELP = "Enter: the first is done; 2: the second is; x 1 nobody at home: it cannot be done; q: leave"
+GONE, ABOARD = "gone", "aboard"
+LOOK = f"1 {GONE}, 1 {ABOARD}: where its parcel is"
 
 
 def truck(
@@ -76,7 +78,7 @@ def _drive(port: TruckPort, console: Console, woken: threading.Event) -> None:
                 line = lines.get().strip()
                 if line == "q":
                     return
-                _obey(port, line, console)
+                obey(port, line, console)
                 shown = None
 
 
@@ -93,25 +95,28 @@ def _show(port: TruckPort, console: Console) -> None:
         console.print(f"{where}: nothing to do, wait for the dispatcher", highlight=False)
         return
     console.bell()
-    table = Table("", "what", title=where, caption=HELP)
+    looks = any(task.parcel for task in truck.tasks)
+    table = Table("", "what", title=where, caption=f"{HELP}; {LOOK}" if looks else HELP)
     for number, task in enumerate(truck.tasks, 1):
         table.add_row(str(number), task.words)
     console.print(table)
 
 
-def _obey(port: TruckPort, line: str, console: Console) -> None:
+def obey(port: TruckPort, line: str, console: Console) -> None:
     """Do what the driver typed, or say what was expected."""
     cannot = line.startswith("x")
-    number, _, why = (line[1:] if cannot else line).strip().partition(" ")
+    number, _, more = (line[1:] if cannot else line).strip().partition(" ")
     tasks = port.todo
     index = int(number) if number.isdecimal() else (0 if number else 1)
-    if not 1 <= index <= len(tasks) or (why and not cannot):
+    task = tasks[index - 1] if 1 <= index <= len(tasks) else None
+    gone = {GONE: True, ABOARD: False}.get(more) if task and task.parcel else None
+    if task is None or (more and not cannot and gone is None):
         console.print(f"expected 1 to {len(tasks)}. {HELP}", highlight=False)
         return
     try:
         if cannot:
-            port.cannot(tasks[index - 1], why or "no reason given")
+            port.cannot(task, more or "no reason given")
         else:
-            port.confirm(tasks[index - 1])
+            port.confirm(task, gone=gone)
     except LeewayError as error:
         console.print(str(error), highlight=False)

@@ -82,9 +82,11 @@ class TruckPort:
             return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
         return verdict
 
-    def confirm(self, task: Task) -> None:
-        """The driver has done it. Raises LeewayError where it is not to be done."""
-        self._end(*confirmed(self.truck, task))
+    def confirm(self, task: Task, *, gone: bool | None = None) -> None:
+        """The driver has done it; `gone`: what became of the parcel that was to be looked for.
+        Raises LeewayError where it is not to be done, or that is not told.
+        """
+        self._end(*confirmed(self.truck, task, gone=gone))
 
     def cannot(self, task: Task, why: str) -> None:
         """The driver cannot do it. Raises LeewayError where it is not to be done."""

@@ -52,7 +52,9 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class OrderState(Enum):
-    """`stuck` waits for a person: too many attempts, or a vehicle was lost with it."""
+    """`stuck` waits for a person: too many attempts, a vehicle was lost with it, or nothing proved
+    that it was dropped.
+    """
 
     OPEN = "open"
     ASSIGNED = "assigned"
@@ -136,14 +138,17 @@ def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
 
 
-def order_after(state: AssignmentState, delivered: bool, attempts: int) -> OrderState:
+def order_after(
+    state: AssignmentState, delivered: bool, attempts: int, unproven: bool = False
+) -> OrderState:
     """What becomes of an order when its assignment has ended.
 
-    A parcel aboard a lost vehicle is nobody's to send again: a person decides.
+    A parcel aboard a lost vehicle, or one that was perhaps dropped (`unproven`), is nobody's to
+    send again: a person looks, and decides.
     """
     if delivered or state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED
-    if state is AssignmentState.LOST:
+    if state is AssignmentState.LOST or unproven:
         return OrderState.STUCK
     if state is AssignmentState.WITHDRAWN:
         return OrderState.OPEN

@@ -55,6 +55,8 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     vehicle: str | None = None
     lat_deg: float | None = None
     lon_deg: float | None = None
+    parcel: str | None = None
+    """To be looked for on the drone: nobody knows whether it was dropped."""
 
     @property
     def words(self) -> str:
@@ -70,7 +72,8 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             case TaskKind.PUT_OUT:
                 return f"put {self.vehicle} with parcel {self.order} on its pad{where}; step back"
             case TaskKind.RECOVER:
-                return f"take {self.vehicle} aboard{where}; swap its pack"
+                look = f"; is the parcel {self.parcel} still on it?" if self.parcel else ""
+                return f"take {self.vehicle} aboard{where}; swap its pack{look}"
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -131,6 +134,7 @@ def _pad_task(deed: PutOut | Recover) -> Task:
         kind=TaskKind.PUT_OUT if out else TaskKind.RECOVER,
         id=deed.assignment,
         order=deed.order if isinstance(deed, PutOut) else None,
+        parcel=deed.parcel if isinstance(deed, Recover) else None,
         vehicle=deed.vehicle,
         lat_deg=deed.lat_deg,
         lon_deg=deed.lon_deg,
@@ -160,9 +164,13 @@ def _with(truck: Truck, task: Task) -> tuple[Truck, Verdict]:
     return _replace(truck, tasks=[*truck.tasks, task]), Verdict(Answered.DONE, "to be done")
 
 
-def confirmed(truck: Truck, task: Task) -> tuple[Truck, Told]:
-    """The driver has done it. Raises LeewayError where it is not to be done."""
+def confirmed(truck: Truck, task: Task, *, gone: bool | None = None) -> tuple[Truck, Told]:
+    """The driver has done it; `gone`: whether the parcel that was to be looked for is. Raises
+    LeewayError where it is not to be done, or that is not told.
+    """
     after = _without(truck, task)
+    if task.parcel is not None and gone is None:
+        raise LeewayError(f"expected whether the parcel {task.parcel} is gone or still on it")
     match task.kind:
         case TaskKind.ARRIVE:
             told = Told(EventKind.PHASE, f"{DRIVING} -> {AT_STOP}: {task.id}")
@@ -174,7 +182,8 @@ def confirmed(truck: Truck, task: Task) -> tuple[Truck, Told]:
         case TaskKind.PUT_OUT:
             told = Told(EventKind.PLACED, f"{task.vehicle} on its pad", task.id, task.order)
         case TaskKind.RECOVER:
-            told = Told(EventKind.RECOVERED, f"{task.vehicle} aboard", task.id, task.order)
+            found = {} if task.parcel is None else {"order": task.parcel, "delivered": gone}
+            told = Told(EventKind.RECOVERED, f"{task.vehicle} aboard", task.id, **found)
     return _replace(after, done=[*after.done, _key(task)][-KEPT:]), told
 
 

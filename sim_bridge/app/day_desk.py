@@ -10,6 +10,7 @@ from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.store import Store
 from ground_station.app.day_desk import DayDesk
 from ground_station.app.desk import Desk
+from ground_station.app.plan_in_force import PlanInForce
 from ground_station.app.replanner import ReplannerAtOnce
 from ground_station.core.day_plan import DayPlan
 from ground_station.core.fleet import Clock
@@ -87,15 +88,9 @@ class DeskHere:
         assert bus is not None
         assert plan is not None
         data = built.data
-        day = DayDesk(
-            books.store,
-            books.day,
-            data,
-            plan,
-            built.clock,
-            ReplannerAtOnce(self.seed, self.trials),
-            self._say,
-        )
+        replanner = ReplannerAtOnce(self.seed, self.trials)
+        plans = PlanInForce(books.day, data, plan, replanner, self._say)
+        day = DayDesk(books.store, books.day, plans, built.clock, self._say)
         picture = Picture(data.airframes)
         self.desk = Desk(
             books.store,

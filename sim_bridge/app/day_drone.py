@@ -155,6 +155,11 @@ class DayDrone:
 
     # --- the driver's hands --------------------------------------------------------------------
 
+    @property
+    def carries_parcel(self) -> bool:
+        """As the driver sees it."""
+        return self.up is not None and self.up.vehicle.parcel_aboard
+
     def switch_on(
         self,
         t_s: float,

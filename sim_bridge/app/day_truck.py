@@ -147,9 +147,11 @@ class DayTruck:
         return north, east
 
     def _end(self, task: Task, t_s: float) -> None:
+        drone = self.drones.get(task.vehicle or "")
+        gone = drone is None or not drone.carries_parcel if task.parcel else None
         why = self._do(task, t_s)
         if why == "":
-            self.port.confirm(task)
+            self.port.confirm(task, gone=gone)
         elif t_s < self._ends_s + WAIT_DOWN_S:
             return
         else:

@@ -16,6 +16,7 @@ DESK_EVERY_S = 0.5
 DESK_AWAY_S = 20.0
 """From a desk's kill -9 to the same command given again by a person or a service."""
 
+LEAST_AT_WORK_S = 5.0
 LEAST_UP_S = 15.0
 """A companion is killed well in the air, where it matters."""
 
@@ -100,8 +101,10 @@ class DayWorld:
         if self._desk_back_s is not None and t_s >= self._desk_back_s:
             self._desk_back_s = None
             self.seat.start()
+            at_work_s = t_s + LEAST_AT_WORK_S  # a dead desk is not killed once more
+            faults.ground_kills_s = [max(kill_s, at_work_s) for kill_s in faults.ground_kills_s]
             faults.log.append((t_s, "desk started again"))
-        if faults.ground_kills_s and t_s >= faults.ground_kills_s[0]:
+        if self._desk_back_s is None and faults.ground_kills_s and t_s >= faults.ground_kills_s[0]:
             faults.ground_kills_s.pop(0)
             self.seat.kill()
             self._desk_back_s = t_s + DESK_AWAY_S

@@ -24,6 +24,8 @@ from sim_bridge.experiments.table2_day import (
 )
 from sim_bridge.experiments.turning import AsPlanned, Turning, TurningWinds, with_turning
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 V, R, A = 15.0, 60.0, 2.5
 LIMITS = FlightLimits(V, R)
 CALM = WindChain(np.zeros((1, 2)), np.zeros((1, 1)), np.ones(1))

@@ -222,7 +222,7 @@ def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     told = day(6)
     told.world.drones["d1"].mood = "lost"
     assert told.desk.day is not None
-    told.desk.day.params = DayRunParams(lapse_s=900.0)
+    told.desk.day.plans.params = DayRunParams(lapse_s=900.0)
     told.run()
     plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
     late = [why for why in plans if "s late" in why]
@@ -231,6 +231,17 @@ def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows what became of it
     assert set(states.values()) == {OrderState.DELIVERED}
     assert told.world.on_truck == {"d2"}
+
+
+@pytest.mark.parametrize("mood", ["drops unseen", "holds on"])
+def test_a_parcel_that_was_perhaps_dropped_is_looked_for_before_anybody_brings_it_again(day, mood):
+    told = day(6)
+    told.world.drones["d1"].mood = mood
+    told.run()  # the world minds what is brought twice
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert sorted(told.world.delivered) == sorted(told.states())
+    again = [row for row in told.desk.store.assignments() if row.id.endswith(".2")]
+    assert len(again) == (mood == "holds on")
 
 
 def test_a_truck_that_stays_too_long_has_the_homes_moved_to_it(day):
@@ -262,7 +273,7 @@ def test_a_late_truck_is_planned_anew_once_however_long_it_takes_and_keeps_its_p
     told = day(9)
     told.world.driver.late_s = 400.0
     assert told.desk.day is not None
-    told.desk.day.replanner = SlowReplanner(plan=by_truck, clock=told.world.clock)
+    told.desk.day.plans.replanner = SlowReplanner(plan=by_truck, clock=told.world.clock)
     told.run()
     plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
     assert sum("s late" in why for why in plans) == 1, plans
@@ -281,7 +292,7 @@ def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_
     assert (wind.speed_mps, wind.from_deg) == pytest.approx((14.0, 90.0))  # from the east
     restarted = told.start()
     assert restarted.day is not None
-    assert restarted.day.data.day.forecast == wind
+    assert restarted.day.plans.data.day.forecast == wind
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
@@ -289,7 +300,7 @@ def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day)
     told = day(13)
     told.world.driver.late_s = 400.0
     assert told.desk.day is not None
-    told.desk.day.replanner = ReplannerAtOnce(plan=fails)
+    told.desk.day.plans.replanner = ReplannerAtOnce(plan=fails)
     told.run()
     assert any("the old one goes on" in words for words in told.said)
     assert len(DayStore(told.database, lambda: 1).plans()) == 1
@@ -339,7 +350,7 @@ def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, w
         drone.wind_ne_mps = (0.0, -14.0 if wrong == "wind" else 0.0)
     assert told.desk.day is not None
     dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=2)
-    told.desk.day.replanner = dying
+    told.desk.day.plans.replanner = dying
     told.run()
     why = [why for _, why in DayStore(told.database, lambda: 1).plans()][1]
     assert wrong in why
@@ -357,7 +368,7 @@ def test_a_planner_that_always_dies_is_asked_three_times_and_the_old_plan_ends_t
     told.world.driver.late_s = 400.0
     assert told.desk.day is not None
     dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=1000)
-    told.desk.day.replanner = dying
+    told.desk.day.plans.replanner = dying
     told.run()
     assert len(dying.asked_s) == DayRunParams().replan_tries
     assert sum("the old one goes on" in words for words in told.said) == 1

@@ -20,6 +20,8 @@ from ground_station.core.day_plan import DayPlan
 from ground_station.core.day_replan import unfit
 from ground_station.core.day_state import DayState, first_state
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 ROOT = Path(__file__).parents[2]
 FOR_EVER = 10**9  # trials
 PATIENCE_S = 60.0

@@ -18,6 +18,8 @@ from ground_station.core.day_view import DayRunParams
 from ground_station.core.orders import OrderState
 from tests.ground.truck_world import World
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 HARBOUR = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
 TRIALS, SEED = 400, 3
 LIMIT_S = 5400.0
@@ -81,7 +83,7 @@ def test_a_late_truck_is_planned_anew_and_every_promise_in_the_air_is_kept(day: 
 def test_what_a_lost_drone_was_to_bring_is_planned_for_the_others(day: Day):
     day.world.drones["d1"].mood = "lost"
     assert day.desk.day is not None
-    day.desk.day.params = DayRunParams(lapse_s=600.0)
+    day.desk.day.plans.params = DayRunParams(lapse_s=600.0)
     day.run()
     assert any("d1 is out of service" in why for why in day.reasons()), day.reasons()
     aboard_when_lost = {row.order.id for row in day.store.orders()} - set(day.world.delivered)
@@ -99,7 +101,7 @@ def test_a_wind_that_is_not_the_forecasts_is_planned_with(day: Day):
     assert any("the wind is" in why for why in day.reasons()), day.reasons()
     assert sum("the wind is" in why for why in day.reasons()) == 1  # it is the forecast now
     assert day.desk.day is not None
-    forecast = day.desk.day.data.day.forecast
+    forecast = day.desk.day.plans.data.day.forecast
     assert forecast.speed_mps == pytest.approx(9.0)
     assert forecast.from_deg == pytest.approx(180.0)
     assert day.undelivered() == set()

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from typer.testing import CliRunner
 
 from companion.core.messages import Answered, EventKind, FleetEvent, Launch, Recall
 from ground_station.adapters.database import Database, StoreError
 from ground_station.adapters.store import Store
+from ground_station.app import order_cli
 from ground_station.core.orders import ATTEMPTS, AssignmentState, Order, OrderState
 
 FLIGHT = {"format": "flight/1"}
@@ -46,6 +48,7 @@ def an_outcome(
         outcome=outcome,
         delivered=more.get("delivered", delivered),
         home=more.get("home", outcome in ("SUC", "ABRT")),
+        drop_unproven=more.get("unproven"),
     )
 
 
@@ -143,6 +146,26 @@ def test_what_an_outcome_makes_of_the_order(tmp_path, outcome, order, assignment
         store.take_events([an_outcome(flown(store), outcome)])
         assert states(store)["o1"] is order
         assert store.assignments()[0].state is assignment
+
+
+def test_an_order_that_was_perhaps_dropped_is_not_dispatched_before_somebody_has_looked(tmp_path):
+    with opened(f"sqlite:///{tmp_path}/d.db") as store:
+        store.add_orders([an_order("o1")])
+        store.take_events([an_outcome(flown(store), "ABRT", unproven=True)])
+        assert states(store)["o1"] is OrderState.STUCK
+        assert "look for the parcel" in store.orders()[0].why
+        assert store.assign("o1", "d1", FLIGHT, None, "desk") is None
+
+
+def test_a_person_who_has_looked_says_that_it_was_brought(tmp_path):
+    url, runner = f"sqlite:///{tmp_path}/d.db", CliRunner()
+    with opened(url) as store:
+        store.add_orders([an_order("o1")])
+        early = runner.invoke(order_cli.app, ["brought", "o1", "--store", url])
+        assert "o1: open, expected stuck" in str(early.exception)
+        store.take_events([an_outcome(flown(store), "ABRT", unproven=True)])
+        assert runner.invoke(order_cli.app, ["brought", "o1", "--store", url]).exit_code == 0
+        assert states(store)["o1"] is OrderState.DELIVERED
 
 
 def test_an_order_that_keeps_coming_back_is_left_to_a_person(tmp_path):

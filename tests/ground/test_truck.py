@@ -1,9 +1,12 @@
 """The truck as a member of the fleet: what it is told, what its driver says, what it keeps."""
 
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
+from rich.console import Console
 
 from companion.core.errors import LeewayError
 from companion.core.fleet_link import Ask, Asked
@@ -26,6 +29,7 @@ from companion.core.messages import (
     decode_state,
     encode,
 )
+from ground_station.app.truck_cli import obey
 from ground_station.app.truck_port import TruckPort
 from ground_station.core.truck import TaskKind
 
@@ -155,6 +159,32 @@ def test_what_the_driver_confirms_or_cannot_do_is_told_for_its_assignment(termin
     assert told == [(EventKind.RECOVERED, "o2.1"), (EventKind.CANNOT, "o2.1")]
     with pytest.raises(LeewayError, match="not to be done"):
         truck.port.confirm(serve)
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_drone_is_not_aboard_before_its_parcel_has_been_looked_for(terminal, gone):
+    truck = terminal()
+    truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
+    (back,) = truck.port.todo
+    assert "is the parcel o2 still on it?" in back.words
+    with pytest.raises(LeewayError, match="gone or still on it"):
+        truck.port.confirm(back)
+    assert truck.port.todo == [back]
+    truck.port.confirm(back, gone=gone)
+    told = [(e.order, e.delivered) for e in truck.wire.events if e.kind is EventKind.RECOVERED]
+    assert told == [("o2", gone)]
+
+
+@pytest.mark.parametrize(("typed", "gone"), [("1 gone", True), ("1 aboard", False)])
+def test_what_the_driver_types_tells_where_the_parcel_is(terminal, typed, gone):
+    truck, console = terminal(), Console(file=io.StringIO())
+    truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
+    for line in ("", "1 maybe", "2 gone", "gone"):
+        obey(truck.port, line, console)
+        assert len(truck.port.todo) == 1, line
+    obey(truck.port, typed, console)
+    told = [e.delivered for e in truck.wire.events if e.kind is EventKind.RECOVERED]
+    assert told == [gone]
 
 
 def test_a_terminal_that_is_killed_knows_what_was_to_be_done_and_what_was(terminal):

@@ -97,6 +97,7 @@ class Drone(Member):
     lost: bool = False
     flies_s: float = 200.0
     mood: str = "good"
+    loaded: bool = False
     wind_ne_mps: tuple[float, float] | None = None
 
     @property
@@ -123,12 +124,12 @@ class Drone(Member):
                 return Verdict(Answered.REFUSED, "not now")
         return Verdict(Answered.DONE)
 
-    def end(self, outcome: str, delivered: bool) -> None:
+    def end(self, outcome: str, delivered: bool, *, unproven: bool = False) -> None:
         if self.flight is not None:
             self.tell(
                 EventKind.OUTCOME, "down", assignment=self.flight.assignment,
                 order=self.flight.order, outcome=outcome, delivered=delivered,
-                home=outcome != "FAIL",
+                home=outcome != "FAIL", drop_unproven=unproven or None,
             )  # fmt: skip
             self.book.close(self.flight.assignment)
         self.flight = self.launched_s = self.home = self.asked = None
@@ -304,13 +305,15 @@ class World:
         stops = {stop["name"]: stop for stop in flight.flight["site"]["stops"]}
         pad = stops[drone.home or ""]
         drone.place = (pad["lat_deg"], pad["lon_deg"])
-        turned = drone.mood == "turns"
-        drone.mood = "good"
-        if not turned:
+        kept = drone.mood in ("turns", "holds on")
+        unproven = drone.mood in ("holds on", "drops unseen")
+        drone.mood, drone.loaded = "good", kept
+        if not kept:
             if flight.order in self.delivered:
                 self.wrong.append(f"{flight.order} delivered twice")
             self.delivered.append(flight.order)
-        drone.end("ABRT" if turned else "SUC", not turned)
+        seen = not (kept or unproven)
+        drone.end("SUC" if seen else "ABRT", seen, unproven=unproven)
 
     def drive(self) -> None:
         driver, t_s = self.driver, self.clock.t_s
@@ -338,7 +341,8 @@ class World:
             if task.order in self.delivered:
                 self.wrong.append(f"{task.order} delivered twice")
             self.delivered.append(task.order or "")
-        self.end_task(confirmed(driver.truck, task))
+        gone = drone is None or not drone.loaded if task.parcel else None
+        self.end_task(confirmed(driver.truck, task, gone=gone))
         if task.kind is TaskKind.PUT_OUT and drone is not None:
             self.on_truck.discard(drone.name)
             drone.place = (task.lat_deg or 0.0, task.lon_deg or 0.0)

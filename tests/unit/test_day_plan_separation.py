@@ -17,6 +17,8 @@ from ground_station.core.day_planning import PlanParams, plan_day
 from ground_station.core.day_state import first_state
 from ground_station.core.separation import Filled, may_launch
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 TOWN = Path(__file__).parents[2] / "params" / "days" / "town.toml"
 LATE_S = 30.0
 METRES_PER_DEGREE = 6_371_008.8 * math.pi / 180.0

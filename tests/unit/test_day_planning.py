@@ -25,6 +25,8 @@ from ground_station.core.day_planning import PlanParams, plan_day
 from ground_station.core.day_state import DayState, first_state
 from ground_station.core.orders import Order, Service
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 DAYS = Path(__file__).parents[2] / "params" / "days"
 QUICK = PlanParams(trials=600)
 

@@ -737,6 +737,7 @@ def test_safety_rule_5_a_stuck_gripper_returns_loaded_undelivered_and_says_so():
     w.gripper_works = False
     done = w.to_the_end()
     assert (done.outcome, done.delivered) == ("ABRT", False)
+    assert done.drop_unproven  # it may be gone for all that: the desk has somebody look
     assert sum(isinstance(a, Release) for _, a in w.log) == 1
     assert "release_unconfirmed" in w.kinds
     assert "parcel counts as aboard" in w.said
@@ -971,6 +972,18 @@ def test_killed_in_the_air_and_restarted_on_its_pad_it_ends_the_flight_and_never
     done = again.to_the_end()
     assert (done.outcome, done.delivered, done.home) == ("SUC", True, True)
     assert not any(isinstance(a, Arm | UploadMission) for _, a in again.log)
+
+
+@pytest.mark.parametrize(
+    ("phase", "unproven"),
+    [(Phase.OUTBOUND, False), (Phase.DELIVER, True), (Phase.RELEASE, True), (Phase.RETURN, False)],
+)
+def test_killed_over_the_customer_nobody_knows_of_the_parcel_and_it_says_so(phase, unproven):
+    w, kept = interrupted(phase)
+    again = world(kept=kept, armed=False)  # the mission aboard dropped it, and went home
+    again.t_s, again.items, again.loaded = w.t_s + 60.0, w.items, False
+    start(again)
+    assert again.to_the_end().drop_unproven == unproven
 
 
 def test_restarted_beside_a_pilot_who_has_taken_over_it_sends_nothing():

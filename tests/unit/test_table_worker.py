@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from companion.adapters.clock import wall_s
 from companion.app.table_worker import COMMAND, TableWorker
@@ -74,11 +75,50 @@ def test_the_workers_table_is_the_one_that_would_be_made_here() -> None:
     )
 
 
+def test_one_process_makes_table_after_table_and_leaves_none_of_its_forks() -> None:
+    worker, made = TableWorker(120.0), []
+    process = worker._process
+    assert process is not None
+    for at_s in (100.0, 200.0):
+        worker.order(MakeTable(REQUEST, 20.0), at_s)
+        made.append(worker.due(at_s + 20.0))
+    assert worker._process is process
+    worker.order(MakeTable(REQUEST, 20.0), 300.0)
+    fork = _fork_of(process.pid)
+    worker.stop()
+    assert [m.trouble for m in made] == ["", ""]
+    assert not fork.is_running() or fork.status() == psutil.STATUS_ZOMBIE
+
+
+def test_a_fork_that_is_killed_is_told_and_the_next_request_is_answered() -> None:
+    worker = TableWorker(120.0)
+    worker.order(MakeTable(REQUEST, 20.0), 100.0)
+    assert worker._process is not None
+    _fork_of(worker._process.pid).kill()
+    made = worker.due(120.0)
+    assert made is not None
+    assert "died" in made.trouble
+    worker.order(MakeTable(REQUEST, 20.0), 200.0)
+    made = worker.due(220.0)
+    worker.stop()
+    assert made is not None
+    assert made.table is not None, made.trouble
+
+
+def _fork_of(worker: int) -> psutil.Process:
+    until_s = wall_s() + 60.0
+    while wall_s() < until_s:
+        for fork in psutil.Process(worker).children():
+            return fork
+        time.sleep(0.002)
+    raise AssertionError("the worker has not forked")
+
+
 def test_beside_a_real_vehicle_a_table_larger_than_a_pipe_arrives_without_a_wait() -> None:
     worker = TableWorker(0.0)
     worker.order(MakeTable(REQUEST, 1e6), 100.0)
     t_s, until_s = 100.0, wall_s() + 120.0
-    while wall_s() < until_s and worker._work is not None and not _ended(worker._work.said):
+    while wall_s() < until_s and worker._work is not None and worker._work.answer is None:
         t_s += 0.1
         assert worker.due(t_s) is None
         time.sleep(0.02)
@@ -87,10 +127,6 @@ def test_beside_a_real_vehicle_a_table_larger_than_a_pipe_arrives_without_a_wait
     assert made is not None
     assert made.table is not None, made.trouble
     assert made.table.size_bytes > 1 << 16  # what a pipe holds
-
-
-def _ended(said: list[bytes]) -> bool:
-    return bool(said) and not said[-1]
 
 
 def test_a_worker_that_hangs_is_given_up_at_its_time() -> None:

@@ -33,6 +33,8 @@ from ground_station.core.truck_drones.search import SearchPolicy
 from ground_station.core.truck_drones.tables import tables_of
 from ground_station.core.truck_drones.tour import first_tour
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 DATA = Path("../shared/data/mfstsp")
 VEHICLES = """% a comment line
 1,1,-1,-1,-1,-1,-1,-1,-1,-1,30,-1,NA

@@ -1,6 +1,7 @@
 """What the compiled search knows of safety rule 7, against the rule itself (by shapely)."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from ground_station.core.separation import APART_M, LAYER_GAP_M, Filled, near
@@ -17,6 +18,8 @@ from ground_station.core.truck_drones.tables import (
     tables_of,
     work_for,
 )
+
+pytestmark = pytest.mark.usefixtures("compiled_planner")
 
 LAYERS = 8
 NODES = 12
@@ -57,11 +60,11 @@ def test_layers_are_closed_to_the_search_where_the_rule_closes_them():
             plan[LAUNCH, customer], plan[MEET, customer] = rng.choice(stops, 2).tolist()
             if rng.random() < 0.5:
                 plan[MEET, customer] = plan[LAUNCH, customer]
-            lay_ground(tables, plan, at, customer)
+            lay_ground(tables.air, plan, at, customer)
 
         rule = near(filled(plan, at, one, other), filled(plan, at, other, one))
         layer = int(rng.integers(LAYERS))
-        closed = closed_layers(tables, plan, at, one, other, layer)
+        closed = closed_layers(APART_M, plan, at, one, other, layer)
         there = (LAYER_GAP_M * layer, LAYER_GAP_M * layer)
         for mine in range(LAYERS):
             here = (LAYER_GAP_M * mine, LAYER_GAP_M * mine)

@@ -16,6 +16,8 @@ from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDr
 from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import SearchPolicy
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 
 class Task(NamedTuple):
     """Of the driver: "deliver", "launch" or "recover"; the customer concerned."""

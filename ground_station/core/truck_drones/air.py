@@ -12,14 +12,18 @@ from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.tables import (
     CUSTOMER_E,
     CUSTOMER_N,
+    EAST,
     FLY,
     HOME_E,
     HOME_N,
     LAUNCH,
     LAUNCHED,
     LAYER,
+    LAYERS,
     LOG,
+    LOWEST,
     MEET,
+    NORTH,
     PAD_E,
     PAD_N,
 )
@@ -29,14 +33,14 @@ FLEETS_BACK = 6
 
 
 @compiled
-def lay_ground(t, plan, times_s, customer):
+def lay_ground(air, plan, times_s, customer):
     """Where a sortie's pads and its customer are."""
-    north, east = t.ne_m[customer, 0], t.ne_m[customer, 1]
+    north, east = air.at[NORTH, customer], air.at[EAST, customer]
     times_s[CUSTOMER_N, customer], times_s[CUSTOMER_E, customer] = north, east
     for row, node in ((PAD_N, plan[LAUNCH, customer]), (HOME_N, plan[MEET, customer])):
-        at_n, at_e = t.ne_m[node, 0], t.ne_m[node, 1]
+        at_n, at_e = air.at[NORTH, node], air.at[EAST, node]
         away_m = math.hypot(north - at_n, east - at_e)
-        share = t.pads_m / away_m if away_m > t.pads_m else 0.0
+        share = air.pads_m / away_m if away_m > air.pads_m else 0.0
         times_s[row, customer] = at_n + share * (north - at_n)
         times_s[row + 1, customer] = at_e + share * (east - at_e)
 
@@ -116,9 +120,9 @@ def _boxes_apart(g, one, other, apart_m):
 
 
 @compiled
-def _stands_under(t, plan, g, above, below):
+def _stands_under(apart_m, plan, g, above, below):
     """Does a column of `below` stand under the ways of `above`? Pads of one stop are kept apart."""
-    apart_m2 = t.apart_m * t.apart_m
+    apart_m2 = apart_m * apart_m
     if near_ground(g, above, g[CUSTOMER_N, below], g[CUSTOMER_E, below], apart_m2):
         return True
     launch, meet = plan[LAUNCH, above], plan[MEET, above]
@@ -130,9 +134,9 @@ def _stands_under(t, plan, g, above, below):
 
 
 @compiled
-def _near_one_another(t, g, one, other):
+def _near_one_another(apart_m, g, one, other):
     """Do the triangles come near (a corner of either near the other covers all but crossings)?"""
-    apart_m2 = t.apart_m * t.apart_m
+    apart_m2 = apart_m * apart_m
     for corner in range(PAD_N, HOME_E, 2):
         if near_ground(g, one, g[corner, other], g[corner + 1, other], apart_m2):
             return True
@@ -142,45 +146,44 @@ def _near_one_another(t, g, one, other):
 
 
 @compiled
-def closed_layers(t, plan, g, one, other, layer):
+def closed_layers(apart_m, plan, g, one, other, layer):
     """Bits of the layers that `one` cannot have while `other` is in this one."""
-    if _boxes_apart(g, one, other, t.apart_m):
+    if _boxes_apart(g, one, other, apart_m):
         return 0
-    if not _near_one_another(t, g, one, other):
+    if not _near_one_another(apart_m, g, one, other):
         return 0
     here = 1 << layer
     closed = here
-    if _stands_under(t, plan, g, one, other):
+    if _stands_under(apart_m, plan, g, one, other):
         closed |= here - 1
-    if _stands_under(t, plan, g, other, one):
+    if _stands_under(apart_m, plan, g, other, one):
         closed |= ~(here - 1)
     return closed
 
 
 @compiled
-def layer_for(t, plan, whole, times_s, customer, launched_s, logged):
+def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
     """The lowest layer that is free for a launch that ends then, and when to ask again if none is:
     (layer or -1, time at which the first who is in the way has landed).
     """
-    off_s = launched_s + t.ready_s
+    off_s = launched_s + air.ready_s
     launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
-    low = max(t.lowest[launch], t.lowest[customer], t.lowest[meet])
-    top = min(t.layers[launch], t.layers[customer], t.layers[meet])
-    fleet = t.fleet.sum()
+    low = int(max(air.at[LOWEST, launch], air.at[LOWEST, customer], air.at[LOWEST, meet]))
+    top = int(min(air.at[LAYERS, launch], air.at[LAYERS, customer], air.at[LAYERS, meet]))
     closed, in_air, free_s = 0, 0, math.inf
-    for back in range(logged - 1, max(-1, logged - 1 - FLEETS_BACK * fleet), -1):
+    for back in range(logged - 1, max(-1, logged - 1 - FLEETS_BACK * air.fleet), -1):
         other = whole[LOG, back]
-        clear_s = times_s[LAUNCHED, other] + times_s[FLY, other] + t.slack_s
+        clear_s = times_s[LAUNCHED, other] + times_s[FLY, other] + air.slack_s
         if clear_s <= off_s:
             continue
-        bits = closed_layers(t, plan, times_s, customer, other, whole[LAYER, other])
+        bits = closed_layers(air.apart_m, plan, times_s, customer, other, whole[LAYER, other])
         if bits != 0:
             closed |= bits
             free_s = min(free_s, clear_s)
         in_air += 1
-        if in_air == fleet:
+        if in_air == air.fleet:
             break
     for layer in range(low, top):
         if not (closed >> layer) & 1:
             return layer, 0.0
-    return -1, free_s - t.ready_s
+    return -1, free_s - air.ready_s

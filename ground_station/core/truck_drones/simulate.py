@@ -84,8 +84,8 @@ def _index_sorties(t, plan, whole, times_s):
         whole[FIRST_MEET, meet] = customer
         times_s[WORK_AFTER, whole[PLACE, launch]] += launch_s[kind]
         times_s[WORK_AFTER, whole[PLACE, meet]] += recover_s[kind]
-        if t.layered:
-            lay_ground(t, plan, times_s, customer)
+        if t.air.priced:
+            lay_ground(t.air, plan, times_s, customer)
     return True
 
 
@@ -211,7 +211,7 @@ def _too_early(whole, times_s, node, from_s):
 
 
 @compiled
-def _stop_here(t, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
+def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
     """Do all that is to do at this place. (departure, place to go on from; -1: impossible)."""
     node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
     _mark_pending(plan, whole, times_s, node)
@@ -244,8 +244,10 @@ def _stop_here(t, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, 
             now_s = at_once_s
             continue
         if launch >= 0:
-            if t.layered:
-                layer, free_s = layer_for(t, plan, whole, times_s, launch, now_s + lasts_s, logged)
+            if air.priced:
+                layer, free_s = layer_for(
+                    air, plan, whole, times_s, launch, now_s + lasts_s, logged
+                )
                 if layer < 0:
                     if free_s == IMPOSSIBLE:
                         return IMPOSSIBLE, -1
@@ -301,7 +303,7 @@ def simulate(t, plan, w, give_up_s):
                 at = whole[PLACE, plan[LAUNCH, early]]
                 continue
         depart_s, go_on = _stop_here(
-            t, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
+            t.air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
         )
         if go_on < 0:
             return IMPOSSIBLE

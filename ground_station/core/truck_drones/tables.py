@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.problem import Air, TruckAndDrones
 
 ROUTE, LAUNCH, MEET, KIND, ORDER = range(5)
 AT_ONCE, LATE = 1, 2
@@ -46,15 +46,25 @@ class Tables(NamedTuple):
     pads: bool
     lead_s: float
     loops_only: bool
-    layered: bool
+    air: "AirTable"
+
+
+class AirTable(NamedTuple):
+    """`Air` for the compiled rule; one array, for the reason that `Work` gives."""
+
+    priced: bool
     """Is rule 7 priced? What follows is empty where it is not."""
-    ne_m: NDArray[np.float64]
-    lowest: NDArray[np.int32]
-    layers: NDArray[np.int32]
+    at: NDArray[np.float64]
+    """Rows NORTH and EAST (m), LOWEST and LAYERS by node."""
+    fleet: int
+    """Drones of all kinds."""
     pads_m: float
-    apart_m: float
     ready_s: float
+    apart_m: float
     slack_s: float
+
+
+NORTH, EAST, LOWEST, LAYERS = range(4)
 
 
 class Work(NamedTuple):
@@ -89,7 +99,7 @@ NEAR = 30
 
 def tables_of(problem: TruckAndDrones) -> Tables:
     """The arrays of a problem."""
-    kinds, legs, air = problem.kinds, problem.legs, problem.air
+    kinds, legs = problem.kinds, problem.legs
     both_ways_s = problem.travel_s + problem.travel_s.T
     np.fill_diagonal(both_ways_s, np.inf)
     near = np.argsort(both_ways_s, axis=1, kind="stable")[:, : min(NEAR, problem.nodes - 1)]
@@ -113,15 +123,15 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         pads=problem.pads,
         lead_s=problem.lead_s,
         loops_only=problem.loops_only,
-        layered=air is not None,
-        ne_m=np.ascontiguousarray(air.ne_m) if air else np.zeros((0, 2)),
-        lowest=air.lowest.astype(np.int32) if air else np.zeros(0, np.int32),
-        layers=air.layers.astype(np.int32) if air else np.zeros(0, np.int32),
-        pads_m=air.pads_m if air else 0.0,
-        apart_m=air.apart_m if air else 0.0,
-        ready_s=air.ready_s if air else 0.0,
-        slack_s=air.slack_s if air else 0.0,
+        air=_air_of(problem.air, sum(kind.count for kind in kinds)),
     )
+
+
+def _air_of(air: Air | None, fleet: int) -> AirTable:
+    if air is None:
+        return AirTable(False, np.zeros((4, 0)), fleet, 0.0, 0.0, 0.0, 0.0)
+    at = np.ascontiguousarray(np.vstack([air.ne_m.T, air.lowest, air.layers]), dtype=np.float64)
+    return AirTable(True, at, fleet, air.pads_m, air.ready_s, air.apart_m, air.slack_s)
 
 
 def work_for(tables: Tables) -> Work:
