@@ -63,12 +63,25 @@ class Motion:
 
 def wish_to(here: Ned, target: Ned, speed_mps: float, p: SeparationParams) -> Floats:
     """Straight to a point, slowing down before it; height is made up on the way."""
-    north, east, down = (b - a for a, b in zip(here, target, strict=True))
+    north, east, _ = (b - a for a, b in zip(here, target, strict=True))
     away_m = math.hypot(north, east)
     speed = min(speed_mps, p.max_speed_mps, math.sqrt(2.0 * BRAKE_SHARE * p.accel_mps2 * away_m))
     share = min(speed, away_m) / max(away_m, 1e-9)
-    climb = min(max(CLIMB_GAIN_PS * down, -p.max_climb_mps), p.max_climb_mps)
-    return np.array([north * share, east * share, climb])
+    return np.array([north * share, east * share, climb_to(here[2], target[2], p)])
+
+
+def climb_to(here_down_m: float, down_m: float, p: SeparationParams) -> float:
+    """The vertical speed (down) that leads to a height."""
+    return min(max(CLIMB_GAIN_PS * (down_m - here_down_m), -p.max_climb_mps), p.max_climb_mps)
+
+
+def backing_off(here: Floats, wish: Floats, neighbours: Neighbours, speed_mps: float) -> Floats:
+    """Level, away from the nearest neighbour; the wish where there is none."""
+    away = here[:2] - neighbours.pos_ned_m[0, :, :2]
+    if not len(away):
+        return wish
+    nearest = away[np.hypot(*away.T).argmin()]
+    return np.array([*(nearest * speed_mps / max(float(np.hypot(*nearest)), 1e-9)), 0.0])
 
 
 def stays_free(

@@ -15,11 +15,28 @@ import numpy as np
 
 from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity, TellPlace
 from companion.core.actor_view import Ne
-from companion.core.apart_wish import LEG_PHASES, LOWEST_M, acted, sees, speed_mps, target
+from companion.core.apart_wish import (
+    FASTEST_MPS,
+    LEG_PHASES,
+    LOWEST_M,
+    acted,
+    sees,
+    speed_mps,
+    target,
+)
 from companion.core.avoidance_policy import AvoidancePolicy
 from companion.core.braking_paths import Neighbours
 from companion.core.events import Flavour, GnssTime, MissionProgress, Mode
-from companion.core.fleet_motion import FLEET, SKEW_S, Floats, Motion, stays_free, wish_to
+from companion.core.fleet_motion import (
+    FLEET,
+    SKEW_S,
+    Floats,
+    Motion,
+    backing_off,
+    climb_to,
+    stays_free,
+    wish_to,
+)
 from companion.core.flight_plan import DODGE_M, DODGES
 from companion.core.geo import Ned
 from companion.core.messages import Track
@@ -35,6 +52,10 @@ AHEAD_S = 4.0
 """The mission's way must be free for so long, or we take over: four times what a change of mode
 takes, since a neighbour may turn meanwhile."""
 
+HURRIED_S = 2.0
+"""And for so long if everybody were at its cruising speed on its way already: who has just left a
+hover reaches that in a few seconds, and brakes from it for seven."""
+
 FREE_S = 6.0
 """It must be free for so long before we hand back, at `FREE_TICKS` ticks in a row."""
 
@@ -48,6 +69,12 @@ RENEW_S = 5.0
 
 STUCK_TICKS, STUCK_MPS = 20, 0.5
 """Who has not moved for so many ticks, and wants to, dodges to the next height."""
+
+BACK_S, BACK_MPS = 4.0, 2.0
+"""First it backs off: two that face each other at the least distance can neither pass nor climb."""
+
+LAYER_S = 20.0
+"""From then on, so long, it goes on in that height."""
 
 STRAY_M = 2.0
 """Farther from its reference than this, the vehicle is taken where it is."""
@@ -80,8 +107,12 @@ class Apart:
     free_ticks: int = 0
     rank: int = 0
     stuck_ticks: int = 0
+    stuck_s: float = -1e9
+    """When it was stuck last."""
     goals: dict[str, Ne] = field(default_factory=dict)
     """Where neighbours say that they want to."""
+    aside: set[str] = field(default_factory=set)
+    """Neighbours who fly set-points."""
     policy: AvoidancePolicy | None = None
     """The learned actor; `None`: straight to the item."""
     acted_s: float = -1e9
@@ -90,7 +121,7 @@ class Apart:
     def stop(self) -> None:
         """No more set-points."""
         self.wanted, self.motion = False, None
-        self.free_ticks, self.stuck_ticks = 0, 0
+        self.free_ticks, self.stuck_ticks, self.stuck_s = 0, 0, -1e9
 
 
 # --- what the pilot lets through ------------------------------------------------------------------
@@ -145,6 +176,7 @@ def heard_neighbour(pilot: Pilot, track: Track) -> None:
             math.radians(track.to_lat_deg), math.radians(track.to_lon_deg), frame.alt_amsl_m
         )
         apart.goals[track.vehicle] = (goal_n, goal_e)
+    (apart.aside.add if track.aside else apart.aside.discard)(track.vehicle)
     apart.tracks = apart.tracks.heard(report, pilot.now.t_s + apart.ahead_of_core_s)
 
 
@@ -229,8 +261,13 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     neighbours = _neighbours(pilot, now_s)
     straight = wish_to((here[0], here[1], here[2]), goal, speed_mps(pilot), FLEET)
     if not apart.wanted:
-        ways = [velocity, straight] if pilot.phase in LEG_PHASES else [velocity]
-        if not stays_free(apart.separation, here, ways, neighbours, AHEAD_S):
+        on_leg = pilot.phase in LEG_PHASES
+        ways = [velocity, straight] if on_leg else [velocity]
+        free = stays_free(apart.separation, here, ways, neighbours, AHEAD_S)
+        if free and on_leg:
+            hurried, others = _hurried(pilot, here, goal, velocity, neighbours)
+            free = stays_free(apart.separation, here, [hurried], others, HURRIED_S)
+        if not free:
             _take_over(pilot, here)
         return
     if not is_flown(pilot):
@@ -245,6 +282,19 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
         _hand_back(pilot, "the way is free")
 
 
+def _hurried(
+    pilot: Pilot, here: Floats, goal: Ned, velocity: Floats, neighbours: Neighbours
+) -> tuple[Floats, Neighbours]:
+    """Ourselves and those who follow missions, each at our cruising speed towards its goal."""
+    apart, vel = pilot.apart, neighbours.vel_ned_mps.copy()
+    fast = max(pilot.air.speed_mps or 0.0, float(np.hypot(*velocity[:2])), FASTEST_MPS)
+    for column, (name, track) in enumerate(apart.tracks.tracks.items()):
+        there, to = track.report.pos_ned_m, apart.goals.get(name)
+        if to is not None and name not in apart.aside:
+            vel[0, column] = wish_to(there, (*to, there[2]), fast, FLEET)
+    return wish_to(_three(here), goal, fast, FLEET), replace(neighbours, vel_ned_mps=vel)
+
+
 def _move_on(
     pilot: Pilot, here: Floats, velocity: Floats, wish: Floats, neighbours: Neighbours
 ) -> None:
@@ -255,9 +305,14 @@ def _move_on(
         told_pos, told_vel, _ = apart.motion.at(t_s, FLEET)
         if float(np.linalg.norm(told_pos - here)) <= STRAY_M:
             pos, vel = told_pos, told_vel
+    since_s, layer_down_m = t_s - apart.stuck_s, _layer_down_m(pilot)
+    if since_s < BACK_S:
+        wish = backing_off(here, wish, neighbours, BACK_MPS)
+    if since_s < LAYER_S:
+        wish = np.array([*wish[:2], climb_to(float(here[2]), layer_down_m, FLEET)])
     then = wish
     if pilot.options.separation_filter:
-        layer = np.array([_layer_down_m(pilot)])
+        layer = np.array([layer_down_m])
         found = apart.separation.safe(
             pos[None], vel[None], wish[None], neighbours, layer, _clearance(pilot)
         )
@@ -266,7 +321,7 @@ def _move_on(
     held = float(np.linalg.norm(then)) < STUCK_MPS < float(np.linalg.norm(wish[:2]))
     apart.stuck_ticks = apart.stuck_ticks + 1 if held else 0
     if apart.stuck_ticks >= STUCK_TICKS:
-        apart.rank, apart.stuck_ticks = apart.rank + 1, 0
+        apart.rank, apart.stuck_ticks, apart.stuck_s = apart.rank + 1, 0, t_s
 
 
 def _clearance(pilot: Pilot) -> Clearance | None:
