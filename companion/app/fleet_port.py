@@ -28,6 +28,7 @@ from companion.core.actions import (
     TellPlace,
 )
 from companion.core.airframe import Airframe
+from companion.core.apart_tracks import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.command_book import CommandBook, Verdict
 from companion.core.errors import LeewayError
 from companion.core.events import (
@@ -42,7 +43,6 @@ from companion.core.events import (
 )
 from companion.core.fleet_link import MemberLink
 from companion.core.home_aboard import home_now
-from companion.core.keeping_apart import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.messages import (
     Answered,
     Assign,

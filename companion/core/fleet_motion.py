@@ -103,3 +103,8 @@ def stays_free(
     every = neighbours.picked(np.zeros(count, dtype=np.int64))
     shifted = replace(every, pos_ned_m=every.pos_ned_m + every.vel_ned_mps * lead[:, None, None])
     return bool(separation.allows(pos, vel, vel, shifted).all())
+
+
+def three(vector: Floats) -> tuple[float, float, float]:
+    """As plain numbers."""
+    return float(vector[0]), float(vector[1]), float(vector[2])

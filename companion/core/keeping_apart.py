@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity, TellPlace
+from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity
 from companion.core.actor_view import Ne
+from companion.core.apart_tracks import tell
 from companion.core.apart_wish import (
     FASTEST_MPS,
     LEG_PHASES,
@@ -26,7 +27,7 @@ from companion.core.apart_wish import (
 )
 from companion.core.avoidance_policy import AvoidancePolicy
 from companion.core.braking_paths import Neighbours
-from companion.core.events import Flavour, GnssTime, MissionProgress, Mode
+from companion.core.events import Flavour, MissionProgress, Mode
 from companion.core.fleet_motion import (
     FLEET,
     SKEW_S,
@@ -35,12 +36,12 @@ from companion.core.fleet_motion import (
     backing_off,
     climb_to,
     stays_free,
+    three,
     wish_to,
 )
 from companion.core.flight_plan import DODGE_M, DODGES
 from companion.core.geo import Ned
-from companion.core.messages import Track
-from companion.core.neighbour_tracks import NeighbourTracks, Report
+from companion.core.neighbour_tracks import NeighbourTracks
 from companion.core.obedience import CourseWatch
 from companion.core.separation_filter import Clearance, SeparationFilter
 from companion.core.transitions import FLIGHT_PHASES, Phase
@@ -80,12 +81,6 @@ STRAY_M = 2.0
 """Farther from its reference than this, the vehicle is taken where it is."""
 
 CORRECT_PS = 1.0
-OWN_STD_M, OWN_ALT_STD_M = 0.8, 0.5
-"""What our own place is wrong by beside what neighbours tell of theirs: satellites, barometer."""
-
-POS_STD_M, ALT_STD_M, VEL_STD_MPS = 2.15, 0.7, 0.1
-"""What we tell of ours: what evaluation.md, 12, puts on it (2 m; 0.5 m of height), and our own."""
-
 PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
 """Where set-points may take over. Climbing, measuring and the release are not broken off."""
 
@@ -143,43 +138,6 @@ def routed(pilot: Pilot, action: Action) -> Action:
     return action if aside is None else JumpTo(aside)
 
 
-def heard_time(pilot: Pilot, event: GnssTime) -> None:
-    """How far satellite time is ahead of core time."""
-    pilot.apart.ahead_of_core_s = event.unix_s - event.t_s
-
-
-def heard_neighbour(pilot: Pilot, track: Track) -> None:
-    """Take a neighbour's place into our own frame.
-
-    Heights are told above the pad as flown, on the ground that the flight files state: that drifts
-    less than what each barometer calls AMSL, and it is what layers are planned in.
-    """
-    apart, flown = pilot.apart, pilot.flown
-    if flown is None or apart.ahead_of_core_s is None:
-        return
-    frame = flown.site.frame
-    north, east, _ = frame.to_ned(
-        math.radians(track.lat_deg), math.radians(track.lon_deg), frame.alt_amsl_m
-    )
-    down = frame.alt_amsl_m - track.alt_amsl_m
-    report = Report(
-        track.vehicle,
-        track.gnss_s,
-        (north, east, down),
-        (track.vel_n_mps, track.vel_e_mps, track.vel_d_mps),
-        math.hypot(track.pos_std_m, OWN_STD_M),
-        math.hypot(track.alt_std_m, OWN_ALT_STD_M),
-        track.vel_std_mps,
-    )
-    if track.to_lat_deg is not None and track.to_lon_deg is not None:
-        goal_n, goal_e, _ = frame.to_ned(
-            math.radians(track.to_lat_deg), math.radians(track.to_lon_deg), frame.alt_amsl_m
-        )
-        apart.goals[track.vehicle] = (goal_n, goal_e)
-    (apart.aside.add if track.aside else apart.aside.discard)(track.vehicle)
-    apart.tracks = apart.tracks.heard(report, pilot.now.t_s + apart.ahead_of_core_s)
-
-
 # --- a tick ---------------------------------------------------------------------------------------
 
 
@@ -203,7 +161,7 @@ def tick(pilot: Pilot) -> None:
             _decide(pilot, np.array(here), velocity, now_s)
         elif apart.wanted:
             _hand_back(pilot, f"phase {pilot.phase.value}")
-        _tell(pilot, now_s)
+        tell(pilot, np.array(here), velocity, now_s)
     _mind_left_over(pilot)
     if apart.wanted:
         _stream(pilot, np.array(here), velocity)
@@ -292,7 +250,7 @@ def _hurried(
         there, to = track.report.pos_ned_m, apart.goals.get(name)
         if to is not None and name not in apart.aside:
             vel[0, column] = wish_to(there, (*to, there[2]), fast, FLEET)
-    return wish_to(_three(here), goal, fast, FLEET), replace(neighbours, vel_ned_mps=vel)
+    return wish_to(three(here), goal, fast, FLEET), replace(neighbours, vel_ned_mps=vel)
 
 
 def _move_on(
@@ -399,7 +357,7 @@ def _stream(pilot: Pilot, here: Floats, velocity: Floats) -> None:
     if apart.motion is not None:
         pos, vel, accel = apart.motion.at(t_s, FLEET)
         vel = vel + CORRECT_PS * (pos - here)
-    pilot.do(FlyVelocity(_three(vel), _three(accel)))
+    pilot.do(FlyVelocity(three(vel), three(accel)))
     every_s = RENEW_S if is_flown(pilot) else ASK_AGAIN_S
     if t_s - apart.asked_s < every_s or t_s - apart.since_s < STREAM_S:
         return
@@ -418,33 +376,3 @@ def _keep_course(pilot: Pilot) -> None:
     """A detour is no disobedience: that is watched for from the hand-back on."""
     if pilot.air.course is not None:
         pilot.air.course = CourseWatch(pilot.now.t_s, math.inf)
-
-
-def _tell(pilot: Pilot, now_s: float) -> None:
-    """Our place, as it will be flown; for the neighbours."""
-    apart = pilot.apart
-    assert pilot.flown is not None
-    here, velocity = _here(pilot)
-    assert here is not None
-    assert velocity is not None
-    pos, vel = np.array(here), velocity
-    if apart.motion is not None:
-        pos, vel, _ = apart.motion.at(pilot.now.t_s, FLEET)
-    lat, lon, _ = pilot.flown.site.frame.to_geodetic((pos[0], pos[1], 0.0))
-    spot = pilot.flown.mission.spot_at(pilot.air.index) if pilot.air.index is not None else None
-    pilot.do(
-        TellPlace(
-            now_s,
-            math.degrees(lat),
-            math.degrees(lon),
-            pilot.flown.site.frame.alt_amsl_m - float(pos[2]),
-            _three(vel),
-            apart.wanted,
-            spot.lat_deg if spot is not None else None,
-            spot.lon_deg if spot is not None else None,
-        )
-    )
-
-
-def _three(vector: Floats) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.core import (
+    apart_tracks,
     before_flight,
     foresight,
     in_flight,
@@ -245,9 +246,9 @@ class Pilot:
             case TableMade():
                 table_watch.take(self, event)
             case GnssTime():
-                keeping_apart.heard_time(self, event)
+                apart_tracks.heard_time(self, event)
             case NeighbourHeard():
-                keeping_apart.heard_neighbour(self, event.track)
+                apart_tracks.heard_neighbour(self, event.track)
             case _:
                 return
 

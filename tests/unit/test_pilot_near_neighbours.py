@@ -6,14 +6,17 @@ The vehicle is test_pilot_flight's, and obeys velocity set-points as each flavou
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 
 from companion.core import events as ev
 from companion.core.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
 from companion.core.events import Flavour, Mode
+from companion.core.fleet_motion import FLEET, backing_off
 from companion.core.flight_state import PilotOptions
 from companion.core.messages import Track
 from companion.core.mission_items import ItemKind, Part
+from companion.core.neighbour_tracks import NeighbourTracks, Report
 from companion.core.transitions import Phase
 from tests.unit.test_pilot_flight import DEPOT, M_PER_DEG, World, world
 
@@ -29,6 +32,7 @@ class Beside(World):
     flavour: Flavour = Flavour.PX4
     neighbour: tuple[float, float, float] | None = None
     neighbour_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    neighbour_goal: tuple[float, float] | None = None
     told_velocity: tuple[float, float, float] | None = None
     tells: bool = True
 
@@ -68,6 +72,7 @@ class Beside(World):
     def track(self) -> Track:
         assert self.neighbour is not None
         north, east, down = self.neighbour
+        to = self.neighbour_goal
         return Track(
             vehicle="d2",
             gnss_s=UNIX_S + self.t_s,
@@ -80,6 +85,8 @@ class Beside(World):
             pos_std_m=2.0,
             alt_std_m=0.5,
             vel_std_mps=0.1,
+            to_lat_deg=to and DEPOT[0] + to[0] / M_PER_DEG,
+            to_lon_deg=to and DEPOT[1] + to[1] / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
         )
 
     @property
@@ -127,6 +134,33 @@ def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
     w.run(lambda _: not w.guided, 3.0)
     assert (w.mode, w.pilot.phase) == (Mode.MISSION, Phase.OUTBOUND)
     assert w.index == w.pilot.air.index
+
+
+@BOTH
+@pytest.mark.parametrize("goal_east_m", [None, 300.0, -300.0])
+def test_who_hovers_with_its_goal_across_our_way_is_taken_for_one_that_goes_there(
+    flavour, goal_east_m
+):
+    """Two that had just left their customers met: each looked at the speed of that moment."""
+    w = beside(flavour)
+    w.neighbour = (w.north + 50.0, w.east + 40.0, -w.height)
+    if goal_east_m is not None:
+        w.neighbour_goal = (w.north + 50.0, w.east + goal_east_m)
+    w.step()
+    w.step()
+    across = goal_east_m == -300.0
+    assert w.pilot.apart.wanted == across
+
+
+def test_backing_off_leads_level_away_from_the_nearest():
+    heard = NeighbourTracks(FLEET)
+    for name, north in (("d2", 20.0), ("d3", -50.0)):
+        report = Report(name, 0.0, (north, 0.0, -30.0), (0.0, 0.0, 0.0), 2.0, 0.5, 0.1)
+        heard = heard.heard(report, 0.0)
+    here, wish = np.array([0.0, 0.0, -30.0]), np.array([8.0, 0.0, 1.0])
+    assert backing_off(here, wish, heard.at(0.0), 2.0) == pytest.approx([-2.0, 0.0, 0.0])
+    nobody = NeighbourTracks(FLEET).at(0.0)
+    assert backing_off(here, wish, nobody, 2.0) == pytest.approx(wish)
 
 
 @BOTH
