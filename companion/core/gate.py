@@ -48,7 +48,7 @@ class GateParams:
     max_loss: float
     reserve_wh: float
     min_success: float = 0.02
-    samples: int = 512
+    samples: int = 256
     boldest: float = 3.0
 
 
@@ -208,13 +208,12 @@ class Gate:
 
         A vehicle lost is worth 0, one delivered and home 1, one home undelivered `promise`: with
         this weight a decision that succeeds or loses is taken at `promise` or over, and losses are
-        given out where they buy most deliveries (evaluation.md, section 4). Flying on is worth no
-        less than turning at the next point, which that gate may always do.
+        given out where they buy most deliveries (evaluation.md, section 4).
         """
         least = min(self.params.min_success, promise)
         if seen.p_onward >= promise and seen.p_whole < least:
             return f"P(energy for the whole trip) {seen.p_whole:.3f} is not worth the flight"
-        onward = max(p_success + promise * (p_home - p_success), promise * seen.p_onward)
+        onward = p_success + promise * (p_home - p_success)
         if onward < promise * (seen.p_now - _WORTH_TIE):
             return f"P(success) {p_success:.3f} is not worth P(home) {p_home:.3f}"
         return None

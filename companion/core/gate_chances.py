@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from companion.core.gate_paths import PathSampler
-from companion.core.gate_table import LegTable, Need
+from companion.core.gate_table import POLICY, LegTable, Need
 
 FloatArray = NDArray[np.float64]
 
@@ -70,8 +70,8 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A later decision point in every sample of the policy's: the chances as its gate will see
-    them, and what the mission will have taken that turns there.
+    """A later decision point in every POLICY sample: the chances as its gate will see them, and
+    what the mission will have taken that turns there.
     """
 
     p_turn: FloatArray
@@ -113,7 +113,7 @@ class Chances:
         if table.stages == 1:
             self._arrived = np.array([self.p_onward])
             return
-        self._foresee(sampler)
+        self._foresee(sampler.model_error[POLICY])
         p_further, further_wh = self._best_further()
         if p_further > self.p_onward:
             self.p_onward, self.onward_need_wh = p_further, further_wh
@@ -152,16 +152,15 @@ class Chances:
                 best, need = chance, flown + table.way_wh(point, way)
         return best, need
 
-    def _foresee(self, sampler: PathSampler) -> None:
-        """The later looks, and P(home) of flying past them all, for every sample of the policy's.
+    def _foresee(self, model_error: FloatArray) -> None:
+        """The later looks, and P(home) of flying past them all, for every POLICY sample.
 
         Each sample flies its own wind with its own model error, which its gate sees in what was
         used; the gate there knows its wind so far, and forecasts from it.
         """
         table, budget = self._table, self._budget
-        policy = sampler.policy
-        drawn = budget.scale * (1.0 + budget.model_std_frac * sampler.model_error[policy])
-        used = table.stage_wh(1)[policy]
+        drawn = budget.scale * (1.0 + budget.model_std_frac * model_error)
+        used = table.stage_wh(1)[POLICY]
         for point in range(1, table.stages):
             then = table.predicted(point)
             left = budget.left_wh - used * drawn
@@ -174,8 +173,8 @@ class Chances:
                     budget.p_left(left - home * drawn),
                 )
             )
-            used = used + table.stage_wh(point + 1)[policy]
-        ways = [table.way_wh(table.stages, i)[policy] for i in range(table.ways(table.stages))]
+            used = used + table.stage_wh(point + 1)[POLICY]
+        ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]
         chances = [float(budget.p_enough(used + way).mean()) for way in ways]
         spent = (used + ways[_first_best(chances)]) * drawn
         self._arrived = budget.p_left(budget.left_wh - spent)

@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
 _MERGE_M = 450.0  # straight cruise legs are priced together up to this length
 _MERGE_TURN_RAD = math.radians(3.0)
+# Every other sample follows the later gates: that is the most work, and needs no tail of its own.
+POLICY = slice(None, None, 2)
 _POINTS = 6  # decision points that a later gate is followed through
 
 
@@ -47,8 +49,8 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """What a later gate will see, for every sample of the policy's: the needs of turning there (and
-    by which way), of flying to the next decision point and turning there, of the whole trip.
+    """What a later gate will see, for every POLICY sample: the needs of turning there (and by which
+    way), of flying to the next decision point and turning there, of the whole trip.
     """
 
     turning: Need
@@ -91,12 +93,8 @@ class LegTable:
         self._compiled = route_energy.compile(tuple(self._legs), tuple(self._before))
         mean = wind.mean_to_ne_mps
         times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
-        forecast = outlook.forecast(wind, _NODES_S)
-        ahead_wind = forecast.mean_to_ne_mps.mean(axis=0)
-        self._gradient = route_energy.gradient_wh_per_mps(self._compiled, ahead_wind)
-        self._policy = sampler.policy
         middle, arrival = self._schedule(times)
-        self._price(forecast, middle, arrival, sampler)
+        self._price(outlook.forecast(wind, _NODES_S), middle, arrival, sampler)
 
     @property
     def stages(self) -> int:
@@ -116,9 +114,8 @@ class LegTable:
         return _sum(self._energy, self._ways[point][way])
 
     def chosen_way_wh(self, point: int, way: NDArray[np.int64]) -> FloatArray:
-        """The same with the own choice of way of each of the policy's samples."""
-        ways = range(self.ways(point))
-        energies = np.stack([self.way_wh(point, i)[self._policy] for i in ways])
+        """The same with each POLICY sample's own choice of way."""
+        energies = np.stack([self.way_wh(point, i)[POLICY] for i in range(self.ways(point))])
         return energies[way, np.arange(way.size)]
 
     def whole_wh(self) -> FloatArray:
@@ -139,7 +136,7 @@ class LegTable:
     def predicted(self, point: int) -> Foreseen:
         """What the gate at a later point will think that turning and flying on need.
 
-        For every sample of the policy's; that gate knows only its own wind until then.
+        For every POLICY sample; that gate knows only its own wind until then.
         """
         seen = self._outlooks[point]
         here = [self._need([way]) for way in seen.here]
@@ -214,22 +211,11 @@ class LegTable:
         sampler: PathSampler,
     ) -> None:
         at_leg = _weights(middle)
-        paths = sampler.paths(forecast, self._leaning(at_leg))
-        walk = paths.walk_ne_mps
-        wind = at_leg @ walk + paths.error_ne_mps
+        walk = sampler.walk(forecast)
+        wind = at_leg @ walk + sampler.error(forecast)
         self._energy = self._route_energy.costs_by_leg(self._compiled, wind[0], wind[1]).energy_wh
         if self.stages > 1:
-            self._foresee(forecast, at_leg, _weights(arrival), walk[:, :, self._policy])
-
-    def _leaning(self, at_leg: FloatArray) -> FloatArray:
-        """What the need of coming home by way of the next decision point grows by with the wind.
-
-        (2, nodes) Wh per m/s, north and east. That is the need that decides.
-        """
-        next_point = min(1, self.stages)
-        spans = [*self._stage[:next_point], self._ways[next_point][0]]
-        rows = [row for span in spans for row in _rows(span)]
-        return self._gradient[rows].T @ at_leg[rows]
+            self._foresee(forecast, at_leg, _weights(arrival), walk[:, :, POLICY])
 
     def _foresee(
         self,
@@ -254,7 +240,8 @@ class LegTable:
             tuple(self._legs[i] for i in legs), tuple(self._before[i] for i in legs)
         )
         self._seen = self._route_energy.costs_by_leg(chosen, seen[0], seen[1]).energy_wh
-        self._seen_gradient = self._gradient[legs]
+        mean_wind = mean.mean(axis=0)
+        self._seen_gradient = self._route_energy.gradient_wh_per_mps(chosen, mean_wind)
         known = np.outer(share, share) * variance  # rows are only joined within one point
         self._seen_cov = leg_rows @ cov @ leg_rows.T - known
         self._error_cov = forecast.error_cov_m2ps2
