@@ -52,12 +52,11 @@ class _Work:
     said: bytearray = field(default_factory=bytearray)
 
     @property
-    def answer(self) -> bytes | None:
-        """The whole answer, if it is there."""
+    def is_answered(self) -> bool:
+        """Whether the whole answer is there."""
         if len(self.said) < LENGTH.size:
-            return None
-        end = LENGTH.size + LENGTH.unpack_from(self.said)[0]
-        return bytes(self.said[LENGTH.size : end]) if len(self.said) >= end else None
+            return False
+        return len(self.said) >= LENGTH.size + LENGTH.unpack_from(self.said)[0]
 
 
 LOCKSTEP_WAIT_S = 15.0
@@ -98,7 +97,7 @@ class TableWorker:
             made: ValueTable | str = "the autopilot's clock went back"
         else:
             made = self._answer(work)
-        if work.answer is None:
+        if not work.is_answered:
             self._end()  # late, hung or dead: the next one starts anew
             self._process = self._started()
         self._work = None
@@ -135,7 +134,7 @@ class TableWorker:
         assert self._process is not None
         assert self._process.stdout is not None
         pipe, until_s = self._process.stdout.fileno(), wall_s() + patience_s
-        while work.answer is None:
+        while not work.is_answered:
             if not select.select([pipe], [], [], max(0.0, until_s - wall_s()))[0]:
                 return False
             some = os.read(pipe, 1 << 20)
@@ -148,10 +147,10 @@ class TableWorker:
         """What the worker made, waited for as long as that is allowed, or why there is none."""
         if not self._listen(work, self._wait_s):
             return "the worker took too long"
-        if work.answer is None:
+        if not work.is_answered:
             return "the worker died"
         try:
-            made = pickle.loads(work.answer)
+            made = pickle.loads(memoryview(work.said)[LENGTH.size :])
         except (EOFError, pickle.UnpicklingError):
             return "the worker talks nonsense"
         return made if isinstance(made, ValueTable | str) else "the worker talks nonsense"

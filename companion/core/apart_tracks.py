@@ -54,7 +54,10 @@ def heard_neighbour(pilot: Pilot, track: Track) -> None:
             math.radians(track.to_lat_deg), math.radians(track.to_lon_deg), frame.alt_amsl_m
         )
         apart.goals[track.vehicle] = (goal_n, goal_e)
-    (apart.aside.add if track.aside else apart.aside.discard)(track.vehicle)
+    if track.aside:
+        apart.aside.add(track.vehicle)
+    else:
+        apart.aside.discard(track.vehicle)
     apart.tracks = apart.tracks.heard(report, pilot.now.t_s + apart.ahead_of_core_s)
 
 

@@ -37,15 +37,6 @@ from companion.core.braking_paths import (
     slack_of,
 )
 
-__all__ = [
-    "Clearance",
-    "Filtered",
-    "Neighbours",
-    "SeparationFilter",
-    "SeparationParams",
-    "Verdict",
-]
-
 Clearance = Callable[[Floats, Rows], Floats]
 """Points (a, ..., 3) of the vehicles `rows` (a,) -> a lower bound of the way to an obstacle, m."""
 

@@ -11,7 +11,7 @@ from ground_station.core.day_run import distance_m
 from ground_station.core.day_view import DayView, DroneView, TruckView
 from ground_station.core.fleet import Clock
 from ground_station.core.measured_wind import MeasuredWind
-from ground_station.core.orders import AssignmentRow, AssignmentState, OrderState
+from ground_station.core.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
 from ground_station.core.picture import STANDBY, Picture, VehicleSeen
 from ground_station.core.sorties import SortieRow, Visit
 from ground_station.core.truck import DRIVING, TRUCK
@@ -135,7 +135,7 @@ class DaySight:
         self.plans.note_orders(orders)
         return _Rows(
             read_s=now_s,
-            open=frozenset(r.order.id for r in orders if r.state is OrderState.OPEN),
+            open=_open(orders),
             sorties=tuple(self.day.sorties()),
             serves=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
             told=self.day.told(),
@@ -187,7 +187,7 @@ class DaySight:
 
     def still_open(self) -> frozenset[str]:
         """Orders that nobody has, by the store."""
-        return self._read(self.clock.monotonic_s()).open
+        return _open(self.store.orders())
 
     def measured_wind(self, before: Forecast) -> Forecast:
         """To plan with now, by what drones in flight tell; `before` where that is too little."""
@@ -197,6 +197,10 @@ class DaySight:
         """What a flight that is over has told of its energy, once; None: nothing."""
         told = self._energy_wh.pop(assignment, None)
         return None if told is None else max(0.0, told[0] - told[1])
+
+
+def _open(orders: list[OrderRow]) -> frozenset[str]:
+    return frozenset(row.order.id for row in orders if row.state is OrderState.OPEN)
 
 
 def _truck_view(seen: VehicleSeen | None, now_s: float) -> TruckView | None:

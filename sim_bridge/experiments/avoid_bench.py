@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from companion.core.actor_view import Around, wish_of
 from companion.core.avoidance_policy import AvoidancePolicy
-from companion.core.separation_filter import Neighbours, SeparationFilter, Verdict
+from companion.core.braking_paths import Neighbours
+from companion.core.separation_filter import SeparationFilter, Verdict
 from sim_bridge.experiments.report import Sheet
 from sim_bridge.training.scenes import make_scene
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground_station.adapters.compiled_code import keep_compiled_code
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.flavour import Flavour, LinkKind
@@ -19,8 +18,6 @@ from sim_bridge.autopilot.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
-
-keep_compiled_code()  # before any test imports the planner: a second run compiles nothing
 
 PARAMS = Path(__file__).resolve().parents[2] / "params"
 HOME = (55.47, 8.45, 12.0)

@@ -8,14 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.core.braking_paths import Neighbours, SeparationParams
 from companion.core.errors import LeewayError
 from companion.core.neighbour_tracks import DOUBT_S, LOST_S, NeighbourTracks, Report
-from companion.core.separation_filter import (
-    Neighbours,
-    SeparationFilter,
-    SeparationParams,
-    Verdict,
-)
+from companion.core.separation_filter import SeparationFilter, Verdict
 
 TICK_S, LATE_TICKS = 0.2, 1
 FASTEST_MPS, ACCEL_MPS2, CLIMB_ACCEL_MPS2 = 15.0, 3.0, 2.0

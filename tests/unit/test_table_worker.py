@@ -118,7 +118,7 @@ def test_beside_a_real_vehicle_a_table_larger_than_a_pipe_arrives_without_a_wait
     worker = TableWorker(0.0)
     worker.order(MakeTable(REQUEST, 1e6), 100.0)
     t_s, until_s = 100.0, wall_s() + 120.0
-    while wall_s() < until_s and worker._work is not None and worker._work.answer is None:
+    while wall_s() < until_s and worker._work is not None and not worker._work.is_answered:
         t_s += 0.1
         assert worker.due(t_s) is None
         time.sleep(0.02)
