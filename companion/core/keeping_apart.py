@@ -21,6 +21,7 @@ from companion.core.apart_wish import (
     LEG_PHASES,
     LOWEST_M,
     acted,
+    passed,
     sees,
     speed_mps,
     target,
@@ -98,6 +99,8 @@ class Apart:
     wanted: bool = False
     since_s: float = -1e9
     asked_s: float = -1e9
+    passed_s: float = -1e9
+    """When the mission was told last that a waypoint is passed."""
     motion: Motion | None = None
     free_ticks: int = 0
     rank: int = 0
@@ -231,6 +234,10 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     if not is_flown(pilot):
         apart.motion = None
         return
+    on = passed(pilot, here)
+    if on is not None and pilot.now.t_s - apart.passed_s >= ASK_AGAIN_S:
+        apart.passed_s = pilot.now.t_s
+        pilot.do(JumpTo(on))  # as if it had been reached; telemetry tells when that is obeyed
     wish = acted(pilot, here, goal, straight)
     _move_on(pilot, here, velocity, wish, neighbours)
     _keep_course(pilot)

@@ -132,6 +132,17 @@ class DeadMansMission:
             index = int(item.value) if item.kind is ItemKind.JUMP else index + 1
         return None
 
+    def next_place(self, index: int) -> int | None:
+        """The next item with a place that the autopilot comes to by itself after this one."""
+        for _ in range(len(self.items)):
+            if not 0 <= index < len(self.items):
+                return None
+            item = self.items[index]
+            index = int(item.value) if item.kind is ItemKind.JUMP else index + 1
+            if 0 <= index < len(self.items) and self.items[index].kind in PLACED:
+                return index
+        return None
+
     def follows(self, before: int, now: int) -> bool:
         """Tell whether the autopilot gets from `before` to `now` by itself.
 

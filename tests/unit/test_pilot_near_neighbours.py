@@ -200,6 +200,68 @@ def test_the_gate_stands_above_the_detour(flavour):
     assert w.items[w.index].part is Part.RETURN
 
 
+def homeward(flavour: Flavour) -> Beside:
+    """Turned back 20 m before a waypoint of the way out, with somebody in the way."""
+    w = beside(flavour)
+    w.run(lambda w: w.north > 80.0)
+    coming(w)
+    w.judge.turn_back = lambda judge: True
+    w.run(lambda w: w.pilot.phase is Phase.RETURN and w.pilot.air.jump is None, 5.0)
+    return w
+
+
+@BOTH
+def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_hand_back(flavour):
+    """The autopilot counts no waypoint then: two stood over two that were 3 m apart, for good."""
+    w = homeward(flavour)
+    flown, first = w.pilot.flown, w.pilot.air.index
+    assert flown is not None
+    assert first == flown.mission.returning[-1]
+    # somebody waits over the pad, too near to its height for it to hand back there
+    w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
+    while w.pilot.air.index == first:
+        w.step()
+        assert max(w.away_m / 6.0, w.above_m / 5.0) >= 1.0
+        assert w.t_s < 120.0
+    assert w.guided
+    assert math.hypot(w.north, w.east) < 5.0
+    assert w.height > 10.0
+    assert w.pilot.air.index == flown.mission.land
+    assert w.pilot.phase is Phase.LAND
+    assert flown.mission.stands_for(w.index) == flown.mission.land
+    w.neighbour = None
+    w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
+
+
+@BOTH
+def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(flavour):
+    """One that always stands 14 m before us lets us neither pass nor climb."""
+    w = coming(beside(flavour))
+    height = w.height
+
+    def stand_before(w: Beside) -> None:
+        w.neighbour, w.neighbour_vel = (w.north + 14.0, w.east, -w.height), (0.0, 0.0, 0.0)
+
+    rank = w.pilot.apart.rank
+    while w.pilot.apart.rank == rank:
+        stand_before(w)
+        w.step()
+        assert w.t_s < 120.0
+    held_at, held_s = (w.north, w.east, w.height), w.t_s
+    assert abs(w.height - height) < 6.0
+    w.neighbour_vel = (0.0, 0.0, 0.0)  # it stays where it is
+    while w.t_s < held_s + 4.0:
+        w.step()
+    assert w.north < held_at[0] - 3.0
+    assert abs(w.east - held_at[1]) < 3.0
+    climbed = 0.0
+    while w.t_s < held_s + 20.0:
+        w.step()
+        climbed = max(climbed, abs(w.height - held_at[2]))
+        assert max(w.away_m / 6.0, w.above_m / 5.0) >= 1.0
+    assert climbed > 6.0
+
+
 @BOTH
 def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flavour):
     w = coming(beside(flavour), 120.0)
