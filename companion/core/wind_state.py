@@ -21,10 +21,12 @@ import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.errors import LeewayError
 from companion.core.wind_turbulence import Front, Turbulence
 
 FloatArray = NDArray[np.float64]
@@ -123,6 +125,31 @@ class WindState:
         other.airspeed_mps, other.turbulence = self.airspeed_mps, replace(self.turbulence)
         other.front = replace(self.front)
         return other
+
+    def snapshot(self) -> dict[str, object]:
+        """What a checkpoint keeps."""
+        return {
+            "x": self.x.tolist(),
+            "cov": self.cov.tolist(),
+            "airspeed_mps": self.airspeed_mps,
+            "turbulence": self.turbulence.ratio,
+        }
+
+    def restore(self, snapshot: dict[str, object]) -> None:
+        """Go on from a checkpoint; raises KeyError, ValueError, LeewayError when it is not one."""
+        x = np.array(msgspec.convert(snapshot["x"], list[float]))
+        cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
+        airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
+        turbulence = msgspec.convert(snapshot["turbulence"], float)
+        usable = (
+            x.shape == (STATES,)
+            and cov.shape == (STATES, STATES)
+            and np.isfinite([*x, *cov.ravel(), airspeed_mps, turbulence]).all()
+        )
+        if not usable or float(np.linalg.eigvalsh(cov)[0]) < -1e-9 or turbulence <= 0.0:
+            raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
+        self.x, self.cov = x, 0.5 * (cov + cov.T)
+        self.airspeed_mps, self.turbulence.ratio = airspeed_mps, turbulence
 
     @property
     def wind_is_known(self) -> bool:
