@@ -65,7 +65,7 @@ class WindEstimatorParams:
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
     lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
-    trim_walk_rad2ps: float = math.radians(0.1) ** 2 / 60.0
+    trim_walk_rad2ps: float = math.radians(0.2) ** 2 / 60.0  # [est] heat, manoeuvres
     gain_walk_per_s: float = 0.02**2 / 600.0
     gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination

@@ -281,7 +281,9 @@ def test_a_known_start_is_filterpys_extended_filter() -> None:
             oracle.update(measured, slope, expected)
     usual = ours.snapshot()["usual"]
     np.testing.assert_allclose(usual["x"], oracle.x, atol=1e-3)
-    np.testing.assert_allclose(np.sqrt(np.diag(usual["cov"])), np.sqrt(np.diag(oracle.P)), rtol=1e-2)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(usual["cov"])), np.sqrt(np.diag(oracle.P)), rtol=1e-2
+    )
 
 
 def _prior(p: WindEstimatorParams, gain: float, axis: float, trim_deg: float) -> np.ndarray:
