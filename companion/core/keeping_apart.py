@@ -66,6 +66,9 @@ STREAM_S = 0.3
 """PX4 wants set-points before OFFBOARD (and at more than 2 Hz)."""
 
 ASK_AGAIN_S = 1.5
+PASS_ASKS = 3
+"""So often a mission is told to go on past a waypoint; then it is handed back as it is."""
+
 RENEW_S = 5.0
 """How often ArduCopter is told to go on with set-points: half of `ASIDE_S`."""
 
@@ -87,6 +90,15 @@ PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
 
 
 @dataclass(slots=True)
+class Passing:
+    """Orders to go on past an item."""
+
+    item: int
+    asked: int
+    asked_s: float
+
+
+@dataclass(slots=True)
 class Apart:
     """What is known of the neighbours, and whether set-points are wanted and flown."""
 
@@ -99,8 +111,8 @@ class Apart:
     wanted: bool = False
     since_s: float = -1e9
     asked_s: float = -1e9
-    passed_s: float = -1e9
-    """When the mission was told last that a waypoint is passed."""
+    passing: Passing | None = None
+    """The waypoint that the mission was told is passed."""
     motion: Motion | None = None
     free_ticks: int = 0
     rank: int = 0
@@ -234,17 +246,34 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     if not is_flown(pilot):
         apart.motion = None
         return
-    on = passed(pilot, here)
-    if on is not None and pilot.now.t_s - apart.passed_s >= ASK_AGAIN_S:
-        apart.passed_s = pilot.now.t_s
-        pilot.do(JumpTo(on))  # as if it had been reached; telemetry tells when that is obeyed
+    passing = _pass_by(pilot, here)
     wish = acted(pilot, here, goal, straight)
     _move_on(pilot, here, velocity, wish, neighbours)
     _keep_course(pilot)
     free = stays_free(apart.separation, here, [velocity, straight], neighbours, FREE_S)
     apart.free_ticks = apart.free_ticks + 1 if free else 0
-    if apart.free_ticks >= FREE_TICKS and sees(pilot, here):
+    if apart.free_ticks >= FREE_TICKS and not passing and sees(pilot, here):
         _hand_back(pilot, "the way is free")
+
+
+def _pass_by(pilot: Pilot, here: Floats) -> bool:
+    """Whether the mission is being told to go on past a waypoint that set-points have reached.
+
+    As if the autopilot had reached it by itself; telemetry tells when it obeys. Meanwhile nothing
+    is handed back: two orders of which item to fly would be one too many.
+    """
+    apart, item, t_s = pilot.apart, pilot.air.index, pilot.now.t_s
+    on = passed(pilot, here)
+    if on is None or item is None:
+        return False
+    before = apart.passing if apart.passing and apart.passing.item == item else None
+    asked = before.asked if before else 0
+    if before is None or t_s - before.asked_s >= ASK_AGAIN_S:
+        if asked == PASS_ASKS:
+            return False
+        apart.passing = Passing(item, asked + 1, t_s)
+        pilot.do(JumpTo(on))
+    return True
 
 
 def _hurried(
@@ -334,6 +363,8 @@ def _leave(pilot: Pilot) -> None:
     if pilot.flavour is Flavour.PX4:
         pilot.authority.order(Mode.MISSION, state)
         pilot.do(SetMode(Mode.MISSION))
+    elif pilot.air.jump is not None:  # ordered in this very tick, perhaps: not to be undone
+        pilot.do(JumpTo(pilot.air.jump.index))
     elif pilot.air.index is not None:
         pilot.do(JumpTo(pilot.air.index))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from companion.core import events as ev
+from companion.core import keeping_apart
 from companion.core.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
 from companion.core.events import Flavour, Mode
 from companion.core.fleet_motion import FLEET, backing_off
@@ -17,6 +18,8 @@ from companion.core.flight_state import PilotOptions
 from companion.core.messages import Track
 from companion.core.mission_items import ItemKind, Part
 from companion.core.neighbour_tracks import NeighbourTracks, Report
+from companion.core.obedience import Purpose
+from companion.core.progress import jump
 from companion.core.transitions import Phase
 from tests.unit.test_pilot_flight import DEPOT, M_PER_DEG, World, world
 
@@ -35,6 +38,7 @@ class Beside(World):
     neighbour_goal: tuple[float, float] | None = None
     told_velocity: tuple[float, float, float] | None = None
     tells: bool = True
+    deaf_to_jumps: bool = False
 
     @property
     def guided(self) -> bool:
@@ -47,7 +51,8 @@ class Beside(World):
     def obey(self, order: Order) -> None:
         if isinstance(order, FlyVelocity):
             self.told_velocity = order.vel_ned_mps
-        super().obey(order)
+        if not (self.deaf_to_jumps and isinstance(order, JumpTo)):
+            super().obey(order)
 
     def fly(self, dt_s: float) -> None:
         if self.neighbour is not None:
@@ -230,6 +235,52 @@ def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_ha
     assert w.pilot.phase is Phase.LAND
     assert flown.mission.stands_for(w.index) == flown.mission.land
     w.neighbour = None
+    w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
+
+
+@BOTH
+def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour, monkeypatch):
+    """Leave to go on was given as the way became free, and the item before was ordered again: the
+    pilot then took the one for somebody else's hand, and let the vehicle go home undelivered."""
+    w = coming(beside(flavour))
+    flown = w.pilot.flown
+    assert flown is not None
+    onward = flown.mission.outbound[w.pilot.air.leg + 1]
+    w.neighbour = None
+    w.pilot.apart.tracks = NeighbourTracks(FLEET)
+
+    def both(pilot, *_):
+        jump(pilot, onward, Purpose.ONWARD)
+        keeping_apart._hand_back(pilot, "the way is free")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(keeping_apart, "_decide", both)
+        w.run(lambda w: not w.pilot.apart.wanted, 1.0)
+    w.run(lambda w: not w.guided, 3.0)
+    for _ in range(20):
+        w.step()
+    assert w.pilot.phase is Phase.OUTBOUND
+    assert w.pilot.air.index == onward
+
+
+@BOTH
+def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(flavour):
+    w = homeward(flavour)
+    first = w.pilot.air.index
+    w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
+    w.run(lambda w: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
+    w.deaf_to_jumps = True
+    for _ in range(100):
+        w.step()
+    asked = [a for t, a in w.log if isinstance(a, JumpTo) and t > w.t_s - 10.0]
+    flown = w.pilot.flown
+    assert flown is not None
+    led = {flown.mission.land, flown.mission.aside_of(flown.mission.land)}
+    assert len([a for a in asked if a.index in led]) == 3
+    assert w.pilot.air.index == first
+    w.deaf_to_jumps, w.neighbour_vel = False, (0.0, 8.0, 0.0)  # the other one goes
+    w.run(lambda w: not w.guided, 30.0)
+    assert w.pilot.air.index == first
     w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
 
 
