@@ -62,8 +62,8 @@ class PowerPriors:
 
 @dataclass(frozen=True, slots=True)
 class PowerFit:
-    """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices and the
-    measured over expected power there, less 1; the sensor's factor."""
+    """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices,
+    the measured over expected power there, less 1, and the sensor's factor."""
 
     values: FloatArray
     cov: FloatArray

@@ -93,7 +93,7 @@ def quantities_of(
             float(np.sqrt(power.prior_cov[3, 3])),
             1.0,
             False,
-            "leave it armed off, but logging, for 20 s before take-off (PX4 SDLOG_MODE 1,"
+            "let it stand disarmed, but logging, for 20 s before take-off (PX4 SDLOG_MODE 1,"
             " ArduPilot LOG_DISARMED 1)",
         )
     )

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -13,6 +14,12 @@ from companion.adapters.files import params_dir, read_airframe
 from companion.core.calibration import calibrate, predict
 from companion.core.calibration_battery import fit_battery
 from companion.core.calibration_drag import WindSeen
+from companion.core.calibration_flight import (
+    CHANGE_SPEED,
+    WAYPOINT,
+    PlanOptions,
+    calibration_items,
+)
 from companion.core.calibration_power import fit_power
 from companion.core.calibration_quantities import power_and_slope
 from companion.core.calibration_records import BLOCK_S, Blocks, FlightRecord, prepare
@@ -246,6 +253,19 @@ def test_without_drag_from_above_blades_without_drag_are_said_and_the_number_to_
     assert power_errors(found.airframe, (19.0,)).min() < -0.05
     said = next(note for note in found.notes if note.startswith("blade drag came out at 0.00"))
     assert "drag.vertical_quadratic_n_per_mps2 in octo8" in said
+
+
+def test_fast_sides_hold_the_fastest_speed_for_8_seconds_after_gaining_and_before_losing_it():
+    octo = read_airframe("octo8")
+    items = calibration_items(octo, PlanOptions(fast=True))
+    told = [item.params[1] for item in items if item.command == CHANGE_SPEED]
+    assert told.count(18.0) >= 2 * (told.count(9.0) - 1) - 1  # the way home is at 9 m/s, too
+    corners = [item.place_neu_m for item in items if item.command == WAYPOINT]
+    sides = [math.dist(a, b) for a, b in pairwise(corners) if a[2] == b[2] and a != b]
+    gained_m = 18.0**2 / (2.0 * octo.speeds.accel_mps2)
+    assert min(sides) >= 8.0 * 18.0 + 2.0 * gained_m
+    slow = calibration_items(octo, PlanOptions())
+    assert all(item.params[1] < 14.0 for item in slow if item.command == CHANGE_SPEED)
 
 
 def test_slow_flight_alone_leaves_drag_from_above_as_believed_and_the_fast_plan_is_named():
