@@ -6,6 +6,7 @@ it); so is flight sideways through the air, where the model's nose-on drag does 
 flight has a factor of its own for its current sensor's scale.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -37,6 +38,8 @@ _SIDEWAYS_FRAC = 0.6
 _SIDEWAYS_FREE_MPS = 2.5
 _STANDING_MPS = 0.15
 _STANDING_W_FRAC = 0.15
+_MAD_TO_STD = 1.4826  # of a normal distribution, as is the next
+_MEDIAN_OVER_MEAN_STD = 1.2533
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,10 +182,9 @@ def fit_power(
         ]
         for i, seen in enumerate(standing):
             if seen is not None:
-                mean_w, volt_v = seen
-                parts.append(
-                    [(mean_w - x[3] * (1.0 + x[count + i])) / (p.current_offset_std_a * volt_v)]
-                )
+                drawn_w, drawn_std_w, volt_v = seen
+                std_w = math.hypot(p.current_offset_std_a * volt_v, drawn_std_w)
+                parts.append([(drawn_w - x[3] * (1.0 + x[count + i])) / std_w])
         parts.append((x[:count] - start) / stds)
         parts.append(x[count:] / p.sensor_scale_std)
         return np.concatenate(parts)
@@ -243,12 +245,18 @@ def _standing_blocks(blocks: Blocks, airframe: Airframe) -> NDArray[np.int64]:
     return np.flatnonzero(still & ~blocks.airborne)
 
 
-def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float] | None:
-    """Mean power and voltage at rest on the ground; None where the log has too little of it."""
+def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float, float] | None:
+    """Power at rest on the ground, its standard deviation, and the voltage; None where the log has
+    too little of it. Medians: motors that spin up or down are in one or two of the blocks.
+    """
     at = _standing_blocks(blocks, airframe)
     if len(at) < 3:
         return None
-    return float(blocks.power_w[at].mean()), float(blocks.voltage_v[at].mean())
+    power_w = blocks.power_w[at]
+    middle_w = float(np.median(power_w))
+    scatter_w = _MAD_TO_STD * float(np.median(np.abs(power_w - middle_w)))
+    std_w = _MEDIAN_OVER_MEAN_STD * scatter_w / math.sqrt(len(at))
+    return middle_w, std_w, float(np.median(blocks.voltage_v[at]))
 
 
 def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> FloatArray:
