@@ -8,7 +8,8 @@
   wind; on one heading for ever they stay apart only by their priors (`wind_state`).
 - The heading error turns the air that the vehicle flies through: 3 degrees at 14 m/s are 0.7 m/s
   of wind across, which the way back on the other heading gives away.
-- While an airspeed enters, a second filter goes without it. It is what the airspeed is judged by,
+- Whether the air is calm is for two filters to tell apart (`wind_airs`).
+- While an airspeed enters, another filter goes without it. It is what the airspeed is judged by,
   and what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
 - A parcel that goes changes the drag by more than its mass tells, so the gains are opened again.
 - A plain numpy filter: filterpy is the oracle in the tests only, as it would put matplotlib on
@@ -22,19 +23,20 @@ import numpy as np
 
 from companion.core.airframe import Airframe
 from companion.core.errors import LeewayError
+from companion.core.wind_airs import Airs
 from companion.core.wind_from_airspeed import (
     AirspeedSeen,
     PitotWatch,
     pitot_seen,
     vector_seen,
 )
-from companion.core.wind_from_tilt import MotionWatch, has_tilt, tilt_told
+from companion.core.wind_from_tilt import MotionWatch, TiltTold, has_tilt, tilt_told
 from companion.core.wind_observation import WindBelief, WindObservation
 from companion.core.wind_state import STATES, At, WindEstimatorParams, WindState, gust_length_m
 
 __all__ = ["WindBelief", "WindEstimator", "WindEstimatorParams", "WindObservation"]
 
-SNAPSHOT_FORMAT = "wind-estimator/3"
+SNAPSHOT_FORMAT = "wind-estimator/4"
 
 
 KNOWN_DRAG_STD_FRAC = 0.1
@@ -60,7 +62,7 @@ class WindEstimator:
     def __init__(self, airframe: Airframe, params: WindEstimatorParams | None = None) -> None:
         self._airframe = airframe
         self._params = params or params_for(airframe)
-        self._alone = WindState(airframe, self._params)  # without any airspeed
+        self._alone = Airs.unseen(airframe, self._params)  # without any airspeed
         self._with_airspeed: WindState | None = None
         self._t_s: float | None = None
         self._entered_s: dict[str, float] = {}
@@ -72,7 +74,7 @@ class WindEstimator:
 
     @property
     def _believed(self) -> WindState:
-        return self._with_airspeed or self._alone
+        return self._with_airspeed or self._alone.likelier
 
     @property
     def trim_rad(self) -> tuple[float, float]:
@@ -132,52 +134,45 @@ class WindEstimator:
         """The wind at `t_s` >= the last update; waiting only makes it less certain."""
         p = self._params
         waited_s = 0.0 if self._t_s is None else max(t_s - self._t_s, 0.0)
-        mean, cov = self._believed.ten_second_mean(waited_s)
+        mean, cov = (self._with_airspeed or self._alone).ten_second_mean(waited_s)
         fresh = [n for n, at in self._entered_s.items() if t_s - at <= p.stale_after_s]
         settled = self._tilt_s >= p.settle_s or "autopilot" in fresh
         return WindBelief(t_s, mean, cov, tuple(sorted(fresh)), settled and bool(fresh))
 
     def snapshot(self) -> dict[str, object]:
         """What a checkpoint keeps: trims and gains are worth more than the wind of then."""
-        state = self._believed
+        second = self._with_airspeed
+        usual, calm = self._alone.states if second is None else (second, second)
         return {
             "format": SNAPSHOT_FORMAT,
             "t_s": self._t_s,
-            "x": state.x.tolist(),
-            "cov": state.cov.tolist(),
-            "airspeed_mps": state.airspeed_mps,
-            "turbulence": state.turbulence.ratio,
+            "usual": usual.snapshot(),
+            "calm": calm.snapshot(),
+            "chance_calm": self._alone.chance_calm,
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
         """Go on from a checkpoint; raises LeewayError when it is not one."""
         if snapshot.get("format") != SNAPSHOT_FORMAT:
             raise LeewayError(f"checkpoint: expected a {SNAPSHOT_FORMAT} snapshot")
+        usual, calm = (WindState(self._airframe, self._params) for _ in range(2))
         try:
             t_s = msgspec.convert(snapshot["t_s"], float | None)
-            x = np.array(msgspec.convert(snapshot["x"], list[float]))
-            cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
-            airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
-            turbulence = msgspec.convert(snapshot["turbulence"], float)
+            chance = msgspec.convert(snapshot["chance_calm"], float)
+            for name, state in (("usual", usual), ("calm", calm)):
+                state.restore(msgspec.convert(snapshot[name], dict[str, object]))
         except (KeyError, ValueError, msgspec.ValidationError) as error:
             raise LeewayError(f"checkpoint: {error}") from error
-        usable = (
-            x.shape == (STATES,)
-            and cov.shape == (STATES, STATES)
-            and np.isfinite([*x, *cov.ravel(), airspeed_mps, turbulence]).all()
-        )
-        if not usable or float(np.linalg.eigvalsh(cov)[0]) < -1e-9 or turbulence <= 0.0:
-            raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
-        state = WindState(self._airframe, self._params)
-        state.x, state.cov = x, 0.5 * (cov + cov.T)
-        state.airspeed_mps, state.turbulence.ratio = airspeed_mps, turbulence
-        self._t_s, self._alone, self._with_airspeed = t_s, state, None
+        if not 0.0 < chance < 1.0:
+            raise LeewayError("checkpoint: expected a chance of calm between 0 and 1")
+        self._t_s, self._with_airspeed = t_s, None
+        self._alone = Airs(usual, calm, chance)
 
     # -- what enters -----------------------------------------------------------------------------
 
     def _states(self) -> list[WindState]:
         second = self._with_airspeed
-        return [self._alone] if second is None else [self._alone, second]
+        return [*self._alone.states] if second is None else [*self._alone.states, second]
 
     def _notice_mass(self, mass_kg: float) -> None:
         """The parcel went: what was learned of the drag with it holds less without it."""
@@ -194,22 +189,13 @@ class WindEstimator:
         motion = self._motion.take(seen, p)
         if motion.since_s is None:
             return []
-        believed, rejected = self._believed, False
-        for state in self._states():
-            told = tilt_told(state, self._airframe, p, seen, motion)
-            if told.is_outlier(p.gate_sigmas):
-                rejected = rejected or state is believed
-                continue
-            known = state.wind_std_mps < p.scalar_wind_std_mps
-            state.correct_both(told.gain, told.white)
-            if known:
-                state.corrected(
-                    told.wind_step_ne_mps,
-                    told.wind_step_variance_m2ps2,
-                    told.surprise,
-                    motion.since_s,
-                )
-        if rejected:
+        believed = self._believed
+        states = self._states()
+        told = [tilt_told(state, self._airframe, p, seen, motion) for state in states]
+        if all(state.wind_std_mps < p.scalar_wind_std_mps for state in self._alone.states):
+            self._alone.weigh(told[:2], p.gate_sigmas, motion.since_s)
+        rejected = [_told_tilt(*each, p, motion.since_s) for each in zip(states, told, strict=True)]
+        if rejected[states.index(believed)]:
             return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None
         self._entered_s["tilt"] = seen.t_s
@@ -229,7 +215,8 @@ class WindEstimator:
 
     def _take_pitot(self, seen: WindObservation) -> list[str]:
         p = self._params
-        if seen.airspeed_mps is None or self._alone.wind_std_mps > p.scalar_wind_std_mps:
+        alone = self._alone.likelier
+        if seen.airspeed_mps is None or alone.wind_std_mps > p.scalar_wind_std_mps:
             return []
         fresh_s, stuck = self._pitot.look(seen.t_s, seen.airspeed_mps, p.stuck_after_s)
         if stuck:
@@ -237,15 +224,15 @@ class WindEstimator:
             return ["pitot reads the same for long: left out"]
         if fresh_s is None:
             return []
-        by_tilt = pitot_seen(self._alone, p, seen, fresh_s)
+        by_tilt = pitot_seen(alone, p, seen, fresh_s)
         if by_tilt is None:
             return []
-        self._pitot.judge(seen.t_s, by_tilt.surprise(self._alone), fresh_s, p)
+        self._pitot.judge(seen.t_s, by_tilt.surprise(alone), fresh_s, p)
         if self._pitot.faulty:
             self._with_airspeed = None
             return ["pitot disagrees with tilt for long: left out"]
         if self._with_airspeed is None:
-            self._with_airspeed = self._alone.copy()
+            self._with_airspeed = alone.copy()
         state = self._with_airspeed
         told = pitot_seen(state, p, seen, fresh_s)
         if told is None:
@@ -261,7 +248,7 @@ class WindEstimator:
         if seen.airspeed_fr_mps is None:
             return []
         if self._with_airspeed is None:
-            self._with_airspeed = self._alone.copy()
+            self._with_airspeed = self._alone.likelier.copy()
         state = self._with_airspeed
         told = vector_seen(state, p, seen, dt_s)
         if state.wind_is_known and any(abs(t.surprise(state)) > p.gate_sigmas for t in told):
@@ -295,6 +282,18 @@ class WindEstimator:
                 state.correct(row, float(value) - float(row @ state.x), 1.0)
         self._entered_s["autopilot"] = seen.t_s
         return []
+
+
+def _told_tilt(state: WindState, told: TiltTold, params: WindEstimatorParams, dt_s: float) -> bool:
+    """Correct a state by what a measurement of drag told it; True: left out, being an outlier."""
+    if told.is_outlier(params.gate_sigmas):
+        return True
+    known = state.wind_std_mps < params.scalar_wind_std_mps
+    state.correct_both(told.gain, told.white)
+    if known:
+        step, variance = told.wind_step_ne_mps, told.wind_step_variance_m2ps2
+        state.corrected(step, variance, told.surprise, dt_s)
+    return False
 
 
 def _autopilot_cov(seen: WindObservation, p: WindEstimatorParams) -> np.ndarray:

@@ -196,12 +196,20 @@ def _gain(log_gain: float) -> float:
 class TiltTold:
     """What one measurement of drag says to a state: the innovation (m/s2) of both axes and its
     covariance, and the correction that they make, weighed: `gain @ white` is added to the state,
-    `gain @ gain.T` taken off its covariance."""
+    `gain @ gain.T` taken off its covariance. `area` is the root of the covariance's determinant."""
 
     innovations: tuple[float, float]
     variances: tuple[float, float]
     gain: FloatArray
     white: FloatArray
+    area: float
+
+    def log_density(self, sigmas: float, noise: float) -> float:
+        """How likely the innovation was foretold to be, but for a constant: the logarithm of its
+        Gaussian density, where what lies beyond `sigmas` counts as lying there. `noise`: how much
+        greater its variance is than stated, by what is seen."""
+        size = min(float(self.white @ self.white) / noise, sigmas**2)
+        return -0.5 * size - math.log(self.area)
 
     @property
     def surprise(self) -> float:
@@ -274,7 +282,7 @@ def _told(
     whitening = np.array([[1.0 / a, -b / (a * c)], [0.0, 1.0 / c]])
     first = left_f / a
     white = np.array([first, (left_r - b * first) / c])
-    return TiltTold((left_f, left_r), (ff, rr), across @ whitening, white)
+    return TiltTold((left_f, left_r), (ff, rr), across @ whitening, white, a * c)
 
 
 def _noises(

@@ -21,10 +21,12 @@ import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.airframe import Airframe
+from companion.core.errors import LeewayError
 from companion.core.wind_turbulence import Front, Turbulence
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +65,7 @@ class WindEstimatorParams:
     reference_wind_mps: float = 8.4  # [coast]
     least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
     lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
-    trim_walk_rad2ps: float = math.radians(0.1) ** 2 / 60.0
+    trim_walk_rad2ps: float = math.radians(0.2) ** 2 / 60.0  # [est] heat, manoeuvres
     gain_walk_per_s: float = 0.02**2 / 600.0
     gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
@@ -123,6 +125,31 @@ class WindState:
         other.airspeed_mps, other.turbulence = self.airspeed_mps, replace(self.turbulence)
         other.front = replace(self.front)
         return other
+
+    def snapshot(self) -> dict[str, object]:
+        """What a checkpoint keeps."""
+        return {
+            "x": self.x.tolist(),
+            "cov": self.cov.tolist(),
+            "airspeed_mps": self.airspeed_mps,
+            "turbulence": self.turbulence.ratio,
+        }
+
+    def restore(self, snapshot: dict[str, object]) -> None:
+        """Go on from a checkpoint; raises KeyError, ValueError, LeewayError when it is not one."""
+        x = np.array(msgspec.convert(snapshot["x"], list[float]))
+        cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
+        airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
+        turbulence = msgspec.convert(snapshot["turbulence"], float)
+        usable = (
+            x.shape == (STATES,)
+            and cov.shape == (STATES, STATES)
+            and np.isfinite([*x, *cov.ravel(), airspeed_mps, turbulence]).all()
+        )
+        if not usable or float(np.linalg.eigvalsh(cov)[0]) < -1e-9 or turbulence <= 0.0:
+            raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
+        self.x, self.cov = x, 0.5 * (cov + cov.T)
+        self.airspeed_mps, self.turbulence.ratio = airspeed_mps, turbulence
 
     @property
     def wind_is_known(self) -> bool:

@@ -279,9 +279,11 @@ def test_a_known_start_is_filterpys_extended_filter() -> None:
             off = 2.0 * params.model_memory_s * (body.model_std_frac * size) ** 2
             oracle.R = np.eye(2) * (params.tilt_noise_m2ps3 + off) / dt
             oracle.update(measured, slope, expected)
-    x, cov = ours.snapshot()["x"], ours.snapshot()["cov"]
-    np.testing.assert_allclose(x, oracle.x, atol=1e-3)
-    np.testing.assert_allclose(np.sqrt(np.diag(cov)), np.sqrt(np.diag(oracle.P)), rtol=1e-2)
+    usual = ours.snapshot()["usual"]
+    np.testing.assert_allclose(usual["x"], oracle.x, atol=1e-3)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(usual["cov"])), np.sqrt(np.diag(oracle.P)), rtol=1e-2
+    )
 
 
 def _prior(p: WindEstimatorParams, gain: float, axis: float, trim_deg: float) -> np.ndarray:
@@ -391,7 +393,13 @@ def test_a_restart_keeps_trim_and_gain() -> None:
     again.restore(estimator.snapshot())
     np.testing.assert_allclose(again.belief(31.0).cov_ne_m2ps2, estimator.belief(31.0).cov_ne_m2ps2)
     assert again.snapshot() == estimator.snapshot()
-    for broken in ({"format": "wind-estimator/2"}, {"x": [1.0]}, {"turbulence": -1.0}):
+    usual = estimator.snapshot()["usual"]
+    for broken in (
+        {"format": "wind-estimator/2"},
+        {"usual": {**usual, "x": [1.0]}},
+        {"calm": {**usual, "turbulence": -1.0}},
+        {"chance_calm": 1.0},
+    ):
         with pytest.raises(LeewayError):
             again.restore({**estimator.snapshot(), **broken})
 
