@@ -29,8 +29,9 @@ from companion.core.calibration_flight import (
     discharge_items,
     discharge_stop_v,
     square_speeds_mps,
+    with_room,
 )
-from companion.core.calibration_power import POWER_KEYS
+from companion.core.calibration_power import power_keys
 from companion.core.calibration_records import Blocks, prepare
 from companion.core.errors import LeewayError
 from companion.core.geo import LocalFrame
@@ -90,7 +91,8 @@ def write_calibration_plan(
     out: Path, home: str, airframe: str, autopilot: str, options: PlanOptions
 ) -> None:
     """Write the flight that identifies an airframe as a QGroundControl plan."""
-    _write_plan(out, home, airframe, autopilot, lambda a: calibration_items(a, options))
+    believed = _write_plan(out, home, airframe, autopilot, lambda a: calibration_items(a, options))
+    options = with_room(believed, options)
     typer.echo(
         f"{out}: written; it climbs to {options.height_m + 30.0:.0f} m within a"
         f" {options.side_m:.0f} m square"
@@ -245,12 +247,10 @@ def _day(path: Path) -> str:
 
 def _sources(done: Calibration) -> dict[tuple[str, str], str]:
     found = {}
-    for keys, fit, table in (
-        (DRAG_KEYS, done.drag, "drag"),
-        (POWER_KEYS, done.power, "power_rotor"),
-    ):
+    drag = [("drag", key) for key in DRAG_KEYS]
+    for keys, fit in ((drag, done.drag), (power_keys(done.airframe), done.power)):
         for key, std in zip(keys, np.sqrt(np.diag(fit.cov)), strict=True):
-            found[table, key] = f"fitted, ± {std:.2g}"
+            found[key] = f"fitted, ± {std:.2g}"
     found["drag", "gain_std_frac"] = "of that fit at cruise, at least the air's density"
     found["power_rotor", "model_std_frac"] = (
         "rms over two-minute pieces of flights left out, or 0.03"
@@ -294,6 +294,9 @@ def _as_json(done: Calibration, unseen: list[Holdout]) -> dict[str, Any]:
         ],
         "airframe": msgspec.to_builtins(done.airframe),
         "drag": {"keys": DRAG_KEYS, "std": np.sqrt(np.diag(done.drag.cov)).tolist()},
-        "power": {"keys": POWER_KEYS, "std": np.sqrt(np.diag(done.power.cov)).tolist()},
+        "power": {
+            "keys": [key for _, key in power_keys(done.airframe)],
+            "std": np.sqrt(np.diag(done.power.cov)).tolist(),
+        },
         "notes": list(done.notes),
     }

@@ -81,6 +81,13 @@ def plan_command(
     mirrored: Annotated[
         bool, typer.Option("--mirrored", help="The square south-west of the place instead.")
     ] = False,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Sides at max_ground_mps, as long as that takes: tells drag and power up there.",
+        ),
+    ] = False,
     discharge: Annotated[
         bool,
         typer.Option(
@@ -96,6 +103,7 @@ def plan_command(
     on one heading (docs/calibrate.md). Example:
     companion calibrate-plan --home 55.47,8.45,12 --airframe m100 --autopilot px4
 
+    With --fast, a fourth flight, empty, where calibrate asks for it.
     With --discharge, the hover that tells usable energy; fly it empty and with --payload-kg.
     """
     from companion.app.calibrate import write_calibration_plan, write_discharge_plan
@@ -104,5 +112,5 @@ def plan_command(
     if discharge:
         write_discharge_plan(out, home, airframe, autopilot, payload_kg)
         return
-    options = PlanOptions(height_m, side_m, duration_s, mirrored)
+    options = PlanOptions(height_m, side_m, duration_s, mirrored, fast)
     write_calibration_plan(out, home, airframe, autopilot, options)

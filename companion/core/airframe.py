@@ -61,7 +61,9 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return math.radians(self.max_tilt_deg)
 
 
-class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Drag(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """Drag force along body forward and right: `linear * v + quadratic * |v| v`, in newton.
 
     The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
@@ -70,6 +72,11 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end,
     in ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
     attitude that is reported may lean against the thrust.
+
+    `vertical_quadratic_n_per_mps2` is the drag of the flow down through the rotors, upon the
+    vehicle's top: about 0.7 of its plan area in m^2 (body, arms and packs, half rho Cd A with a
+    plate's 1.1 to 1.2). With it power is priced along the body's axes (`power.multirotor_power_w`).
+    Without it the vehicle drags alike from all sides and the rotors' own drag is paid for in full.
     """
 
     linear_forward_n_per_mps: float
@@ -81,6 +88,7 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     axis_gain_std_frac: float
     model_std_frac: float
     trim_std_deg: float
+    vertical_quadratic_n_per_mps2: float | None = None
 
     def __post_init__(self) -> None:
         for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
@@ -88,6 +96,8 @@ class Drag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         for key in ("quadratic_forward_n_per_mps2", "quadratic_right_n_per_mps2"):
             check_range(f"drag.{key}", getattr(self, key), 0.0, 50.0)
         check_range("drag.parcel_quadratic_n_per_mps2", self.parcel_quadratic_n_per_mps2, 0.0, 50.0)
+        if (vertical := self.vertical_quadratic_n_per_mps2) is not None:
+            check_range("drag.vertical_quadratic_n_per_mps2", vertical, 0.0, 50.0)
         check_range("drag.gain_std_frac", self.gain_std_frac, 0.01, 1.0)
         check_range("drag.axis_gain_std_frac", self.axis_gain_std_frac, 0.0, 1.0)
         check_range("drag.model_std_frac", self.model_std_frac, 0.0, 0.5)

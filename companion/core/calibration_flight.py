@@ -6,7 +6,7 @@ wind and from trim (course and speed change faster than those do), hover and cli
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from companion.core.power import multirotor_power_w
 TAKEOFF, WAYPOINT, LOITER_TIME, LAND, CHANGE_SPEED = 22, 16, 19, 21, 178
 GROUND_SPEED = 1.0  # DO_CHANGE_SPEED's type
 _SLOW_FRAC, _MIDDLE_FRAC, _FAST_FRAC = 0.35, 0.6, 0.9
+_AT_SPEED_S = 8.0  # four blocks of records
 DISCHARGE_CHARGE_FRAC = 0.10
 """What a discharge is flown down to: the steep end begins there, a landing takes 1 to 2 %."""
 DISCHARGE_HEIGHT_M = 3.0
@@ -33,12 +34,16 @@ class PlanItem:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """`duration_s` is aimed at with whole legs; `mirrored` flies them the other way round."""
+    """`duration_s` is aimed at with whole legs; `mirrored` flies them the other way round.
+
+    `fast`: sides as fast as the airframe may be told, and slow ones between.
+    """
 
     height_m: float = 40.0
     side_m: float = 150.0
     duration_s: float = 600.0
     mirrored: bool = False
+    fast: bool = False
 
 
 def square_speeds_mps(airframe: Airframe) -> tuple[float, float, float]:
@@ -51,8 +56,18 @@ def square_speeds_mps(airframe: Airframe) -> tuple[float, float, float]:
     )
 
 
+def with_room(airframe: Airframe, options: PlanOptions) -> PlanOptions:
+    """The options, fast sides so long that their speed is held for _AT_SPEED_S on each."""
+    if not options.fast:
+        return options
+    fastest = airframe.speeds.max_ground_mps
+    side_m = fastest**2 / airframe.speeds.accel_mps2 + _AT_SPEED_S * fastest
+    return replace(options, side_m=max(options.side_m, 10.0 * math.ceil(side_m / 10.0)))
+
+
 def calibration_items(airframe: Airframe, options: PlanOptions) -> list[PlanItem]:
     """The mission: take off, hover, legs, a climb and a hover above, more legs, land."""
+    options = with_room(airframe, options)
     _, middle, _ = square_speeds_mps(airframe)
     low, high = options.height_m, options.height_m + 30.0
     items = [
@@ -87,7 +102,8 @@ def _overhead_s(airframe: Airframe, options: PlanOptions) -> float:
 def _legs(airframe: Airframe, options: PlanOptions, left_s: float) -> list[float]:
     """The legs' speeds: three in turn about four sides, so that each side sees each of them."""
     slow, middle, fast = square_speeds_mps(airframe)
-    order = [fast, slow, middle]
+    fastest = airframe.speeds.max_ground_mps
+    order = [fastest, middle, fastest] if options.fast else [fast, slow, middle]
     legs: list[float] = []
     while True:
         speed = order[len(legs) % len(order)]

@@ -6,6 +6,7 @@ it); so is flight sideways through the air, where the model's nose-on drag does 
 flight has a factor of its own for its current sensor's scale.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,13 @@ from companion.core.power import multirotor_power_w
 FloatArray = NDArray[np.float64]
 
 POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "avionics_w")
-_BOUNDS = ([1.0, 0.2, 0.0, 0.0], [2.0, 1.0, 0.5, 5000.0])
+"""Of the table power_rotor, in the order of the fitted values."""
+VERTICAL_KEY = "vertical_quadratic_n_per_mps2"
+"""Of the table drag: the fifth value where the start airframe states it, else left out. Tilt tells
+nothing of it (it lies along the thrust), power in fast flight does."""
+_LOW = (1.0, 0.2, 0.0, 0.0, 0.0)
+_HIGH = (2.0, 1.0, 0.5, 5000.0, 50.0)
+_LEAST_PRIOR_STD = (0.05, 0.02, 0.005, 2.0, 0.01)
 _SETTLED_MPS2 = 1.0  # acceleration below which a block's power is taken, corrected for it
 _SWING_MPS2 = 2.0  # thrust may move so much within such a block: gusts
 _DESCENT_MPS = -0.4
@@ -31,6 +38,8 @@ _SIDEWAYS_FRAC = 0.6
 _SIDEWAYS_FREE_MPS = 2.5
 _STANDING_MPS = 0.15
 _STANDING_W_FRAC = 0.15
+_MAD_TO_STD = 1.4826  # of a normal distribution, as is the next
+_MEDIAN_OVER_MEAN_STD = 1.2533
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +50,23 @@ class PowerPriors:
     efficiency_frac: float = 0.15
     blade_frac: float = 0.6
     avionics_frac: float = 0.6
+    vertical_frac: float = 0.6
     sensor_scale_std: float = 0.02
     current_offset_std_a: float = 0.2
     model_frac: float = 0.03
 
     def stds(self, values: FloatArray) -> FloatArray:
-        """Standard deviations of POWER_KEYS about these values."""
+        """Standard deviations about these values, in the order of `power_values`."""
         fracs = [self.induced_frac, self.efficiency_frac, self.blade_frac, self.avionics_frac]
-        return np.maximum(np.array(fracs) * values, [0.05, 0.02, 0.005, 2.0])
+        fracs += [self.vertical_frac]
+        count = len(values)
+        return np.maximum(np.array(fracs[:count]) * values, _LEAST_PRIOR_STD[:count])
 
 
 @dataclass(frozen=True, slots=True)
 class PowerFit:
-    """`values` and `cov` as in POWER_KEYS. Per flight: its settled blocks' indices and the
-    measured over expected power there, less 1; the sensor's factor."""
+    """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices,
+    the measured over expected power there, less 1, and the sensor's factor."""
 
     values: FloatArray
     cov: FloatArray
@@ -64,16 +76,28 @@ class PowerFit:
     residual_frac: tuple[FloatArray, ...]
 
 
+def power_keys(airframe: Airframe) -> list[tuple[str, str]]:
+    """Table and key of each of `power_values`."""
+    keys = [("power_rotor", key) for key in POWER_KEYS]
+    stated = airframe.drag.vertical_quadratic_n_per_mps2 is not None
+    return [*keys, ("drag", VERTICAL_KEY)] if stated else keys
+
+
 def power_values(airframe: Airframe) -> FloatArray:
-    """The airframe's own numbers in the order of POWER_KEYS."""
-    return np.array([getattr(airframe.power_rotor, key) for key in POWER_KEYS])
+    """The airframe's own numbers: those of POWER_KEYS, then VERTICAL_KEY's where it is stated."""
+    own = [getattr(airframe.power_rotor, key) for key in POWER_KEYS]
+    vertical = airframe.drag.vertical_quadratic_n_per_mps2
+    return np.array(own if vertical is None else [*own, vertical])
 
 
 def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airframe:
-    """An airframe with these numbers of DRAG_KEYS and POWER_KEYS in it."""
+    """An airframe with these numbers of DRAG_KEYS and of `power_values` in it."""
     changed = msgspec.structs.replace
-    rotor = changed(airframe.power_rotor, **dict(zip(POWER_KEYS, map(float, power), strict=True)))
-    own = changed(airframe.drag, **dict(zip(DRAG_KEYS, map(float, drag), strict=True)))
+    count = len(POWER_KEYS)
+    of_rotor, vertical = map(float, power[:count]), map(float, power[count:])
+    rotor = changed(airframe.power_rotor, **dict(zip(POWER_KEYS, of_rotor, strict=True)))
+    drags = dict(zip(DRAG_KEYS, map(float, drag), strict=True))
+    own = changed(airframe.drag, **drags, **dict(zip((VERTICAL_KEY,), vertical, strict=False)))
     return changed(airframe, drag=own, power_rotor=rotor)
 
 
@@ -140,6 +164,7 @@ def fit_power(
     """Power from flights whose wind is seen; `airframe` is the prior, with its drag fitted."""
     p = priors or PowerPriors()
     start = power_values(airframe)
+    count = len(start)
     stds = p.stds(start)
     flown = [b.pick(b.airborne) for b in flights]
     settled = [_settled(b, w) for b, w in zip(flights, winds, strict=True)]
@@ -150,24 +175,24 @@ def fit_power(
     ]
 
     def residuals(x: FloatArray) -> FloatArray:
-        tried = with_values(airframe, drag, x[:4])
+        tried = with_values(airframe, drag, x[:count])
         parts = [
             (piece.blocks.power_w - piece.expected_w(tried) * (1.0 + scale)) / piece.noise_w
-            for piece, scale in zip(pieces, x[4:], strict=True)
+            for piece, scale in zip(pieces, x[count:], strict=True)
         ]
         for i, seen in enumerate(standing):
             if seen is not None:
-                mean_w, volt_v = seen
-                parts.append(
-                    [(mean_w - x[3] * (1.0 + x[4 + i])) / (p.current_offset_std_a * volt_v)]
-                )
-        parts.append((x[:4] - start) / stds)
-        parts.append(x[4:] / p.sensor_scale_std)
+                drawn_w, drawn_std_w, volt_v = seen
+                std_w = math.hypot(p.current_offset_std_a * volt_v, drawn_std_w)
+                parts.append([(drawn_w - x[3] * (1.0 + x[count + i])) / std_w])
+        parts.append((x[:count] - start) / stds)
+        parts.append(x[count:] / p.sensor_scale_std)
         return np.concatenate(parts)
 
-    x0 = np.r_[np.clip(start, np.array(_BOUNDS[0]) + 1e-6, _BOUNDS[1]), np.zeros(len(flights))]
-    low = np.r_[_BOUNDS[0], np.full(len(flights), -0.3)]
-    high = np.r_[_BOUNDS[1], np.full(len(flights), 0.3)]
+    least, most = np.array(_LOW[:count]), np.array(_HIGH[:count])
+    x0 = np.r_[np.clip(start, least + 1e-6, most), np.zeros(len(flights))]
+    low = np.r_[least, np.full(len(flights), -0.3)]
+    high = np.r_[most, np.full(len(flights), 0.3)]
     solution = least_squares(
         residuals,
         x0,
@@ -178,16 +203,16 @@ def fit_power(
     )
     x = solution.x
     cov = widened_covariance(solution.jac, residuals(x), _clusters(flown, settled))
-    tried = with_values(airframe, drag, x[:4])
+    tried = with_values(airframe, drag, x[:count])
     left = tuple(
         piece.blocks.power_w / (piece.expected_w(tried) * (1.0 + scale)) - 1.0
-        for piece, scale in zip(pieces, x[4:], strict=True)
+        for piece, scale in zip(pieces, x[count:], strict=True)
     )
     return PowerFit(
-        values=x[:4],
-        cov=cov[:4, :4],
+        values=x[:count],
+        cov=cov[:count, :count],
         prior_cov=np.diag(stds**2),
-        sensor_scale=tuple(1.0 + x[4:]),
+        sensor_scale=tuple(1.0 + x[count:]),
         settled=tuple(settled),
         residual_frac=left,
     )
@@ -220,12 +245,18 @@ def _standing_blocks(blocks: Blocks, airframe: Airframe) -> NDArray[np.int64]:
     return np.flatnonzero(still & ~blocks.airborne)
 
 
-def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float] | None:
-    """Mean power and voltage at rest on the ground; None where the log has too little of it."""
+def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float, float] | None:
+    """Power at rest on the ground, its standard deviation, and the voltage; None where the log has
+    too little of it. Medians: motors that spin up or down are in one or two of the blocks.
+    """
     at = _standing_blocks(blocks, airframe)
     if len(at) < 3:
         return None
-    return float(blocks.power_w[at].mean()), float(blocks.voltage_v[at].mean())
+    power_w = blocks.power_w[at]
+    middle_w = float(np.median(power_w))
+    scatter_w = _MAD_TO_STD * float(np.median(np.abs(power_w - middle_w)))
+    std_w = _MEDIAN_OVER_MEAN_STD * scatter_w / math.sqrt(len(at))
+    return middle_w, std_w, float(np.median(blocks.voltage_v[at]))
 
 
 def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> FloatArray:

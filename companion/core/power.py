@@ -101,6 +101,12 @@ def multirotor_power_w(
     (Leishman, Principles of Helicopter Aerodynamics, 2.14 and 5.4), over the drive's efficiency,
     plus avionics. Descent is priced as level flight: no energy comes back (as in the paper), and
     multirotors measured in descent draw about hover power.
+
+    Where the airframe states `drag.vertical_quadratic_n_per_mps2`, thrust and parasite power follow
+    the body's axes. Tilt is as before (drag along the rotors' axis does not change it), but thrust
+    is `m g cos tilt` plus what the flow through the rotors presses on the vehicle's top, which
+    parasite power pays too; and rotors' own drag, the linear part, costs no power beside the
+    profile's growth with speed: 4.65 holds the in-plane force's work (Leishman, 5.4.2).
     """
     rotor = airframe.power_rotor
     speed = np.asarray(airspeed_mps, float)
@@ -112,6 +118,14 @@ def multirotor_power_w(
     area = density_kgpm3 * rotor.disc_area_m2
     edgewise = speed * cos_tilt
     through = speed * sin_tilt + climb * cos_tilt
+    parasite = drag * speed
+    vertical = airframe.drag.vertical_quadratic_n_per_mps2
+    if vertical is not None:
+        edgewise = edgewise - climb * sin_tilt
+        download = vertical * np.hypot(speed, climb) * through
+        rotor_drag = airframe.drag_linear_n_per_mps(mass_kg)[0] * edgewise
+        thrust = weight * cos_tilt + download
+        parasite = download * through + (weight * sin_tilt - rotor_drag) * edgewise
     induced = induced_velocity_mps(np.sqrt(thrust / (2.0 * area)), edgewise, through)
     tip_speed = np.sqrt(thrust / (rotor.thrust_coefficient * area))
     advance = edgewise / tip_speed
@@ -120,5 +134,5 @@ def multirotor_power_w(
         * (area * tip_speed**3)
         * (1.0 + _PROFILE_ADVANCE * advance**2)
     )
-    shaft = rotor.induced_factor * thrust * induced + drag * speed + weight * climb + profile
+    shaft = rotor.induced_factor * thrust * induced + parasite + weight * climb + profile
     return shaft / rotor.drive_efficiency + rotor.avionics_w

@@ -4,6 +4,7 @@ Shorter than the ten minutes that docs/calibrate.md has the figures of; the same
 """
 
 import json
+import re
 
 import msgspec
 import pytest
@@ -52,7 +53,10 @@ def guess(logs):
     """An airframe file that is off by a quarter and more in what is to be fitted."""
     m100 = read_airframe("m100")
     drag = msgspec.structs.replace(
-        m100.drag, linear_forward_n_per_mps=0.45, quadratic_forward_n_per_mps2=0.028
+        m100.drag,
+        linear_forward_n_per_mps=0.45,
+        quadratic_forward_n_per_mps2=0.028,
+        vertical_quadratic_n_per_mps2=0.1,
     )
     rotor = msgspec.structs.replace(
         m100.power_rotor, induced_factor=1.2, drive_efficiency=0.7, blade_drag_coefficient=0.03
@@ -78,7 +82,9 @@ def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, gue
     unseen = next(h for h in found["holdouts"] if h["kind"] == "holdout")
     assert abs(unseen["error_frac"]) < 0.05
     assert read_airframe(str(out)).name == "mine"
-    assert "fitted, ±" in out.read_text()
+    for key in ("linear_forward_n_per_mps", "vertical_quadratic_n_per_mps2", "avionics_w"):
+        assert re.search(rf"^{key} = .*fitted, ±", out.read_text(), re.MULTILINE)
+    assert found["power"]["keys"][-1] == "vertical_quadratic_n_per_mps2"
     record, _ = read_calibration_log(logs / "unseen.tlog", 0.6, 20.0)
     blocks = prepare(record, 500.0, 6).blocks
     assert abs(predict(blocks, read_airframe(str(guess))).error_frac) > 0.05

@@ -52,6 +52,7 @@ def test_a_missing_key_is_refused_by_name() -> None:
         ("mass", "empty_kg", float("nan")),
         ("speeds", "max_tilt_deg", 80.0),
         ("drag", "gain_std_frac", 0.0),
+        ("drag", "vertical_quadratic_n_per_mps2", -0.1),
         ("power_rotor", "drive_efficiency", 1.2),
         ("power_paper", "thrust_power_coefficient", float("inf")),
         ("battery", "usable_frac", 1.4),
