@@ -20,10 +20,6 @@ LEG_PHASES = (Phase.OUTBOUND, Phase.RETURN, Phase.DIVERT)
 SLOWEST_MPS, FASTEST_MPS = 3.0, 8.0
 """Of the wish: who is near others is slower than the route, and stops in a third of the way."""
 
-REACHED_M = 3.0
-"""Over the ground, from a waypoint of the way home that counts as passed: between what the
-autopilots' own have by default (ArduCopter's WPNAV_RADIUS 2 m, PX4's NAV_ACC_RAD 10 m)."""
-
 ARRIVING_M = 20.0
 """The actor was trained to come this near to a goal, and no nearer."""
 
@@ -70,31 +66,6 @@ def target(pilot: Pilot, here: Floats) -> Ned | None:
     north, east, down = flown.spot_ned(spot)
     keeps = flown.mission.part_at(index) in (Part.DELIVER, Part.LAND, Part.RALLY_LAND)
     return north, east, min(float(here[2]), -LOWEST_M) if keeps else down
-
-
-def passed(pilot: Pilot, here: Floats) -> int | None:
-    """The item to go on to, where set-points have reached a waypoint of the way home.
-
-    The autopilot counts no waypoint while it flies set-points. Without this, who is kept from
-    handing back waits over its waypoint for whoever waits for that place. At what height it is
-    passed is no matter, if the line on is clear.
-    """
-    flown, air = pilot.flown, pilot.air
-    if flown is None or air.index is None or air.jump is not None:
-        return None
-    if flown.mission.part_at(air.index) not in (Part.RETURN, Part.RALLY):
-        return None
-    goal, on = target(pilot, here), flown.mission.next_place(air.index)
-    if goal is None or on is None:
-        return None
-    spot = flown.mission.items[on].spot
-    assert spot is not None
-    if math.hypot(goal[0] - here[0], goal[1] - here[1]) > REACHED_M:
-        return None
-    north, east, down = flown.spot_ned(spot)
-    lands = flown.mission.part_at(on) in (Part.LAND, Part.RALLY_LAND)
-    further = (north, east, float(here[2]) if lands else down)
-    return on if flown.sees((here[0], here[1], here[2]), further) else None
 
 
 def sees(pilot: Pilot, here: Floats) -> bool:

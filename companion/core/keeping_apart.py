@@ -15,13 +15,13 @@ import numpy as np
 
 from companion.core.actions import Action, FlyVelocity, JumpTo, SetMode, Severity
 from companion.core.actor_view import Ne
+from companion.core.apart_passing import ASK_AGAIN_S, Passing, pass_by
 from companion.core.apart_tracks import tell
 from companion.core.apart_wish import (
     FASTEST_MPS,
     LEG_PHASES,
     LOWEST_M,
     acted,
-    passed,
     sees,
     speed_mps,
     target,
@@ -65,10 +65,6 @@ FREE_TICKS = 5
 STREAM_S = 0.3
 """PX4 wants set-points before OFFBOARD (and at more than 2 Hz)."""
 
-ASK_AGAIN_S = 1.5
-PASS_ASKS = 3
-"""So often a mission is told to go on past a waypoint; then it is handed back as it is."""
-
 RENEW_S = 5.0
 """How often ArduCopter is told to go on with set-points: half of `ASIDE_S`."""
 
@@ -87,15 +83,6 @@ STRAY_M = 2.0
 CORRECT_PS = 1.0
 PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
 """Where set-points may take over. Climbing, measuring and the release are not broken off."""
-
-
-@dataclass(slots=True)
-class Passing:
-    """Orders to go on past an item."""
-
-    item: int
-    asked: int
-    asked_s: float
 
 
 @dataclass(slots=True)
@@ -246,7 +233,7 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     if not is_flown(pilot):
         apart.motion = None
         return
-    passing = _pass_by(pilot, here)
+    passing = pass_by(pilot, here)
     wish = acted(pilot, here, goal, straight)
     _move_on(pilot, here, velocity, wish, neighbours)
     _keep_course(pilot)
@@ -254,26 +241,6 @@ def _decide(pilot: Pilot, here: Floats, velocity: Floats, now_s: float) -> None:
     apart.free_ticks = apart.free_ticks + 1 if free else 0
     if apart.free_ticks >= FREE_TICKS and not passing and sees(pilot, here):
         _hand_back(pilot, "the way is free")
-
-
-def _pass_by(pilot: Pilot, here: Floats) -> bool:
-    """Whether the mission is being told to go on past a waypoint that set-points have reached.
-
-    As if the autopilot had reached it by itself; telemetry tells when it obeys. Meanwhile nothing
-    is handed back: two orders of which item to fly would be one too many.
-    """
-    apart, item, t_s = pilot.apart, pilot.air.index, pilot.now.t_s
-    on = passed(pilot, here)
-    if on is None or item is None:
-        return False
-    before = apart.passing if apart.passing and apart.passing.item == item else None
-    asked = before.asked if before else 0
-    if before is None or t_s - before.asked_s >= ASK_AGAIN_S:
-        if asked == PASS_ASKS:
-            return False
-        apart.passing = Passing(item, asked + 1, t_s)
-        pilot.do(JumpTo(on))
-    return True
 
 
 def _hurried(

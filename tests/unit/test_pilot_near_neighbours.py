@@ -255,8 +255,8 @@ def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour, monkeypatc
 
     with monkeypatch.context() as patch:
         patch.setattr(keeping_apart, "_decide", both)
-        w.run(lambda w: not w.pilot.apart.wanted, 1.0)
-    w.run(lambda w: not w.guided, 3.0)
+        w.run(lambda _: not w.pilot.apart.wanted, 1.0)
+    w.run(lambda _: not w.guided, 3.0)
     for _ in range(20):
         w.step()
     assert w.pilot.phase is Phase.OUTBOUND
@@ -268,7 +268,7 @@ def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(fla
     w = homeward(flavour)
     first = w.pilot.air.index
     w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
-    w.run(lambda w: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
+    w.run(lambda _: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
     w.deaf_to_jumps = True
     for _ in range(100):
         w.step()
@@ -279,7 +279,7 @@ def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(fla
     assert len([a for a in asked if a.index in led]) == 3
     assert w.pilot.air.index == first
     w.deaf_to_jumps, w.neighbour_vel = False, (0.0, 8.0, 0.0)  # the other one goes
-    w.run(lambda w: not w.guided, 30.0)
+    w.run(lambda _: not w.guided, 30.0)
     assert w.pilot.air.index == first
     w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
 
