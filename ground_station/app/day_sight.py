@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from companion.core.messages import State
+from companion.core.transitions import Phase
 from ground_station.adapters.day_store import DayStore
 from ground_station.adapters.store import Store
 from ground_station.app.plan_in_force import PlanInForce
@@ -18,7 +19,6 @@ from ground_station.core.truck import DRIVING, TRUCK
 
 OFF_PAD_M = 30.0
 OFF_GROUND_M = 2.0
-READY = "ready"
 
 
 ROWS_S = 5.0
@@ -166,7 +166,7 @@ class DaySight:
             present=seen.present(now_s),
             doubtful=bool(seen.doubts),
             idle=state.phase == STANDBY and not state.armed,
-            ready=state.phase == READY and not state.armed,
+            ready=state.phase == Phase.READY.value and not state.armed,
             off_ground=state.assignment in self._off_ground or self._left_pad(state),
             assignment=state.assignment,
             home=state.home,

@@ -17,7 +17,7 @@ from companion.core.messages import (
     Recall,
     State,
 )
-from companion.core.transitions import FLIGHT_PHASES
+from companion.core.transitions import FLIGHT_PHASES, Phase
 from ground_station.adapters.day_files import DayData
 from ground_station.adapters.store import Store
 from ground_station.adapters.zenoh_fleet import WallClock
@@ -43,7 +43,6 @@ AGAIN_S = 1.0
 LAUNCHES = 3
 """Refused so often, an assignment is withdrawn: something on that vehicle wants a person."""
 
-READY = "ready"
 IN_THE_AIR = frozenset(phase.value for phase in FLIGHT_PHASES)
 LOOK_S = 0.5
 """So often the day is looked at, where nothing new is heard."""
@@ -212,7 +211,7 @@ class Desk:
         if state is None or not seen.present(now_s):
             return
         self.moved_s = now_s  # it is being brought
-        ready = state.phase == READY and state.assignment == row.id and not state.armed
+        ready = state.phase == Phase.READY.value and state.assignment == row.id and not state.armed
         if row.state is AssignmentState.FLYING and ready and self._restarted(row, state):
             if self._flew(row):
                 self._say_once(f"{row.vehicle}: {row.id} was flown: not launched again: look at it")
