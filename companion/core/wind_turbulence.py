@@ -45,8 +45,6 @@ class Turbulence:
     ) -> None:
         """The wind was corrected by this much, where a variance of so much was expected;
         `surprise` is the normalised square of the innovation, 1 as expected."""
-        if self.is_held:
-            return
         self.north_mps += step_ne_mps[0]
         self.east_mps += step_ne_mps[1]
         self.expected_m2ps2 += expected_m2ps2
