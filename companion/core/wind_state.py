@@ -196,8 +196,10 @@ class WindState:
         surprise: float,
         dt_s: float,
     ) -> None:
-        """Learn from a correction of the wind by tilt, see `Turbulence.corrected`; air that is given
-        has no fronts either: what a turn of the vehicle leaves was taken for one in calm."""
+        """Learn from a correction of the wind by tilt, see `Turbulence.corrected`.
+
+        Air that is given has no fronts either: what a turn leaves was taken for one in calm.
+        """
         if self.turbulence.is_held:
             return
         self.turbulence.corrected(step_ne_mps, expected_m2ps2, surprise, dt_s)
