@@ -59,6 +59,7 @@ class WindEstimatorParams:
 
     prior_wind_std_mps: float = 10.0  # each axis, before anything is seen
     mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
+    least_walk_m2ps3: float = 0.005  # [coast] likewise, in calm too
     gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
     gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
     fast_gust_m2ps: float = 0.15  # gusts too fast for the filter, as noise, at the reference wind
@@ -176,12 +177,11 @@ class WindState:
 
     @property
     def mean_walk_m2ps3(self) -> float:
-        """How fast the slow mean walks: as the params say, slower where the air is calm, and as a
-        front makes it."""
-        return (
-            self._params.mean_walk_m2ps3 * self.scale * min(self.turbulence.ratio, 1.0)
-            + self.front.walk_m2ps3
-        )
+        """How fast the slow mean walks: as the params say, slower where the air is calm (but never
+        slower than recordings do), and as a front makes it."""
+        p = self._params
+        walk = max(p.mean_walk_m2ps3 * min(self.turbulence.ratio, 1.0), p.least_walk_m2ps3)
+        return walk * self.scale + self.front.walk_m2ps3
 
     @property
     def gust_memory_s(self) -> float:
