@@ -20,9 +20,10 @@ its home at 0). Only a companion that is alive jumps the autopilot onward.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import islice
 
 from companion.core.errors import LeewayError
 
@@ -123,25 +124,21 @@ class DeadMansMission:
 
     def spot_at(self, index: int) -> Spot | None:
         """Return where the autopilot is heading at an item: that item's spot or the next one's."""
-        for _ in range(len(self.items)):
-            if not 0 <= index < len(self.items):
-                return None
-            item = self.items[index]
-            if item.spot is not None:
-                return item.spot
-            index = int(item.value) if item.kind is ItemKind.JUMP else index + 1
-        return None
+        return next((item.spot for _, item in self._way_from(index) if item.spot is not None), None)
 
     def next_place(self, index: int) -> int | None:
         """The next item with a place that the autopilot comes to by itself after this one."""
+        further = islice(self._way_from(index), 1, None)
+        return next((at for at, item in further if item.kind in PLACED), None)
+
+    def _way_from(self, index: int) -> Iterator[tuple[int, MissionItem]]:
+        """The items as the autopilot comes to them by itself, this one first."""
         for _ in range(len(self.items)):
             if not 0 <= index < len(self.items):
-                return None
+                return
             item = self.items[index]
+            yield index, item
             index = int(item.value) if item.kind is ItemKind.JUMP else index + 1
-            if 0 <= index < len(self.items) and self.items[index].kind in PLACED:
-                return index
-        return None
 
     def follows(self, before: int, now: int) -> bool:
         """Tell whether the autopilot gets from `before` to `now` by itself.
