@@ -129,11 +129,13 @@ def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
 @dataclass(frozen=True, slots=True)
 class DragSeen:
     """Drag acceleration along heading and right: measured, expected, its size by the airframe file
-    (m/s2), the airspeed, and the rows (2, states) of d(expected - measured)/dx."""
+    (m/s2), the most that its slope changes with the airspeed (1/m), the airspeed, and the rows
+    (2, states) of d(expected - measured)/dx."""
 
     measured: tuple[float, float]
     expected: tuple[float, float]
     size_mps2: float
+    bends_pm: tuple[float, float]
     airspeed_mps: float
     rows: FloatArray
 
@@ -183,6 +185,7 @@ def drag_seen(
         measured=(accel_f - thrust_f, accel_r - thrust_r),
         expected=(-drag_f + g * trim_f, -drag_r + g * trim_r),
         size_mps2=math.hypot(drag_f, drag_r),
+        bends_pm=(2.0 * gain_f * q_f / mass_kg, 2.0 * gain_r * q_r / mass_kg),
         airspeed_mps=speed,
         rows=np.array([row_f, row_r]),
     )
@@ -274,7 +277,8 @@ def _told(
     across = state.cov @ rows.T
     (ff, fr), (_, rr) = (rows @ across).tolist()
     noise_f, noise_r = _noises(state, airframe, params, drag, motion)
-    ff, rr = ff + noise_f, rr + noise_r
+    bend_f, bend_r = _bends(state, drag)
+    ff, rr = ff + noise_f + bend_f, rr + noise_r + bend_r
     # Cholesky's factor of the innovation's covariance, [[a, 0], [b, c]], and its inverse
     a = math.sqrt(ff)
     b = fr / a
@@ -298,6 +302,29 @@ def _noises(
     late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
     off = airframe.drag.model_std_frac * drag.size_mps2
     steady = (p.tilt_noise_m2ps3 + 2.0 * p.model_memory_s * off**2) / dt_s + late
-    gust = p.fast_gust_m2ps * state.scale / dt_s
+    gust = state.fast_gust_m2ps / dt_s
     (fn, fe), (rn, re) = drag.rows[:, :2].tolist()
     return steady + gust * (fn * fn + fe * fe), steady + gust * (rn * rn + re * re)
+
+
+def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
+    """Variance along either axis of what the linearisation leaves out while wind and gain are
+    uncertain: half the trace of (H P)^2, H the drag's second derivatives (Jazwinski 1970, 9.3), the
+    wind's taken at their most.
+
+    Wind, gain and trim, of which one heading tells only a sum, else seem told apart by nothing but
+    the point of linearisation, which moves.
+    """
+    p = state.cov[: At.HEADING, : At.LATELY].tolist()
+    nn = p[0][0] + 2.0 * p[0][2] + p[2][2]
+    ne = p[0][1] + p[0][3] + p[2][1] + p[2][3]
+    ee = p[1][1] + 2.0 * p[1][3] + p[3][3]
+    most = 0.5 * (nn + ee) + math.hypot(0.5 * (nn - ee), ne)
+    told: list[float] = []
+    for axis, (n, e) in enumerate(drag.rows[:, :2].tolist()):
+        by_gain = p[At.LOG_GAIN + axis]
+        slope = n * n * nn + 2.0 * n * e * ne + e * e * ee
+        shared = n * (by_gain[0] + by_gain[2]) + e * (by_gain[1] + by_gain[3])
+        gain = float(state.cov[At.LOG_GAIN + axis, At.LOG_GAIN + axis])
+        told.append(slope * gain + shared**2 + 0.5 * (drag.bends_pm[axis] * most) ** 2)
+    return told[0], told[1]

@@ -72,7 +72,9 @@ class WindEstimatorParams:
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
     velocity_std_mps: float = 0.06  # u-blox M8 data sheet says 0.05, unfused
-    latency_s: float = 0.05  # of velocity behind attitude: 0 where both are fused, 0.12 s raw GNSS
+    latency_s: float = (
+        0.02  # of velocity behind attitude: PX4's come 50, 100 a second; GNSS: 0.12 s
+    )
     latency_std_s: float = 0.08  # [est]
     sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
     tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
@@ -98,7 +100,7 @@ class WindEstimatorParams:
     faulty_sigmas: float = 3.0
     sound_sigmas: float = 2.0
     sound_after_s: float = 10.0
-    floor_std_mps: float = 0.15
+    floor_std_mps: float = 0.05  # [est] what no state stands for
     settle_s: float = 5.0
     stale_after_s: float = 15.0
 
@@ -174,6 +176,13 @@ class WindState:
         """Of the gust along either axis."""
         p = self._params
         return self.turbulence.ratio * p.gust_frac**2 * p.reference_wind_mps**2 * self.scale
+
+    @property
+    def fast_gust_m2ps(self) -> float:
+        """Gusts too fast for the filter, as noise. Where the air is given as calm it has few of
+        these either; what is learned of slower ones says little of them."""
+        calm = self.turbulence.ratio if self.turbulence.is_held else 1.0
+        return self._params.fast_gust_m2ps * self.scale * calm
 
     @property
     def mean_walk_m2ps3(self) -> float:

@@ -278,12 +278,28 @@ def test_a_known_start_is_filterpys_extended_filter() -> None:
             )
             off = 2.0 * params.model_memory_s * (body.model_std_frac * size) ** 2
             oracle.R = np.eye(2) * (params.tilt_noise_m2ps3 + off) / dt
+            oracle.R += np.diag(_left_out(oracle.P, slope(oracle.x), oracle.x))
             oracle.update(measured, slope, expected)
     usual = ours.snapshot()["usual"]
     np.testing.assert_allclose(usual["x"], oracle.x, atol=1e-3)
     np.testing.assert_allclose(
         np.sqrt(np.diag(usual["cov"])), np.sqrt(np.diag(oracle.P)), rtol=1e-2
     )
+
+
+def _left_out(cov: np.ndarray, rows: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Half the trace of (H P)^2 for each axis, H with gain by wind as the row has it, and wind by
+    wind as quadratic drag bends at most."""
+    wind = np.zeros((2, 17))
+    wind[[0, 1], [0, 1]] = wind[[0, 1], [2, 3]] = 1.0  # mean and gust
+    most = float(np.linalg.eigvalsh(wind @ cov @ wind.T)[-1])
+    left = []
+    for axis in (0, 1):
+        mixed = np.outer(np.eye(17)[8 + axis], rows[axis, :2] @ wind)
+        both = (mixed + mixed.T) @ cov
+        bend = 2.0 * math.exp(x[8 + axis]) * QUADRATIC / MASS
+        left.append(0.5 * float(np.trace(both @ both)) + 0.5 * (bend * most) ** 2)
+    return np.array(left)
 
 
 def _prior(p: WindEstimatorParams, gain: float, axis: float, trim_deg: float) -> np.ndarray:
