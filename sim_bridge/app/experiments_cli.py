@@ -253,6 +253,10 @@ def estimator_bench(
     flights: Annotated[
         int, typer.Option(min=2, help="flights for each place in the envelope")
     ] = 20,
+    bounds: Annotated[
+        int | None,
+        typer.Option(min=2, help="flights of these whose bound is computed; left out: all"),
+    ] = None,
     seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
     anemometer: Annotated[
         Path | None, typer.Option(help="the real flight's CSV; left out: where it is usually found")
@@ -289,7 +293,8 @@ def estimator_bench(
     if not envelope:
         return
     truth = load_airframe(params_dir() / "truth" / "m100.toml")
-    work = bench.jobs_of(flights, seed, truth, read_airframe("m100"), pitot)
+    bounded = min(flights, bounds or flights)
+    work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
     found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)

@@ -96,14 +96,12 @@ class Bound:
         return float(np.mean(self.told_m2ps2[within])), float(np.mean(self.untold_m2ps2[within]))
 
 
-def wind_bounds_mps(
+def least_errors_m2ps2(
     flights: Sequence[EnvelopeFlight], first_s: float, last_s: float, rng: np.random.Generator
-) -> tuple[float, float]:
-    """Least RMSE of the vector over flights, between two times: told whether and when the wind
-    steps, and not told."""
-    each = [flight_bound(flight, rng).between(first_s, last_s) for flight in flights]
-    told, untold = np.sqrt(np.mean(each, axis=0)).tolist()
-    return told, untold
+) -> Floats:
+    """Least mean square error of the vector in each flight (n, 2), between two times: told whether
+    and when the wind steps, and not told."""
+    return np.array([flight_bound(flight, rng).between(first_s, last_s) for flight in flights])
 
 
 def flight_bound(flight: EnvelopeFlight, rng: np.random.Generator) -> Bound:
