@@ -24,7 +24,12 @@ from sim_bridge.experiments.anemometer_flight import (
     with_airspeed,
     without_airspeed,
 )
-from sim_bridge.experiments.envelope_flight import Condition, EnvelopeFlight, fly_envelope
+from sim_bridge.experiments.envelope_flight import (
+    Condition,
+    EnvelopeFlight,
+    drag_deviates,
+    fly_envelope,
+)
 from sim_bridge.experiments.envelope_score import Errors, judged, nees_band95, rmse_mps
 from sim_bridge.experiments.px4_drag_fusion import DragFusionParams, drag_fusion
 from sim_bridge.experiments.report import Sheet
@@ -98,10 +103,10 @@ def fly_condition(job: EnvelopeJob) -> EnvelopeRow:
     single flights' RMSE scatters far more than the bound, which takes most of the time."""
     errors: list[Errors] = []
     bounded: list[EnvelopeFlight] = []
-    for i in range(job.flights):
-        flown = fly_envelope(
-            job.truth, job.condition, np.random.default_rng([job.seed, job.index, i])
-        )
+    drags = drag_deviates(job.flights, np.random.default_rng([job.seed, job.index]))
+    for i, drag in enumerate(drags):
+        rng = np.random.default_rng([job.seed, job.index, i])
+        flown = fly_envelope(job.truth, job.condition, rng, drag)
         errors.append(judged(flown, job.airframe))
         if i < job.bounds:
             bounded.append(flown)
