@@ -47,7 +47,7 @@ def params_for(airframe: Airframe) -> WindEstimatorParams:
     """The filter's noises for an airframe: where drag is known, the wind may walk faster.
 
     Where it is not, a fast walk cannot be told from drag that is off: on the real flight with the
-    generic airframe the error is 1.23 m/s with the slow walk of the recordings, 1.48 with the
+    generic airframe the error is 1.20 m/s with the slow walk of the recordings, 1.44 with the
     fast one. With drag known, a front of 7 m/s in 90 s (params/flights/default.toml) is followed
     to 1.3 m/s and NEES 3 with the fast walk, 2.1 and 11 with the slow one.
     """
