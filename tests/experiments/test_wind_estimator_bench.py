@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from companion.core.airframe import Airframe, airframe_from_dict
 from companion.core.errors import LeewayError
@@ -18,7 +19,7 @@ from sim_bridge.experiments.anemometer_flight import (
     with_airspeed,
     without_airspeed,
 )
-from sim_bridge.experiments.envelope_flight import Condition, fly_envelope
+from sim_bridge.experiments.envelope_flight import Condition, drag_deviates, fly_envelope
 from sim_bridge.experiments.envelope_score import judged, nees_band95, rmse_mps
 from sim_bridge.experiments.px4_drag_fusion import DragFusionParams, drag_fusion
 from sim_bridge.experiments.wind_bound import least_errors_m2ps2
@@ -114,3 +115,19 @@ def test_in_gusts_the_estimator_is_near_the_bound_and_not_below_it() -> None:
     a = 5.0 / memory_s
     share = 2.0 / a**2 * (a - 2.0 * (1.0 - math.exp(-a)) + 0.5 * (1.0 - math.exp(-2.0 * a)))
     assert least_mps**2 > 0.25 * sigma**2 * share
+
+
+def test_a_conditions_drags_fill_the_prior_evenly() -> None:
+    # One in each sixteenth of the normal distribution, on each axis, and another order on each.
+    drawn = drag_deviates(16, np.random.default_rng(5))
+    sixteenths = np.floor(16.0 * norm.cdf(drawn)).astype(int)
+    assert np.array_equal(np.sort(sixteenths, axis=0), np.tile(np.arange(16)[:, None], 3))
+    assert not np.array_equal(sixteenths[:, 0], sixteenths[:, 1])
+    truth = load_airframe(ROOT / "params" / "truth" / "m100.toml")
+    for row in (np.zeros(3), np.array([2.0, -1.0, 1.0])):  # log gains: 0, 0; 0.07, 0.13
+        flight = fly_envelope(truth, Condition(None, 0.0), np.random.default_rng(1), row)
+        drag = flight.params.drag
+        forward = math.log(drag.parasite_forward_m2 / truth.drag.parasite_forward_m2)
+        right = math.log(drag.rotor_sideways_nspm / truth.drag.rotor_sideways_nspm)
+        assert forward == pytest.approx(0.05 * row[0] + 0.03 * row[1])
+        assert right == pytest.approx(0.05 * row[0] + 0.03 * row[2])
