@@ -257,6 +257,9 @@ def estimator_bench(
         int | None,
         typer.Option(min=2, help="flights of these whose bound is computed; left out: all"),
     ] = None,
+    only: Annotated[
+        str, typer.Option(help='conditions with this in their name, say "step" or "hover"')
+    ] = "",
     seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
     anemometer: Annotated[
         Path | None, typer.Option(help="the real flight's CSV; left out: where it is usually found")
@@ -275,6 +278,9 @@ def estimator_bench(
     from sim_bridge.experiments.anemometer_flight import read_recording
     from sim_bridge.truth.params import load_airframe
 
+    names = [condition.name for condition in bench.CONDITIONS]
+    if not any(only in name for name in names):
+        raise typer.BadParameter(f"--only: {only!r} is in no condition's name: {'; '.join(names)}")
     believed = read_airframe(airframe)
     path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
     if anemometer is None and not path.exists():
@@ -295,6 +301,7 @@ def estimator_bench(
     truth = load_airframe(params_dir() / "truth" / "m100.toml")
     bounded = min(flights, bounds or flights)
     work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
+    work = [job for job in work if only in job.condition.name]
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
     found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
