@@ -19,8 +19,8 @@ from companion.core.wind_from_tilt import TiltTold
 from companion.core.wind_state import FloatArray, WindEstimatorParams, WindState
 from companion.core.wind_turbulence import Turbulence
 
-CALM_RATIO = 0.05
-"""The gusts' variance in calm over the prior's: 0.1 m/s where the prior has 0.45."""
+CALM_RATIO = 0.02
+"""The gusts' variance in calm over the prior's: 0.06 m/s where the prior has 0.45."""
 CHANGES_AFTER_S = 1000.0
 """[est] How long the air stays what it is."""
 NOISE_MEMORY_S = 10.0
