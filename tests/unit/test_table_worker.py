@@ -87,7 +87,7 @@ def test_one_process_makes_table_after_table_and_leaves_none_of_its_forks() -> N
     fork = _fork_of(process.pid)
     worker.stop()
     assert [m.trouble for m in made] == ["", ""]
-    until_s = wall_s() + 10.0  # it is killed with its parent, but nobody waits for it to be gone
+    until_s = wall_s() + 5.0  # it is killed with its parent, but nobody waits for it to be gone
     while _lives(fork) and wall_s() < until_s:
         time.sleep(0.002)
     assert not _lives(fork)
