@@ -72,9 +72,7 @@ class WindEstimatorParams:
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
     velocity_std_mps: float = 0.06  # u-blox M8 data sheet says 0.05, unfused
-    latency_s: float = (
-        0.02  # of velocity behind attitude: PX4's come 50, 100 a second; GNSS: 0.12 s
-    )
+    latency_s: float = 0.02  # of velocity behind attitude: PX4 sends 50, 100 a second; GNSS 0.12
     latency_std_s: float = 0.08  # [est]
     sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
     tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
