@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from ground_station.adapters.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import keep_compiled_code
 
 keep_compiled_code()  # before any test module imports the planner: what is compiled is kept
 
@@ -22,9 +22,9 @@ ROOT = Path(__file__).parents[1]
 def compiled_planner() -> None:
     """The planner's machine code, which takes 40 s of a core for the first time: made by one
     worker and kept, while those who want it too wait. For modules that plan."""
-    from ground_station.adapters.day_files import read_day
-    from ground_station.core.day_planning import PlanParams, plan_day
-    from ground_station.core.day_state import first_state
+    from ground_station.adapters.files.day_files import read_day
+    from ground_station.core.planning.day_planner import PlanParams, plan_day
+    from ground_station.core.schema.day_state import first_state
 
     waiting = Path(tempfile.gettempdir()) / f"leeway-tests-compile-{getpass.getuser()}"
     with waiting.open("w") as lock:

@@ -3,7 +3,7 @@
 import asyncio
 from dataclasses import dataclass
 
-from companion.core.errors import LeewayError
+from companion.core.base.errors import LeewayError
 
 CONNECT_S = 20.0
 """MAVSDK takes up to 10 s to find a system."""

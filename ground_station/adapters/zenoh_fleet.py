@@ -13,8 +13,8 @@ from typing import Any, NoReturn
 
 import zenoh
 
-from companion.core.errors import LeewayError
-from companion.core.messages import (
+from companion.core.base.errors import LeewayError
+from companion.fleet.messages import (
     Command,
     FleetEvent,
     Refused,
@@ -25,8 +25,8 @@ from companion.core.messages import (
     decode_state,
     encode,
 )
-from companion.core.topics import VehicleKeys, life_of, vehicle_of
-from ground_station.core.fleet import (
+from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
+from ground_station.core.fleet.fleet_link import (
     Alive,
     CommandAnswered,
     EventsHeard,

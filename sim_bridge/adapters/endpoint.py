@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from sim_bridge.autopilot.codec import Decoder
+from sim_bridge.autopilot.mavlink.codec import Decoder
 
 _LARGEST_DATAGRAM = 65535
 _BUNDLE_BYTES = 1400  # an Ethernet frame carries 1472 under IPv4 and UDP, a tunnel some less

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from sim_bridge.adapters.endpoint import EndpointSet
-from sim_bridge.autopilot.message_table import SPECS, crc_bytes
+from sim_bridge.autopilot.mavlink.message_table import SPECS, crc_bytes
 
 _TIMESYNC = SPECS["TIMESYNC"]
 _HEARTBEAT_ID = 0

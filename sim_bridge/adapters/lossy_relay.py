@@ -2,7 +2,7 @@
 the other.
 
 Neither side knows: states, events, commands, questions and answers are passed on, or not. An
-answer is passed on whole or not at all, as `sim_bridge.app.day_bus` has it. Liveliness always gets
+answer is passed on whole or not at all, as `sim_bridge.app.day.bus` has it. Liveliness always gets
 through.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from companion.core.topics import VehicleKeys
+from companion.fleet.topics import VehicleKeys
 
 QUESTION_S = 5.0
 """How long an answer of a vehicle is waited for: no longer than the desk waits."""

@@ -15,33 +15,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sim_bridge.autopilot.ardupilot import ArduPilot
-from sim_bridge.autopilot.battery import BatteryMonitor
-from sim_bridge.autopilot.codec import Signer
-from sim_bridge.autopilot.control import Actuation, Controller, ControlParams
-from sim_bridge.autopilot.enums import MissionType, Severity, VehicleType
-from sim_bridge.autopilot.executor import FlightRules, Leg, MissionExecutor
-from sim_bridge.autopilot.failsafe import Failsafes
-from sim_bridge.autopilot.fence import Fence
+from sim_bridge.autopilot.ardupilot.behaviour import ArduPilot
 from sim_bridge.autopilot.flavour import BatterySensing, Flavour, LinkKind
-from sim_bridge.autopilot.geodesy import LocalFrame
-from sim_bridge.autopilot.goals import FollowLine, Goal, HoldPoint, Idle, Vec3
-from sim_bridge.autopilot.guidance import Guidance, heading_along
-from sim_bridge.autopilot.inbox import handle
-from sim_bridge.autopilot.landing import LandingDetector
-from sim_bridge.autopilot.mission import Item, MissionStore
-from sim_bridge.autopilot.mission_protocol import MissionProtocol
-from sim_bridge.autopilot.modes import Mode
-from sim_bridge.autopilot.parameters import Parameter, ParameterStore
-from sim_bridge.autopilot.pilot import PilotInput
-from sim_bridge.autopilot.plan import Plan
-from sim_bridge.autopilot.px4 import Px4
-from sim_bridge.autopilot.radio import Radio
-from sim_bridge.autopilot.readings import Readings
-from sim_bridge.autopilot.returning import Returning
-from sim_bridge.autopilot.router import ArduPilotRouter, Px4Router
-from sim_bridge.autopilot.setpoints import Here, Setpoint
-from sim_bridge.autopilot.wind import WindEstimator
+from sim_bridge.autopilot.flight.battery import BatteryMonitor
+from sim_bridge.autopilot.flight.control import Actuation, Controller, ControlParams
+from sim_bridge.autopilot.flight.failsafe import Failsafes
+from sim_bridge.autopilot.flight.fence import Fence
+from sim_bridge.autopilot.flight.geodesy import LocalFrame
+from sim_bridge.autopilot.flight.goals import FollowLine, Goal, HoldPoint, Idle, Vec3
+from sim_bridge.autopilot.flight.guidance import Guidance, heading_along
+from sim_bridge.autopilot.flight.landing import LandingDetector
+from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.flight.pilot import PilotInput
+from sim_bridge.autopilot.flight.readings import Readings
+from sim_bridge.autopilot.flight.returning import Returning
+from sim_bridge.autopilot.flight.wind import WindEstimator
+from sim_bridge.autopilot.mavlink.codec import Signer
+from sim_bridge.autopilot.mavlink.enums import MissionType, Severity, VehicleType
+from sim_bridge.autopilot.mavlink.inbox import handle
+from sim_bridge.autopilot.mavlink.parameters import Parameter, ParameterStore
+from sim_bridge.autopilot.mavlink.radio import Radio
+from sim_bridge.autopilot.mavlink.router import ArduPilotRouter, Px4Router
+from sim_bridge.autopilot.mavlink.setpoints import Here, Setpoint
+from sim_bridge.autopilot.mission.executor import FlightRules, Leg, MissionExecutor
+from sim_bridge.autopilot.mission.mission import Item, MissionStore
+from sim_bridge.autopilot.mission.mission_protocol import MissionProtocol
+from sim_bridge.autopilot.mission.plan import Plan
+from sim_bridge.autopilot.px4.behaviour import Px4
 
 _SLOW_PERIOD_S = 0.1
 

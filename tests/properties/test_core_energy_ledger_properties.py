@@ -7,8 +7,8 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.airframe import airframe_from_dict
-from companion.core.energy_ledger import BatteryObservation, EnergyLedger
+from companion.core.vehicle.airframe import airframe_from_dict
+from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyLedger
 
 ROOT = Path(__file__).parents[2]
 M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.airframe import airframe_from_dict
-from companion.core.wind_estimator import WindEstimator, WindObservation
+from companion.core.vehicle.airframe import airframe_from_dict
+from companion.core.wind.estimator import WindEstimator, WindObservation
 
 ROOT = Path(__file__).parents[2]
 M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))

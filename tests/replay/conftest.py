@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_bridge.autopilot.codec import Encoder, Message
+from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 G_MPS2 = 9.80665
 LAT_DEG, LON_DEG, ALT_M = 55.47, 8.45, 12.0

@@ -9,12 +9,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from companion.adapters.decision_log import DecisionLog
-from companion.adapters.mcap_log import HEARD, HeardRows
-from companion.adapters.open_log import open_log
-from companion.core.airborne import airborne
-from companion.core.errors import LeewayError
-from companion.core.events import (
+from companion.adapters.logs.decision_log import DecisionLog
+from companion.adapters.logs.mcap_log import HEARD, HeardRows
+from companion.adapters.logs.open_log import open_log
+from companion.core.base.errors import LeewayError
+from companion.core.mission.events import (
     Airspeed,
     Attitude,
     AutopilotWind,
@@ -28,8 +27,9 @@ from companion.core.events import (
     Tick,
     VehicleState,
 )
-from companion.core.recorded_flight import moments, sampled
-from companion.core.situation import Situation
+from companion.core.pilot.telemetry_state import Situation
+from companion.core.replay.airborne import airborne
+from companion.core.replay.recorded_flight import moments, sampled
 
 
 def of_kind(log, kind):

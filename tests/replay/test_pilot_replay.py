@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.files import (
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.link import Incoming
+from companion.adapters.files.params import (
     digest_of,
     params_dir,
     read_airframe,
     read_flight,
     read_wind_process,
 )
-from companion.adapters.mavlink_codec import MavlinkCodec, mavlink
-from companion.adapters.mavlink_link import Incoming
-from companion.app.loop import Loop
-from companion.app.recorder import Recorder
-from companion.app.run import requirements
-from companion.core.actions import Action, Decision
-from companion.core.flight_state import PilotOptions
-from companion.core.pilot import Pilot
+from companion.app.flight.loop import Loop
+from companion.app.flight.recorder import Recorder
+from companion.app.flight.run import requirements
+from companion.core.mission.actions import Action, Decision
+from companion.core.pilot.pilot import Pilot
+from companion.core.pilot.pilot_state import PilotOptions
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from companion.adapters.files import read_airframe, read_wind_process
-from companion.adapters.open_log import open_log
-from companion.app.cli import app
-from companion.core.flight import Flight, Place, Site, Vehicle
-from companion.core.replay import ReplayTerms, replay
-from companion.core.replay_summary import wind_score, wind_summary
+from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.adapters.logs.open_log import open_log
+from companion.app.cli.main import app
+from companion.core.base.place import Place
+from companion.core.mission.flight_file import Flight, Site, Vehicle
+from companion.core.replay.flight_replay import ReplayTerms, replay
+from companion.core.replay.summary import wind_score, wind_summary
 
 ROOT = Path(__file__).parents[2]
 ANEMOMETER = ROOT.parent / "shared/data/estimator/anemometer_uav_5hz.csv"
@@ -211,7 +212,7 @@ def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp
 
 def test_flying_imports_nothing_that_draws_or_reads_logs_of_others():
     code = (
-        "import sys, companion.app.cli\n"
+        "import sys, companion.app.cli.main\n"
         "print([n for n in ('matplotlib', 'pyulog', 'pymavlink.DFReader') if n in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

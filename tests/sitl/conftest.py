@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from sim_bridge.app.craft import Craft
-from sim_bridge.app.faults import FaultPlan
-from sim_bridge.app.fly import FlyOptions, Progress, fly
+from sim_bridge.app.flight.faults import FaultPlan
+from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
+from sim_bridge.app.flight.vehicle_process import Craft
 
 SHORT: dict[str, Any] = {
     "format": "flight/1",

@@ -10,13 +10,13 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from companion.adapters.airframe_toml import write_airframe
-from companion.adapters.calibration_logs import read_calibration_log
-from companion.adapters.files import read_airframe
-from companion.app.cli import app as companion
-from companion.core.calibration import predict
-from companion.core.calibration_records import prepare
-from sim_bridge.app.cli import app as bridge
+from companion.adapters.files.airframe_toml import write_airframe
+from companion.adapters.files.params import read_airframe
+from companion.adapters.logs.calibration_logs import read_calibration_log
+from companion.app.cli.main import app as companion
+from companion.core.calibration.airframe_fit import predict
+from companion.core.calibration.records import prepare
+from sim_bridge.app.cli.main import app as bridge
 
 RUN = CliRunner()
 FLIGHTS = {  # name: (autopilot, load kg, wind m/s, from deg, nose held)

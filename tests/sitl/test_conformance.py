@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sim_bridge.app import conform_cli
-from sim_bridge.app.cli import app
-from sim_bridge.app.serve import Home, Host, Served
+from sim_bridge.app.cli import conform as conform_cli
+from sim_bridge.app.cli.main import app
+from sim_bridge.app.serve.server import Home, Host, Served
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.enums import Cmd, Result
 from sim_bridge.autopilot.flavour import BatterySensing, Flavour
-from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.mavlink.enums import Cmd, Result
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.conform import reference
 from sim_bridge.conform.behaviour import Behaviour
 from sim_bridge.conform.client import Client

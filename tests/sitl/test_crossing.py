@@ -8,10 +8,10 @@ import contextlib
 import numpy as np
 import pytest
 
-from sim_bridge.app.crossing import Crossing, CrossOptions
-from sim_bridge.app.crossing_judge import Nearest, nearest_of
-from sim_bridge.autopilot.executor import Phase
-from sim_bridge.autopilot.modes import Mode
+from sim_bridge.app.crossing.crossing import Crossing, CrossOptions
+from sim_bridge.app.crossing.judge import Nearest, nearest_of
+from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.mission.executor import Phase
 
 SHORT = {
     "vehicles": 2,

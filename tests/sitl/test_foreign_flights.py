@@ -14,13 +14,13 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from companion.core.errors import LeewayError
-from sim_bridge.app import cli
-from sim_bridge.app.foreign import ForeignOptions, fly_foreign
-from sim_bridge.app.report import grounded_words, results_table
-from sim_bridge.app.serve import Home, Host, Served, stand_up
+from companion.core.base.errors import LeewayError
+from sim_bridge.app.cli import main as cli
+from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
+from sim_bridge.app.flight.report import grounded_words, results_table
+from sim_bridge.app.serve.server import Home, Host, Served, stand_up
 from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.wind_field import SteadyWind, WindField
 

@@ -11,16 +11,16 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.core.flight import Place
-from companion.core.flight_plan import frame_at
-from ground_station.adapters.day_files import read_day
-from ground_station.core.day_data import DayData
-from ground_station.core.day_plan import DayPlan, PlannedSortie, PlannedStop
-from sim_bridge.app.day_build import DayWish, here
-from sim_bridge.app.day_cli import settings_of
-from sim_bridge.app.day_desk import DeskHere
-from sim_bridge.app.day_fly import finished
-from sim_bridge.app.day_run import DayOptions, fly_day
+from companion.core.base.place import Place
+from companion.core.mission.flight_plan import frame_at
+from ground_station.adapters.files.day_files import read_day
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
+from sim_bridge.app.cli.day import settings_of
+from sim_bridge.app.day.build import DayWish, here
+from sim_bridge.app.day.desk import DeskHere
+from sim_bridge.app.day.fly import finished
+from sim_bridge.app.day.run import DayOptions, fly_day
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
 

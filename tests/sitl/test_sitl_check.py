@@ -10,9 +10,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from sim_bridge.app.serve import Host, stand_up
+from sim_bridge.app.serve.server import Host, stand_up
 from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(120)]

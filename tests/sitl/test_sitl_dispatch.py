@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from companion.core.messages import EventKind
-from ground_station.adapters.database import Database
-from ground_station.adapters.store import Store
-from ground_station.core.orders import OrderState
+from companion.fleet.messages import EventKind
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.order_store import Store
+from ground_station.core.schema.orders import OrderState
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(400)]
 

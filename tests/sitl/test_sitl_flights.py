@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from companion.adapters.files import read_airframe, read_flight, read_wind_process
-from companion.adapters.open_log import open_log
-from companion.core.replay import ReplayTerms, replay
+from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
+from companion.adapters.logs.open_log import open_log
+from companion.core.replay.flight_replay import ReplayTerms, replay
 
 pytestmark = pytest.mark.sitl
 

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.files import params_dir, read_airframe
-from companion.app.fleet_port import FleetPort
-from companion.core.fleet_link import Ask, Asked
-from companion.core.messages import (
+from companion.adapters.files.params import params_dir, read_airframe
+from companion.app.flight.fleet_port import FleetPort
+from companion.fleet.messages import (
     Answered,
     Assign,
     Command,
@@ -31,9 +30,10 @@ from companion.core.messages import (
     decode_state,
     encode,
 )
-from sim_bridge.app.day_companion import MemoryLink, SteppedCompanion
-from sim_bridge.app.day_drone import DayDrone, DroneWorld
-from sim_bridge.autopilot.parameters import read_parameters
+from companion.fleet.network import Ask, Asked
+from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
+from sim_bridge.app.day.drone import DayDrone, DroneWorld
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.wind_params import mean_wind, parse_wind

@@ -20,9 +20,9 @@ from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
-from sim_bridge.app.serve import Home, Host, Served, stand_up
+from sim_bridge.app.serve.server import Home, Host, Served, stand_up
 from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.parameters import read_parameters
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
 pytestmark = [pytest.mark.third_party, pytest.mark.timeout(120)]

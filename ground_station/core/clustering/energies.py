@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.reach import PAYLOAD_STEP_KG, Need, Reach
+from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Need, Reach
 
 FloatArray = NDArray[np.float64]
 

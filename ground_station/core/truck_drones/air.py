@@ -1,6 +1,6 @@
 """Which sorties may be in the air at once, as the compiled search sees it (safety rule 7).
 
-The rule itself is `ground_station.core.separation`; every plan is driven by that before it counts.
+The rule itself is `deconfliction.separation`; every plan is driven by that before it counts.
 Here it is told in shorter form, so that a search can ask it a million times a second: the level
 ground of a sortie is the triangle of its pads and its customer, each pad stands where its drone
 leaves for its customer, ways around obstacles are left out.

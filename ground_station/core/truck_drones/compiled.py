@@ -3,7 +3,7 @@
 numba's own cache looks only at the file of the function that it keeps, not at those it calls: a
 changed `simulate.py` would go on running as it was inside a kept `anneal.py`. Code is therefore
 kept only where somebody has named a folder that belongs to these very sources
-(`ground_station.adapters.compiled_code`); else each process compiles anew.
+(`ground_station.adapters.files.compiled_code`); else each process compiles anew.
 """
 
 from collections.abc import Callable

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.errors import LeewayError
+from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import AHEAD, hand_to_drone
 from ground_station.core.truck_drones.problem import TruckAndDrones

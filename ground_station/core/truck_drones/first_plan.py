@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from companion.core.errors import LeewayError
+from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route, insert_stop
 from ground_station.core.truck_drones.problem import TruckAndDrones

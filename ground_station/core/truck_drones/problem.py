@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.errors import LeewayError
+from companion.core.base.errors import LeewayError
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from companion.core.errors import LeewayError
+from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import (

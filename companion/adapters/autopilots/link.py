@@ -1,0 +1,289 @@
+"""Ways to an autopilot by URL, each with one reader thread that feeds one queue.
+
+`udpin:HOST:PORT` listens, `udpout:HOST:PORT` and `tcp:HOST:PORT` call, `serial:DEVICE:BAUD` opens.
+Whole datagrams (UDP) or whatever arrived (TCP, serial) enter the queue. TCP and serial come back
+by themselves after a break.
+"""
+
+import queue
+import socket
+import threading
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from companion.core.base.errors import LeewayError
+
+POLL_S = 0.2
+RETRY_S = 1.0
+LARGEST_DATAGRAM = 65536
+QUEUE_LIMIT = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Incoming:
+    """Bytes and where they came from (UDP's address; `None` on a wire)."""
+
+    data: bytes
+    peer: Any = None
+
+
+class Link(Protocol):
+    """Bytes in by `receive`, bytes out by `send`; `datagrams` tells whether frames come whole."""
+
+    datagrams: bool
+
+    def receive(self, timeout_s: float) -> Incoming | None: ...
+    def send(self, data: bytes) -> None: ...
+    def waiting(self) -> int: ...
+    def wake(self) -> None: ...
+    def answer_to(self, peer: Any) -> None: ...
+    def close(self) -> None: ...
+
+
+class _Reader:
+    """A thread that reads until told to stop; what it read waits in a bounded queue."""
+
+    def __init__(self) -> None:
+        self._queue: queue.Queue[Incoming] = queue.Queue(QUEUE_LIMIT)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mavlink-reader", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._read_once()
+
+    def _read_once(self) -> None:
+        raise NotImplementedError
+
+    def _put(self, item: Incoming) -> None:
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:  # the newest matter: drop the oldest
+            try:
+                self._queue.get_nowait()
+                self._queue.put_nowait(item)
+            except (queue.Empty, queue.Full):
+                return
+
+    def receive(self, timeout_s: float) -> Incoming | None:
+        """Return the next bytes, or `None` after `timeout_s` of silence."""
+        try:
+            return self._queue.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def wake(self) -> None:
+        """Let whoever receives look up at once: something else waits for it."""
+        self._put(Incoming(b""))
+
+    def waiting(self) -> int:
+        """How many arrivals have not been received yet."""
+        return self._queue.qsize()
+
+
+class UdpLink(_Reader):
+    """UDP, listening or calling. A listener answers to the peer that it was told to answer."""
+
+    datagrams = True
+
+    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+        super().__init__()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._peer: Any = None
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            if listen:
+                self._socket.bind((host, port))
+            else:
+                self._socket.bind(("", 0))
+                self._peer = (socket.gethostbyname(host), port)
+        except OSError as error:
+            self._socket.close()
+            raise LeewayError(f"link udp {host}:{port}: {error}") from error
+        self._socket.settimeout(POLL_S)
+        self._fixed_peer = not listen
+        self.start()
+
+    def _read_once(self) -> None:
+        try:
+            data, peer = self._socket.recvfrom(LARGEST_DATAGRAM)
+        except TimeoutError:
+            return
+        except OSError:  # a refused datagram (nobody listens yet), or the socket was closed
+            self._stop.wait(0.02)
+            return
+        if data:
+            self._put(Incoming(data, peer))
+
+    def answer_to(self, peer: Any) -> None:
+        """Send to this address from now on (a caller keeps to whom it called)."""
+        if not self._fixed_peer:
+            self._peer = peer
+
+    def send(self, data: bytes) -> None:
+        """Send, or lose it: UDP promises nothing and orders are retried."""
+        if self._peer is None:
+            return
+        try:
+            self._socket.sendto(data, self._peer)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """Stop reading and free the port."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+        self._socket.close()
+
+
+class TcpLink(_Reader):
+    """A TCP client that calls again when the line breaks."""
+
+    datagrams = False
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._address = (host, port)
+        self._socket: socket.socket | None = None
+        self._lock = threading.Lock()
+        self.start()
+
+    def _read_once(self) -> None:
+        line = self._socket
+        if line is None:
+            self._connect()
+            return
+        try:
+            data = line.recv(LARGEST_DATAGRAM)
+        except TimeoutError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self._put(Incoming(data))
+        else:
+            self._drop()
+
+    def _connect(self) -> None:
+        try:
+            line = socket.create_connection(self._address, timeout=RETRY_S)
+        except OSError:
+            self._stop.wait(RETRY_S)
+            return
+        line.settimeout(POLL_S)
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with self._lock:
+            self._socket = line
+
+    def _drop(self) -> None:
+        with self._lock:
+            if self._socket is not None:
+                self._socket.close()
+                self._socket = None
+
+    def answer_to(self, peer: Any) -> None:
+        """A line has one other end."""
+
+    def send(self, data: bytes) -> None:
+        """Send, or lose it while the line is down."""
+        with self._lock:
+            line = self._socket
+        if line is None:
+            return
+        try:
+            line.sendall(data)
+        except OSError:
+            self._drop()
+
+    def close(self) -> None:
+        """Stop reading and hang up."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+        self._drop()
+
+
+class SerialLink(_Reader):
+    """A serial port that is opened again when it vanishes (USB re-enumerates)."""
+
+    datagrams = False
+
+    def __init__(self, device: str, baud: int) -> None:
+        super().__init__()
+        self._device = device
+        self._baud = baud
+        self._port: Any = None
+        self._open()
+        if self._port is None:
+            raise LeewayError(f"link serial:{device}:{baud}: cannot open the device")
+        self.start()
+
+    def _open(self) -> None:
+        import serial  # pyserial: only a serial link needs it
+
+        try:
+            self._port = serial.Serial(self._device, self._baud, timeout=POLL_S, write_timeout=1.0)
+        except (OSError, ValueError):  # SerialException is an OSError
+            self._port = None
+
+    def _read_once(self) -> None:
+        if self._port is None:
+            self._stop.wait(RETRY_S)
+            self._open()
+            return
+        try:
+            data = self._port.read(max(1, self._port.in_waiting))
+        except (OSError, TypeError):
+            self._drop()
+            return
+        if data:
+            self._put(Incoming(bytes(data)))
+
+    def _drop(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def answer_to(self, peer: Any) -> None:
+        """A wire has one other end."""
+
+    def send(self, data: bytes) -> None:
+        """Send, or lose it while the port is gone."""
+        port = self._port
+        if port is None:
+            return
+        try:
+            port.write(data)
+        except OSError:
+            self._drop()
+
+    def close(self) -> None:
+        """Stop reading and close the port."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+        self._drop()
+
+
+def open_link(url: str) -> Link:
+    """Open a link by its URL; LeewayError says what a URL looks like."""
+    kind, _, rest = url.partition(":")
+    target, _, number = rest.rpartition(":")
+    expected = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
+    if not target or not number.isdigit():
+        raise LeewayError(f"link {url!r}: {expected}")
+    value = int(number)
+    if kind in ("udpin", "udpout", "tcp") and not 0 < value < 65536:
+        raise LeewayError(f"link {url!r}: port {value}: expected 1 to 65535")
+    match kind:
+        case "udpin":
+            return UdpLink(target, value, listen=True)
+        case "udpout":
+            return UdpLink(target, value, listen=False)
+        case "tcp":
+            return TcpLink(target, value)
+        case "serial":
+            return SerialLink(target, value)
+        case _:
+            raise LeewayError(f"link {url!r}: {expected}")

@@ -1,0 +1,459 @@
+"""One autopilot on a link: finds it, tells its flavour, hears it as events, gives it orders.
+
+Only component 1 of the chosen system is believed. Orders wait here for their acknowledgement; an
+acknowledgement is reported but is no fact, the mission looks for the effect in telemetry.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from companion.adapters.autopilots.ardupilot import ArduPilot
+from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, mavlink
+from companion.adapters.autopilots.commands import CommandDesk, Job
+from companion.adapters.autopilots.mission_transfer import MissionDownload, MissionUpload
+from companion.adapters.autopilots.mission_wire import wire_items
+from companion.adapters.autopilots.parameters import ParameterDesk
+from companion.adapters.autopilots.px4 import Px4
+from companion.adapters.autopilots.telemetry import FlavourWords, boot_s, translate
+from companion.adapters.clock import AutopilotClock
+from companion.core.mission.actions import (
+    Arm,
+    AskParameters,
+    AskTelemetry,
+    Configure,
+    Disarm,
+    FlyVelocity,
+    JumpTo,
+    Order,
+    ReadMissionBack,
+    Release,
+    SetGroundSpeed,
+    SetMode,
+    UploadMission,
+)
+from companion.core.mission.events import (
+    AutopilotParameters,
+    ClockLeapt,
+    ClockStepped,
+    Event,
+    Identified,
+    MissionReadBack,
+    MissionUploaded,
+    OrderRefused,
+    OtherComputer,
+    ParametersSet,
+    Position,
+    StreamsAsked,
+    VehicleState,
+)
+from companion.core.mission.mission_items import MissionItem, Spot, differences
+
+HEARTBEATS_TO_TRUST = 3
+"""One heartbeat may be anybody's; three are a vehicle."""
+
+LISTEN_S = 2.0
+"""How long we listen for another onboard computer before we speak (its heartbeat comes at 1 Hz);
+three heartbeats at their usual rate are as long.
+"""
+
+HEARTBEATS_WITHOUT_TIME = 10
+"""After so many we take a vehicle that tells no time as it is; retries then wait for telemetry."""
+
+ECHO_S = 1.5
+"""When a jump is sent again that only MISSION_CURRENT confirms: PX4 sends that once a second."""
+
+VELOCITY_AND_ACCELERATION = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+)
+"""What a set-point says; the heading is the autopilot's own."""
+
+STREAM = "stream "
+
+FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
+    mavlink.MAV_AUTOPILOT_PX4: Px4,
+}
+NOT_VEHICLES = (
+    mavlink.MAV_TYPE_GCS,
+    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+    mavlink.MAV_TYPE_GIMBAL,
+    mavlink.MAV_TYPE_ADSB,
+)
+
+
+class AutopilotPort:
+    """Hears messages, gives orders; the caller moves the bytes and the time."""
+
+    def __init__(
+        self, send: Callable[[Any], None], clock: AutopilotClock, system_id: int | None = None
+    ) -> None:
+        self._send = send
+        self._clock = clock
+        self._wanted_system = system_id
+        self._heartbeats: dict[tuple[int, int], int] = {}
+        self._stamps: dict[int, tuple[float, float]] = {}
+        self._times_asked = 0
+        self._time_asked: dict[int, int] = {}
+        self._times: dict[int, float] = {}
+        self._beat_at_s = -1.0
+        self.words: FlavourWords | None = None
+        self.system_id: int | None = None
+        self._desk = CommandDesk(send)
+        self._parameters: ParameterDesk | None = None
+        self._upload: MissionUpload | None = None
+        self._download: MissionDownload | None = None
+        self._expected: tuple[MissionItem, ...] = ()
+        self._asking_parameters = False
+        self._configuring = False
+        self._refused: list[str] = []
+        self._asking_streams = False
+        self._home = Spot(0.0, 0.0, 0.0)
+
+    # --- hearing -------------------------------------------------------------------------------
+
+    def hear(self, message: Any) -> list[Event]:
+        """Return the events in a message; foreign and stale messages have none."""
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        kind = message.get_type()
+        if self.words is None:
+            self._note_stamp(message, system, component)
+            return self._look_at(message, system, component) if kind == "HEARTBEAT" else []
+        if system != self.system_id:
+            return []
+        if component == COMPONENT:
+            return [self._other_computer(message)] if kind == "HEARTBEAT" else []
+        if component != AUTOPILOT:
+            return []
+        if kind == "HEARTBEAT":
+            if message.type in NOT_VEHICLES:
+                return []
+            self._mind_the_clock(system)
+        events, t_s = self._time(message)
+        if t_s is None:
+            return events
+        handled = self._answer(message, kind, t_s)
+        if handled is not None:
+            return events + handled
+        values = self._parameters.values if self._parameters is not None else {}
+        found = translate(message, self.words, values, t_s)
+        for event in found:
+            if isinstance(event, Position) and self._home.lat_deg == 0.0:
+                self._home = Spot(event.lat_deg, event.lon_deg, event.alt_amsl_m)
+        if kind == "MISSION_CURRENT":
+            found += self._desk.hear_current(message.seq, t_s)
+        return events + found
+
+    def hear_time(self, message: Any) -> None:
+        """Take the answer to our own TIMESYNC request: what the autopilot's clock says."""
+        system = message.get_srcSystem()
+        if message.get_srcComponent() != AUTOPILOT or self._time_asked.get(system) != message.ts1:
+            return
+        del self._time_asked[system]
+        if self.words is None:
+            self._times[system] = message.tc1 / 1e9
+        elif system == self.system_id:
+            self._clock.synchronise(message.tc1 / 1e9)
+
+    def _ask_time(self, system: int) -> None:
+        self._times_asked += 1
+        self._time_asked[system] = self._times_asked
+        self._send(mavlink.MAVLink_timesync_message(0, self._times_asked))
+
+    def _mind_the_clock(self, system: int) -> None:
+        """Ask for the time while nothing tells it: ArduPilot sends no stamp before it is asked.
+
+        A clock that stands still would never let a lost order be sent again.
+        """
+        if self._clock.t_s == self._beat_at_s:
+            self._ask_time(system)
+        self._beat_at_s = self._clock.t_s
+
+    def may_be_ours(self, message: Any) -> bool:
+        """Tell whether a message is the heartbeat of a vehicle that we could belong to."""
+        return (
+            message.get_type() == "HEARTBEAT"
+            and message.get_srcComponent() == AUTOPILOT
+            and message.autopilot in FLAVOURS
+            and message.type not in NOT_VEHICLES
+            and self._wanted_system in (None, message.get_srcSystem())
+        )
+
+    def _note_stamp(self, message: Any, system: int, component: int) -> None:
+        """Remember over how long a system has been heard, where its messages tell."""
+        stamp_s = boot_s(message)
+        if stamp_s is not None and component == AUTOPILOT:
+            first_s, _ = self._stamps.get(system, (stamp_s, stamp_s))
+            self._stamps[system] = (min(first_s, stamp_s), stamp_s)
+
+    def _look_at(self, message: Any, system: int, component: int) -> list[Event]:
+        """Count heartbeats until one system is trusted to be our vehicle."""
+        if component == COMPONENT and self._wanted_system in (None, system):
+            return [self._other_computer(message)]
+        words = FLAVOURS.get(message.autopilot)
+        if words is None or not self.may_be_ours(message):
+            return []
+        key = (system, message.autopilot)
+        self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
+        if not self._clock.known and system not in self._stamps:
+            self._ask_time(system)
+        if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
+            return []
+        first_s, last_s = self._stamps.get(system, (0.0, LISTEN_S))
+        if last_s - first_s < LISTEN_S or not self._learn_time(system, self._heartbeats[key]):
+            return []
+        flavour: FlavourWords = words()
+        self.words = flavour
+        self.system_id = system
+        self._parameters = ParameterDesk(self._send, bytewise=flavour.bytewise_parameters)
+        self._parameters.aim(system)
+        t_s = self._clock.t_s
+        state = [e for e in translate(message, flavour, {}, t_s) if isinstance(e, VehicleState)]
+        return [*state, Identified(t_s, flavour.flavour, system)]
+
+    def _learn_time(self, system: int, heartbeats: int) -> bool:
+        """Set the clock by what the vehicle told; False while it is worth waiting for that.
+
+        An order that is given at time 0 would look overdue at the first stamp, be sent twice, and
+        be answered twice (seen on PX4 1.18 and ArduCopter 4.7).
+        """
+        if system in self._stamps:
+            self._clock.stamp(self._stamps[system][1])
+        elif system in self._times:
+            self._clock.synchronise(self._times[system])
+        return self._clock.known or heartbeats >= HEARTBEATS_WITHOUT_TIME
+
+    def _other_computer(self, message: Any) -> Event:
+        status = message.system_status
+        return OtherComputer(
+            self._clock.t_s,
+            active=status not in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT),
+            booting=status == mavlink.MAV_STATE_BOOT,
+        )
+
+    def _time(self, message: Any) -> tuple[list[Event], float | None]:
+        stamp_s = boot_s(message)
+        if stamp_s is None:
+            return [], self._clock.t_s
+        reading = self._clock.stamp(stamp_s)
+        events: list[Event] = []
+        if reading.back_s > 0.0:
+            events.append(ClockStepped(self._clock.t_s, reading.back_s))
+        if reading.ahead_s > 0.0:
+            events.append(ClockLeapt(self._clock.t_s, reading.ahead_s))
+        return events, reading.t_s
+
+    def _answer(self, message: Any, kind: str, t_s: float) -> list[Event] | None:
+        """Take what belongs to a conversation of ours; `None` for everything else."""
+        target = getattr(message, "target_system", 0)
+        mine = target in (0, self.system_id) and getattr(message, "target_component", 0) in (
+            0,
+            COMPONENT,
+        )
+        if kind == "COMMAND_ACK":
+            return self._sift(self._desk.hear_ack(message, t_s)) if mine else []
+        if kind == "PARAM_VALUE" and self._parameters is not None:
+            self._parameters.hear(message)
+            return self._parameters_events(t_s)
+        if kind == "PARAM_ERROR" and self._parameters is not None:
+            if mine:
+                self._parameters.hear_error(message)
+            return self._parameters_events(t_s)
+        if kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
+            if self._upload is not None and mine:
+                self._upload.hear(message, t_s)
+            return []
+        if kind in ("MISSION_COUNT", "MISSION_ITEM_INT"):
+            if self._download is not None and mine:
+                self._download.hear(message, t_s)
+            return self._transfer_events(t_s)
+        if kind == "MISSION_ACK":
+            if mine and self._upload is not None:
+                self._upload.hear(message, t_s)
+            elif mine and self._download is not None:
+                self._download.hear(message, t_s)
+            return self._transfer_events(t_s)
+        return None
+
+    # --- orders --------------------------------------------------------------------------------
+
+    def order(self, order: Order, t_s: float) -> None:
+        """Give an order."""
+        words, system = self.words, self.system_id
+        if words is None or system is None:
+            return
+        match order:
+            case AskTelemetry():
+                self._ask_streams(words, system, t_s)
+            case AskParameters():
+                self._read_parameters(order.names, t_s)
+            case Configure():
+                if self._parameters is not None:
+                    self._configuring = True
+                    self._parameters.set(order.values, t_s)
+            case UploadMission():
+                self._download = None
+                wire = wire_items(
+                    order.items,
+                    home_items=words.home_items,
+                    home=self._home,
+                    free_yaw=words.free_yaw,
+                )
+                self._upload = MissionUpload(self._send, system, wire, t_s)
+            case ReadMissionBack():
+                self._upload = None
+                self._expected = order.items
+                self._download = MissionDownload(self._send, system, words.home_items, t_s)
+            case SetMode():
+                params = words.mode_params(order.mode)
+                self._command("mode", f"mode {order.mode.value}", mavlink.MAV_CMD_DO_SET_MODE,
+                              params, t_s, replace=True)  # fmt: skip
+            case Arm():
+                self._command("arm", "arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), t_s)
+            case Disarm():
+                self._command("arm", "disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), t_s)
+            case JumpTo():
+                seq = order.index + words.home_items
+                message, command = words.jump(system, seq)
+                name = f"jump to item {order.index}"
+                job = Job(name, lambda _attempt: message, command)
+                if command is None:
+                    job = Job(name, lambda _attempt: message, until_seq=seq, again_s=ECHO_S)
+                self._desk.submit("jump", job, t_s, replace=True)
+            case SetGroundSpeed():
+                params = (1.0, order.ground_speed_mps, -1.0)
+                self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
+                              t_s, replace=True)  # fmt: skip
+            case FlyVelocity():
+                self._send(
+                    mavlink.MAVLink_set_position_target_local_ned_message(
+                        self._clock.boot_ms,
+                        system,
+                        AUTOPILOT,
+                        mavlink.MAV_FRAME_LOCAL_NED,
+                        VELOCITY_AND_ACCELERATION,
+                        *(0.0, 0.0, 0.0),
+                        *order.vel_ned_mps,
+                        *order.accel_ned_mps2,
+                        *(0.0, 0.0),
+                    )
+                )
+            case Release():
+                params = (1.0, float(mavlink.GRIPPER_ACTION_RELEASE))
+                self._command("release", "release", mavlink.MAV_CMD_DO_GRIPPER, params, t_s)
+            case _:
+                raise TypeError(f"unknown order {order!r}")
+
+    def _read_parameters(self, names: tuple[str, ...], t_s: float) -> None:
+        """Ask for these parameters (and those that tell which telemetry is real)."""
+        if self._parameters is None or self.words is None:
+            return
+        self._asking_parameters = True
+        self._parameters.read(dict.fromkeys((*names, *self.words.trust_parameters)), t_s)
+
+    def drop_orders(self) -> None:
+        """Forget everything that is still being sent, retried or waited for."""
+        self._desk.clear(self._clock.t_s)
+        self._upload = None
+        self._download = None
+        self._asking_streams = False
+        self._asking_parameters = False
+        self._configuring = False
+        if self._parameters is not None:
+            self._parameters.clear()
+
+    def tick(self, t_s: float) -> list[Event]:
+        """Retry what is due and report what ended."""
+        events = self._sift(self._desk.tick(t_s)) + self._streams_events(t_s)
+        if self._upload is not None:
+            self._upload.tick(t_s)
+        if self._download is not None:
+            self._download.tick(t_s)
+        events += self._transfer_events(t_s)
+        if self._parameters is not None:
+            self._parameters.tick(t_s)
+            events += self._parameters_events(t_s)
+        return events
+
+    # --- inside --------------------------------------------------------------------------------
+
+    def _command(
+        self,
+        lane: str,
+        name: str,
+        command: int,
+        params: tuple[float, ...],
+        t_s: float,
+        *,
+        replace: bool = False,
+        quiet: bool = False,
+    ) -> None:
+        system = self.system_id or 1
+        full = (*params, *([0.0] * (7 - len(params))))
+
+        def make(attempt: int) -> Any:
+            return mavlink.MAVLink_command_long_message(system, AUTOPILOT, command, attempt, *full)
+
+        self._desk.submit(lane, Job(name, make, command, quiet=quiet), t_s, replace=replace)
+
+    def _ask_streams(self, words: FlavourWords, system: int, t_s: float) -> None:
+        self._refused = []
+        self._asking_streams = True
+        wanted = [(name, number, 1e6 / hz) for name, number, hz, _ in words.streams]
+        wanted += [(f"-{number}", number, -1.0) for number in words.unwanted_streams]
+        for name, number, interval_us in wanted:
+            self._command(
+                "streams",
+                STREAM + name,
+                mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                (float(number), interval_us),
+                t_s,
+                quiet=True,
+            )
+
+    def _sift(self, events: list[Event]) -> list[Event]:
+        """Keep refused streams for one report; pass everything else on."""
+        passed: list[Event] = []
+        for event in events:
+            if isinstance(event, OrderRefused) and event.order.startswith(STREAM):
+                self._refused.append(event.order.removeprefix(STREAM))
+            else:
+                passed.append(event)
+        return passed
+
+    def _streams_events(self, t_s: float) -> list[Event]:
+        """Nothing more to ask for: say so once."""
+        if not self._asking_streams or self._desk.pending("streams"):
+            return []
+        self._asking_streams = False
+        wanted = {name for name, _, _, needed in self.words.streams if needed} if self.words else {}
+        return [StreamsAsked(t_s, tuple(name for name in self._refused if name in wanted))]
+
+    def _transfer_events(self, t_s: float) -> list[Event]:
+        if self._upload is not None and self._upload.done is not None:
+            reason, self._upload = self._upload.done, None
+            return [MissionUploaded(t_s, reason or None)]
+        if self._download is not None and self._download.done is not None:
+            download, self._download = self._download, None
+            if download.done:
+                return [MissionReadBack(t_s, (download.done,))]
+            return [MissionReadBack(t_s, differences(self._expected, download.items))]
+        return []
+
+    def _parameters_events(self, t_s: float) -> list[Event]:
+        desk = self._parameters
+        if desk is None or desk.busy:
+            return []
+        if self._configuring:
+            self._configuring = False
+            return [
+                ParametersSet(t_s, tuple(desk.failed)),
+                AutopilotParameters(t_s, dict(desk.values)),
+            ]
+        if self._asking_parameters:
+            self._asking_parameters = False
+            return [AutopilotParameters(t_s, dict(desk.values))]
+        return []

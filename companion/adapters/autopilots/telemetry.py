@@ -1,0 +1,228 @@
+"""Telemetry messages to core events: units converted once, unknown made `None`, lies left out."""
+
+import math
+from typing import Any, Protocol
+
+from companion.adapters.autopilots.codec import mavlink
+from companion.core.mission.events import (
+    Airspeed,
+    ArmingReadiness,
+    Attitude,
+    AutopilotText,
+    Battery,
+    EstimatorHealth,
+    Event,
+    Flavour,
+    GnssFix,
+    GnssTime,
+    Ground,
+    GroundState,
+    Home,
+    ItemReached,
+    MissionProgress,
+    Mode,
+    ModeNow,
+    Position,
+    Throttle,
+    VehicleState,
+)
+from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values
+
+READY_STATES = (
+    mavlink.MAV_STATE_STANDBY,
+    mavlink.MAV_STATE_ACTIVE,
+    mavlink.MAV_STATE_CRITICAL,
+    mavlink.MAV_STATE_EMERGENCY,
+)
+GROUND = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: Ground.ON_GROUND,
+    mavlink.MAV_LANDED_STATE_IN_AIR: Ground.IN_AIR,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: Ground.TAKING_OFF,
+    mavlink.MAV_LANDED_STATE_LANDING: Ground.LANDING,
+}
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+LEAST_UNIX_S = 1.0e9  # 2001: before that a clock counts from its own start
+UNKNOWN_U16 = 65535
+UNKNOWN_I16 = 32767
+
+
+class FlavourWords(Protocol):
+    """What differs between PX4 and ArduPilot; `ArduPilot` and `Px4` are the two there are."""
+
+    flavour: Flavour
+    home_items: int
+    free_yaw: float
+    bytewise_parameters: bool
+    streams: tuple[tuple[str, int, float, bool], ...]
+    unwanted_streams: tuple[int, ...]
+    trust_parameters: tuple[str, ...]
+
+    def mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]: ...
+    def mode_params(self, mode: Mode) -> tuple[float, float, float]: ...
+    def jump(self, system_id: int, seq: int) -> tuple[Any, int | None]: ...
+    def has_pitot(self, values: Values) -> bool: ...
+    def wind(self, message: Any, values: Values, t_s: float) -> list[Event]: ...
+    def position_ok(self, flags: int) -> bool: ...
+    def requirements(self, facts: RouteFacts) -> tuple[Requirement, ...]: ...
+
+
+def boot_s(message: Any) -> float | None:
+    """Return the time since boot that a message carries, `None` where it carries none."""
+    stamp_ms = getattr(message, "time_boot_ms", None)
+    if stamp_ms is None or (message.get_type() == "SYSTEM_TIME" and stamp_ms == 0):
+        return None
+    return stamp_ms / 1000.0
+
+
+def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> list[Event]:
+    """Return what a message of the autopilot says; nothing where it says nothing usable."""
+    match message.get_type():
+        case "HEARTBEAT":
+            mode, name = words.mode(message.custom_mode, message.base_mode)
+            return [
+                VehicleState(
+                    t_s,
+                    mode,
+                    name,
+                    armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+                    failsafe=message.system_status
+                    in (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY),
+                    ready_state=message.system_status in READY_STATES,
+                )
+            ]
+        case "CURRENT_MODE":
+            return [ModeNow(t_s, *words.mode(message.custom_mode, 0))]
+        case "ATTITUDE":
+            angles = (message.roll, message.pitch, message.yaw)
+            return [Attitude(t_s, *angles)] if all(map(math.isfinite, angles)) else []
+        case "GLOBAL_POSITION_INT":
+            return _position(message, t_s)
+        case "GPS_RAW_INT":
+            satellites = message.satellites_visible
+            return [
+                GnssFix(
+                    t_s,
+                    message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX,
+                    None if satellites == 255 else satellites,
+                )
+            ]
+        case "SYS_STATUS":
+            return _system_status(message, t_s)
+        case "BATTERY_STATUS":
+            return _battery(message, t_s) if message.id == 0 else []
+        case "VFR_HUD":
+            return _hud(message, words, values, t_s)
+        case "MISSION_CURRENT":
+            return [_progress(message, words, t_s)]
+        case "MISSION_ITEM_REACHED":
+            index = message.seq - words.home_items
+            return [ItemReached(t_s, index)] if index >= 0 else []
+        case "EXTENDED_SYS_STATE":
+            ground = GROUND.get(message.landed_state)
+            return [] if ground is None else [GroundState(t_s, ground)]
+        case "HOME_POSITION":
+            return [
+                Home(
+                    t_s,
+                    message.latitude * 1e-7,
+                    message.longitude * 1e-7,
+                    message.altitude / 1000.0,
+                )
+            ]
+        case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
+            return [EstimatorHealth(t_s, words.position_ok(message.flags))]
+        case "SYSTEM_TIME":
+            return _gnss_time(message, t_s)
+        case "WIND" | "WIND_COV":
+            return words.wind(message, values, t_s)
+        case "STATUSTEXT":
+            text = message.text.strip().replace("\t", " ")
+            return [AutopilotText(t_s, message.severity, text)]
+        case _:
+            return []
+
+
+def _position(message: Any, t_s: float) -> list[Event]:
+    if message.lat == 0 and message.lon == 0:
+        return []  # no position yet: both autopilots send zeros
+    if not (abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000):
+        return []
+    return [
+        Position(
+            t_s,
+            message.lat * 1e-7,
+            message.lon * 1e-7,
+            message.alt / 1000.0,
+            message.relative_alt / 1000.0,
+            message.vx / 100.0,
+            message.vy / 100.0,
+            message.vz / 100.0,
+        )
+    ]
+
+
+def _gnss_time(message: Any, t_s: float) -> list[Event]:
+    """Both stamps are of one moment; before a fix there is no calendar time (0, or near it)."""
+    unix_s = message.time_unix_usec / 1e6
+    return [GnssTime(t_s, unix_s)] if unix_s > LEAST_UNIX_S else []
+
+
+def _system_status(message: Any, t_s: float) -> list[Event]:
+    events: list[Event] = []
+    if message.onboard_control_sensors_present & PREARM:
+        events.append(ArmingReadiness(t_s, bool(message.onboard_control_sensors_health & PREARM)))
+    voltage_mv = message.voltage_battery
+    known = 0 < voltage_mv < UNKNOWN_U16
+    events.append(
+        Battery(
+            t_s,
+            voltage_v=voltage_mv / 1000.0 if known else None,
+            current_a=message.current_battery / 100.0 if message.current_battery >= 0 else None,
+            remaining_frac=(
+                message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else None
+            ),
+        )
+    )
+    return events
+
+
+def _battery(message: Any, t_s: float) -> list[Event]:
+    # Voltages of the cells: 65535 is "no such cell"; a value of 65534 continues in the next.
+    cells = [mv for mv in message.voltages if mv < UNKNOWN_U16]
+    voltage_v = sum(cells) / 1000.0 if cells and sum(cells) > 0 else None
+    consumed_mah, consumed_hj = message.current_consumed, message.energy_consumed
+    current_known = message.current_battery >= 0
+    return [
+        Battery(
+            t_s,
+            voltage_v=voltage_v,
+            current_a=message.current_battery / 100.0 if current_known else None,
+            # Without a current sensor a counter of 0 is not "nothing used" (PX4 SIH).
+            consumed_ah=consumed_mah / 1000.0 if consumed_mah >= 0 and current_known else None,
+            consumed_j=consumed_hj * 100.0 if consumed_hj >= 0 and current_known else None,
+            remaining_frac=(
+                message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else None
+            ),
+            temperature_c=(
+                message.temperature / 100.0 if message.temperature != UNKNOWN_I16 else None
+            ),
+        )
+    ]
+
+
+def _hud(message: Any, words: FlavourWords, values: Values, t_s: float) -> list[Event]:
+    events: list[Event] = []
+    if 0 <= message.throttle <= 100:
+        events.append(Throttle(t_s, message.throttle / 100.0))
+    if words.has_pitot(values) and math.isfinite(message.airspeed) and message.airspeed >= 0.0:
+        events.append(Airspeed(t_s, float(message.airspeed)))
+    return events
+
+
+def _progress(message: Any, words: FlavourWords, t_s: float) -> Event:
+    index = message.seq - words.home_items
+    # `total` is a MAVLink 2 extension: 0 from those that do not send it, 65535 for no mission.
+    total = message.total if 0 < message.total < UNKNOWN_U16 else None
+    # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.
+    in_mission = {1: True, 2: False}.get(message.mission_mode)
+    return MissionProgress(t_s, index if index >= 0 else None, total, in_mission)

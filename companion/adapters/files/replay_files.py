@@ -1,0 +1,136 @@
+"""What a replay leaves: wind.csv (evaluation.md, 9) and the JSON record (docs/replay.md)."""
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.core.base.errors import LeewayError
+from companion.core.replay.flight_replay import Moment, ReplayResult
+from companion.core.replay.recorded_flight import RecordedFlight
+from companion.core.replay.summary import WindScore, WindSummary
+
+FORMAT = "replay/1"
+WIND_HEADER = "t_s,wind_to_n_mps,wind_to_e_mps,std_n_mps,std_e_mps"
+
+
+def write_wind(path: Path, result: ReplayResult) -> None:
+    """Write the wind at every tick, where the air moves to, with its standard deviations."""
+    var = result.wind_cov_m2ps2
+    table = np.column_stack(
+        [result.wind_t_s, result.wind_to_ne_mps, np.sqrt(var[:, 0, 0]), np.sqrt(var[:, 1, 1])]
+    )
+    rows = (f"{t_s:.10g}," + ",".join(f"{x:.4f}" for x in row) for t_s, *row in table.tolist())
+    _write(path, "\n".join((WIND_HEADER, *rows)) + "\n")
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Write the JSON record."""
+    _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+
+def replay_record(
+    log_path: Path,
+    log: RecordedFlight,
+    airframe: str,
+    result: ReplayResult,
+    wind: WindSummary | None,
+    score: WindScore | None,
+    cpu_s: float,
+) -> dict[str, Any]:
+    """The whole replay as plain rows; docs/replay.md explains each."""
+    seen = [m.seen for m in result.moments if m.seen is not None]
+    energies = [m for m in result.moments if m.energy_left_wh is not None]
+    record = {
+        "format": FORMAT,
+        "log": {
+            "path": str(log_path),
+            "source": log.source,
+            "vehicle": log.vehicle,
+            "autopilot": None if log.flavour is None else log.flavour.value,
+            "firmware": log.firmware,
+            "start_s": log.start_s,
+            "duration_s": log.duration_s,
+            "flown_s": float(result.flown_s[-1]) if result.flown_s.size else 0.0,
+        },
+        "airframe": airframe,
+        "findings": [asdict(finding) for finding in result.findings],
+        "notes": [{"t_s": t_s, "text": text} for t_s, text in result.notes],
+        "wind": None if wind is None else {**asdict(wind), "mean_from_deg": wind.mean_from_deg},
+        "reference": None if score is None else asdict(score),
+        "energy": None
+        if not energies
+        else {
+            "start_wh": energies[0].energy_left_wh,
+            "end_wh": energies[-1].energy_left_wh,
+            "used_wh": energies[-1].used_wh,
+            "end_std_wh": energies[-1].energy_std_wh,
+            "reserve_wh": result.reserve_wh,
+        },
+        "promise": None
+        if not seen
+        else {
+            "p_home_min": min(s.p_home for s in seen),
+            "p_home_now_min": min(s.p_home_now for s in seen),
+            "margin_min_wh": min(s.margin_wh for s in seen),
+            "turn_back_s": next((d.t_s for d in result.decisions if d.kind == "turn_back"), None),
+        },
+        "decisions": [asdict(decision) for decision in result.decisions],
+        "timeline": _timeline(result),
+        "speed": {
+            "cpu_s": cpu_s,
+            "times_real_time": log.duration_s / cpu_s if cpu_s > 0.0 else None,
+        },
+    }
+    return _rounded(record)
+
+
+def _timeline(result: ReplayResult) -> list[dict[str, Any]]:
+    at = np.searchsorted(result.wind_t_s, [m.t_s + 1e-6 for m in result.moments]) - 1
+    return [_row(m, result, int(i)) for m, i in zip(result.moments, at, strict=True)]
+
+
+def _row(moment: Moment, result: ReplayResult, at: int) -> dict[str, Any]:
+    seen, known = moment.seen, at >= 0
+    cov = result.wind_cov_m2ps2[at] if known else None
+    return {
+        "t_s": moment.t_s,
+        "airborne": moment.airborne,
+        "height_m": moment.height_m,
+        "home_m": moment.home_m,
+        "wind_to_n_mps": float(result.wind_to_ne_mps[at, 0]) if known else None,
+        "wind_to_e_mps": float(result.wind_to_ne_mps[at, 1]) if known else None,
+        "std_n_mps": None if cov is None else math.sqrt(cov[0, 0]),
+        "std_e_mps": None if cov is None else math.sqrt(cov[1, 1]),
+        "energy_left_wh": moment.energy_left_wh,
+        "energy_std_wh": moment.energy_std_wh,
+        "energy_need_wh": None if seen is None else seen.energy_need_wh,
+        "p_home": None if seen is None else seen.p_home,
+        "p_home_now": None if seen is None else seen.p_home_now,
+        "p_success": None if seen is None else seen.p_success,
+        "margin_wh": None if seen is None else seen.margin_wh,
+    }
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return value
+
+
+def _write(path: Path, text: str) -> None:
+    """Whole or not at all: a reader never finds half a file."""
+    fresh = path.with_name(path.name + ".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh.write_text(text)
+        fresh.replace(path)
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error

@@ -1,0 +1,73 @@
+"""`companion check` as its user reads it: what is missing, what to set, what is well."""
+
+from companion.core.base.geo import horizontal_m
+from companion.core.mission.preflight_checks import Finding
+from companion.core.pilot.ground_sequence import live_findings
+from companion.core.pilot.pilot import Pilot
+
+
+def report(pilot: Pilot) -> tuple[list[str], bool]:
+    """The lines of the finished check, worst first, and whether the vehicle is ready."""
+    ground = pilot.ground
+    if ground.giving_up:
+        return [f"MISSING  {ground.giving_up}", "NOT READY"], False
+    findings = live_findings(pilot)
+    lines = [f"{_word(finding)}  {finding.words}" for finding in sorted(findings, key=_rank)]
+    held = len(ground.requirements) - len(ground.findings)
+    if held > 0:
+        lines.append(f"ok       {held} settings of the autopilot are as the promise needs them")
+    lines += _battery(pilot) + _route(pilot) + _home(pilot)
+    blocked = any(finding.blocks for finding in findings)
+    if any(finding.blocks and finding.name[0].isupper() for finding in findings):
+        lines.append("set them yourself, or fly with --configure: it sets them for the flight only")
+    lines.append("NOT READY" if blocked else "READY")
+    return lines, not blocked
+
+
+def _word(finding: Finding) -> str:
+    return "WAITING" if finding.waits else "MISSING" if finding.blocks else "off    "
+
+
+def _rank(finding: Finding) -> int:
+    return ("MISSING", "WAITING", "off    ").index(_word(finding))
+
+
+def _battery(pilot: Pilot) -> list[str]:
+    energy = pilot.judge.energy
+    if energy is None:
+        return []
+    return [
+        f"ok       battery: {energy.mean_wh:.0f} Wh usable, one sigma {energy.std_wh:.0f} Wh"
+        f" (by {energy.source})"
+    ]
+
+
+def _route(pilot: Pilot) -> list[str]:
+    if pilot.flown is None:
+        return []
+    plan, energy = pilot.flown.plan, pilot.judge.energy
+    line = (
+        f"ok       route: {len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
+        f" {plan.energy_wh:.0f} Wh in calm air as believed"
+    )
+    if pilot.ground.plan_refused or energy is None:
+        return [line.replace("ok ", "   ", 1)]
+    reserve_wh = pilot.judge.limits.reserve_frac * energy.usable_full_wh
+    spare_wh = energy.mean_wh - reserve_wh - plan.energy_wh
+    return [f"{line}: {spare_wh:.0f} Wh to spare above the reserve of {reserve_wh:.0f} Wh"]
+
+
+def _home(pilot: Pilot) -> list[str]:
+    """Where a flight to a promised stop ends, and what is no promise."""
+    if pilot.flown is None or pilot.flown.plan.home is None:
+        return []
+    plan = pilot.flown.plan
+    away_m = horizontal_m(plan.landing_ned_m, plan.depot_ned_m)
+    others = ", ".join(stop.name for stop in plan.stops) or "none"
+    lines = [
+        f"ok       home: {plan.home}, {away_m:.0f} m from here;"
+        f" other stops aboard, to be promised in flight: {others}"
+    ]
+    if plan.away_ned_m:
+        lines.append("note     RTL, the last resort, comes back here, where nobody promises to be")
+    return lines

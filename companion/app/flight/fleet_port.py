@@ -1,0 +1,343 @@
+"""The vehicle's side of the dispatcher's desk: states and events out, commands in, each answered.
+
+It turns commands into the very events that an operator's MAVLink commands become
+(operator_port.py), so safety rule 1 is the pilot's and nobody else's.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.adapters.clock import epoch_us, wall_s
+from companion.adapters.files.atomic_file import read_whole, settle_folder, write_whole
+from companion.core.base.errors import LeewayError
+from companion.core.mission.actions import (
+    Action,
+    Answer,
+    Decision,
+    Finished,
+    PhaseChanged,
+    Reply,
+    Say,
+    Severity,
+    TellPlace,
+)
+from companion.core.mission.events import (
+    AbortOrdered,
+    Authorised,
+    ControlHandedBack,
+    ControlTaken,
+    Event,
+    HomeMoved,
+    LimitsChanged,
+    NeighbourHeard,
+)
+from companion.core.pilot.mission_end import home_now
+from companion.core.pilot.pilot import Pilot
+from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
+from companion.core.pilot.transitions import GROUND_PHASES, Phase
+from companion.core.separation.track import Track
+from companion.core.vehicle.airframe import Airframe
+from companion.fleet.command_log import CommandBook, Verdict
+from companion.fleet.event_log import EventLog
+from companion.fleet.member import FleetMember
+from companion.fleet.messages import (
+    Answered,
+    Assign,
+    Command,
+    EventKind,
+    HandBack,
+    HandsOff,
+    Launch,
+    MoveHome,
+    Recall,
+    SetLimits,
+    TruckDeed,
+    Withdraw,
+    decode_track,
+    encode,
+)
+from companion.fleet.network import MemberLink
+
+STATE_S = 1.0
+CURRENT = "current.json"
+STANDBY = "standby"
+ASSESSMENT_MAX_AGE_S = 2.5
+
+ANSWER = {
+    Reply.ACCEPTED: Answered.DONE,
+    Reply.LATER: Answered.LATER,
+    Reply.DENIED: Answered.REFUSED,
+}
+
+
+class Assigned(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The assignment aboard, as `current.json` keeps it through restarts."""
+
+    assignment: str
+    order: str
+
+
+@dataclass(slots=True)
+class FleetPort:
+    """One life of a companion in a fleet. `vehicle` and `airframe` are what it announces."""
+
+    member: FleetMember
+    airframe_name: str
+    max_payload_kg: float
+    current: Assigned | None
+    _told_s: float = -1e9
+    _told_phase: str = ""
+
+    @classmethod
+    def open(
+        cls,
+        vehicle: str,
+        airframe_name: str,
+        airframe: Airframe,
+        folder: Path,
+        link_of: Callable[[str], MemberLink],
+        clock_s: Callable[[], float] = wall_s,
+        epoch_us: Callable[[], int] = epoch_us,
+    ) -> "FleetPort":
+        """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
+
+        Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
+        not take new ones.
+        """
+        table = read_whole(folder / CURRENT, "assignment")
+        current = None if table is None else msgspec.convert(table, Assigned)
+        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
+        return cls(member, airframe_name, airframe.mass.max_payload_kg, current)
+
+    @property
+    def vehicle(self) -> str:
+        """Its name in the fleet."""
+        return self.member.vehicle
+
+    @property
+    def folder(self) -> Path:
+        """Where everything is kept through restarts."""
+        return self.member.folder
+
+    @property
+    def link(self) -> MemberLink:
+        """Its way to the desk."""
+        return self.member.link
+
+    @property
+    def life(self) -> str:
+        """This start of the companion."""
+        return self.member.life
+
+    @property
+    def book(self) -> CommandBook:
+        """Commands taken."""
+        return self.member.book
+
+    @property
+    def log(self) -> EventLog:
+        """Events kept."""
+        return self.member.log
+
+    @property
+    def uptime_s(self) -> float:
+        """Seconds of this life."""
+        return self.member.uptime_s
+
+    def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
+        """Answer everything that was asked."""
+        self.member.turn(carry_out)
+
+    # --- assignments ---------------------------------------------------------------------------
+
+    def folder_of(self, assignment: str) -> Path:
+        """Where an assignment's mission and record lie."""
+        return self.folder / f"assignment-{assignment}"
+
+    def take_aboard(self, assigned: Assigned) -> None:
+        """Keep an assignment through restarts."""
+        write_whole(self.folder / CURRENT, msgspec.to_builtins(assigned))
+        self.current = assigned
+
+    def put_ashore(self) -> None:
+        """The assignment is over; its end is written down first."""
+        if self.current is None:
+            return
+        self.book.close(self.current.assignment)
+        self.member.try_to_save_book()  # its outcome stands in the log of events all the same
+        self.member.remark = ""  # what was said of one flight is not said of the next
+        (self.folder / CURRENT).unlink(missing_ok=True)
+        settle_folder(self.folder)
+        self.current = None
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def take(self, action: Action) -> None:
+        """Tell the desk what the mission does."""
+        match action:
+            case PhaseChanged():
+                self.tell(EventKind.PHASE, f"{action.before} -> {action.now}: {action.why}")
+            case Decision():
+                words = f"{action.kind}: {action.reason}"
+                promise = {"p_home": _share(action.p_home), "margin_wh": action.margin_wh}
+                self.tell(EventKind.DECISION, words, **promise)
+            case Say() if action.severity <= Severity.NOTICE:
+                self.member.remark = action.text
+                self.tell(EventKind.SAID, action.text)
+            case TellPlace():
+                self._tell_place(action)
+            case Finished():
+                self.tell(
+                    EventKind.OUTCOME,
+                    action.reason,
+                    outcome=action.outcome,
+                    delivered=action.delivered,
+                    home=action.home,
+                    margin_wh=action.margin_wh,
+                    drop_unproven=action.drop_unproven or None,
+                )
+            case _:
+                return
+
+    def _tell_place(self, place: TellPlace) -> None:
+        north, east, down = place.vel_ned_mps
+        track = Track(
+            vehicle=self.vehicle,
+            gnss_s=place.gnss_s,
+            lat_deg=place.lat_deg,
+            lon_deg=place.lon_deg,
+            alt_amsl_m=place.alt_amsl_m,
+            vel_n_mps=north,
+            vel_e_mps=east,
+            vel_d_mps=down,
+            pos_std_m=POS_STD_M,
+            alt_std_m=ALT_STD_M,
+            vel_std_mps=VEL_STD_MPS,
+            aside=place.aside,
+            to_lat_deg=place.to_lat_deg,
+            to_lon_deg=place.to_lon_deg,
+        )
+        self.link.publish_track(encode(track))
+
+    def neighbours(self, t_s: float) -> list[Event]:
+        """What neighbours told since the last call; what is no track of another is left out."""
+        told = [decode_track(raw) for raw in self.link.tracks()]
+        return [
+            NeighbourHeard(t_s, track)
+            for track in told
+            if isinstance(track, Track) and track.vehicle != self.vehicle
+        ]
+
+    def tell(self, kind: EventKind, text: str, **more: Any) -> None:
+        """Write an event down, then tell it."""
+        here = self.current
+        self.member.tell(
+            kind,
+            text,
+            assignment=here.assignment if here else None,
+            order=here.order if here else None,
+            **more,
+        )
+
+    def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
+        """Tell the state when it is due: once a second, and at once in a new phase."""
+        now_s = self.member.clock_s()
+        if phase == self._told_phase and now_s - self._told_s < STATE_S:
+            return
+        self._told_phase, self._told_s = phase, now_s
+        here, position = self.current, now.position
+        speed = None
+        if position is not None:
+            speed = (position.vel_n_mps**2 + position.vel_e_mps**2) ** 0.5
+        self.member.publish(
+            self.airframe_name,
+            self.max_payload_kg,
+            phase,
+            assignment=here.assignment if here else None,
+            order=here.order if here else None,
+            armed=now.state.armed if now.state is not None else None,
+            lat_deg=position.lat_deg if position else None,
+            lon_deg=position.lon_deg if position else None,
+            height_rel_m=position.height_rel_m if position else None,
+            ground_speed_mps=speed,
+            voltage_v=now.battery.voltage_v if now.battery else None,
+            **(_promise(pilot) if pilot is not None else {}),
+        )
+
+    def close(self) -> None:
+        """Leave the network and end the files."""
+        self.member.close()
+
+    def in_mission(
+        self, pilot: Pilot, t_s: float, ask: Callable[[Event], Answer]
+    ) -> Callable[[Command], Verdict]:
+        """How commands are carried out while a mission runs."""
+
+        def carry_out(command: Command) -> Verdict:
+            here = self.current.assignment if self.current is not None else None
+            deed, by = command.deed, command.by
+            if isinstance(deed, TruckDeed):
+                return Verdict(Answered.REFUSED, "not what this vehicle can do")
+            if isinstance(deed, Assign):
+                if deed.assignment == here:
+                    return Verdict(Answered.DONE, "aboard")
+                return Verdict(Answered.REFUSED, f"busy with {here or 'a mission of its own'}")
+            if isinstance(deed, Launch | Withdraw | MoveHome) and deed.assignment != here:
+                return Verdict(Answered.REFUSED, f"{here or 'a mission of its own'} is aboard")
+            if isinstance(deed, Withdraw) and pilot.phase not in (Phase.IDENTIFY, *GROUND_PHASES):
+                return Verdict(Answered.REFUSED, f"in phase {pilot.phase.value}: recall it")
+            told = ask(_event_of(deed, t_s, by))
+            answer, reason = ANSWER[told.reply], told.reason or f"phase {pilot.phase.value}"
+            if isinstance(deed, Withdraw) and pilot.phase is Phase.IDENTIFY:
+                return Verdict(Answered.LATER, "no autopilot is heard yet")
+            return Verdict(answer, reason)
+
+        return carry_out
+
+
+def _event_of(deed: Any, t_s: float, by: str) -> Event:
+    match deed:
+        case Launch():
+            return Authorised(t_s, by)
+        case Recall() | Withdraw():
+            return AbortOrdered(t_s, by)
+        case MoveHome():
+            return HomeMoved(t_s, by, deed.home)
+        case HandsOff():
+            return ControlTaken(t_s, by)
+        case HandBack():
+            return ControlHandedBack(t_s, by)
+        case SetLimits():
+            return LimitsChanged(t_s, deed.max_loss, deed.reserve_frac)
+        case _:
+            raise LeewayError(f"{deed!r}: no order to a mission")
+
+
+def _promise(pilot: Pilot) -> dict[str, Any]:
+    """What the pilot believes, where it is fresh."""
+    seen, wind, energy = pilot.assessment, pilot.judge.wind, pilot.judge.energy
+    told: dict[str, Any] = {"delivered": pilot.air.delivered, "home": _id(home_now(pilot))}
+    if energy is not None:
+        told["energy_left_wh"] = energy.mean_wh
+    if wind is not None and wind.valid:
+        told["wind_to_n_mps"], told["wind_to_e_mps"] = (float(x) for x in wind.mean_to_ne_mps)
+    if seen is not None and pilot.now.t_s - seen.t_s <= ASSESSMENT_MAX_AGE_S:
+        told["margin_wh"] = seen.margin_wh
+        for name in ("p_home", "p_home_now", "p_success"):
+            told[name] = _share(getattr(seen, name))
+    return told
+
+
+def _id(name: str | None) -> str | None:
+    """A place's name as messages allow it: a rally point's may hold anything."""
+    return None if name is None else re.sub(r"[^A-Za-z0-9._:-]", "-", name)[:64]
+
+
+def _share(p: float | None) -> float | None:
+    return None if p is None else min(max(p, 0.0), 1.0)

@@ -1,0 +1,358 @@
+"""The loop: bytes in, events, actions, bytes out; one thread, on the autopilot's clock.
+
+With TIMESYNC requests from the autopilot (the simulator's lockstep, and real PX4) a request is a
+tick: everything before it has been heard, the outputs leave, and it is answered last. Without
+them telemetry itself ticks about ten times a second.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from companion.adapters.autopilots.announcer import OperatorPort
+from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.autopilots.link import Link
+from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.clock import AutopilotClock, wall_s
+from companion.app.flight.recorder import Recorder
+from companion.app.flight.value_table_worker import Tables
+from companion.core.mission.actions import (
+    Action,
+    Answer,
+    DropOrders,
+    Finished,
+    MakeTable,
+    Order,
+    PhaseChanged,
+    Publish,
+    Reply,
+    Say,
+    Severity,
+)
+from companion.core.mission.events import Event, LinkBack, LinkSilent, Tick
+from companion.core.pilot.pilot import Pilot
+from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
+
+if TYPE_CHECKING:
+    from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
+
+WAIT_S = 0.1
+TICK_S = 0.1
+LOCKSTEP_LAPSE_S = 0.25
+"""Without a TIMESYNC request for this long (autopilot time) telemetry ticks instead."""
+
+SILENT_S = 3.0
+"""Wall-clock silence that counts as a lost link."""
+
+HEARTBEAT_S = 1.0
+BUNDLE_BYTES = 1400
+"""An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
+
+TEXT_BYTES = 50
+
+BEHIND = 40
+"""Arrivals that wait: with more we are late, and hear them all before we decide and order again.
+An order given at a time that is long past counts its time-outs from there, and finds itself
+disobeyed by telemetry older than itself (flown: PX4 at four times real time on a busy machine).
+"""
+
+BEHIND_LIMIT_S = 0.5
+"""Wall-clock time for which a decision may be put off: a link that always brings more than we can
+hear must not keep us from deciding.
+"""
+
+
+@dataclass(slots=True)
+class Loop:
+    """Everything wired; `step` handles what one wait brings."""
+
+    link: Link
+    codec: MavlinkCodec
+    recorder: Recorder
+    pilot: Pilot
+    clock: AutopilotClock
+    silence_limit_s: float
+    autopilot: AutopilotPort
+    operator: OperatorPort
+    finished: Finished | None = None
+    lost: bool = False
+    on_action: Callable[[Action], None] | None = None
+    tables: Tables | None = None
+    """None: no value table is ever made, and the return budget alone decides."""
+    port: "FleetPort | None" = None
+    """None: no dispatcher's desk; operators still speak MAVLink."""
+    wall_clock_s: Callable[[], float] = wall_s
+    """For silences; a world that simulates many companions at once brings its own."""
+    _system_known: bool = False
+    _ticked_s: float = -1e9
+    _synced_s: float = -1e9
+    _synced_ns: int | None = None
+    _beat_s: float = -1e9
+    _beat_wall_s: float = -1e9
+    _decided_wall_s: float = -1e9
+    _to_publish: dict[str, float] = field(default_factory=dict)
+    _heard_wall_s: float = 0.0
+    _heard_s: float = 0.0
+    _silent: bool = False
+    _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
+    _outgoing: list[bytes] = field(default_factory=list)
+    _outgoing_bytes: int = 0
+
+    @classmethod
+    def wire(
+        cls,
+        link: Link,
+        codec: MavlinkCodec,
+        recorder: Recorder,
+        pilot: Pilot,
+        *,
+        system_id: int | None,
+        silence_limit_s: float,
+        wall_clock_s: Callable[[], float] = wall_s,
+    ) -> "Loop":
+        """Connect the parts."""
+        clock = AutopilotClock()
+        clock.resume(pilot.now.t_s)
+        made: list[Loop] = []
+
+        def send(message: Any) -> None:
+            made[0].send(message)
+
+        def ask(event: Event) -> Reply:
+            return made[0].ask(event)
+
+        def say(text: str) -> None:
+            made[0].carry_out([Say(Severity.WARNING, text)])
+
+        loop = cls(
+            link=link,
+            codec=codec,
+            recorder=recorder,
+            pilot=pilot,
+            clock=clock,
+            silence_limit_s=silence_limit_s,
+            autopilot=AutopilotPort(send, clock, system_id),
+            operator=OperatorPort(send, ask, lambda: pilot.judge.limits, say),
+            wall_clock_s=wall_clock_s,
+        )
+        made.append(loop)
+        loop._heard_wall_s = wall_clock_s()
+        loop._heard_s = clock.t_s
+        return loop
+
+    # --- in ------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Wait a moment for bytes and handle them."""
+        alone = self._silent or not self._system_known
+        if alone and self.wall_clock_s() - self._beat_wall_s >= HEARTBEAT_S:
+            self._heartbeat()  # a caller must speak first, or nobody knows that it is there
+        incoming = self.link.receive(WAIT_S)
+        self._mind_silence()
+        if incoming is not None:
+            for message in self.codec.parse(incoming.data):
+                self._message(message, incoming.peer)
+                if self.finished is not None:
+                    break
+        if self.port is not None:
+            self._talk_to_desk(self.port)
+        self.flush()
+
+    def _talk_to_desk(self, port: "FleetPort") -> None:
+        if self.finished is None:
+            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
+        port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
+
+    def _message(self, message: Any, peer: Any) -> None:
+        system = self.autopilot.system_id
+        known = system is not None
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if not known or source[0] == system:
+            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+        if known and self.operator.hear(message, system, self.clock.t_s):
+            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            return
+        from_autopilot = source == (system, AUTOPILOT)
+        if from_autopilot:
+            self._heard(peer)
+        if message.get_type() == "TIMESYNC":
+            if from_autopilot and message.tc1 == 0:
+                self._timesync(message)
+            elif not known and source[1] == AUTOPILOT and message.tc1 == 0:
+                self.link.answer_to(peer)
+                self._answer_timesync(message.ts1)
+            elif message.tc1 != 0:
+                self.autopilot.hear_time(message)
+                self._tick_between()
+            return
+        if not known and self.autopilot.may_be_ours(message):
+            self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
+        events = self.autopilot.hear(message)
+        if not self._system_known and self.autopilot.system_id is not None:
+            self._system_known = True
+            self.codec.be_system(self.autopilot.system_id)
+            self._heard(peer)
+        self._give(events)
+        self._tick_between()
+
+    def _timesync(self, message: Any) -> None:
+        """Tick, let everything out, answer last. A repeated request is only answered."""
+        if message.ts1 != self._synced_ns:
+            self._synced_ns = message.ts1
+            self.clock.synchronise(message.ts1 / 1e9)
+            self._synced_s = self.clock.t_s
+            if not self.clock.doubtful:
+                self._tick()
+        self._answer_timesync(message.ts1)
+
+    def _answer_timesync(self, asked_ns: int) -> None:
+        now_ns = max(1, round(self.clock.t_s * 1e9))
+        self.send(mavlink.MAVLink_timesync_message(now_ns, asked_ns))
+
+    def _tick_between(self) -> None:
+        """Tick about ten times a second where no TIMESYNC request does."""
+        if self.clock.t_s - self._synced_s <= LOCKSTEP_LAPSE_S:
+            return
+        if self.clock.doubtful or not self.clock.known:
+            return
+        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
+            self._tick()
+
+    def _is_behind(self) -> bool:
+        """Tell whether to hear more before anything is decided."""
+        late = self.link.waiting() > BEHIND
+        return late and self.wall_clock_s() - self._decided_wall_s < BEHIND_LIMIT_S
+
+    def _tick(self) -> None:
+        t_s = self.clock.t_s
+        self._ticked_s = t_s
+        self.recorder.heard(self.pilot.now, self.pilot.flavour, self.autopilot.system_id)
+        if self._is_behind():
+            self._give([Tick(t_s, late=True)])
+        else:
+            self._decided_wall_s = self.wall_clock_s()
+            self._publish_next()
+            self._give(self.autopilot.tick(t_s))
+            if self.port is not None:
+                self._give(self.port.neighbours(t_s))
+            table = self.tables.due(t_s) if self.tables is not None else None
+            if table is not None:
+                self._give([table])
+            self._give([Tick(t_s)])
+        if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
+            self._beat_s = t_s
+            self._heartbeat()
+
+    def _give(self, events: list[Event]) -> None:
+        for event in events:
+            if self.finished is None:
+                self.carry_out(self.pilot.handle(event))
+
+    def ask(self, event: Event) -> Reply:
+        """Give the mission an operator's order and return its reply."""
+        return self.ask_why(event).reply
+
+    def ask_why(self, event: Event) -> Answer:
+        """The reply with its reason."""
+        self._answer = Answer(Reply.ACCEPTED)
+        self._give([event])
+        return self._answer
+
+    # --- silence -------------------------------------------------------------------------------
+
+    def _heard(self, peer: Any) -> None:
+        self.link.answer_to(peer)
+        self._heard_wall_s = self.wall_clock_s()
+        if self._silent:
+            self._silent = False
+            self.recorder.note(self.clock.t_s, "heard again")
+            # The gap is known once the clock has been stamped; a lull shows none.
+            self._give([LinkBack(self.clock.t_s, 0.0)])
+
+    def _mind_silence(self) -> None:
+        silent_s = self.wall_clock_s() - self._heard_wall_s
+        if silent_s > SILENT_S and not self._silent and self._system_known:
+            self._silent = True
+            self._give([LinkSilent(self.clock.t_s)])
+        if silent_s > self.silence_limit_s:
+            self.lost = True
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def carry_out(self, actions: list[Action]) -> None:
+        """Do what the mission asks."""
+        t_s = self.clock.t_s
+        for action in actions:
+            self.recorder.take(action, t_s)
+            if self.port is not None:
+                self.port.take(action)
+            match action:
+                case Order():
+                    self.autopilot.order(action, t_s)
+                case DropOrders():
+                    self.autopilot.drop_orders()
+                case Say():
+                    text = action.text.encode()[:TEXT_BYTES]
+                    self.send(mavlink.MAVLink_statustext_message(action.severity, text))
+                case MakeTable() if self.tables is not None:
+                    self.tables.order(action, t_s)
+                case Publish():
+                    self._to_publish.update(action.values)
+                case Answer():
+                    self._answer = action
+                case PhaseChanged():
+                    self._heartbeat()
+                case Finished():
+                    self.finished = action
+                case _:
+                    pass
+            if self.on_action is not None:
+                self.on_action(action)
+
+    def _publish_next(self) -> None:
+        """One named value a tick: of several at once PX4's log keeps the last (flown)."""
+        if not self._to_publish:
+            return
+        name = next(iter(self._to_publish))
+        value = self._to_publish.pop(name)
+        self.send(
+            mavlink.MAVLink_named_value_float_message(self.clock.boot_ms, name.encode()[:10], value)
+        )
+
+    def _heartbeat(self) -> None:
+        self._beat_wall_s = self.wall_clock_s()
+        phase = self.pilot.phase
+        if phase is Phase.IDENTIFY:
+            state = mavlink.MAV_STATE_BOOT
+        elif phase is Phase.PASSIVE:
+            state = mavlink.MAV_STATE_STANDBY
+        else:
+            state = mavlink.MAV_STATE_ACTIVE
+        flags = mavlink.MAV_MODE_FLAG_AUTO_ENABLED if phase in FLIGHT_PHASES else 0
+        self.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                flags,
+                0,
+                state,
+                3,
+            )
+        )
+
+    def send(self, message: Any) -> None:
+        """Pack and keep one message; it leaves at the next `flush`."""
+        frame = self.codec.pack(message)
+        self.recorder.tlog.write(frame, self.clock.t_s)
+        if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
+            self.flush()
+        self._outgoing.append(frame)
+        self._outgoing_bytes += len(frame)
+
+    def flush(self) -> None:
+        """Let out what was said since the last time, whole frames together: a datagram costs its
+        sender and its reader more than its bytes do."""
+        if self._outgoing:
+            self.link.send(b"".join(self._outgoing))
+            self._outgoing.clear()
+            self._outgoing_bytes = 0

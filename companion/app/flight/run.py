@@ -1,0 +1,244 @@
+"""One companion from its arguments to its exit code."""
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from companion.adapters.autopilots.ardupilot import ArduPilot
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
+from companion.adapters.autopilots.link import Link, open_link
+from companion.adapters.autopilots.px4 import Px4
+from companion.adapters.clock import wall_s
+from companion.adapters.files.checkpoint_file import read_checkpoint
+from companion.adapters.files.params import (
+    digest_of,
+    read_airframe,
+    read_flight,
+    read_obstacle_document,
+    read_wind_process,
+)
+from companion.adapters.files.policy_file import read_policy
+from companion.app.flight.loop import Loop
+from companion.app.flight.recorder import Recorder
+from companion.app.flight.value_table_worker import LOCKSTEP_WAIT_S, Tables, TableWorker
+from companion.core.base.errors import LeewayError
+from companion.core.mission.actions import Action, Say, Severity
+from companion.core.mission.events import Flavour
+from companion.core.mission.preflight_checks import Requirement, RouteFacts
+from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.pilot import Pilot
+from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.transitions import Phase
+from companion.core.separation.learned_policy import AvoidancePolicy
+
+if TYPE_CHECKING:
+    from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
+
+DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED = 0, 1, 2, 3, 4, 5
+"""Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
+(for `check`: something is missing); no autopilot, or lost for good; stopped by a signal."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line asks."""
+
+    link: str
+    airframe: str
+    mission: Path
+    run_dir: Path
+    wind_process: str | None = None
+    params: Path | None = None
+    signing_key: Path | None = None
+    system_id: int | None = None
+    silence_limit_s: float = 300.0
+    lockstep: bool = False
+    policy: str | None = None
+    pilot: PilotOptions = field(default_factory=PilotOptions)
+
+
+def run(
+    options: RunOptions,
+    *,
+    on_action: Callable[[Action], None] | None = None,
+    port: "FleetPort | None" = None,
+) -> tuple[int, Pilot]:
+    """Fly (or check) until the mission, a signal or an error ends it; returns the exit code.
+
+    `port`: a dispatcher's desk that sees it, and may command what an operator may.
+
+    Raises LeewayError for a mistake in the input, before anything is opened.
+    """
+    flown = Run.begin(options, open_link, on_action=on_action, port=port)
+    return _fly(flown), flown.pilot
+
+
+@dataclass(slots=True)
+class Run:
+    """One flight: `step` until that returns an exit code, then `end` with it."""
+
+    loop: Loop
+    recorder: Recorder
+    pilot: Pilot
+
+    @classmethod
+    def begin(
+        cls,
+        options: RunOptions,
+        open_link: Callable[[str], Link],
+        *,
+        on_action: Callable[[Action], None] | None = None,
+        port: "FleetPort | None" = None,
+        make_tables: Callable[[], Tables] | None = None,
+        wall_clock_s: Callable[[], float] = wall_s,
+    ) -> "Run":
+        """Read the files, take up what an earlier run kept, open link and record.
+
+        `make_tables`: who makes value tables, if not a process beside this one. Raises LeewayError
+        for a mistake in the input, before anything is opened.
+        """
+        flight = read_flight(options.mission)
+        airframe = read_airframe(options.airframe, options.params)
+        wind_process = read_wind_process(
+            options.wind_process or flight.mission.wind_process, options.params
+        )
+        obstacles = read_obstacle_document(flight, options.mission)
+        key = read_signing_key(options.signing_key) if options.signing_key is not None else None
+        digest = digest_of(options.mission, airframe, wind_process)
+        kept, trouble = _kept(options, digest)
+        pilot = Pilot(
+            flight,
+            airframe,
+            wind_process,
+            obstacles=obstacles,
+            requirements=requirements,
+            digest=digest,
+            options=options.pilot,
+            kept=kept,
+        )
+        if options.policy is not None:
+            pilot.apart.policy = flying_policy(options.policy)
+        link = open_link(options.link)
+        continues = kept is not None and not kept.finished
+        recorder = Recorder(
+            options.run_dir,
+            continues=continues,
+            keep_checkpoints=not options.pilot.check_only,
+        )
+        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
+        if options.system_id is not None:
+            codec.be_system(options.system_id)
+        loop = Loop.wire(
+            link,
+            codec,
+            recorder,
+            pilot,
+            system_id=options.system_id,
+            silence_limit_s=options.silence_limit_s,
+            wall_clock_s=wall_clock_s,
+        )
+        loop.on_action = on_action
+        loop.port = port
+        if port is not None:
+            port.link.be_woken(link.wake)
+        if not options.pilot.check_only:
+            make = make_tables or partial(TableWorker, LOCKSTEP_WAIT_S if options.lockstep else 0.0)
+            loop.tables = make()
+        names = f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}"
+        recorder.note(pilot.now.t_s, names)
+        if trouble:
+            recorder.note(pilot.now.t_s, trouble)
+        if not options.pilot.gate_on:
+            recorder.note(pilot.now.t_s, "GATE OFF: never turns back, for comparison only")
+        if kept is not None and continues:
+            recorder.note(pilot.now.t_s, f"going on from a checkpoint in phase {kept.phase}")
+        return cls(loop, recorder, pilot)
+
+    def step(self) -> int | None:
+        """Handle what one wait brings; the exit code once the mission is over or the link lost."""
+        self.loop.step()
+        if self.loop.finished is not None:
+            return DONE if self.pilot.phase is Phase.DONE else GROUNDED
+        if self.loop.lost:
+            self.recorder.note(self.loop.clock.t_s, "no autopilot heard: giving up the link")
+            return NO_LINK
+        return None
+
+    def end(self, code: int) -> None:
+        """Let out what is left to say, write the result, close everything."""
+        loop, recorder, pilot = self.loop, self.recorder, self.pilot
+        loop.flush()
+        recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
+        recorder.write_result(
+            delivered=pilot.air.delivered,
+            flown=pilot.flown,
+            phase=pilot.phase.value,
+            findings=pilot.ground.findings,
+        )
+        if loop.tables is not None:
+            loop.tables.stop()
+        loop.link.close()
+        recorder.close()
+
+
+def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]:
+    """What the promise asks of this flavour's parameters."""
+    words = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
+    return words.requirements(facts)
+
+
+def flying_policy(name: str) -> AvoidancePolicy:
+    """A learned actor, by name or by its card; only one whose view this companion draws."""
+    policy, card = read_policy(name)
+    if card.frame != "goal":
+        raise LeewayError(f"policy {name}: its frame is {card.frame!r}, expected 'goal'")
+    return policy
+
+
+def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:
+    """The checkpoint, and what is wrong with it: a broken one must not stop a flight from home."""
+    if options.pilot.check_only:
+        return None, ""
+    try:
+        return read_checkpoint(options.run_dir, digest), ""
+    except LeewayError as error:
+        return None, f"checkpoint not used: {error}"
+
+
+def _fly(flown: Run) -> int:
+    stopped: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        stopped.append(number)
+
+    loop, recorder = flown.loop, flown.recorder
+    before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        code = _until_the_end(flown, stopped)
+    except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
+        # The safe action is none: the autopilot holds a mission that ends at home.
+        recorder.trouble(loop.clock.t_s, error)
+        text = b"companion broken: mission aboard goes home"
+        loop.send(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))
+        code = BROKEN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    flown.end(code)
+    return code
+
+
+def _until_the_end(flown: Run, stopped: list[int]) -> int:
+    loop, recorder = flown.loop, flown.recorder
+    while True:
+        code = flown.step()
+        if code is not None:
+            return code
+        if stopped:
+            recorder.note(loop.clock.t_s, f"signal {stopped[0]}: leaving; the mission stays aboard")
+            loop.carry_out([Say(Severity.WARNING, "companion stopped: mission goes home")])
+            return STOPPED

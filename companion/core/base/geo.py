@@ -1,0 +1,240 @@
+"""The local frame about the depot, and what stands in it.
+
+Horizontal positions are pymap3d's local tangent NED about the depot; `down` is minus the height
+above the depot's ground (AMSL difference), not above the tangent plane, because autopilots fly
+barometric heights: at 5 km the two differ by 2 m.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import pymap3d
+import shapely
+from numpy.typing import NDArray
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.place import Place
+
+Ned = tuple[float, float, float]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFrame:
+    """Geodetic origin of the NED frame: the depot's ground point (or EKF home), radians, AMSL."""
+
+    lat_rad: float
+    lon_rad: float
+    alt_amsl_m: float
+
+    def to_ned(self, lat_rad: float, lon_rad: float, alt_amsl_m: float) -> Ned:
+        """Position about the origin, metres."""
+        origin = (self.lat_rad, self.lon_rad, self.alt_amsl_m)
+        north, east, _ = pymap3d.geodetic2ned(
+            lat_rad, lon_rad, self.alt_amsl_m, *origin, ell=None, deg=False
+        )
+        return float(north), float(east), self.alt_amsl_m - alt_amsl_m
+
+    def to_geodetic(self, ned_m: Ned) -> tuple[float, float, float]:
+        """(latitude rad, longitude rad, height AMSL m) of a local position."""
+        north, east, down = ned_m
+        origin = (self.lat_rad, self.lon_rad, self.alt_amsl_m)
+        # The tangent plane's down of the point at the origin's own height: s^2 / 2R, to 2nd order.
+        sagitta = (north**2 + east**2) / (2.0 * 6_371_008.8)
+        lat, lon, _ = pymap3d.ned2geodetic(north, east, sagitta, *origin, ell=None, deg=False)
+        return float(lat), float(lon), self.alt_amsl_m - down
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """A prism from the ground to `height_m` above the depot; ring as (north, east) metres.
+
+    Infinitely high: a no-fly area.
+    """
+
+    name: str
+    ring_ne_m: tuple[tuple[float, float], ...]
+    height_m: float
+
+
+def place_ned(frame: LocalFrame, place: Place) -> Ned:
+    """The GROUND point of a place of the flight file (down = minus its height above the depot)."""
+    if place.lat_deg is not None and place.lon_deg is not None and place.alt_amsl_m is not None:
+        lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
+        return frame.to_ned(lat, lon, place.alt_amsl_m)
+    if place.north_m is None or place.east_m is None:
+        raise LeewayError(f"{place.name or 'place'}: expected east_m and north_m")
+    return place.north_m, place.east_m, -place.up_m
+
+
+def obstacles_from_geojson(frame: LocalFrame, document: dict[str, Any]) -> tuple[Obstacle, ...]:
+    """Polygons of a GeoJSON FeatureCollection (lon, lat degrees; property `height_m` above depot,
+    or `no_fly: true` for an area that no height clears).
+
+    Raises LeewayError naming the feature that breaks the format.
+    """
+    if document.get("type") != "FeatureCollection" or not isinstance(
+        document.get("features"), list
+    ):
+        raise LeewayError("obstacles: expected a GeoJSON FeatureCollection with features")
+    found: list[Obstacle] = []
+    for index, feature in enumerate(document["features"]):
+        found.extend(_feature_obstacles(frame, index, feature))
+    return tuple(found)
+
+
+def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obstacle]:
+    where = f"obstacles.features[{index}]"
+    try:
+        geometry, properties = feature["geometry"], feature["properties"]
+        kind, coordinates = geometry["type"], geometry["coordinates"]
+        no_fly = properties.get("no_fly", False) is True
+        height_m = math.inf if no_fly else float(properties["height_m"])
+        polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
+        rings = [[(float(lon), float(lat)) for lon, lat, *_ in outer[0]] for outer in polygons]
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise LeewayError(
+            f"{where}: expected a Polygon of [lon, lat] with a height_m property, got {error!r}"
+        ) from error
+    name = str(properties.get("name", f"obstacle {index}"))
+    obstacles: list[Obstacle] = []
+    for ring in rings:
+        finite = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)
+        if len(ring) < 4 or ring[0] != ring[-1] or not finite:
+            raise LeewayError(f"{where}: expected a closed ring of at least 4 [lon, lat] degrees")
+        if not (no_fly or 0.0 < height_m < 10_000.0):
+            raise LeewayError(f"{where}.height_m = {height_m!r}: expected a height above 0 m")
+        corners = tuple(
+            frame.to_ned(math.radians(lat), math.radians(lon), frame.alt_amsl_m)[:2]
+            for lon, lat in ring
+        )
+        if not shapely.Polygon(corners).is_valid:
+            raise LeewayError(f"{where}: the polygon crosses itself")
+        obstacles.append(Obstacle(name, corners, height_m))
+    return obstacles
+
+
+class ObstacleMap:
+    """Answers whether a straight line at a height keeps clear of every obstacle.
+
+    Clearance is `clearance_m` sideways and `clearance_up_m` above.
+    """
+
+    def __init__(
+        self, obstacles: tuple[Obstacle, ...], clearance_m: float, clearance_up_m: float
+    ) -> None:
+        self.obstacles = obstacles
+        self.clearance_m = clearance_m
+        self.clearance_up_m = clearance_up_m
+        outlines = [shapely.Polygon(o.ring_ne_m) for o in obstacles]
+        for obstacle, outline in zip(obstacles, outlines, strict=True):
+            if not outline.is_valid:
+                raise LeewayError(f"{obstacle.name}: the polygon crosses itself")
+        self._outlines = outlines
+        self._grown = [outline.buffer(clearance_m) for outline in outlines]
+        for grown in self._grown:
+            shapely.prepare(grown)
+        self._tree = shapely.STRtree(self._grown)
+        self._tops_m = np.array([o.height_m for o in obstacles])
+
+    def blocking(self, a_ned_m: Ned, b_ned_m: Ned) -> Obstacle | None:
+        """The first obstacle within clearance of the segment a-b, or None.
+
+        A sloping segment is judged where it is within the obstacle's grown outline.
+        """
+        line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
+        length = line.length
+        for index in np.sort(self._tree.query(line, predicate="intersects")):
+            obstacle, grown = self.obstacles[index], self._grown[index]
+            lowest = _lowest_up_m(a_ned_m, b_ned_m, line, length, grown)
+            if lowest < obstacle.height_m + self.clearance_up_m:
+                return obstacle
+        return None
+
+    def first_hits(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Of n lines through k points each, (n, k, 3), the first obstacle that each comes near.
+
+        Indices into `obstacles`, in the order of the way; -1: clear. Between two points a line
+        counts as low as the lower of them, so steps should be short where it slopes.
+        """
+        lines, points = points_ned_m.shape[:2]
+        hit = np.full(lines, -1, dtype=np.int64)
+        if not self.obstacles or points < 2:
+            return hit
+        steps = np.stack([points_ned_m[:, :-1, :2], points_ned_m[:, 1:, :2]], axis=2)
+        segments = shapely.linestrings(steps.reshape(-1, 2, 2))
+        at, obstacle = self._tree.query(segments, predicate="intersects")
+        lowest_m = -np.maximum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
+        low = lowest_m[at] < self._tops_m[obstacle] + self.clearance_up_m
+        at, obstacle = at[low], obstacle[low]
+        order = np.lexsort((obstacle, at))[::-1]  # the earliest is written last
+        hit[at[order] // (points - 1)] = obstacle[order]
+        return hit
+
+    def highest_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
+        """Height above the depot of the tallest obstacle within clearance of a-b (0 if none)."""
+        line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
+        return float(self._tops_m[self._tree.query(line, predicate="intersects")].max(initial=0.0))
+
+    def clearance_at(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
+        points = points_ned_m.reshape(-1, 3)
+        found = np.full(len(points), np.inf)
+        places = np.asarray(shapely.points(points[:, :2]))
+        for outline, top_m in zip(self._outlines, self._tops_m, strict=True):
+            low = -points[:, 2] < top_m + self.clearance_up_m
+            away = shapely.distance(places[low], outline)
+            found[low] = np.minimum(found[low], away)
+        return found.reshape(points_ned_m.shape[:-1])
+
+    def grown_at(self, height_m: float) -> list[shapely.Polygon]:
+        """Outlines with clearance, north and east, of what blocks level flight at this height."""
+        return [
+            grown
+            for obstacle, grown in zip(self.obstacles, self._grown, strict=True)
+            if obstacle.height_m + self.clearance_up_m > height_m
+        ]
+
+    def outlines_ne_m(self, height_m: float, beyond_m: float) -> list[list[tuple[float, float]]]:
+        """Corner rings to fly around at this height: outlines grown by clearance + `beyond_m`."""
+        rings: list[list[tuple[float, float]]] = []
+        for obstacle in self.obstacles:
+            if obstacle.height_m + self.clearance_up_m > height_m:
+                outline = shapely.Polygon(obstacle.ring_ne_m).convex_hull.buffer(
+                    self.clearance_m + beyond_m, join_style="mitre", mitre_limit=1.5
+                )
+                rings.append([(float(n), float(e)) for n, e in outline.exterior.coords[:-1]])
+        return rings
+
+
+def _lowest_up_m(
+    a: Ned, b: Ned, line: shapely.LineString, length: float, grown: shapely.Geometry
+) -> float:
+    inside = shapely.intersection(line, grown)
+    if length <= 0.0 or inside.is_empty:
+        return min(-a[2], -b[2])
+    ends = shapely.get_coordinates(inside)
+    fractions = [line.project(shapely.Point(p)) / length for p in ends]
+    return min(-(a[2] + (b[2] - a[2]) * f) for f in fractions)
+
+
+def wrap_pi(angle_rad: Angle) -> Angle:
+    """The same angle in [-pi, pi)."""
+    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def course_rad(a_ned_m: Ned, b_ned_m: Ned) -> float:
+    """Course from a to b, clockwise from north."""
+    return float(np.arctan2(b_ned_m[1] - a_ned_m[1], b_ned_m[0] - a_ned_m[0]))
+
+
+def over(ground_ned_m: Ned, level: Ned) -> Ned:
+    """The point above a ground point, as high as another point."""
+    return ground_ned_m[0], ground_ned_m[1], level[2]
+
+
+def horizontal_m(a_ned_m: Ned, b_ned_m: Ned) -> float:
+    """Horizontal distance."""
+    return float(np.hypot(b_ned_m[0] - a_ned_m[0], b_ned_m[1] - a_ned_m[1]))

@@ -1,0 +1,25 @@
+"""The base of every message of the fleet: versioned, no unknown field, no NaN or infinity."""
+
+import math
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from companion.core.base.errors import LeewayError
+
+VERSION = 1
+
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
+
+
+class WireMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A message with its version `v`; every number in it is finite, or LeewayError."""
+
+    v: int = VERSION
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise LeewayError(f"{name}: expected a finite number")

@@ -1,0 +1,280 @@
+"""The multirotor power model's numbers, from voltage times current in settled flight.
+
+Fits `power.multirotor_power_w` itself, the very model that plans, with the airspeed that the drag
+fit saw. Descents are left out (the model prices them as level flight, and they tell nothing of
+it); so is flight sideways through the air, where the model's nose-on drag does not hold. Each
+flight has a factor of its own for its current sensor's scale.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from companion.core.calibration.drag import DRAG_KEYS, WindSeen
+from companion.core.calibration.records import Blocks
+from companion.core.calibration.residual_scatter import by_minute, widened_covariance
+from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.power import multirotor_power_w
+
+FloatArray = NDArray[np.float64]
+
+POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "avionics_w")
+"""Of the table power_rotor, in the order of the fitted values."""
+VERTICAL_KEY = "vertical_quadratic_n_per_mps2"
+"""Of the table drag: the fifth value where the start airframe states it, else left out. Tilt tells
+nothing of it (it lies along the thrust), power in fast flight does."""
+_LOW = (1.0, 0.2, 0.0, 0.0, 0.0)
+_HIGH = (2.0, 1.0, 0.5, 5000.0, 50.0)
+_LEAST_PRIOR_STD = (0.05, 0.02, 0.005, 2.0, 0.01)
+_SETTLED_MPS2 = 1.0  # acceleration below which a block's power is taken, corrected for it
+_SWING_MPS2 = 2.0  # thrust may move so much within such a block: gusts
+_DESCENT_MPS = -0.4
+_SIDEWAYS_FRAC = 0.6
+_SIDEWAYS_FREE_MPS = 2.5
+_STANDING_MPS = 0.15
+_STANDING_W_FRAC = 0.15
+_MAD_TO_STD = 1.4826  # of a normal distribution, as is the next
+_MEDIAN_OVER_MEAN_STD = 1.2533
+
+
+@dataclass(frozen=True, slots=True)
+class PowerPriors:
+    """How wrong the start airframe's power may be, relative; and the sensors. [est]"""
+
+    induced_frac: float = 0.15
+    efficiency_frac: float = 0.15
+    blade_frac: float = 0.6
+    avionics_frac: float = 0.6
+    vertical_frac: float = 0.6
+    sensor_scale_std: float = 0.02
+    current_offset_std_a: float = 0.2
+    model_frac: float = 0.03
+
+    def stds(self, values: FloatArray) -> FloatArray:
+        """Standard deviations about these values, in the order of `power_values`."""
+        fracs = [self.induced_frac, self.efficiency_frac, self.blade_frac, self.avionics_frac]
+        fracs += [self.vertical_frac]
+        count = len(values)
+        return np.maximum(np.array(fracs[:count]) * values, _LEAST_PRIOR_STD[:count])
+
+
+@dataclass(frozen=True, slots=True)
+class PowerFit:
+    """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices,
+    the measured over expected power there, less 1, and the sensor's factor."""
+
+    values: FloatArray
+    cov: FloatArray
+    prior_cov: FloatArray
+    sensor_scale: tuple[float, ...]
+    settled: tuple[NDArray[np.int64], ...]
+    residual_frac: tuple[FloatArray, ...]
+
+
+def power_keys(airframe: Airframe) -> list[tuple[str, str]]:
+    """Table and key of each of `power_values`."""
+    keys = [("power_rotor", key) for key in POWER_KEYS]
+    stated = airframe.drag.vertical_quadratic_n_per_mps2 is not None
+    return [*keys, ("drag", VERTICAL_KEY)] if stated else keys
+
+
+def power_values(airframe: Airframe) -> FloatArray:
+    """The airframe's own numbers: those of POWER_KEYS, then VERTICAL_KEY's where it is stated."""
+    own = [getattr(airframe.power_rotor, key) for key in POWER_KEYS]
+    vertical = airframe.drag.vertical_quadratic_n_per_mps2
+    return np.array(own if vertical is None else [*own, vertical])
+
+
+def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airframe:
+    """An airframe with these numbers of DRAG_KEYS and of `power_values` in it."""
+    changed = msgspec.structs.replace
+    count = len(POWER_KEYS)
+    of_rotor, vertical = map(float, power[:count]), map(float, power[count:])
+    rotor = changed(airframe.power_rotor, **dict(zip(POWER_KEYS, of_rotor, strict=True)))
+    drags = dict(zip(DRAG_KEYS, map(float, drag), strict=True))
+    own = changed(airframe.drag, **drags, **dict(zip((VERTICAL_KEY,), vertical, strict=False)))
+    return changed(airframe, drag=own, power_rotor=rotor)
+
+
+def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[FloatArray, FloatArray]:
+    """Airspeed (horizontal) and its part across the heading over a flight's airborne blocks."""
+    b = blocks.pick(blocks.airborne)
+    air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
+    return np.hypot(air_n, air_e), np.abs(b.cos_yaw * air_e - b.sin_yaw * air_n)
+
+
+def predicted_w(airframe: Airframe, blocks: Blocks, wind: WindSeen) -> FloatArray:
+    """Power by the airframe over a flight's airborne blocks, as the companion would plan it."""
+    return _priced_w(airframe, blocks.pick(blocks.airborne), air_speeds(blocks, wind)[0])
+
+
+def _priced_w(airframe: Airframe, b: Blocks, airspeed_mps: FloatArray) -> FloatArray:
+    power = np.zeros_like(airspeed_mps)
+    for payload_kg in np.unique(b.payload_kg):
+        at = b.payload_kg == payload_kg
+        mass_kg = airframe.mass_kg(float(payload_kg))
+        power[at] = multirotor_power_w(
+            airframe, mass_kg, airspeed_mps[at], b.climb_mps[at], b.density_kgpm3
+        )
+    return power
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """One flight's settled blocks with what does not change while the fit goes on."""
+
+    blocks: Blocks
+    airspeed_mps: FloatArray
+    kinetic_w: FloatArray
+    noise_w: FloatArray
+
+    @staticmethod
+    def of(
+        blocks: Blocks,
+        wind: WindSeen,
+        settled: NDArray[np.int64],
+        airframe: Airframe,
+        priors: PowerPriors,
+    ) -> "_Piece":
+        """The settled ones among a flight's airborne blocks."""
+        return _Piece(
+            blocks.pick(np.flatnonzero(blocks.airborne)[settled]),
+            air_speeds(blocks, wind)[0][settled],
+            _kinetic_w(blocks, wind, airframe)[settled],
+            _noise(airframe, blocks, wind, priors)[settled],
+        )
+
+    def expected_w(self, airframe: Airframe) -> FloatArray:
+        """Power by an airframe, what goes into speed included."""
+        level = _priced_w(airframe, self.blocks, self.airspeed_mps)
+        return level + self.kinetic_w / airframe.power_rotor.drive_efficiency
+
+
+def fit_power(
+    flights: list[Blocks],
+    winds: list[WindSeen],
+    airframe: Airframe,
+    priors: PowerPriors | None = None,
+) -> PowerFit:
+    """Power from flights whose wind is seen; `airframe` is the prior, with its drag fitted."""
+    p = priors or PowerPriors()
+    start = power_values(airframe)
+    count = len(start)
+    stds = p.stds(start)
+    flown = [b.pick(b.airborne) for b in flights]
+    settled = [_settled(b, w) for b, w in zip(flights, winds, strict=True)]
+    standing = [_standing(b, airframe) for b in flights]
+    drag = np.array([getattr(airframe.drag, key) for key in DRAG_KEYS])
+    pieces = [
+        _Piece.of(b, w, at, airframe, p) for b, w, at in zip(flights, winds, settled, strict=True)
+    ]
+
+    def residuals(x: FloatArray) -> FloatArray:
+        tried = with_values(airframe, drag, x[:count])
+        parts = [
+            (piece.blocks.power_w - piece.expected_w(tried) * (1.0 + scale)) / piece.noise_w
+            for piece, scale in zip(pieces, x[count:], strict=True)
+        ]
+        for i, seen in enumerate(standing):
+            if seen is not None:
+                drawn_w, drawn_std_w, volt_v = seen
+                std_w = math.hypot(p.current_offset_std_a * volt_v, drawn_std_w)
+                parts.append([(drawn_w - x[3] * (1.0 + x[count + i])) / std_w])
+        parts.append((x[:count] - start) / stds)
+        parts.append(x[count:] / p.sensor_scale_std)
+        return np.concatenate(parts)
+
+    least, most = np.array(_LOW[:count]), np.array(_HIGH[:count])
+    x0 = np.r_[np.clip(start, least + 1e-6, most), np.zeros(len(flights))]
+    low = np.r_[least, np.full(len(flights), -0.3)]
+    high = np.r_[most, np.full(len(flights), 0.3)]
+    solution = least_squares(
+        residuals,
+        x0,
+        bounds=(low, high),
+        x_scale=np.r_[stds, np.full(len(flights), 0.02)],
+        loss="soft_l1",
+        f_scale=2.0,
+    )
+    x = solution.x
+    cov = widened_covariance(solution.jac, residuals(x), _clusters(flown, settled))
+    tried = with_values(airframe, drag, x[:count])
+    left = tuple(
+        piece.blocks.power_w / (piece.expected_w(tried) * (1.0 + scale)) - 1.0
+        for piece, scale in zip(pieces, x[count:], strict=True)
+    )
+    return PowerFit(
+        values=x[:count],
+        cov=cov[:count, :count],
+        prior_cov=np.diag(stds**2),
+        sensor_scale=tuple(1.0 + x[count:]),
+        settled=tuple(settled),
+        residual_frac=left,
+    )
+
+
+def _settled(blocks: Blocks, wind: WindSeen) -> NDArray[np.int64]:
+    """Airborne blocks in steady flight nose-on: level, climbing or hovering."""
+    b = blocks.pick(blocks.airborne)
+    airspeed, across = air_speeds(blocks, wind)
+    steady = (b.swing_mps2 < _SWING_MPS2) & (b.climb_mps > _DESCENT_MPS)
+    accel = np.hypot(b.accel_forward_mps2, b.accel_right_mps2)
+    nose_on = across < np.maximum(_SIDEWAYS_FRAC * airspeed, _SIDEWAYS_FREE_MPS)
+    return np.flatnonzero(steady & nose_on & (accel < _SETTLED_MPS2))
+
+
+def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> FloatArray:
+    """Shaft power that goes into speed: mass times acceleration times velocity through the air."""
+    b = blocks.pick(blocks.airborne)
+    air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
+    forward, right = b.cos_yaw * air_n + b.sin_yaw * air_e, b.cos_yaw * air_e - b.sin_yaw * air_n
+    gained = b.accel_forward_mps2 * forward + b.accel_right_mps2 * right
+    return (airframe.mass.empty_kg + b.payload_kg) * gained
+
+
+def _standing_blocks(blocks: Blocks, airframe: Airframe) -> NDArray[np.int64]:
+    """Blocks on the ground with the motors off."""
+    hover_w = float(multirotor_power_w(airframe, airframe.mass.empty_kg, 0.0))
+    speed = np.hypot(np.hypot(blocks.north_mps, blocks.east_mps), blocks.climb_mps)
+    still = (speed < _STANDING_MPS) & (blocks.power_w < _STANDING_W_FRAC * hover_w)
+    return np.flatnonzero(still & ~blocks.airborne)
+
+
+def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float, float] | None:
+    """Power at rest on the ground, its standard deviation, and the voltage; None where the log has
+    too little of it. Medians: motors that spin up or down are in one or two of the blocks.
+    """
+    at = _standing_blocks(blocks, airframe)
+    if len(at) < 3:
+        return None
+    power_w = blocks.power_w[at]
+    middle_w = float(np.median(power_w))
+    scatter_w = _MAD_TO_STD * float(np.median(np.abs(power_w - middle_w)))
+    std_w = _MEDIAN_OVER_MEAN_STD * scatter_w / math.sqrt(len(at))
+    return middle_w, std_w, float(np.median(blocks.voltage_v[at]))
+
+
+def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> FloatArray:
+    """Standard deviation of one block's power: the model's, and what the wind's error makes."""
+    flown = blocks.pick(blocks.airborne)
+    power = predicted_w(airframe, blocks, wind)
+    shifted = replace(
+        wind,
+        to_north_mps=wind.to_north_mps + 0.5 * wind.std_mps,
+        to_east_mps=wind.to_east_mps + 0.5 * wind.std_mps,
+    )
+    slope = predicted_w(airframe, blocks, shifted) - power
+    return np.hypot(p.model_frac * flown.power_w, slope)
+
+
+def _clusters(flown: list[Blocks], settled: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+    """Settled rows of all flights, minute by minute."""
+    at = 0
+    for b, rows in zip(flown, settled, strict=True):
+        yield from by_minute(b.t_s[rows], at)
+        at += len(rows)

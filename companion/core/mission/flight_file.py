@@ -1,0 +1,149 @@
+"""The mission half of a flight file (`flight/1`): where to, with what, at which risk.
+
+The file's `[wind]` and `[faults]` tables are the simulator's own. A companion reads the same file
+and carries them as opaque tables, because a vehicle cannot know its wind from a file.
+"""
+
+from typing import Any, Literal
+
+import msgspec
+
+from companion.core.base.errors import LeewayError, check_range
+from companion.core.base.place import Place
+from companion.core.vehicle.speed_to_fly import SpeedRule
+
+
+class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Ground height around the depot: a plane by its slopes, or a grid of heights (CSV file).
+
+    The grid's columns are `east_m, north_m, up_m` relative to the depot.
+    """
+
+    kind: Literal["flat", "plane", "grid"] = "flat"
+    slope_east_frac: float = 0.0
+    slope_north_frac: float = 0.0
+    grid: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range("site.terrain.slope_east_frac", self.slope_east_frac, -1.0, 1.0)
+        check_range("site.terrain.slope_north_frac", self.slope_north_frac, -1.0, 1.0)
+        if (self.kind == "grid") != (self.grid is not None):
+            raise LeewayError('site.terrain.grid: a file name, exactly when kind = "grid"')
+
+
+class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Depot, customer, rally points and what stands between them.
+
+    `depot` may be absent: it is then where the vehicle stands (its own home position).
+    `obstacles` names a GeoJSON file of polygons with a `height_m` property (above the depot).
+    `stops` are the places where a truck may stand, each with a name; `home` is the one that it
+    promises now, where the flight ends (safety rule 3); without it that is the depot.
+    """
+
+    customer: Place
+    depot: Place | None = None
+    rally: list[Place] = []
+    obstacles: str | None = None
+    terrain: Terrain = Terrain()
+    stops: list[Place] = []
+    home: str | None = None
+
+    def __post_init__(self) -> None:
+        names = [stop.name for stop in self.stops]
+        if "" in names or len(set(names)) < len(names):
+            raise LeewayError("site.stops: expected a name of its own for each")
+        if self.home is not None and self.home not in names:
+            raise LeewayError(f"site.home = {self.home!r}: expected the name of one of site.stops")
+        shared = set(names) & {place.name for place in self.rally}
+        if shared:
+            raise LeewayError(f"site.stops: {min(shared)!r} is a rally point's name already")
+        if self.depot is not None and self.depot.lat_deg is None:
+            raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
+
+
+class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What flies, and how it starts.
+
+    `charge_frac` is a number, or [lowest, highest]: a pack as it comes from the shelf. The
+    simulator draws from the range by its seed; the companion has to find the charge out by itself.
+    """
+
+    airframe: str
+    payload_kg: float = 0.0
+    charge_frac: float | list[float] = 1.0
+    temperature_c: float = 20.0
+    battery_health_frac: float = 1.0
+    pitot: bool = False
+    autopilot_wind: bool = False
+
+    def __post_init__(self) -> None:
+        check_range("vehicle.payload_kg", self.payload_kg, 0.0, 500.0)
+        span = self.charge_frac if isinstance(self.charge_frac, list) else [self.charge_frac] * 2
+        if len(span) != 2 or span[0] > span[1]:
+            raise LeewayError("vehicle.charge_frac: expected a number, or [lowest, highest]")
+        for value in span:
+            check_range("vehicle.charge_frac", value, 0.05, 1.0)
+        check_range("vehicle.temperature_c", self.temperature_c, -30.0, 60.0)
+        check_range("vehicle.battery_health_frac", self.battery_health_frac, 0.3, 1.0)
+
+    @property
+    def charge_frac_stated(self) -> float | None:
+        """The charge at the start, where the file states it."""
+        return None if isinstance(self.charge_frac, list) else self.charge_frac
+
+
+class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the operator asks, and the risk that they accept. Heights are above the depot.
+
+    `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
+    `return_height_m` absent: the way back is flown at cruise height too.
+    `wind_process` names how wind changes at the site: a file of params/wind, or a path.
+    `corner_tolerance_m`: how far the way home may cut corners where that costs less; absent: never.
+    """
+
+    max_loss: float = 0.01
+    reserve_frac: float = 0.15
+    cruise_height_m: float = 40.0
+    return_height_m: float | None = None
+    drop_height_m: float = 6.0
+    leg_length_m: float = 150.0
+    wind_settle_s: float = 10.0
+    time_limit_s: float = 1800.0
+    cruise_airspeed_mps: float | None = None
+    speed: SpeedRule | None = None
+    wind_process: str = "coast"
+    corner_tolerance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
+        check_range("mission.reserve_frac", self.reserve_frac, 0.0, 0.6)
+        check_range("mission.cruise_height_m", self.cruise_height_m, 5.0, 500.0)
+        if self.return_height_m is not None:
+            check_range("mission.return_height_m", self.return_height_m, 5.0, 500.0)
+        check_range("mission.drop_height_m", self.drop_height_m, 1.0, 100.0)
+        check_range("mission.leg_length_m", self.leg_length_m, 20.0, 5000.0)
+        check_range("mission.wind_settle_s", self.wind_settle_s, 0.0, 120.0)
+        check_range("mission.time_limit_s", self.time_limit_s, 10.0, 24 * 3600.0)
+        if self.cruise_airspeed_mps is not None:
+            check_range("mission.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
+        if self.corner_tolerance_m is not None:
+            check_range("mission.corner_tolerance_m", self.corner_tolerance_m, 0.5, 200.0)
+
+    @property
+    def speed_rule(self) -> SpeedRule:
+        """The rule in force."""
+        if self.speed is not None:
+            return self.speed
+        return "least_energy" if self.cruise_airspeed_mps is None else "cruise"
+
+
+class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A `flight/1` file as read. `wind` and `faults` belong to the simulator."""
+
+    format: Literal["flight/1"]
+    site: Site
+    vehicle: Vehicle
+    name: str = "flight"
+    mission: Mission = Mission()
+    wind: dict[str, Any] = {}
+    faults: list[dict[str, Any]] = []

@@ -1,0 +1,55 @@
+"""What survives a restart of the companion: enough to pick the flight up, never more energy."""
+
+from typing import Any, Literal
+
+import msgspec
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import LocalFrame
+from companion.core.routing.route_planner import Plan
+
+
+class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A checkpoint's content. `flight` is a digest of flight file and airframe.
+
+    `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
+    for.
+
+    `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
+    authorisation has been used. `settings_before` are autopilot parameters to put back.
+    """
+
+    format: Literal["companion-checkpoint/1"] = "companion-checkpoint/1"
+    flight: str
+    t_s: float
+    phase: str
+    authority: bool
+    authorised: bool
+    flying: bool
+    finished: bool
+    delivered: bool
+    gate_closed: str
+    leg: int
+    took_off_s: float | None
+    plan: Plan | None
+    frame: LocalFrame | None
+    rally: str | None
+    home: str | None = None
+    wanted: str | None = None
+    asides: bool = False
+    drop_begun: bool = False
+    settings_before: dict[str, float]
+    judgement: dict[str, Any]
+
+
+def kept_from_dict(table: dict[str, Any], where: str) -> Kept:
+    """Check a checkpoint that was read; LeewayError names the file and the key."""
+    try:
+        return msgspec.convert(table, Kept)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{where}: {error}") from error
+
+
+def kept_to_dict(kept: Kept) -> dict[str, Any]:
+    """Plain JSON-safe values."""
+    return msgspec.to_builtins(kept)

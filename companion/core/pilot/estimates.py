@@ -1,0 +1,437 @@
+"""What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.core.base.geo import Ned
+from companion.core.mission.events import AutopilotWind, Flavour
+from companion.core.mission.flight_file import Flight
+from companion.core.mission.flight_plan import DROP_S
+from companion.core.pilot.telemetry_state import (
+    AIRSPEED_MAX_AGE_S,
+    ATTITUDE_MAX_AGE_S,
+    BATTERY_MAX_AGE_S,
+    POSITION_MAX_AGE_S,
+    WIND_MAX_AGE_S,
+    Situation,
+)
+from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams, turned_back
+from companion.core.return_budget.remaining_mission import OnTheWay, hurried
+from companion.core.return_budget.value_table.mission_value import (
+    Belief,
+    Reading,
+    TableRequest,
+    ValueTable,
+)
+from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.routing.route_planner import Plan
+from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
+from companion.core.vehicle.power_bias import PowerScale
+from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
+from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
+from companion.core.wind.forecast import WindOutlook
+from companion.core.wind.forecast_chain import HORIZONS_S, nearest_process, prior_wind
+from companion.core.wind.process import WindProcessParams
+
+BATTERY_EVERY_S = 0.2
+STEADY_HEIGHT_M = 10.0
+"""Above, measured power is held against the model's."""
+
+HURRY_EVERY_S = 20.0
+"""How often the fastest airspeed is looked for, where the operator asks for it."""
+
+HURRY_HALVINGS = 4
+"""To within a sixteenth of the airspeeds that there are."""
+
+RESERVE_STEP_FRAC = 0.01
+"""The gate is rebuilt when the reserve moved by more than this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the operator accepts; may change in flight."""
+
+    max_loss: float
+    reserve_frac: float
+
+
+class Judgement:
+    """Holds the estimators and the gate of one vehicle."""
+
+    def __init__(
+        self,
+        flight: Flight,
+        airframe: Airframe,
+        route_energy: RouteEnergy,
+        wind_process: WindProcessParams,
+    ) -> None:
+        self._flight = flight
+        self._airframe = airframe
+        self.route_energy = route_energy
+        self.payload_kg = flight.vehicle.payload_kg
+        self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
+        self._estimator = WindEstimator(airframe)
+        self._outlook = WindOutlook(wind_process)
+        self._prior_wind = prior_wind(wind_process)
+        self._ledger = EnergyLedger(
+            airframe,
+            expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
+            health_frac=flight.vehicle.battery_health_frac,
+            temperature_c=flight.vehicle.temperature_c,
+            charge_frac_stated=flight.vehicle.charge_frac_stated,
+        )
+        self._scale = PowerScale(airframe.power_rotor.model_std_frac)
+        self._accepted_loss: float | None = None
+        self.hurry_mps: float | None = None
+        self._hurried_s: float | None = None
+        self._gate: Gate | None = None
+        self._gate_params: GateParams | None = None
+        self.wind: WindBelief | None = None
+        self.table: ValueTable | None = None
+        self._battery_s = -1e9
+        self._left_out: set[str] = set()
+        self._warned: set[str] = set()
+
+    @property
+    def energy(self) -> EnergyBelief | None:
+        """Usable energy left, `None` while nothing is known."""
+        return self._ledger.belief()
+
+    def observe(self, now: Situation, flavour: Flavour) -> tuple[str, ...]:
+        """Take the situation at a tick; returns what is new to warn about, in words."""
+        t_s = now.t_s
+        if t_s - self._battery_s >= BATTERY_EVERY_S - 1e-6 or t_s < self._battery_s:
+            self._battery_s = t_s
+            self._observe_battery(now, flavour, t_s)
+        left_out = self._observe_wind(now, t_s)
+        self.wind = self._estimator.belief(t_s)
+        if now.airborne:
+            self._outlook.observe(self.wind)
+        warnings = [f"wind: {words}" for words in left_out if words not in self._left_out]
+        self._left_out.update(left_out)
+        energy = self.energy
+        if energy is not None:
+            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in energy.warnings}
+            warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
+            self._warned.update(kinds)
+        return tuple(warnings)
+
+    def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
+        battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
+        heard = battery is not None and (
+            battery.voltage_v is not None or battery.remaining_frac is not None
+        )
+        if not heard and self._ledger.belief() is None:
+            return  # the ledger only falls: its first look must be at a battery
+        current_a = battery.current_a if battery else None
+        modelled_w = self._modelled_power_w(now)
+        if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
+            self._scale.observe(BATTERY_EVERY_S, battery.voltage_v * current_a, modelled_w)
+        self._ledger.observe(
+            BatteryObservation(
+                t_s=t_s,
+                at_rest=now.state is not None and not now.armed and not now.airborne,
+                voltage_v=battery.voltage_v if battery else None,
+                current_a=current_a,
+                consumed_mah=(
+                    battery.consumed_ah * 1000.0
+                    if battery and battery.consumed_ah is not None
+                    else None
+                ),
+                consumed_wh=(
+                    battery.consumed_j / 3600.0
+                    if battery and battery.consumed_j is not None
+                    else None
+                ),
+                remaining_frac=battery.remaining_frac if battery else None,
+                # PX4's SIH counts a percentage down by time and knows no current.
+                remaining_is_timer=flavour is Flavour.PX4 and current_a is None,
+                temperature_c=battery.temperature_c if battery else None,
+                modelled_power_w=modelled_w,
+            )
+        )
+
+    def _is_steady(self, now: Situation) -> bool:
+        """In the air, above the ground's turbulence, with a wind to reckon the airspeed from."""
+        position = now.position
+        high = position is not None and position.height_rel_m > STEADY_HEIGHT_M
+        return now.airborne and high and self.wind is not None and self.wind.valid
+
+    def _modelled_power_w(self, now: Situation) -> float | None:
+        if not now.armed:
+            return None
+        if now.on_ground or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
+            return self.route_energy.hover_power_w(self.payload_kg)
+        position = now.position
+        assert position is not None
+        wind_n = wind_e = 0.0
+        if self.wind is not None and self.wind.valid:
+            wind_n, wind_e = (float(x) for x in self.wind.mean_to_ne_mps)
+        airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
+        return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
+
+    def _observe_wind(self, now: Situation, t_s: float) -> tuple[str, ...]:
+        position = now.position if now.is_fresh(now.position, POSITION_MAX_AGE_S) else None
+        if now.gnss is not None and not now.gnss.usable:
+            position = None
+        attitude = now.attitude if now.is_fresh(now.attitude, ATTITUDE_MAX_AGE_S) else None
+        airspeed = now.airspeed if now.is_fresh(now.airspeed, AIRSPEED_MAX_AGE_S) else None
+        wind = now.wind if now.is_fresh(now.wind, WIND_MAX_AGE_S) else None
+        vehicle = self._flight.vehicle
+        return self._estimator.update(
+            WindObservation(
+                t_s=t_s,
+                airborne=now.airborne and (position is None or position.height_rel_m > 2.0),
+                mass_kg=self._airframe.mass_kg(self.payload_kg),
+                vel_ned_mps=(
+                    (position.vel_n_mps, position.vel_e_mps, position.vel_d_mps)
+                    if position
+                    else None
+                ),
+                roll_rad=attitude.roll_rad if attitude else None,
+                pitch_rad=attitude.pitch_rad if attitude else None,
+                yaw_rad=attitude.yaw_rad if attitude else None,
+                airspeed_mps=airspeed.forward_mps if airspeed and vehicle.pitot else None,
+                airspeed_is_magnitude=airspeed is not None and airspeed.is_magnitude,
+                autopilot_wind_to_ne_mps=(
+                    (wind.to_n_mps, wind.to_e_mps) if wind and vehicle.autopilot_wind else None
+                ),
+                autopilot_wind_cov_m2ps2=_level_cov(wind),
+                height_m=position.height_rel_m if position else None,
+            )
+        )
+
+    def assess(self, ahead: Ahead) -> Assessment | None:
+        """Ask the gate, and the value table where it serves; `None` while wind or energy are
+        unknown.
+        """
+        energy = self.energy
+        if energy is None or self.wind is None or not self.wind.valid:
+            return None
+        value = self._value_in_force(ahead)
+        seen = self._gate_for(energy).assess(
+            ahead,
+            self.wind,
+            self._outlook,
+            energy,
+            self._scale.error(),
+            self._accepted_loss,
+            weighs_worth=value is None,
+        )
+        answer = _with_value(seen, value)
+        if self.route_energy.speed_rule == "fastest":
+            self._hurry(ahead, answer, energy)
+        return answer
+
+    def _hurry(self, ahead: Ahead, seen: Assessment, energy: EnergyBelief) -> None:
+        """Find the fastest airspeed that the budget allows, by bisection, now and then.
+
+        The decisions themselves are taken with the speed of least energy: that one can still be
+        flown later, whatever was flown until then.
+        """
+        if self.wind is None or (
+            self._hurried_s is not None and 0.0 <= seen.t_s - self._hurried_s < HURRY_EVERY_S
+        ):
+            return
+        self._hurried_s = seen.t_s
+        slow, fast = 0.0, fastest_airspeed_mps(self._airframe, self.payload_kg)
+        for halvings in range(1 + HURRY_HALVINGS):
+            speed = fast if halvings == 0 else 0.5 * (slow + fast)
+            faster = self._gate_for(energy).assess(
+                hurried(ahead, speed),
+                self.wind,
+                self._outlook,
+                energy,
+                self._scale.error(),
+                self._accepted_loss,
+                weighs_worth=False,
+            )
+            if _as_good(faster, seen, self.limits.max_loss):
+                slow = speed
+            else:
+                fast = speed
+            if slow >= fast:
+                break
+        self.hurry_mps = slow if slow > self.route_energy.slowest_airspeed_mps else None
+
+    def depart(self, ahead: Ahead) -> Assessment | None:
+        """Ask the gate for the whole mission, over the depot; settles what decisions may risk."""
+        energy = self.energy
+        if energy is None or self.wind is None or not self.wind.valid:
+            return None
+        value = self._value_in_force(ahead)
+        self._accepted_loss, seen = self._gate_for(energy).depart(
+            ahead,
+            self.wind,
+            self._outlook,
+            energy,
+            self._scale.error(),
+            weighs_worth=value is None,
+        )
+        return _with_value(seen, value)
+
+    def limit(self, limits: Limits) -> None:
+        """The operator accepts something else from now on."""
+        self.limits = limits
+        self._accepted_loss = None
+
+    def _value_in_force(self, ahead: Ahead) -> Reading | None:
+        """What the table says, where its policy loses no more than is accepted.
+
+        One that was made before any wind was known accepts the loss over all winds that may come:
+        it does not close the gate in the wind that came.
+        """
+        value = None if ahead.at is None else self.reading(ahead.at)
+        if value is None or self.table is None or not value.keeps(self.limits.max_loss):
+            return None
+        return None if value.turn_back and not self.table.wind_known else value
+
+    def reading(self, at: OnTheWay) -> Reading | None:
+        """What the value table says; `None` without one that is made for this load and wind."""
+        table, belief = self.table, self._belief()
+        if table is None or belief is None or self.wind is None or not self.wind.valid:
+            return None
+        accepted = table.max_loss == self.limits.max_loss
+        if not accepted or table.payload_kg != self.payload_kg:
+            return None
+        return table.read(at, belief) if table.covers(belief.wind_en_mps) else None
+
+    def table_request(
+        self, plan: Plan, at: OnTheWay, *, on_ground: bool = False
+    ) -> TableRequest | None:
+        """What a table would be made of now; on the ground, for being over the depot later."""
+        belief, mission = self._belief(), self._flight.mission
+        if belief is None:
+            return None
+        known = self.wind is not None and self.wind.valid and not on_ground
+        if on_ground:
+            belief = replace(belief, left_wh=belief.left_wh - self._take_off_wh(plan))
+        process = self._prior_wind
+        if known and self.wind is not None:
+            process = nearest_process(self._outlook.forecast(self.wind, HORIZONS_S))
+        return TableRequest(
+            airframe=self._airframe,
+            cruise_airspeed_mps=self.route_energy.cruise_airspeed_mps,
+            speed_rule=self.route_energy.speed_rule,
+            plan=plan,
+            payload_kg=self.payload_kg,
+            drop_height_m=mission.drop_height_m,
+            drop_s=DROP_S,
+            wind=process,
+            wind_known=known,
+            at=at,
+            belief=belief,
+            max_loss=self.limits.max_loss,
+        )
+
+    def _belief(self) -> Belief | None:
+        energy = self.energy
+        if energy is None:
+            return None
+        prior_mps = self._prior_wind.std_mps
+        mean, std = (0.0, 0.0), (prior_mps, prior_mps)
+        if self.wind is not None and self.wind.valid:
+            north, east = (float(x) for x in self.wind.mean_to_ne_mps)
+            cov = self.wind.cov_ne_m2ps2
+            mean, std = (east, north), (float(cov[1, 1]) ** 0.5, float(cov[0, 0]) ** 0.5)
+        return Belief(
+            wind_en_mps=mean,
+            wind_std_en_mps=std,
+            left_wh=energy.mean_wh - self.limits.reserve_frac * energy.usable_full_wh,
+            battery_std_wh=energy.std_wh,
+            model=self._scale.error(),
+        )
+
+    def _take_off_wh(self, plan: Plan) -> float:
+        """Climb and settling over the depot in calm air."""
+        over = (plan.depot_ned_m[0], plan.depot_ned_m[1], plan.outbound_ned_m[0][2])
+        settle_s = self._flight.mission.wind_settle_s
+        legs = (
+            Leg(LegKind.CLIMB, plan.depot_ned_m, over, self.payload_kg),
+            Leg(LegKind.HOVER, over, over, self.payload_kg, settle_s),
+        )
+        return float(self.route_energy.costs(legs, np.zeros((1, 2))).energy_wh.sum())
+
+    def _gate_for(self, energy: EnergyBelief) -> Gate:
+        reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
+        params = self._gate_params
+        if (
+            self._gate is None
+            or params is None
+            or params.max_loss != self.limits.max_loss
+            or abs(params.reserve_wh - reserve_wh) > RESERVE_STEP_FRAC * max(reserve_wh, 1.0)
+        ):
+            self._gate_params = GateParams(max_loss=self.limits.max_loss, reserve_wh=reserve_wh)
+            self._gate = Gate(self.route_energy, self._gate_params)
+        return self._gate
+
+    def ground_speed_mps(self, here_ned_m: Ned, to_ned_m: Ned) -> float | None:
+        """Ground speed to command towards a point; `None` while the wind is unknown."""
+        if self.wind is None or not self.wind.valid:
+            return None
+        hurry = self.hurry_mps
+        leg = Leg(LegKind.CRUISE, here_ned_m, to_ned_m, self.payload_kg, airspeed_mps=hurry)
+        return self.route_energy.ground_speed_mps(leg, self.wind.mean_to_ne_mps)
+
+    def snapshot(self) -> dict[str, object]:
+        """What the checkpoint keeps."""
+        return {
+            "ledger": self._ledger.snapshot(),
+            "outlook": self._outlook.snapshot(),
+            "scale": self._scale.snapshot(),
+            "wind": self._estimator.snapshot(),
+            "payload_kg": self.payload_kg,
+            "max_loss": self.limits.max_loss,
+            "accepted_loss": self._accepted_loss,
+            "reserve_frac": self.limits.reserve_frac,
+        }
+
+    def restore(self, kept: "JudgementKept") -> None:
+        """Go on from a checkpoint: energy never rises."""
+        self._ledger.restore(kept.ledger)
+        self._outlook.restore(kept.outlook)
+        self._scale.restore(kept.scale)
+        self._estimator.restore(kept.wind)
+        self.payload_kg = kept.payload_kg
+        self.limits = Limits(kept.max_loss, kept.reserve_frac)
+        self._accepted_loss = kept.accepted_loss
+
+
+def _as_good(faster: Assessment, seen: Assessment, max_loss: float) -> bool:
+    """Whether flying faster keeps the promise, and costs no more delivery than it may lose."""
+    kept = faster.p_home >= 1.0 - max_loss and faster.turn_back == seen.turn_back
+    return kept and faster.p_success >= seen.p_success - max_loss
+
+
+def _level_cov(wind: AutopilotWind | None) -> tuple[float, float, float] | None:
+    """(nn, ne, ee) of the autopilot's wind where it says how wrong it is, the same on both axes."""
+    if wind is None or wind.std_mps is None:
+        return None
+    return wind.std_mps**2, 0.0, wind.std_mps**2
+
+
+def _with_value(seen: Assessment, value: Reading | None) -> Assessment:
+    """The gate's answer with the table's: it may close the gate too, and never opens it."""
+    if value is None or seen.turn_back:
+        return seen
+    if value.turn_back:
+        words = f"P(success) {value.p_success:.3f} is not worth P(home) {value.p_home:.3f}"
+        return turned_back(seen, words)
+    return replace(seen, p_home=value.p_home, p_success=value.p_success, by_table=True)
+
+
+@dataclass(frozen=True, slots=True)
+class JudgementKept:
+    """`Judgement.snapshot` as read from a checkpoint."""
+
+    ledger: dict[str, object]
+    outlook: dict[str, object]
+    scale: dict[str, object]
+    wind: dict[str, object]
+    payload_kg: float
+    max_loss: float
+    accepted_loss: float | None
+    reserve_frac: float

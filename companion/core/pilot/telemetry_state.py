@@ -1,0 +1,173 @@
+"""What is known of the vehicle now, how old it is, and whether that is enough to act on."""
+
+from dataclasses import dataclass, field, replace
+
+from companion.core.mission.events import (
+    Airspeed,
+    ArmingReadiness,
+    Attitude,
+    AutopilotWind,
+    Battery,
+    EstimatorHealth,
+    Event,
+    GnssFix,
+    Ground,
+    GroundState,
+    Home,
+    MissionProgress,
+    ModeNow,
+    Position,
+    Throttle,
+    VehicleState,
+)
+
+POSITION_MAX_AGE_S = 1.0
+ATTITUDE_MAX_AGE_S = 1.0
+GNSS_MAX_AGE_S = 3.0
+STATE_MAX_AGE_S = 3.5
+PROGRESS_MAX_AGE_S = 3.0
+BATTERY_MAX_AGE_S = 5.0
+AIRSPEED_MAX_AGE_S = 1.0
+WIND_MAX_AGE_S = 2.0
+THROTTLE_MAX_AGE_S = 1.0
+
+
+@dataclass(slots=True)
+class Situation:
+    """The newest sample of each kind. Late samples never replace newer ones."""
+
+    t_s: float = 0.0
+    state: VehicleState | None = None
+    attitude: Attitude | None = None
+    position: Position | None = None
+    gnss: GnssFix | None = None
+    estimator: EstimatorHealth | None = None
+    home: Home | None = None
+    battery: Battery | None = None
+    throttle: Throttle | None = None
+    airspeed: Airspeed | None = None
+    wind: AutopilotWind | None = None
+    progress: MissionProgress | None = None
+    ground: GroundState | None = None
+    readiness: ArmingReadiness | None = None
+    _battery_times: dict[str, float] = field(default_factory=dict)
+
+    def hear(self, event: Event) -> None:
+        """Take one telemetry event."""
+        self.t_s = max(self.t_s, event.t_s)
+        match event:
+            case VehicleState():
+                self.state = event
+            case ModeNow() if self.state is not None:
+                self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
+            case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
+                self.attitude = event
+            case Position() if self.position is None or event.t_s >= self.position.t_s:
+                self.position = event
+            case GnssFix():
+                self.gnss = event
+            case EstimatorHealth():
+                self.estimator = event
+            case Home():
+                self.home = event
+            case Battery():
+                self.battery = self._merged(event)
+            case Throttle():
+                self.throttle = event
+            case Airspeed():
+                self.airspeed = event
+            case AutopilotWind():
+                self.wind = event
+            case MissionProgress():
+                self.progress = event
+            case GroundState():
+                self.ground = event
+            case ArmingReadiness():
+                self.readiness = event
+            case _:
+                return
+
+    def _merged(self, new: Battery) -> Battery:
+        """Two messages tell of one battery; a field stays until it is told again or too old."""
+        fields: dict[str, float | None] = {}
+        for name in (
+            "voltage_v",
+            "current_a",
+            "consumed_ah",
+            "consumed_j",
+            "remaining_frac",
+            "temperature_c",
+        ):
+            value = getattr(new, name)
+            if value is not None:
+                self._battery_times[name] = new.t_s
+            elif (
+                self.battery is not None
+                and new.t_s - self._battery_times.get(name, -1e9) <= BATTERY_MAX_AGE_S
+            ):
+                value = getattr(self.battery, name)
+            fields[name] = value
+        return Battery(new.t_s, **fields)
+
+    def forget(self) -> None:
+        """Nothing that was heard holds any longer (the autopilot rebooted)."""
+        t_s = self.t_s
+        for name in (
+            "state", "attitude", "position", "gnss", "estimator", "home", "battery", "throttle",
+            "airspeed", "wind", "progress", "ground", "readiness",
+        ):  # fmt: skip
+            setattr(self, name, None)
+        self._battery_times.clear()
+        self.t_s = t_s
+
+    def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:
+        """Tell whether a sample exists and is not too old."""
+        return sample is not None and self.t_s - sample.t_s <= max_age_s
+
+    @property
+    def armed(self) -> bool:
+        """Armed by the last heartbeat."""
+        return self.state is not None and self.state.armed
+
+    @property
+    def failing(self) -> bool:
+        """The autopilot calls its own state critical."""
+        return self.state is not None and self.state.failsafe
+
+    @property
+    def on_ground(self) -> bool:
+        """Certainly on the ground: disarmed, or the autopilot's detector says so."""
+        if self.state is not None and not self.state.armed:
+            return True
+        return self.ground is not None and self.ground.ground is Ground.ON_GROUND
+
+    @property
+    def airborne(self) -> bool:
+        """Armed, and not known to stand on the ground."""
+        return self.armed and not self.on_ground
+
+    def position_troubles(self) -> tuple[str, ...]:
+        """Say why the position is not good enough to plan or to give leave on; empty when it is."""
+        troubles: list[str] = []
+        if not self.is_fresh(self.position, POSITION_MAX_AGE_S):
+            troubles.append("no fresh position")
+        if not self.is_fresh(self.gnss, GNSS_MAX_AGE_S):
+            troubles.append("nothing heard of the satellite receiver")
+        elif self.gnss is not None and not self.gnss.usable:
+            troubles.append("no satellite fix")
+        if self.estimator is not None and not self.estimator.position_ok:
+            troubles.append("the autopilot does not trust its position")
+        return tuple(troubles)
+
+    def troubles(self) -> tuple[str, ...]:
+        """Say what is too old or unknown to command on; empty when everything is fresh."""
+        troubles = list(self.position_troubles())
+        for sample, max_age_s, words in (
+            (self.attitude, ATTITUDE_MAX_AGE_S, "no fresh attitude"),
+            (self.state, STATE_MAX_AGE_S, "no fresh heartbeat"),
+            (self.progress, PROGRESS_MAX_AGE_S, "no fresh mission progress"),
+            (self.battery, BATTERY_MAX_AGE_S, "no fresh battery reading"),
+        ):
+            if not self.is_fresh(sample, max_age_s):
+                troubles.append(words)
+        return tuple(troubles)

@@ -1,1 +1,0 @@
-"""SER, RER, GER, BER as published and ours, behind one small interface."""

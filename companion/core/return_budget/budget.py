@@ -1,0 +1,260 @@
+"""The return budget: does flying on keep the promise of coming home?
+
+Option-aware: the question at each decision point is not whether the whole trip will work out, but
+whether home can still be reached, with the promised probability, after flying to the NEXT
+decision point; there one may still turn. (The literal rule, go only while the whole trip is 99 %
+certain, hardly ever flies: evaluation.md, 10.) The last such question is the delivery.
+
+Monte Carlo over the wind's path (one set of quasi-random numbers, the same at every call, so that
+replay is exact), with the energy model's and the battery's own errors integrated in closed form
+wherever nothing depends on when they show themselves. A tail of 1 % is then a smooth number.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.return_budget.leg_costs import LegTable
+from companion.core.return_budget.outcomes import Budget, Chances
+from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
+from companion.core.return_budget.wind_samples import PathSampler
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.vehicle.energy_ledger import EnergyBelief
+from companion.core.vehicle.power_bias import ModelError
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind.forecast import WindOutlook
+
+FloatArray = NDArray[np.float64]
+
+__all__ = ["Ahead", "Assessment", "Decision", "Gate", "GateParams", "Stage", "WayHome"]
+
+_BOLDNESS_STEPS = 5
+KEEPS_PROMISE = "flying on keeps the promise"
+_WORTH_TIE = 0.0005  # of probability: the samples' own noise where nothing is at stake
+_TIE = 0.002  # of probability: turning must be so much worse for flying on to be the way out
+
+
+@dataclass(frozen=True, slots=True)
+class GateParams:
+    """The operator's risk and ours. `reserve_wh` must still be there after landing.
+
+    `min_success`: with less than this chance that the energy does for the whole trip, whatever
+    the gate would say on the way, flying on is not worth its energy. `boldest`: a single decision
+    may risk at most this many times `max_loss` (see `Gate.depart`).
+    """
+
+    max_loss: float
+    reserve_wh: float
+    min_success: float = 0.02
+    samples: int = 256
+    boldest: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """The gate's answer; probabilities as in evaluation.md, section 8.
+
+    `turn_back`: fly the way home now, to `best_landing`. `p_home_unattended`: landing home if no
+    further command ever arrives (None where no way home has unattended legs). `margin_wh`: energy
+    above what the return promise needs: from the next decision point while that is asked, from
+    here on the way home; the gate closes where it is 0. `energy_need_wh` is the mean need of the
+    whole remaining mission.
+    """
+
+    t_s: float
+    p_home: float
+    p_home_now: float
+    p_success: float
+    margin_wh: float
+    turn_back: bool
+    best_landing: str
+    p_home_unattended: float | None
+    energy_left_wh: float
+    energy_need_wh: float
+    reason: str
+    by_table: bool = False
+    """P(home) and P(success) are the value table's (value_gate.py)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Whether to turn back under one accepted loss, and why; probabilities of what is decided."""
+
+    turn_back: bool
+    p_home: float
+    p_success: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """One remaining mission as priced: for any number of accepted losses."""
+
+    table: LegTable
+    budget: Budget
+    chances: Chances
+
+
+class Gate:
+    """Answers `assess` for one airframe; keeps nothing between calls but its random numbers."""
+
+    def __init__(self, route_energy: RouteEnergy, params: GateParams) -> None:
+        self._route_energy = route_energy
+        self.params = params
+        self._sampler = PathSampler(params.samples)
+
+    def assess(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None = None,
+        accepted_loss: float | None = None,
+        *,
+        weighs_worth: bool = True,
+    ) -> Assessment:
+        """Judge the remaining mission under wind, its change, and the models' own errors.
+
+        `model`: what was learned of the energy model in flight; without it, the airframe file's.
+        `accepted_loss`: what this decision and later ones may risk; without it, `max_loss`.
+        `weighs_worth`: also turn back where flying on is not worth its risk, or its energy.
+        """
+        accepted = self.params.max_loss if accepted_loss is None else accepted_loss
+        question = self._question(ahead, wind, outlook, energy, model)
+        if not ahead.stages:
+            return self._homeward(question, ahead, wind, energy)
+        decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+        return self._assessment(question, ahead, wind, energy, accepted, decision)
+
+    def decide_each(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None,
+        accepted_losses: Sequence[float],
+    ) -> list[Decision]:
+        """The decisions of gates that accept different losses, at the price of one."""
+        chances = self._question(ahead, wind, outlook, energy, model).chances
+        return [self._decide(chances, accepted) for accepted in accepted_losses]
+
+    def depart(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None = None,
+        *,
+        weighs_worth: bool = True,
+    ) -> tuple[float, Assessment]:
+        """(accepted loss, assessment): how much risk later decisions of this mission may take.
+
+        `max_loss` bounds the loss of the whole mission as seen from departure. Most flights never
+        meet a decision that is close, so a close one may risk more than the bound and the mission
+        still keeps it (a Lagrange weight, found by search: evaluation.md, section 4). The boldest
+        share is taken with which the policy, flown through every sampled wind, loses no more than
+        `max_loss`; never more than `boldest` times it.
+        """
+        question = self._question(ahead, wind, outlook, energy, model)
+        times = np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)
+        for accepted in (float(x) * self.params.max_loss for x in times):
+            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+            if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
+                break
+        else:
+            accepted = self.params.max_loss
+            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+        return accepted, self._assessment(question, ahead, wind, energy, accepted, decision)
+
+    def _question(
+        self,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        energy: EnergyBelief,
+        model: ModelError | None,
+    ) -> _Question:
+        if model is None:
+            model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
+        left_wh = energy.mean_wh - self.params.reserve_wh
+        budget = Budget(left_wh, energy.std_wh, model.std_frac, model.scale)
+        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler)
+        return _Question(table, budget, Chances(table, budget, self._sampler))
+
+    def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> Decision:
+        promise = 1.0 - accepted
+        if seen.p_onward < promise and seen.p_now >= seen.p_onward - _TIE:
+            words = f"P(home) from the next point {seen.p_onward:.3f} is under {promise:.3f}"
+            return Decision(True, seen.p_now, 0.0, words)
+        p_home, p_success = seen.of_flying_on(promise)
+        if weighs_worth and (words := self._not_worth_it(seen, promise, p_home, p_success)):
+            return Decision(True, seen.p_now, 0.0, words)
+        words = KEEPS_PROMISE
+        if seen.p_onward < promise:
+            words = (
+                f"P(home) {seen.p_onward:.3f} is under {promise:.3f}, but turning here is no better"
+            )
+        return Decision(False, p_home, p_success, words)
+
+    def _not_worth_it(
+        self, seen: Chances, promise: float, p_home: float, p_success: float
+    ) -> str | None:
+        """Why flying on serves no delivery, or risks more than the delivery is worth.
+
+        A vehicle lost is worth 0, one delivered and home 1, one home undelivered `promise`: with
+        this weight a decision that succeeds or loses is taken at `promise` or over, and losses are
+        given out where they buy most deliveries (evaluation.md, section 4).
+        """
+        least = min(self.params.min_success, promise)
+        if seen.p_onward >= promise and seen.p_whole < least:
+            return f"P(energy for the whole trip) {seen.p_whole:.3f} is not worth the flight"
+        onward = p_success + promise * (p_home - p_success)
+        if onward < promise * (seen.p_now - _WORTH_TIE):
+            return f"P(success) {p_success:.3f} is not worth P(home) {p_home:.3f}"
+        return None
+
+    def _homeward(
+        self, question: _Question, ahead: Ahead, wind: WindBelief, energy: EnergyBelief
+    ) -> Assessment:
+        p_now = question.chances.p_now
+        decision = Decision(True, p_now, p_now if ahead.delivered else 0.0, "on the way home")
+        accepted = self.params.max_loss
+        return self._assessment(question, ahead, wind, energy, accepted, decision)
+
+    @staticmethod
+    def _assessment(
+        question: _Question,
+        ahead: Ahead,
+        wind: WindBelief,
+        energy: EnergyBelief,
+        accepted: float,
+        decision: Decision,
+    ) -> Assessment:
+        table, budget, chances = question.table, question.budget, question.chances
+        unattended = table.unattended_wh()
+        need = table.whole_wh() if ahead.stages else chances.onward_need_wh
+        return Assessment(
+            t_s=wind.t_s,
+            p_home=decision.p_home,
+            p_home_now=chances.p_now,
+            p_success=decision.p_success,
+            margin_wh=budget.margin_wh(chances.onward_need_wh, 1.0 - accepted),
+            turn_back=decision.turn_back,
+            best_landing=ahead.ways_home_now[chances.way_now].landing,
+            p_home_unattended=None
+            if unattended is None
+            else float(budget.p_enough(unattended).mean()),
+            energy_left_wh=energy.mean_wh,
+            energy_need_wh=budget.scale * float(need.mean()),
+            reason=decision.reason,
+        )
+
+
+def turned_back(seen: Assessment, reason: str) -> Assessment:
+    """The same answer with the gate closed."""
+    return replace(seen, p_home=seen.p_home_now, p_success=0.0, turn_back=True, reason=reason)

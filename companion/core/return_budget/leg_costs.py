@@ -1,0 +1,361 @@
+"""What every leg of the remaining mission costs in every sampled wind, priced all at once.
+
+Decision point 0 is here and now; point i is the end of stage i. Winds are read at each leg's
+middle, at the time that it is flown in the mean wind.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
+from companion.core.return_budget.remaining_mission import Ahead, Stage
+from companion.core.return_budget.wind_samples import PathSampler
+from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind.forecast import WindForecast, WindOutlook
+
+FloatArray = NDArray[np.float64]
+
+_NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
+_MERGE_M = 450.0  # straight cruise legs are priced together up to this length
+_MERGE_TURN_RAD = math.radians(3.0)
+# Every other sample follows the later gates: that is the most work, and needs no tail of its own.
+POLICY = slice(None, None, 2)
+_POINTS = 6  # decision points that a later gate is followed through
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """Rows of the table that belong to one stage or way home."""
+
+    first: int
+    last: int
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.last)
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """An energy need as a later gate will see it: what it expects, (K,), and how sure it is."""
+
+    wh: FloatArray
+    std_wh: float
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """What a later gate will see, for every POLICY sample: the needs of turning there (and by which
+    way), of flying to the next decision point and turning there, of the whole trip.
+    """
+
+    turning: Need
+    turning_way: NDArray[np.int64]
+    next_point: Need
+    whole: Need
+
+
+@dataclass(frozen=True, slots=True)
+class _Outlook:
+    """Rows of the foreseen legs that a later gate prices: ways home here, the stage to the next
+    point and the ways home there, the stages after it and the ways home from the last.
+    """
+
+    here: tuple[_Span, ...]
+    stage: _Span
+    next_ways: tuple[_Span, ...]
+    further: _Span
+    last_ways: tuple[_Span, ...]
+
+
+class LegTable:
+    """Energy of stages and ways home, (K,) Wh each, for one `Ahead`."""
+
+    def __init__(
+        self,
+        route_energy: RouteEnergy,
+        ahead: Ahead,
+        wind: WindBelief,
+        outlook: WindOutlook,
+        sampler: PathSampler,
+    ) -> None:
+        self._route_energy = route_energy
+        self._legs: list[Leg] = []
+        self._before: list[Leg | None] = []
+        self._stage: list[_Span] = []
+        self._ways: list[list[_Span]] = [[]]
+        self._unattended: _Span | None = None
+        self._lay_out(ahead)
+        self._compiled = route_energy.compile(tuple(self._legs), tuple(self._before))
+        mean = wind.mean_to_ne_mps
+        times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
+        middle, arrival = self._schedule(times)
+        self._price(outlook.forecast(wind, _NODES_S), middle, arrival, sampler)
+
+    @property
+    def stages(self) -> int:
+        """How many stages there are: the last decision point's number."""
+        return len(self._stage)
+
+    def ways(self, point: int) -> int:
+        """How many ways home a decision point has."""
+        return len(self._ways[point])
+
+    def stage_wh(self, stage: int) -> FloatArray:
+        """Energy of stage 1, 2, ... in every sample."""
+        return _sum(self._energy, self._stage[stage - 1])
+
+    def way_wh(self, point: int, way: int) -> FloatArray:
+        """Energy of a way home from a decision point in every sample."""
+        return _sum(self._energy, self._ways[point][way])
+
+    def chosen_way_wh(self, point: int, way: NDArray[np.int64]) -> FloatArray:
+        """The same with each POLICY sample's own choice of way."""
+        energies = np.stack([self.way_wh(point, i)[POLICY] for i in range(self.ways(point))])
+        return energies[way, np.arange(way.size)]
+
+    def whole_wh(self) -> FloatArray:
+        """Energy of all stages and the first way home after them, in every sample."""
+        total = sum((self.stage_wh(i + 1) for i in range(self.stages)), np.zeros(1))
+        return total + self.way_wh(self.stages, 0)
+
+    def unattended_wh(self) -> FloatArray | None:
+        """Energy to come home when no further command arrives.
+
+        On to the next waypoint, and from there the first of the ways: the mission aboard knows
+        no other, and nobody is there to choose.
+        """
+        if self._unattended is None:
+            return None
+        return _sum(self._energy, self._unattended) + (self.stage_wh(1) if self._stage else 0.0)
+
+    def predicted(self, point: int) -> Foreseen:
+        """What the gate at a later point will think that turning and flying on need.
+
+        For every POLICY sample; that gate knows only its own wind until then.
+        """
+        seen = self._outlooks[point]
+        here = [self._need([way]) for way in seen.here]
+        energies = np.array([need.wh for need in here])
+        onward = [self._need([seen.stage, way]) for way in seen.next_ways]
+        whole = [self._need([seen.stage, seen.further, way]) for way in seen.last_ways]
+        way = energies.argmin(axis=0)
+        return Foreseen(
+            turning=Need(energies.min(axis=0), here[0].std_wh),
+            turning_way=way,
+            next_point=_least(onward),
+            whole=_least(whole),
+        )
+
+    def _need(self, spans: list[_Span]) -> Need:
+        rows = [row for span in spans for row in _rows(span)]
+        total = self._seen_gradient[rows].sum(axis=0)
+        lasting = float(total @ self._error_cov @ total)
+        by_leg = self._seen_gradient[rows]
+        left = self._seen_cov[np.ix_(rows, rows)]
+        walk = float(np.einsum("ia,ij,ja->", by_leg, left, by_leg))
+        std_wh = math.sqrt(max(walk, 0.0) + max(lasting, 0.0))
+        return Need(self._seen[rows].sum(axis=0), std_wh)
+
+    # -- laying out and pricing ----------------------------------------------------------------
+
+    def _lay_out(self, ahead: Ahead) -> None:
+        ahead = thinned(ahead)
+        moving = ahead.stages[0].legs[0] if ahead.stages and ahead.stages[0].legs else None
+        for way in ahead.ways_home_now:
+            last = None
+            if moving is not None and moving.kind is LegKind.CRUISE and way.legs:
+                last = _ended_at(moving, way.legs[0].from_ned_m)
+            self._ways[0].append(self._add(way.legs, last))
+        last = None
+        for stage in ahead.stages:
+            self._stage.append(self._add(stage.legs, last))
+            last = stage.legs[-1] if stage.legs else last
+            self._ways.append([self._add(way.legs, last) for way in stage.ways_home])
+        aboard = ahead.stages[0].ways_home[0] if ahead.stages else ahead.ways_home_now[0]
+        if aboard.unattended_legs:
+            last = ahead.stages[0].legs[-1] if ahead.stages and ahead.stages[0].legs else None
+            self._unattended = self._add(aboard.unattended_legs, last)
+
+    def _add(self, legs: tuple[Leg, ...], before: Leg | None) -> _Span:
+        merged = merge_straight(legs)
+        first = len(self._legs)
+        self._legs += merged
+        self._before += [before, *merged[:-1]][: len(merged)]
+        return _Span(first, len(self._legs))
+
+    def _schedule(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Each leg's middle and each decision point's time from now, in the mean wind."""
+        middle = np.zeros(len(self._legs))
+        arrival = np.zeros(self.stages + 1)
+        for point in range(self.stages + 1):
+            if point > 0:
+                span = self._stage[point - 1]
+                _fill(middle, times, span, arrival[point - 1])
+                arrival[point] = arrival[point - 1] + times[span.rows].sum()
+            for span in self._ways[point]:
+                _fill(middle, times, span, arrival[point])
+        if self._unattended is not None:
+            _fill(middle, times, self._unattended, arrival[min(1, self.stages)])
+        return np.minimum(middle, _NODES_S[-1]), np.minimum(arrival, _NODES_S[-1])
+
+    def _price(
+        self,
+        forecast: WindForecast,
+        middle: FloatArray,
+        arrival: FloatArray,
+        sampler: PathSampler,
+    ) -> None:
+        at_leg = _weights(middle)
+        walk = sampler.walk(forecast)
+        wind = at_leg @ walk + sampler.error(forecast)
+        self._energy = self._route_energy.costs_by_leg(self._compiled, wind[0], wind[1]).energy_wh
+        if self.stages > 1:
+            self._foresee(forecast, at_leg, _weights(arrival), walk[:, :, POLICY])
+
+    def _foresee(
+        self,
+        forecast: WindForecast,
+        at_leg: FloatArray,
+        at_point: FloatArray,
+        walk: FloatArray,
+    ) -> None:
+        """Price what the gate at each later point will price, as it will see it.
+
+        Its forecast is the regression of a leg's wind on its wind then: the walk is Gaussian. How
+        sure it is comes from the energy's gradient at the mean wind.
+        """
+        legs, origin = self._lay_out_foreseen()
+        cov, mean = forecast.walk_cov_m2ps2, forecast.mean_to_ne_mps
+        leg_rows, point_rows = at_leg[legs], at_point[origin]
+        variance = np.maximum(np.einsum("rn,nm,rm->r", point_rows, cov, point_rows), 1e-9)
+        share = np.einsum("rn,nm,rm->r", leg_rows, cov, point_rows) / variance
+        news = at_point @ (walk - mean.T[:, :, None])
+        seen = (leg_rows @ mean).T[:, :, None] + share[:, None] * news[:, origin]
+        chosen = self._route_energy.compile(
+            tuple(self._legs[i] for i in legs), tuple(self._before[i] for i in legs)
+        )
+        self._seen = self._route_energy.costs_by_leg(chosen, seen[0], seen[1]).energy_wh
+        mean_wind = mean.mean(axis=0)
+        self._seen_gradient = self._route_energy.gradient_wh_per_mps(chosen, mean_wind)
+        known = np.outer(share, share) * variance  # rows are only joined within one point
+        self._seen_cov = leg_rows @ cov @ leg_rows.T - known
+        self._error_cov = forecast.error_cov_m2ps2
+
+    def _lay_out_foreseen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(leg, decision point) of every row that a later gate prices; fills `_outlooks`."""
+        legs: list[int] = []
+        origin: list[int] = []
+
+        def take(point: int, spans: list[_Span]) -> _Span:
+            first = len(legs)
+            for span in spans:
+                legs.extend(_rows(span))
+            origin.extend([point] * (len(legs) - first))
+            return _Span(first, len(legs))
+
+        self._outlooks: dict[int, _Outlook] = {}
+        for point in range(1, self.stages):
+            last = point + 1 == self.stages
+            next_ways = tuple(take(point, [way]) for way in self._ways[point + 1])
+            self._outlooks[point] = _Outlook(
+                here=tuple(take(point, [way]) for way in self._ways[point]),
+                stage=take(point, [self._stage[point]]),
+                next_ways=next_ways,
+                further=take(point, self._stage[point + 1 :]),
+                last_ways=next_ways
+                if last
+                else tuple(take(point, [way]) for way in self._ways[self.stages]),
+            )
+        return np.array(legs), np.array(origin)
+
+
+def _ended_at(leg: Leg, place: Ned) -> Leg:
+    """The same leg moved along so that it ends at a place: its course is what a turn begins from.
+
+    A leg under way begins where the vehicle is, so it cannot simply be cut off there.
+    """
+    moved = tuple(p - to for p, to in zip(place, leg.to_ned_m, strict=True))
+    north, east, down = (f + m for f, m in zip(leg.from_ned_m, moved, strict=True))
+    return replace(leg, from_ned_m=(north, east, down), to_ned_m=place)
+
+
+def _least(needs: list[Need]) -> Need:
+    """The least of alternative needs in every sample; as sure as the first of them."""
+    return Need(np.min([need.wh for need in needs], axis=0), needs[0].std_wh)
+
+
+def thinned(ahead: Ahead) -> Ahead:
+    """The same mission with fewer decision points: the next and the last two, some between.
+
+    A gate that may decide less often comes home a little less often: what is said errs low.
+    """
+    count = len(ahead.stages)
+    if count <= _POINTS:
+        return ahead
+    kept = {0, count - 2, count - 1}
+    kept |= {round(i) for i in np.linspace(0, count - 2, _POINTS - 1)}
+    stages: list[Stage] = []
+    legs: tuple[Leg, ...] = ()
+    for i, stage in enumerate(ahead.stages):
+        legs += stage.legs
+        if i in kept:
+            stages.append(replace(stage, legs=legs))
+            legs = ()
+    return replace(ahead, stages=tuple(stages))
+
+
+def merge_straight(legs: tuple[Leg, ...]) -> list[Leg]:
+    """The same way with straight cruise legs joined: priced once, at the wind in their middle."""
+    merged: list[Leg] = []
+    for leg in legs:
+        before = merged[-1] if merged else None
+        if before is not None and _goes_straight_on(before, leg):
+            merged[-1] = replace(before, to_ned_m=leg.to_ned_m)
+        else:
+            merged.append(leg)
+    return merged
+
+
+def _goes_straight_on(before: Leg, leg: Leg) -> bool:
+    if before.kind is not LegKind.CRUISE or leg.kind is not LegKind.CRUISE:
+        return False
+    alike = (before.payload_kg, before.airspeed_mps, before.ground_speed_mps) == (
+        leg.payload_kg,
+        leg.airspeed_mps,
+        leg.ground_speed_mps,
+    )
+    if not alike or before.to_ned_m != leg.from_ned_m:
+        return False
+    if horizontal_m(before.from_ned_m, leg.to_ned_m) > _MERGE_M:
+        return False
+    before_rad = course_rad(before.from_ned_m, before.to_ned_m)
+    turn_rad = wrap_pi(course_rad(leg.from_ned_m, leg.to_ned_m) - before_rad)
+    return abs(turn_rad) < _MERGE_TURN_RAD
+
+
+def _sum(energy: FloatArray, span: _Span) -> FloatArray:
+    return energy[span.rows].sum(axis=0)
+
+
+def _rows(span: _Span) -> range:
+    return range(span.first, span.last)
+
+
+def _fill(middle: FloatArray, times: FloatArray, span: _Span, start_s: float) -> None:
+    lasts = times[span.rows]
+    middle[span.rows] = start_s + np.cumsum(lasts) - 0.5 * lasts
+
+
+def _weights(at_s: FloatArray) -> FloatArray:
+    """Rows that interpolate linearly between the forecast's nodes, (len, nodes)."""
+    index = np.clip(np.searchsorted(_NODES_S, at_s, side="right") - 1, 0, _NODES_S.size - 2)
+    share = (at_s - _NODES_S[index]) / (_NODES_S[index + 1] - _NODES_S[index])
+    rows = np.zeros((at_s.size, _NODES_S.size))
+    rows[np.arange(at_s.size), index] = 1.0 - share
+    rows[np.arange(at_s.size), index + 1] = share
+    return rows

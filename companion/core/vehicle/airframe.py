@@ -1,0 +1,270 @@
+"""What we believe about an airframe: the strict `airframe/1` schema that planner and gate share.
+
+Belief, not truth: the simulator's vehicle has its own equations and its own numbers. Every
+shipped file (params/airframes) names the source of each number beside it.
+"""
+
+import math
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.base.errors import LeewayError, check_range
+
+LOW_ABOVE_CUTOFF_V = 0.05
+"""A cell's voltage at the autopilot's low-battery action, above the cut-off."""
+
+
+class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`empty_kg` is ready to fly, battery in, no parcel."""
+
+    empty_kg: float
+    max_payload_kg: float
+
+    def __post_init__(self) -> None:
+        check_range("mass.empty_kg", self.empty_kg, 0.1, 500.0)
+        check_range("mass.max_payload_kg", self.max_payload_kg, 0.0, 500.0)
+
+
+class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How it is flown. `max_ground_mps` is the most that the autopilot may be told to fly.
+
+    Below `land_slow_height_m` above the ground it descends at `landing_mps`, above at
+    `descent_mps`.
+    """
+
+    cruise_airspeed_mps: float
+    max_ground_mps: float
+    climb_mps: float
+    descent_mps: float
+    landing_mps: float
+    land_slow_height_m: float
+    max_tilt_deg: float
+    accel_mps2: float
+
+    def __post_init__(self) -> None:
+        check_range("speeds.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
+        check_range("speeds.max_ground_mps", self.max_ground_mps, 1.0, 60.0)
+        check_range("speeds.climb_mps", self.climb_mps, 0.2, 15.0)
+        check_range("speeds.descent_mps", self.descent_mps, 0.2, 15.0)
+        check_range("speeds.landing_mps", self.landing_mps, 0.1, 5.0)
+        check_range("speeds.land_slow_height_m", self.land_slow_height_m, 0.0, 100.0)
+        check_range("speeds.max_tilt_deg", self.max_tilt_deg, 5.0, 60.0)
+        check_range("speeds.accel_mps2", self.accel_mps2, 0.1, 10.0)
+
+    @property
+    def max_tilt_rad(self) -> float:
+        """Largest lean angle the autopilot commands."""
+        return math.radians(self.max_tilt_deg)
+
+
+class Drag(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
+    """Drag force along body forward and right: `linear * v + quadratic * |v| v`, in newton.
+
+    The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
+    flow). `parcel_quadratic_n_per_mps2` is added to both axes while a parcel hangs below.
+    How wrong this may be: `gain_std_frac` of all drag, relative, and `axis_gain_std_frac` of either
+    axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end,
+    in ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
+    attitude that is reported may lean against the thrust.
+
+    `vertical_quadratic_n_per_mps2` is the drag of the flow down through the rotors, upon the
+    vehicle's top: about 0.7 of its plan area in m^2 (body, arms and packs, half rho Cd A with a
+    plate's 1.1 to 1.2). With it power is priced along the body's axes (`power.multirotor_power_w`).
+    Without it the vehicle drags alike from all sides and the rotors' own drag is paid for in full.
+    """
+
+    linear_forward_n_per_mps: float
+    linear_right_n_per_mps: float
+    quadratic_forward_n_per_mps2: float
+    quadratic_right_n_per_mps2: float
+    parcel_quadratic_n_per_mps2: float
+    gain_std_frac: float
+    axis_gain_std_frac: float
+    model_std_frac: float
+    trim_std_deg: float
+    vertical_quadratic_n_per_mps2: float | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
+            check_range(f"drag.{key}", getattr(self, key), 0.0, 100.0)
+        for key in ("quadratic_forward_n_per_mps2", "quadratic_right_n_per_mps2"):
+            check_range(f"drag.{key}", getattr(self, key), 0.0, 50.0)
+        check_range("drag.parcel_quadratic_n_per_mps2", self.parcel_quadratic_n_per_mps2, 0.0, 50.0)
+        if (vertical := self.vertical_quadratic_n_per_mps2) is not None:
+            check_range("drag.vertical_quadratic_n_per_mps2", vertical, 0.0, 50.0)
+        check_range("drag.gain_std_frac", self.gain_std_frac, 0.01, 1.0)
+        check_range("drag.axis_gain_std_frac", self.axis_gain_std_frac, 0.0, 1.0)
+        check_range("drag.model_std_frac", self.model_std_frac, 0.0, 0.5)
+        check_range("drag.trim_std_deg", self.trim_std_deg, 0.05, 5.0)
+        if self.linear_forward_n_per_mps + self.quadratic_forward_n_per_mps2 <= 0.0:
+            raise LeewayError("drag.linear_forward_n_per_mps: some drag expected, all are 0")
+        if self.linear_right_n_per_mps + self.quadratic_right_n_per_mps2 <= 0.0:
+            raise LeewayError("drag.linear_right_n_per_mps: some drag expected, all are 0")
+
+
+class PaperPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of the paper's model, `P = P_c + T V_A / c_T` (arXiv 2604.13441, III-B)."""
+
+    constant_w: float
+    thrust_power_coefficient: float
+
+    def __post_init__(self) -> None:
+        check_range("power_paper.constant_w", self.constant_w, 0.0, 50_000.0)
+        check_range(
+            "power_paper.thrust_power_coefficient", self.thrust_power_coefficient, 0.05, 5.0
+        )
+
+
+class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of the multirotor model: induced, profile, parasite and avionics power."""
+
+    rotor_count: int
+    rotor_radius_m: float
+    solidity: float
+    blade_drag_coefficient: float
+    thrust_coefficient: float
+    induced_factor: float
+    drive_efficiency: float
+    avionics_w: float
+    model_std_frac: float
+
+    def __post_init__(self) -> None:
+        check_range("power_rotor.rotor_count", self.rotor_count, 1, 32)
+        check_range("power_rotor.rotor_radius_m", self.rotor_radius_m, 0.02, 3.0)
+        check_range("power_rotor.solidity", self.solidity, 0.005, 0.5)
+        check_range("power_rotor.blade_drag_coefficient", self.blade_drag_coefficient, 0.0, 0.5)
+        check_range("power_rotor.thrust_coefficient", self.thrust_coefficient, 1e-4, 0.1)
+        check_range("power_rotor.induced_factor", self.induced_factor, 1.0, 2.0)
+        check_range("power_rotor.drive_efficiency", self.drive_efficiency, 0.2, 1.0)
+        check_range("power_rotor.avionics_w", self.avionics_w, 0.0, 5000.0)
+        check_range("power_rotor.model_std_frac", self.model_std_frac, 0.0, 0.5)
+
+    @property
+    def disc_area_m2(self) -> float:
+        """Swept area of all rotors."""
+        return self.rotor_count * math.pi * self.rotor_radius_m**2
+
+
+class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One pack as a whole. `nominal_wh` is its label; usable energy is less (see `usable_wh`).
+
+    `ocv_cell_v` is the resting voltage of one cell at `ocv_charge_frac` (rising from 0 to 1).
+    `usable_frac` is what the pack gives until cut-off, relative to its label, when new, at
+    `usable_at_c` and `usable_at_w`; it loses `usable_loss_per_w` for each watt more and has
+    `usable_temperature_frac` of it at `usable_temperature_c`.
+    """
+
+    cells: int
+    nominal_wh: float
+    ocv_charge_frac: list[float]
+    ocv_cell_v: list[float]
+    resistance_ohm: float
+    cutoff_cell_v: float
+    usable_frac: float
+    usable_at_w: float
+    usable_loss_per_w: float
+    usable_temperature_c: list[float]
+    usable_temperature_frac: list[float]
+    usable_std_frac: float
+    resting_voltage_std_v: float
+
+    def __post_init__(self) -> None:
+        check_range("battery.cells", self.cells, 1, 200)
+        check_range("battery.nominal_wh", self.nominal_wh, 1.0, 1e6)
+        check_range("battery.resistance_ohm", self.resistance_ohm, 0.0, 5.0)
+        check_range("battery.cutoff_cell_v", self.cutoff_cell_v, 2.0, 3.9)
+        check_range("battery.usable_frac", self.usable_frac, 0.3, 1.0)
+        check_range("battery.usable_at_w", self.usable_at_w, 1.0, 1e5)
+        check_range("battery.usable_loss_per_w", self.usable_loss_per_w, 0.0, 1e-2)
+        check_range("battery.usable_std_frac", self.usable_std_frac, 0.001, 0.3)
+        check_range("battery.resting_voltage_std_v", self.resting_voltage_std_v, 0.001, 5.0)
+        _check_table("battery", "ocv_charge_frac", self.ocv_charge_frac, 0.0, 1.0, rising=True)
+        _check_table("battery", "ocv_cell_v", self.ocv_cell_v, 2.0, 5.0, rising=True)
+        _check_table(
+            "battery", "usable_temperature_c", self.usable_temperature_c, -60.0, 90.0, rising=True
+        )
+        _check_table(
+            "battery", "usable_temperature_frac", self.usable_temperature_frac, 0.05, 1.1, False
+        )
+        if len(self.ocv_charge_frac) != len(self.ocv_cell_v):
+            raise LeewayError("battery.ocv_cell_v: expected as many as ocv_charge_frac")
+        if len(self.usable_temperature_c) != len(self.usable_temperature_frac):
+            raise LeewayError("battery.usable_temperature_frac: as many as usable_temperature_c")
+        if (self.ocv_charge_frac[0], self.ocv_charge_frac[-1]) != (0.0, 1.0):
+            raise LeewayError("battery.ocv_charge_frac: expected to run from 0.0 to 1.0")
+
+    def charge_frac_at_rest(self, voltage_v: float) -> float:
+        """Charge (0 to 1 of the pack's content) from its resting voltage."""
+        cell_v = voltage_v / self.cells
+        return float(np.interp(cell_v, self.ocv_cell_v, self.ocv_charge_frac))
+
+    @property
+    def low_v(self) -> float:
+        """Loaded voltage of the pack at which an autopilot should act by itself."""
+        return self.cells * (self.cutoff_cell_v + LOW_ABOVE_CUTOFF_V)
+
+    def usable_wh(self, draw_w: float, temperature_c: float, health_frac: float) -> float:
+        """What a full pack gives at this draw until cut-off, Wh."""
+        loss = self.usable_loss_per_w * max(draw_w - self.usable_at_w, 0.0)
+        warm = float(
+            np.interp(temperature_c, self.usable_temperature_c, self.usable_temperature_frac)
+        )
+        return self.nominal_wh * max(self.usable_frac - loss, 0.05) * warm * health_frac
+
+
+class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An `airframe/1` file as read."""
+
+    format: Literal["airframe/1"]
+    name: str
+    mass: Masses
+    speeds: Speeds
+    drag: Drag
+    power_paper: PaperPower
+    power_rotor: RotorPower
+    battery: Battery
+
+    def mass_kg(self, payload_kg: float) -> float:
+        """Flying mass with this parcel."""
+        return self.mass.empty_kg + payload_kg
+
+    def drag_linear_n_per_mps(self, mass_kg: float) -> tuple[float, float]:
+        """Linear drag along body forward and right at this mass (Drag's docstring)."""
+        scale = math.sqrt(mass_kg / self.mass.empty_kg)
+        return (
+            self.drag.linear_forward_n_per_mps * scale,
+            self.drag.linear_right_n_per_mps * scale,
+        )
+
+    def drag_quadratic_n_per_mps2(self, mass_kg: float) -> tuple[float, float]:
+        """Quadratic drag along body forward and right; a mass above empty means a parcel."""
+        parcel = (
+            self.drag.parcel_quadratic_n_per_mps2 if mass_kg > 1.001 * self.mass.empty_kg else 0.0
+        )
+        drag = self.drag
+        return drag.quadratic_forward_n_per_mps2 + parcel, drag.quadratic_right_n_per_mps2 + parcel
+
+
+def airframe_from_dict(table: dict[str, object], where: str = "airframe") -> Airframe:
+    """Check a parsed TOML table against `airframe/1`; LeewayError names file and key."""
+    try:
+        return msgspec.convert(table, Airframe)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{where}: {error}") from error
+
+
+def _check_table(
+    table: str, key: str, values: list[float], low: float, high: float, rising: bool
+) -> None:
+    if len(values) < 2:
+        raise LeewayError(f"{table}.{key}: expected at least two numbers")
+    for value in values:
+        check_range(f"{table}.{key}", value, low, high)
+    steps: NDArray[np.float64] = np.diff(np.asarray(values, float))
+    if rising and not bool(np.all(steps > 0.0)):
+        raise LeewayError(f"{table}.{key}: expected rising numbers")

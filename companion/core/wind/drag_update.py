@@ -1,0 +1,330 @@
+"""Wind from tilt and acceleration: the drag that they tell, and what it says of wind, trim, gain.
+
+In steady air `m (a_h - thrust_h) = -s D(v - w)`, with the thrust along the body's axis and its size
+from the vertical balance. No accelerometer, no throttle: only attitude and ground velocity, which
+every autopilot sends.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.power import GRAVITY_MPS2
+from companion.core.wind.ekf import At, FloatArray, WindEstimatorParams, WindState
+from companion.core.wind.observation import WindObservation
+
+_GREATEST_TILT_RAD = 1.2
+_GREATEST_LOG_GAIN = 2.0
+
+
+def has_tilt(seen: WindObservation) -> bool:
+    """Whether attitude and velocity are known, and such as a multirotor flies."""
+    if seen.vel_ned_mps is None or seen.yaw_rad is None:
+        return False
+    if seen.roll_rad is None or seen.pitch_rad is None:
+        return False
+    return max(abs(seen.roll_rad), abs(seen.pitch_rad)) <= _GREATEST_TILT_RAD
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Velocity as reported (NED), and what it changed by since the report before.
+
+    `thrust_*` is the horizontal thrust acceleration when that velocity was so: velocity comes later
+    than attitude. `turning_mps2` is how much the thrust changed meanwhile. `since_s` is None where
+    there is no report before, and no acceleration.
+    """
+
+    velocity_n: float
+    velocity_e: float
+    sink_mps: float
+    accel_n: float
+    accel_e: float
+    thrust_n: float
+    thrust_e: float
+    turning_mps2: float
+    since_s: float | None
+
+
+class MotionWatch:
+    """Turns reports of velocity and attitude into motion."""
+
+    __slots__ = ("_before", "_sink_mps", "_sinking_mps2", "_thrusts")
+
+    LONGEST_S = 1.0  # a longer gap hides what the vehicle did
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """The vehicle is on the ground, or nothing was heard."""
+        self._before: tuple[float, float, float] | None = None  # t_s, north, east
+        self._sink_mps: float | None = None
+        self._sinking_mps2 = 0.0
+        self._thrusts: list[tuple[float, float, float]] = []  # t_s, north, east
+
+    def take(self, seen: WindObservation, p: WindEstimatorParams) -> Motion:
+        """One observation that `has_tilt`."""
+        north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
+        before = self._before
+        since_s = None if before is None else seen.t_s - before[0]
+        if since_s is not None and since_s > self.LONGEST_S:
+            self.forget()
+            since_s = None
+        self._sink(down, since_s, p.sink_smoothing_s)
+        thrust = _thrust_ne(seen, GRAVITY_MPS2 - self._sinking_mps2)
+        late = [t for t in self._thrusts if t[0] > seen.t_s - p.latency_s - self.LONGEST_S]
+        self._thrusts = [*late, (seen.t_s, *thrust)]
+        self._before = (seen.t_s, north, east)
+        if before is None or since_s is None:
+            return Motion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
+        start = self._thrust_at(before[0] - p.latency_s)
+        end = self._thrust_at(seen.t_s - p.latency_s)
+        return Motion(
+            north,
+            east,
+            down,
+            (north - before[1]) / since_s,
+            (east - before[2]) / since_s,
+            0.5 * (start[0] + end[0]),
+            0.5 * (start[1] + end[1]),
+            math.hypot(end[0] - start[0], end[1] - start[1]),
+            since_s,
+        )
+
+    def _sink(self, down_mps: float, since_s: float | None, memory_s: float) -> None:
+        if self._sink_mps is None or since_s is None:
+            self._sink_mps, self._sinking_mps2 = down_mps, 0.0
+            return
+        step = (1.0 - math.exp(-since_s / memory_s)) * (down_mps - self._sink_mps)
+        self._sink_mps += step
+        self._sinking_mps2 = step / since_s
+
+    def _thrust_at(self, t_s: float) -> tuple[float, float]:
+        """Between the reports about `t_s`; the first one before them."""
+        later = self._thrusts[0]
+        for early, late in itertools.pairwise(self._thrusts):
+            later = late
+            if late[0] >= t_s:
+                share = min(max((t_s - early[0]) / (late[0] - early[0]), 0.0), 1.0)
+                return (
+                    early[1] + share * (late[1] - early[1]),
+                    early[2] + share * (late[2] - early[2]),
+                )
+        return later[1], later[2]
+
+
+def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
+    """Horizontal thrust acceleration: along minus the body's z axis, `lift_mps2` of it upward."""
+    roll, pitch, yaw = seen.roll_rad or 0.0, seen.pitch_rad or 0.0, seen.yaw_rad or 0.0
+    forward = -lift_mps2 * math.tan(pitch)
+    right = lift_mps2 * math.tan(roll) / math.cos(pitch)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return cos * forward - sin * right, sin * forward + cos * right
+
+
+@dataclass(frozen=True, slots=True)
+class DragSeen:
+    """Drag acceleration along heading and right: measured, expected, its size by the airframe file
+    (m/s2), the most that its slope changes with the airspeed (1/m), the airspeed, and the rows
+    (2, states) of d(expected - measured)/dx."""
+
+    measured: tuple[float, float]
+    expected: tuple[float, float]
+    size_mps2: float
+    bends_pm: tuple[float, float]
+    airspeed_mps: float
+    rows: FloatArray
+
+
+def drag_seen(
+    airframe: Airframe, mass_kg: float, x: FloatArray, motion: Motion, yaw_rad: float
+) -> DragSeen:
+    """What drag was measured, and what the state `x` makes of it."""
+    mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
+    heading = yaw_rad + turned
+    cos, sin = math.cos(heading), math.sin(heading)
+    gain_f, gain_r = _gain(log_f), _gain(log_r)
+    air_n = motion.velocity_n - mean_n - gust_n
+    air_e = motion.velocity_e - mean_e - gust_e
+    forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
+    speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
+    k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
+    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
+    drag_r = gain_r * (k_r + q_r * speed) * right / mass_kg
+    # d drag / d (forward, right); the wind enters with the opposite sign.
+    ff = gain_f * (k_f + q_f * (speed + forward * forward / speed)) / mass_kg
+    fr = gain_f * q_f * forward * right / speed / mass_kg
+    rr = gain_r * (k_r + q_r * (speed + right * right / speed)) / mass_kg
+    rf = gain_r * q_r * forward * right / speed / mass_kg
+    # The acceleration is the ground track's, the thrust the body's: only the first turns.
+    # What the reports' noise adds to their difference is known as far as the states know it.
+    dt_s = motion.since_s or 1.0
+    noise_n, noise_e, before_n, before_e = x[At.NOISE :].tolist()
+    accel_n = motion.accel_n - (noise_n - before_n) / dt_s
+    accel_e = motion.accel_e - (noise_e - before_e) / dt_s
+    accel_f = cos * accel_n + sin * accel_e
+    accel_r = cos * accel_e - sin * accel_n
+    yaw_cos, yaw_sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    thrust_f = yaw_cos * motion.thrust_n + yaw_sin * motion.thrust_e
+    thrust_r = yaw_cos * motion.thrust_e - yaw_sin * motion.thrust_n
+    turn_f = fr * forward - ff * right - accel_r
+    turn_r = rr * forward - rf * right + accel_f
+    fn, fe = ff * cos - fr * sin, ff * sin + fr * cos
+    rn, re = rf * cos - rr * sin, rf * sin + rr * cos
+    g = GRAVITY_MPS2
+    row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -drag_f, 0.0, turn_f, 0.0, 0.0]
+    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s]
+    row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -drag_r, turn_r, 0.0, 0.0]
+    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s]
+    return DragSeen(
+        measured=(accel_f - thrust_f, accel_r - thrust_r),
+        expected=(-drag_f + g * trim_f, -drag_r + g * trim_r),
+        size_mps2=math.hypot(drag_f, drag_r),
+        bends_pm=(2.0 * gain_f * q_f / mass_kg, 2.0 * gain_r * q_r / mass_kg),
+        airspeed_mps=speed,
+        rows=np.array([row_f, row_r]),
+    )
+
+
+def _gain(log_gain: float) -> float:
+    return math.exp(min(max(log_gain, -_GREATEST_LOG_GAIN), _GREATEST_LOG_GAIN))
+
+
+@dataclass(frozen=True, slots=True)
+class TiltTold:
+    """What one measurement of drag says to a state: the innovation (m/s2) of both axes and its
+    covariance, and the correction that they make, weighed: `gain @ white` is added to the state,
+    `gain @ gain.T` taken off its covariance. `area` is the root of the covariance's determinant."""
+
+    innovations: tuple[float, float]
+    variances: tuple[float, float]
+    gain: FloatArray
+    white: FloatArray
+    area: float
+
+    def log_density(self, sigmas: float, noise: float) -> float:
+        """How likely the innovation was foretold to be, but for a constant: the logarithm of its
+        Gaussian density, where what lies beyond `sigmas` counts as lying there. `noise`: how much
+        greater its variance is than stated, by what is seen."""
+        size = min(float(self.white @ self.white) / noise, sigmas**2)
+        return -0.5 * size - math.log(self.area)
+
+    @property
+    def surprise(self) -> float:
+        """Mean normalised square of the innovation; 1 as expected."""
+        (a, b), (s, t) = self.innovations, self.variances
+        return 0.5 * (a * a / s + b * b / t)
+
+    def is_outlier(self, sigmas: float) -> bool:
+        """Whether either axis is more than `sigmas` off."""
+        (a, b), (s, t) = self.innovations, self.variances
+        return a * a > sigmas**2 * s or b * b > sigmas**2 * t
+
+    @property
+    def wind_step_ne_mps(self) -> tuple[float, float]:
+        """The correction of the wind, mean and gust together."""
+        mean_n, mean_e, gust_n, gust_e = (self.gain[:4] @ self.white).tolist()
+        return mean_n + gust_n, mean_e + gust_e
+
+    @property
+    def wind_step_variance_m2ps2(self) -> float:
+        """The trace of the variance that was expected of that correction."""
+        wind = self.gain[:2] + self.gain[2:4]
+        return float(np.vdot(wind, wind))
+
+
+def tilt_told(
+    state: WindState,
+    airframe: Airframe,
+    params: WindEstimatorParams,
+    seen: WindObservation,
+    motion: Motion,
+) -> TiltTold:
+    """What one measurement of drag says to `state`.
+
+    An extended filter's one linearisation, or more (Bell and Cathey 1993) while the wind is
+    unknown: drag is quadratic, its slope in still air would throw the first estimate far out.
+    """
+    known = state.wind_is_known
+    told = _told(state, state.x, airframe, params, seen, motion)
+    for _ in range(0 if known else 5):
+        told = _told(state, state.x + told.gain @ told.white, airframe, params, seen, motion)
+    return told
+
+
+def _told(
+    state: WindState,
+    about: FloatArray,
+    airframe: Airframe,
+    params: WindEstimatorParams,
+    seen: WindObservation,
+    motion: Motion,
+) -> TiltTold:
+    """Linearised about a state that need not be the filter's own."""
+    drag = drag_seen(airframe, seen.mass_kg, about, motion, seen.yaw_rad or 0.0)
+    state.airspeed_mps = drag.airspeed_mps
+    rows = drag.rows
+    left_f = drag.measured[0] - drag.expected[0]
+    left_r = drag.measured[1] - drag.expected[1]
+    if about is not state.x:
+        ahead_f, ahead_r = (rows @ (state.x - about)).tolist()
+        left_f, left_r = left_f - ahead_f, left_r - ahead_r
+    across = state.cov @ rows.T
+    (ff, fr), (_, rr) = (rows @ across).tolist()
+    noise_f, noise_r = _noises(state, airframe, params, drag, motion)
+    bend_f, bend_r = _bends(state, drag)
+    ff, rr = ff + noise_f + bend_f, rr + noise_r + bend_r
+    # Cholesky's factor of the innovation's covariance, [[a, 0], [b, c]], and its inverse
+    a = math.sqrt(ff)
+    b = fr / a
+    c = math.sqrt(rr - b * b)
+    whitening = np.array([[1.0 / a, -b / (a * c)], [0.0, 1.0 / c]])
+    first = left_f / a
+    white = np.array([first, (left_r - b * first) / c])
+    return TiltTold((left_f, left_r), (ff, rr), across @ whitening, white, a * c)
+
+
+def _noises(
+    state: WindState,
+    airframe: Airframe,
+    p: WindEstimatorParams,
+    drag: DragSeen,
+    motion: Motion,
+) -> tuple[float, float]:
+    """Variance of a drag measurement along either axis: sensors, gusts too fast for the filter,
+    what a transient's delays do, and what the drag model errs by for seconds on end."""
+    dt_s = max(motion.since_s or 0.1, 0.02)
+    late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
+    off = airframe.drag.model_std_frac * drag.size_mps2
+    steady = (p.tilt_noise_m2ps3 + 2.0 * p.model_memory_s * off**2) / dt_s + late
+    gust = state.fast_gust_m2ps / dt_s
+    (fn, fe), (rn, re) = drag.rows[:, :2].tolist()
+    return steady + gust * (fn * fn + fe * fe), steady + gust * (rn * rn + re * re)
+
+
+def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
+    """Variance along either axis of what the linearisation leaves out while wind and gain are
+    uncertain: half the trace of (H P)^2, H the drag's second derivatives (Jazwinski 1970, 9.3), the
+    wind's taken at their most.
+
+    Wind, gain and trim, of which one heading tells only a sum, else seem told apart by nothing but
+    the point of linearisation, which moves.
+    """
+    p = state.cov[: At.HEADING, : At.LATELY].tolist()
+    nn = p[0][0] + 2.0 * p[0][2] + p[2][2]
+    ne = p[0][1] + p[0][3] + p[2][1] + p[2][3]
+    ee = p[1][1] + 2.0 * p[1][3] + p[3][3]
+    most = 0.5 * (nn + ee) + math.hypot(0.5 * (nn - ee), ne)
+    told: list[float] = []
+    for axis, (n, e) in enumerate(drag.rows[:, :2].tolist()):
+        by_gain = p[At.LOG_GAIN + axis]
+        slope = n * n * nn + 2.0 * n * e * ne + e * e * ee
+        shared = n * (by_gain[0] + by_gain[2]) + e * (by_gain[1] + by_gain[3])
+        gain = float(state.cov[At.LOG_GAIN + axis, At.LOG_GAIN + axis])
+        told.append(slope * gain + shared**2 + 0.5 * (drag.bends_pm[axis] * most) ** 2)
+    return told[0], told[1]

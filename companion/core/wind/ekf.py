@@ -1,0 +1,349 @@
+"""The wind filter's state: what it holds, how it moves by itself, how it is corrected.
+
+State, 17: the slow mean of the wind to north and east (m/s), the gust on top of it (m/s), the mean
+of both over the last seconds (m/s), tilt trim along body forward and right (rad), logarithm of the
+drag gain of either axis, error of the heading (rad), logarithm of the airspeed's scale, airspeed's
+bias (m/s), noise of the velocity reported last and of the one before, to north and east (m/s).
+
+- Gusts are Ornstein-Uhlenbeck: as strong as a share of the wind, and as short as the vehicle takes
+  through an eddy, length over airspeed (frozen turbulence, Taylor 1938). The slow mean walks.
+- What is asked for is the mean over the 10 s about now. Half of it has been flown: the third pair
+  of states, a lag of about the mean age. The other half is foretold: the slow mean, and what is
+  left of the gust; what cannot be foretold of it widens the covariance.
+- An acceleration is the difference of two velocities that are reported with noise; as the noise of
+  the one is in the next difference too, with the other sign, it is a state (so no low-pass is
+  needed, and none delays the wind).
+- Trims, gains and scales have priors of the airframe, and walk by little: on one heading for ever
+  they stay apart from the wind only by those priors, and the covariance says so.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.base.errors import LeewayError
+from companion.core.vehicle.airframe import Airframe
+from companion.core.wind.turbulence import Front, Turbulence
+
+FloatArray = NDArray[np.float64]
+STATES = 17
+
+
+class At(IntEnum):
+    """Where a state stands; north and forward first, east and right behind it."""
+
+    MEAN = 0
+    GUST = 2
+    LATELY = 4
+    TRIM = 6
+    LOG_GAIN = 8
+    HEADING = 10
+    LOG_SCALE = 11
+    BIAS = 12
+    NOISE = 13
+    NOISE_BEFORE = 15
+
+
+@dataclass(frozen=True, slots=True)
+class WindEstimatorParams:
+    """Noises and limits, with where they come from.
+
+    [coast] from shared/data/wind/coast_2023_1hz.csv, mean wind 8.4 m/s: half the variance of what
+    the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035 of the mean wind
+    squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
+    """
+
+    prior_wind_std_mps: float = 10.0  # each axis, before anything is seen
+    mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
+    least_walk_m2ps3: float = 0.005  # [coast] likewise, in calm too
+    gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
+    gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
+    fast_gust_m2ps: float = 0.15  # gusts too fast for the filter, as noise, at the reference wind
+    reference_wind_mps: float = 8.4  # [coast]
+    least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
+    lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
+    trim_walk_rad2ps: float = math.radians(0.2) ** 2 / 60.0  # [est] heat, manoeuvres
+    gain_walk_per_s: float = 0.02**2 / 600.0
+    gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
+    prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
+    heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
+    velocity_std_mps: float = 0.06  # u-blox M8 data sheet says 0.05, unfused
+    latency_s: float = 0.02  # of velocity behind attitude: PX4 sends 50, 100 a second; GNSS 0.12
+    latency_std_s: float = 0.08  # [est]
+    sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
+    tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
+    model_memory_s: float = 5.0  # [est] how long the drag model errs the same way
+    known_wind_std_mps: float = 1.5
+    pitot_scale_std_frac: float = 0.08  # [est] position error beside rotors
+    pitot_bias_std_mps: float = 0.5  # [est] zero after calibration
+    pitot_walk_per_s: float = 0.01**2 / 300.0  # of scale; bias in m/s likewise
+    scalar_wind_std_mps: float = 2.5  # a scalar cannot start a vector: known to this, it may enter
+    pitot_std_mps: float = 0.5
+    pitot_memory_s: float = 0.5
+    pitot_model_std_frac: float = 0.05  # [est] flow angle and wash: not to be learned
+    pitot_least_mps: float = 4.0  # below, a pitot on a multirotor reads its own offset
+    vector_std_mps: float = 0.5  # [est] a small ultrasonic anemometer on a mast
+    autopilot_std_mps: float = 1.0  # where it states none
+    autopilot_least_std_mps: float = 0.3  # it knows neither its coefficients' nor its trims' error
+    autopilot_every_s: float = 1.0
+    autopilot_memory_s: float = 10.0  # it is filtered: its errors last
+    gate_sigmas: float = 4.0
+    doubt_after_s: float = 4.0
+    stuck_after_s: float = 5.0
+    watch_memory_s: float = 5.0
+    faulty_sigmas: float = 3.0
+    sound_sigmas: float = 2.0
+    sound_after_s: float = 10.0
+    floor_std_mps: float = 0.05  # [est] what no state stands for
+    settle_s: float = 5.0
+    stale_after_s: float = 15.0
+
+
+class WindState:
+    """Mean and covariance of the 17 states; one hypothesis of what is so."""
+
+    __slots__ = ("_params", "airspeed_mps", "cov", "front", "gust_length_m", "turbulence", "x")
+
+    def __init__(self, airframe: Airframe, params: WindEstimatorParams) -> None:
+        self._params = params
+        self.x = np.zeros(STATES)
+        self.cov = _prior_cov(airframe, params)
+        self.airspeed_mps = 0.0
+        self.gust_length_m = params.gust_length_m
+        self.turbulence = Turbulence()
+        self.front = Front()
+
+    def copy(self) -> "WindState":
+        """One that goes its own way from here."""
+        other = object.__new__(WindState)
+        other._params = self._params
+        other.x, other.cov = self.x.copy(), self.cov.copy()
+        other.gust_length_m = self.gust_length_m
+        other.airspeed_mps, other.turbulence = self.airspeed_mps, replace(self.turbulence)
+        other.front = replace(self.front)
+        return other
+
+    def snapshot(self) -> dict[str, object]:
+        """What a checkpoint keeps."""
+        return {
+            "x": self.x.tolist(),
+            "cov": self.cov.tolist(),
+            "airspeed_mps": self.airspeed_mps,
+            "turbulence": self.turbulence.ratio,
+        }
+
+    def restore(self, snapshot: dict[str, object]) -> None:
+        """Go on from a checkpoint; raises KeyError, ValueError, LeewayError when it is not one."""
+        x = np.array(msgspec.convert(snapshot["x"], list[float]))
+        cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
+        airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
+        turbulence = msgspec.convert(snapshot["turbulence"], float)
+        usable = (
+            x.shape == (STATES,)
+            and cov.shape == (STATES, STATES)
+            and np.isfinite([*x, *cov.ravel(), airspeed_mps, turbulence]).all()
+        )
+        if not usable or float(np.linalg.eigvalsh(cov)[0]) < -1e-9 or turbulence <= 0.0:
+            raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
+        self.x, self.cov = x, 0.5 * (cov + cov.T)
+        self.airspeed_mps, self.turbulence.ratio = airspeed_mps, turbulence
+
+    @property
+    def wind_is_known(self) -> bool:
+        """Enough to linearise the drag about it."""
+        return self.wind_std_mps < self._params.known_wind_std_mps
+
+    @property
+    def wind_std_mps(self) -> float:
+        """Of the slow mean, along one axis."""
+        return math.sqrt(0.5 * float(self.cov[0, 0] + self.cov[1, 1]))
+
+    @property
+    def scale(self) -> float:
+        """Wind squared over the reference's, with a floor."""
+        p = self._params
+        wind = max(math.hypot(self.x[0], self.x[1]), p.least_wind_mps)
+        return (wind / p.reference_wind_mps) ** 2
+
+    @property
+    def gust_variance_m2ps2(self) -> float:
+        """Of the gust along either axis."""
+        p = self._params
+        return self.turbulence.ratio * p.gust_frac**2 * p.reference_wind_mps**2 * self.scale
+
+    @property
+    def fast_gust_m2ps(self) -> float:
+        """Gusts too fast for the filter, as noise. Where the air is given as calm it has few of
+        these either; what is learned of slower ones says little of them."""
+        calm = self.turbulence.ratio if self.turbulence.is_held else 1.0
+        return self._params.fast_gust_m2ps * self.scale * calm
+
+    @property
+    def mean_walk_m2ps3(self) -> float:
+        """How fast the slow mean walks: as the params say, slower where the air is calm (but never
+        slower than recordings do), and as a front makes it."""
+        p = self._params
+        walk = max(p.mean_walk_m2ps3 * min(self.turbulence.ratio, 1.0), p.least_walk_m2ps3)
+        return walk * self.scale + self.front.walk_m2ps3
+
+    @property
+    def gust_memory_s(self) -> float:
+        """How long an eddy lasts at this airspeed."""
+        p = self._params
+        return self.gust_length_m / max(self.airspeed_mps, p.least_wind_mps)
+
+    def corrected(
+        self,
+        step_ne_mps: tuple[float, float],
+        expected_m2ps2: float,
+        surprise: float,
+        dt_s: float,
+    ) -> None:
+        """Learn from a correction of the wind by tilt, see `Turbulence.corrected`.
+
+        Air that is given has no fronts either: what a turn leaves was taken for one in calm.
+        """
+        if self.turbulence.is_held:
+            return
+        self.turbulence.corrected(step_ne_mps, expected_m2ps2, surprise, dt_s)
+        missed_m2ps2 = self.front.corrected(step_ne_mps, expected_m2ps2, dt_s)
+        if missed_m2ps2 > 0.0:
+            self.open_wind(missed_m2ps2)
+
+    def wait(self, dt_s: float) -> None:
+        """Let `dt_s` pass."""
+        if dt_s <= 0.0:
+            return
+        p = self._params
+        keep = math.exp(-dt_s / self.gust_memory_s)
+        taken = 1.0 - math.exp(-dt_s / p.lag_s)
+        variance = self.gust_variance_m2ps2
+        left = 1.0 - taken
+        move = _STILL.copy()
+        move.flat[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
+        self.x = move @ self.x
+        cov = move @ self.cov @ move.T
+        cov += cov.T  # symmetric again
+        cov *= 0.5
+        self.cov = cov
+        walk = self.mean_walk_m2ps3 * dt_s
+        gust = variance * (1.0 - keep * keep)
+        trim, gain = p.trim_walk_rad2ps * dt_s, p.gain_walk_per_s * dt_s
+        pitot = p.pitot_walk_per_s * dt_s
+        heading = p.heading_walk_rad2ps * dt_s
+        new = p.velocity_std_mps**2
+        self.cov.flat[:: STATES + 1] += (
+            *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
+            *(new, new, 0.0, 0.0),
+        )
+
+    def correct_both(self, gain: FloatArray, white: FloatArray) -> None:
+        """Kalman's correction by two scalars at once: `gain` (states, 2) is the covariance with the
+        innovations, whitened, and `white` (2,) the innovations themselves, whitened."""
+        self.x += gain @ white
+        self.cov -= gain @ gain.T  # a matrix by its own transpose is exactly symmetric
+
+    def correct(self, row: FloatArray, innovation: float, noise: float) -> None:
+        """Kalman's correction by one scalar; `row` is its derivative by the state."""
+        gain = self.cov @ row
+        s = float(row @ gain) + noise
+        self.x += gain * (innovation / s)
+        self.cov -= np.multiply.outer(gain, gain) / s  # exactly symmetric, as the product commutes
+
+    def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago.
+
+        What is known is as old as the velocity is late: so much more is still to come.
+        """
+        p = self._params
+        memory_s = self.gust_memory_s
+        ahead_s = 0.5 * _WINDOW_S + p.latency_s
+        share = ahead_s / _WINDOW_S
+        rows = np.zeros((2, STATES))
+        rows[_PAIR, _MEAN] = share
+        rows[_PAIR, _LATELY] = 1.0 - share
+        rows[_PAIR, _GUST] = share * memory_s / ahead_s * (1.0 - math.exp(-ahead_s / memory_s))
+        variance = self.gust_variance_m2ps2
+        unforeseen = share**2 * variance * _mean_variance(ahead_s / memory_s)
+        lag = 0.25 * _LAG_MISFIT_S * 2.0 * variance / memory_s
+        walked = self.mean_walk_m2ps3 * (waited_s + ahead_s / 12.0)
+        blown = 2.0 * variance * (1.0 - math.exp(-waited_s / memory_s))
+        spread = unforeseen + lag + walked + blown + p.floor_std_mps**2
+        cov = rows @ self.cov @ rows.T
+        return rows @ self.x, 0.5 * (cov + cov.T) + spread * np.eye(2)
+
+    def open_wind(self, variance_m2ps2: float) -> None:
+        """Believe the wind less, for all that it may have been lately."""
+        for at in (0, 1):
+            for first in (At.MEAN, At.LATELY):
+                for second in (At.MEAN, At.LATELY):
+                    self.cov[first + at, second + at] += variance_m2ps2
+
+    def open_gain(self, variance: float) -> None:
+        """Believe less of the drag of both axes, which changed together."""
+        self.cov[At.LOG_GAIN : At.HEADING, At.LOG_GAIN : At.HEADING] += variance
+
+
+_WINDOW_S = 10.0
+_LAG_MISFIT_S = 0.075  # integral of (mean of 5 s less lag of 2.7 s)^2 over a random walk's past
+_PAIR = [0, 1]
+_MEAN = [At.MEAN, At.MEAN + 1]
+_GUST = [At.GUST, At.GUST + 1]
+_LATELY = [At.LATELY, At.LATELY + 1]
+_NOISE = [At.NOISE, At.NOISE + 1]
+_NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
+
+
+def _still() -> FloatArray:
+    """What moves nothing but the velocities' noise: the last becomes the one before."""
+    move = np.eye(STATES)
+    move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
+    move[_NOISE_BEFORE, _NOISE] = 1.0
+    return move
+
+
+_STILL = _still()
+# Where waiting puts its numbers: gusts keep, lately keeps, takes of the mean, takes of the gust.
+_MOVED = [
+    STATES * (row + axis) + column + axis
+    for row, column in (
+        (At.GUST, At.GUST),
+        (At.LATELY, At.LATELY),
+        (At.LATELY, At.MEAN),
+        (At.LATELY, At.GUST),
+    )
+    for axis in (0, 1)
+]
+
+
+def gust_length_m(height_m: float) -> float:
+    """Length of the eddies at a height above ground, L_u of MIL-F-8785C, 3.7.3.4, which holds from
+    10 to 1,000 feet: 35 m at 3 m, 150 m at 30 m."""
+    feet = min(max(height_m / 0.3048, 10.0), 1000.0)
+    return 0.3048 * feet / (0.177 + 0.000823 * feet) ** 1.2
+
+
+def _mean_variance(spans: float) -> float:
+    """Variance of the mean over `spans` memories of an Ornstein-Uhlenbeck process of variance 1
+    that starts at a known value: the double integral of exp(-|s - u|) - exp(-(s + u))."""
+    a, once, twice = spans, math.exp(-spans), math.exp(-2.0 * spans)
+    return 2.0 / a**2 * (a - (1.0 - once) - (1.0 - once) + 0.5 * (1.0 - twice))
+
+
+def _prior_cov(airframe: Airframe, p: WindEstimatorParams) -> FloatArray:
+    drag = airframe.drag
+    wind = p.prior_wind_std_mps**2
+    gust = (p.gust_frac * p.least_wind_mps) ** 2
+    trim = math.radians(drag.trim_std_deg) ** 2
+    common, own = drag.gain_std_frac**2, drag.axis_gain_std_frac**2
+    diagonal = [wind, wind, gust, gust, wind, wind, trim, trim, common + own, common + own]
+    diagonal += [p.prior_heading_std_rad**2, p.pitot_scale_std_frac**2, p.pitot_bias_std_mps**2]
+    diagonal += [p.velocity_std_mps**2] * 4
+    cov = np.diag(diagonal)
+    cov[At.LOG_GAIN, At.LOG_GAIN + 1] = cov[At.LOG_GAIN + 1, At.LOG_GAIN] = common
+    cov[_MEAN, _LATELY] = cov[_LATELY, _MEAN] = wind
+    return cov

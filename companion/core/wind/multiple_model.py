@@ -1,0 +1,76 @@
+"""Which air the vehicle is in: two hypotheses, weighed by what each foretold.
+
+A filter that learns how gusty it is needs some 20 s for it, and what it takes in the meantime for
+gusts it cannot learn trim and drag from: in calm air at 18 m/s it was 0.8 m/s off until the vehicle
+turned, where one that is told that it is calm is 0.3 off. So two filters see the same: one that
+begins in gusts as the parameters have them and learns, one that holds the air for calm. Each
+foretells every measurement, and how well is its likelihood; by Bayes that is its chance (Magill
+1965, a bank of filters), and what is believed is their mixture. Gusts tell on the calm one within
+seconds. Chances leak back by little, since weather changes.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.core.vehicle.airframe import Airframe
+from companion.core.wind.drag_update import TiltTold
+from companion.core.wind.ekf import FloatArray, WindEstimatorParams, WindState
+from companion.core.wind.turbulence import Turbulence
+
+CALM_RATIO = 0.02
+"""The gusts' variance in calm over the prior's: 0.06 m/s where the prior has 0.45."""
+CHANGES_AFTER_S = 1000.0
+"""[est] How long the air stays what it is."""
+NOISE_MEMORY_S = 10.0
+LEAST_NOISE = 0.05
+
+
+class Airs:
+    """The usual air and calm, each with a filter of its own, and the chance of calm."""
+
+    __slots__ = ("_noise", "chance_calm", "states")
+
+    def __init__(self, usual: WindState, calm: WindState, chance_calm: float = 0.5) -> None:
+        calm.turbulence = Turbulence(CALM_RATIO, is_held=True)
+        self.states = (usual, calm)
+        self.chance_calm = chance_calm
+        self._noise = 1.0
+
+    @classmethod
+    def unseen(cls, airframe: Airframe, params: WindEstimatorParams) -> "Airs":
+        """Before anything is seen."""
+        return cls(WindState(airframe, params), WindState(airframe, params))
+
+    @property
+    def likelier(self) -> WindState:
+        """The filter of the air that it more probably is."""
+        return self.states[self.chance_calm > 0.5]
+
+    def weigh(self, told: Sequence[TiltTold], sigmas: float, dt_s: float) -> None:
+        """Take what one measurement said to the usual filter and to the calm one, in this order.
+
+        Where readings are better, or worse, than their stated noise, that tells nothing of the air:
+        innovations are held against what the usual filter's have come to lately.
+        """
+        share = -math.expm1(-dt_s / NOISE_MEMORY_S)
+        self._noise += share * (min(told[0].surprise, sigmas**2) - self._noise)
+        noise = max(self._noise, LEAST_NOISE)
+        usual, calm = (one.log_density(sigmas, noise) for one in told)
+        odds = self.chance_calm / (1.0 - self.chance_calm) * math.exp(_held(calm - usual))
+        leak = -math.expm1(-dt_s / CHANGES_AFTER_S)
+        self.chance_calm = (1.0 - leak) * odds / (1.0 + odds) + 0.5 * leak
+
+    def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of the mixture, see `WindState.ten_second_mean`."""
+        (usual, usual_cov), (calm, calm_cov) = (s.ten_second_mean(waited_s) for s in self.states)
+        p = self.chance_calm
+        apart = calm - usual
+        cov = (1.0 - p) * usual_cov + p * calm_cov + p * (1.0 - p) * np.outer(apart, apart)
+        return usual + p * apart, cov
+
+
+def _held(log_ratio: float) -> float:
+    """One measurement may say so much and no more: what it says is Gaussian only near the mean."""
+    return min(max(log_ratio, -10.0), 10.0)

@@ -1,0 +1,99 @@
+"""How wind changes, as a process fitted to recordings: the strict `wind-process/1` schema.
+
+Each axis of the wind (its mean over about 10 s) is a level that stays plus a few independent
+Ornstein-Uhlenbeck processes, `dx = -x/T dt + noise`, each with its memory T and its stationary
+variance. The variances grow with the square of the mean wind, as turbulence does (Panofsky and
+Dutton 1984, ch. 6), between limits. Shipped files are in params/wind; `companion fit-wind` makes
+them.
+"""
+
+import math
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.base.errors import LeewayError, check_range
+
+FloatArray = NDArray[np.float64]
+
+MOST_PARTS = 4
+
+
+class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A `wind-process/1` file as read.
+
+    `memory_s` rises; `variance_m2ps2` belongs to a mean wind of `reference_wind_mps`, and is
+    scaled by the mean wind over it, held between `least_scale` and `most_scale`, squared.
+    `level_std_mps` is the prior of the level. `seen_noise_std_mps` is the part of an estimate's
+    error that is new each time, as the outlook takes estimates. `tail_dof` is of the Student-t
+    that changes of the wind are drawn from; absent: Gaussian.
+    """
+
+    format: Literal["wind-process/1"]
+    name: str
+    memory_s: tuple[float, ...]
+    variance_m2ps2: tuple[float, ...]
+    reference_wind_mps: float
+    least_scale: float
+    most_scale: float
+    level_std_mps: float
+    seen_noise_std_mps: float
+    tail_dof: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.memory_s) <= MOST_PARTS:
+            raise LeewayError(f"memory_s: {len(self.memory_s)} numbers: expected 1 to {MOST_PARTS}")
+        if len(self.variance_m2ps2) != len(self.memory_s):
+            raise LeewayError(
+                f"variance_m2ps2: {len(self.variance_m2ps2)} numbers:"
+                f" expected {len(self.memory_s)}, one for each of memory_s"
+            )
+        for memory in self.memory_s:
+            check_range("memory_s", memory, 1.0, 100_000.0)
+        if any(b <= a for a, b in zip(self.memory_s, self.memory_s[1:], strict=False)):
+            raise LeewayError("memory_s: expected rising numbers")
+        for variance in self.variance_m2ps2:
+            check_range("variance_m2ps2", variance, 0.0, 100.0)
+        check_range("reference_wind_mps", self.reference_wind_mps, 0.5, 50.0)
+        check_range("least_scale", self.least_scale, 0.05, 1.0)
+        check_range("most_scale", self.most_scale, 1.0, 10.0)
+        check_range("level_std_mps", self.level_std_mps, 1.0, 50.0)
+        check_range("seen_noise_std_mps", self.seen_noise_std_mps, 0.01, 5.0)
+        if self.tail_dof is not None:
+            check_range("tail_dof", self.tail_dof, 3.0, 1000.0)
+
+    def variance_scale(self, wind_mps: float) -> float:
+        """Variances at this mean wind over those at the reference wind."""
+        return min(max(wind_mps / self.reference_wind_mps, self.least_scale), self.most_scale) ** 2
+
+    def mean_squared_change_m2ps2(self, lag_s: FloatArray, averaged_s: float) -> FloatArray:
+        """E[(w(t + lag) - w(t))^2] of one axis, of means over `averaged_s`, reference wind."""
+        lag = np.asarray(lag_s, float)[..., None]
+        memory, variance = np.array(self.memory_s), np.array(self.variance_m2ps2)
+        share = averaged_share(memory, averaged_s)
+        return 2.0 * np.sum(share * variance * -np.expm1(-lag / memory), axis=-1)
+
+
+def averaged_share(memory_s: FloatArray, averaged_s: float) -> FloatArray:
+    """What a mean over `averaged_s` leaves of the variance of each process.
+
+    Var of the mean of an Ornstein-Uhlenbeck process, 2 (T/S) (1 - (T/S) (1 - exp(-S/T)))
+    (Taylor 1921 for its exponential autocorrelation).
+    """
+    ratio = np.asarray(memory_s, float) / averaged_s
+    return 2.0 * ratio * (1.0 + ratio * np.expm1(-1.0 / ratio))
+
+
+def wind_process_from_dict(table: dict[str, object], where: str) -> WindProcessParams:
+    """Check a parsed TOML table against `wind-process/1`; LeewayError names file and key."""
+    try:
+        return msgspec.convert(table, WindProcessParams)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{where}: {error}") from error
+
+
+def speed_mps(wind_ne_mps: FloatArray) -> float:
+    """Length of a wind vector."""
+    return math.hypot(float(wind_ne_mps[0]), float(wind_ne_mps[1]))

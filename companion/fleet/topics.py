@@ -1,0 +1,82 @@
+"""The key space on zenoh, written down once (docs/dispatch.md draws it).
+
+leeway/FLEET/vehicle/ID/alive/LIFE   liveliness token of one life of a companion
+leeway/FLEET/vehicle/ID/state        published about once a second; asked for, the newest
+leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
+leeway/FLEET/vehicle/ID/track        published five times a second in the air; heard by all vehicles
+leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
+"""
+
+import re
+from dataclasses import dataclass
+
+from companion.core.base.errors import LeewayError
+
+ROOT = "leeway"
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+
+
+def checked_name(what: str, name: str) -> str:
+    """A fleet's or vehicle's name, or LeewayError: none of it may mean anything to zenoh."""
+    if NAME.fullmatch(name) is None:
+        raise LeewayError(
+            f"{what} {name!r}: expected 1 to 32 small letters, digits, - or _, the first not - or _"
+        )
+    return name
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleKeys:
+    """The keys of one vehicle, or (`vehicle="*"`) those of all of a fleet."""
+
+    fleet: str
+    vehicle: str
+
+    def __post_init__(self) -> None:
+        checked_name("fleet", self.fleet)
+        if self.vehicle != "*":
+            checked_name("vehicle", self.vehicle)
+
+    def alive(self, life: str = "*") -> str:
+        """Where one life of the companion (a start of its process) holds its token."""
+        return f"{self._base}/alive/{life}"
+
+    @property
+    def state(self) -> str:
+        return f"{self._base}/state"
+
+    @property
+    def event(self) -> str:
+        return f"{self._base}/event"
+
+    @property
+    def track(self) -> str:
+        return f"{self._base}/track"
+
+    @property
+    def tracks(self) -> str:
+        """Those of the whole fleet."""
+        return VehicleKeys(self.fleet, "*").track
+
+    @property
+    def command(self) -> str:
+        return f"{self._base}/command"
+
+    @property
+    def _base(self) -> str:
+        return f"{ROOT}/{self.fleet}/vehicle/{self.vehicle}"
+
+
+def life_of(key: str) -> tuple[str, str] | None:
+    """(vehicle, life) of an `alive` key; `None` for any other."""
+    parts = key.split("/")
+    if len(parts) != 6 or parts[0] != ROOT or (parts[2], parts[4]) != ("vehicle", "alive"):
+        return None
+    return (parts[3], parts[5]) if NAME.fullmatch(parts[3]) else None
+
+
+def vehicle_of(key: str) -> str | None:
+    """The vehicle that a key belongs to; `None` where it is none of ours."""
+    parts = key.split("/")
+    ours = len(parts) >= 5 and parts[0] == ROOT and parts[2] == "vehicle"
+    return parts[3] if ours and NAME.fullmatch(parts[3]) else None

@@ -1,0 +1,208 @@
+"""A vehicle on zenoh: what is asked of it waits in one queue, what it says leaves by one thread.
+
+The flight never waits for zenoh: the session is opened in the background, and again until it opens;
+what cannot leave is dropped, the oldest first, because states are repeated and events are kept
+(event_log.py) until somebody asks for them.
+"""
+
+import os
+import queue
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import zenoh
+
+from companion.core.base.errors import LeewayError
+from companion.fleet.network import Ask, Asked
+from companion.fleet.topics import VehicleKeys, life_of
+
+OPEN_AGAIN_S = 5.0
+WAITING = 256
+LEAVING = 4096
+TRACKS = 256
+"""Two seconds of 25 neighbours; the oldest go first."""
+AFTER = "after"
+
+
+def read_config(path: Path | None) -> zenoh.Config:
+    """A zenoh configuration file (JSON5), or zenoh's default: a peer, found by multicast.
+
+    Raises LeewayError naming the file.
+    """
+    if path is None:
+        return zenoh.Config()
+    try:
+        return zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise LeewayError(f"{path}: not a zenoh configuration: {error}") from error
+
+
+class ZenohLink:
+    """One life of one companion. `wake` is called from zenoh's threads: something waits."""
+
+    def __init__(
+        self, config: zenoh.Config, keys: VehicleKeys, life: str, wake: Callable[[], None]
+    ) -> None:
+        self._config = config
+        self._keys = keys
+        self._life = life
+        self._wake = wake
+        self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
+        self._tracks: deque[bytes] = deque(maxlen=TRACKS)
+        self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
+        self._stop = threading.Event()
+        self._session: zenoh.Session | None = None
+        self._held: tuple[Any, ...] = ()
+        self._state = b""
+        self.trouble = "not open yet"
+        self._thread = threading.Thread(target=self._run, name="zenoh-writer", daemon=True)
+        self._thread.start()
+
+    # --- in ------------------------------------------------------------------------------------
+
+    def asked(self) -> list[Asked]:
+        """Everything that waits."""
+        found: list[Asked] = []
+        while True:
+            try:
+                found.append(self._asked.get_nowait())
+            except queue.Empty:
+                return found
+
+    def be_woken(self, wake: Callable[[], None]) -> None:
+        """Who waits now, and is to be woken."""
+        self._wake = wake
+
+    def _hear_command(self, query: zenoh.Query) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        answer = self._answer(query, self._keys.command)
+        self._put(Asked(Ask.COMMAND, answer, payload))
+
+    def _hear_events_wanted(self, query: zenoh.Query) -> None:
+        after = query.parameters.get(AFTER) or "0"
+        answer = self._answer(query, self._keys.event)
+        self._put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
+
+    def _hear_state_wanted(self, query: zenoh.Query) -> None:
+        if self._state:
+            self._answer(query, self._keys.state)([self._state])
+
+    def _hear_alive(self, sample: zenoh.Sample) -> None:
+        seen = life_of(str(sample.key_expr))
+        if sample.kind == zenoh.SampleKind.PUT and seen is not None and seen[1] != self._life:
+            self._put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
+
+    def tracks(self) -> list[bytes]:
+        """What neighbours told since the last call."""
+        found: list[bytes] = []
+        while self._tracks:
+            found.append(self._tracks.popleft())
+        return found
+
+    def _hear_track(self, sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) != self._keys.track:
+            self._tracks.append(sample.payload.to_bytes())
+
+    def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
+        def answer(replies: list[bytes]) -> None:
+            def send() -> None:
+                for raw in replies:
+                    query.reply(key, raw)
+                query.drop()
+
+            self._leave(send)
+
+        return answer
+
+    def _put(self, asked: Asked) -> None:
+        try:
+            self._asked.put_nowait(asked)
+        except queue.Full:
+            return  # unanswered, so it is asked again
+        self._wake()
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def publish_state(self, raw: bytes) -> None:
+        """Tell the newest state; who asks later gets it too."""
+        self._state = raw
+        self._leave(lambda: self._publish(self._keys.state, raw))
+
+    def publish_event(self, raw: bytes) -> None:
+        """Tell an event, if anybody listens."""
+        self._leave(lambda: self._publish(self._keys.event, raw))
+
+    def publish_track(self, raw: bytes) -> None:
+        """Tell the neighbours where we are; never waits behind anything that is worth keeping."""
+        if self._leaving.qsize() < TRACKS:
+            self._leave(lambda: self._publish(self._keys.track, raw))
+
+    def _publish(self, key: str, raw: bytes) -> None:
+        if self._session is not None:
+            self._session.put(key, raw, express=True)
+
+    def _leave(self, send: Callable[[], Any]) -> None:
+        while True:
+            try:
+                return self._leaving.put_nowait(send)
+            except queue.Full:
+                try:
+                    self._leaving.get_nowait()
+                except queue.Empty:
+                    continue
+
+    def close(self) -> None:
+        """Say what is left to say, and leave; the token goes with the session."""
+        self._stop.set()
+        self._leave(lambda: None)
+        self._thread.join(timeout=5.0)
+
+    # --- the thread ----------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                session = zenoh.open(self._config)
+            except zenoh.ZError as error:
+                self.trouble = str(error)
+                self._stop.wait(OPEN_AGAIN_S)
+                continue
+            with session:
+                self._serve(session)
+        self._session = None
+
+    def _serve(self, session: zenoh.Session) -> None:
+        keys = self._keys
+        liveliness = session.liveliness()
+        held = (  # a declaration that nobody holds is undeclared
+            session.declare_queryable(keys.command, self._hear_command),
+            session.declare_queryable(keys.event, self._hear_events_wanted),
+            session.declare_queryable(keys.state, self._hear_state_wanted),
+            liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
+            session.declare_subscriber(keys.tracks, self._hear_track),
+            liveliness.declare_token(keys.alive(self._life)),
+        )
+        self._session, self._held, self.trouble = session, held, ""
+        while not (self._stop.is_set() and self._leaving.empty()):
+            send = self._leaving.get()
+            try:
+                if send is not None:
+                    send()
+            except zenoh.ZError as error:
+                self.trouble = str(error)
+
+
+def leave_process(code: int) -> NoReturn:
+    """End a process that was on zenoh, once everything of ours is closed.
+
+    Threads of zenoh's runtime may still want Python's lock to drop a callback; one that gets there
+    while the interpreter shuts down aborts the process ("FATAL: exception not rethrown", seen once
+    in twenty exits), and a clean stop would look like a crash to systemd.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -1,0 +1,121 @@
+"""A database by its URL: SQLite (WAL) or PostgreSQL; its transactions, its errors in words."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.store import tables
+
+BUSY_MS = 10_000
+"""How long one desk waits for another's transaction; they take milliseconds."""
+
+SCHEMA_LOCK = 0x4C454557
+"""PostgreSQL's advisory lock under which desks that start together make the tables once."""
+
+
+class StoreError(LeewayError):
+    """The store could not do it: nothing of it was written."""
+
+
+class Database:
+    """Transactions on the store's tables, which it makes where they are not there yet."""
+
+    def __init__(self, url: str) -> None:
+        """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError."""
+        self.shown = url
+        try:
+            self._engine = _engine(url, "FULL")
+            self._unsettled = _engine(url, "NORMAL")
+            self.shown = self._engine.url.render_as_string(hide_password=True)
+        except (ArgumentError, NoSuchModuleError) as error:
+            raise StoreError(
+                f"store {url!r}: expected sqlite:///FILE or postgresql://... ({error})"
+            ) from error
+        with self.write() as db:
+            if self._engine.dialect.name == "postgresql":
+                db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
+            tables.metadata.create_all(db)
+            self._check_schema(db)
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._engine.dispose()
+        self._unsettled.dispose()
+
+    @contextmanager
+    def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
+        """A transaction: on the disk when it ends well, undone when it does not.
+
+        Without `settle` it outlives this process, but not a power cut before the next that does
+        settle: for what would be heard again.
+        """
+        engine = self._engine if settle else self._unsettled
+        with self._translated("written"), engine.begin() as db:
+            if not settle and engine.dialect.name == "postgresql":
+                db.exec_driver_sql("SET LOCAL synchronous_commit TO off")
+            yield db
+
+    @contextmanager
+    def read(self) -> Iterator[sa.Connection]:
+        """One consistent look; waits for nobody in SQLite."""
+        with self._translated("read"), self._engine.connect() as db:
+            yield db.execution_options(reading=True)
+
+    @contextmanager
+    def _translated(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except IntegrityError:
+            raise
+        except DBAPIError as error:
+            words = " ".join(str(error.orig).split())
+            raise StoreError(f"store {self.shown}: nothing {what}: {words}") from error
+
+    def _check_schema(self, db: sa.Connection) -> None:
+        about = tables.about
+        found = db.execute(
+            sa.select(about.c.value).where(about.c.name == "schema")
+        ).scalar_one_or_none()
+        if found is None:
+            db.execute(sa.insert(about).values(name="schema", value=str(tables.SCHEMA)))
+        elif found != str(tables.SCHEMA):
+            raise StoreError(f"store {self.shown}: schema {found}, expected {tables.SCHEMA}")
+
+
+def _engine(url: str, synchronous: str) -> sa.Engine:
+    parsed = sa.make_url(url)
+    if parsed.drivername in ("postgresql", "postgres"):
+        parsed = parsed.set(drivername="postgresql+psycopg")
+    kind = parsed.drivername.partition("+")[0]
+    if kind not in ("sqlite", "postgresql"):
+        raise ArgumentError(f"unknown kind {kind}")
+    engine = sa.create_engine(parsed, pool_pre_ping=kind == "postgresql")
+    if kind == "sqlite":
+        event.listen(engine, "connect", partial(_prepare_sqlite, synchronous))
+        event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(synchronous: str, raw: Any, record: Any) -> None:
+    raw.isolation_level = None  # transactions are begun by us, see `_begin_sqlite`
+    cursor = raw.cursor()
+    for pragma in (
+        f"busy_timeout = {BUSY_MS}",
+        "journal_mode = WAL",
+        f"synchronous = {synchronous}",  # FULL: an acknowledged order outlives a power cut
+        "foreign_keys = ON",
+    ):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin_sqlite(db: sa.Connection) -> None:
+    """Writers take the lock at once: a transaction never finds out half way that it lost."""
+    reading = db.get_execution_options().get("reading", False)
+    db.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")

@@ -1,0 +1,91 @@
+"""Steps of the transactions of a truck's day: each is given the one that it is a part of."""
+
+from typing import Any
+
+import msgspec
+import sqlalchemy as sa
+
+from companion.core.base.place import Place
+from companion.fleet.messages import Answered, Deed, Drive
+from ground_station.adapters.store import order_rows as rows
+from ground_station.adapters.store import tables as t
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.sortie_rows import SortieRow
+
+
+def lock(db: sa.Connection) -> None:
+    """Where the truck goes and what is promised: one transaction at a time (PostgreSQL)."""
+    db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
+
+
+def drives(db: sa.Connection) -> list[tuple[Drive, Answered | None]]:
+    """What the truck was told and has not refused, oldest first."""
+    query = sa.select(t.commands.c.deed, t.commands.c.answer).where(t.commands.c.id.like("drive-%"))
+    found: list[tuple[Drive, Answered | None]] = []
+    for row in db.execute(query.order_by(t.commands.c.n)):
+        deed = msgspec.json.decode(row.deed, type=Deed)
+        answer = None if row.answer is None else Answered(row.answer)
+        if isinstance(deed, Drive) and answer is not Answered.REFUSED:
+            found.append((deed, answer))
+    return found
+
+
+def last_drive(db: sa.Connection) -> str | None:
+    """The stop that the truck was last told to drive to."""
+    told = drives(db)
+    return told[-1][0].stop if told else None
+
+
+def bound(db: sa.Connection) -> list[SortieRow]:
+    """Every flight, for what it binds the truck to."""
+    query = sa.select(t.assignments, t.sorties).join(
+        t.sorties, t.sorties.c.assignment == t.assignments.c.id
+    )
+    return [sortie_row(row, ()) for row in db.execute(query)]
+
+
+def serving(db: sa.Connection) -> bool:
+    """Whether the driver has an order in hand."""
+    query = sa.select(sa.func.count()).where(
+        t.assignments.c.vehicle == TRUCK,
+        t.assignments.c.state.in_([state.value for state in rows.IN_FORCE]),
+    )
+    return db.execute(query).scalar_one() > 0
+
+
+def launching(db: sa.Connection, assignment: str) -> bool:
+    """Whether a launch of it waits for its answer."""
+    waiting = sa.select(sa.func.count()).where(
+        t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
+        t.commands.c.answer.is_(None),
+    )
+    return db.execute(waiting).scalar_one() > 0
+
+
+def held(db: sa.Connection, assignment: str) -> bool:
+    """Whether its mission is still held back."""
+    query = sa.select(t.commands.c.held).where(t.commands.c.id == f"{assignment}:assign")
+    return bool(db.execute(query).scalar_one_or_none())
+
+
+def sortie_row(row: Any, answers: Any) -> SortieRow:
+    """A flight as the core knows it, with what was answered about it."""
+    launches = [a.answer for a in answers if a.id.startswith(f"{row.id}:launch")]
+    return SortieRow(
+        row=rows.assignment_row(row),
+        sortie=msgspec.json.decode(row.content, type=PlannedSortie),
+        pads=msgspec.json.decode(row.pads, type=dict[str, Place]),
+        promised=row.promised,
+        asked=row.asked,
+        placed=row.placed,
+        recovered=row.recovered,
+        away=row.away,
+        lapsed=row.lapsed,
+        launched_us=row.launched_us,
+        landed_us=row.landed_us,
+        used_wh=row.used_wh,
+        launching=any(answer is None for answer in launches),
+        refused=sum(answer == Answered.REFUSED.value for answer in launches),
+        recovering=any(a.id == f"{row.id}:recover" for a in answers),
+    )

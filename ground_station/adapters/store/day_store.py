@@ -1,0 +1,351 @@
+"""What binds a day with a truck, in the store: the plan in force, promises, the truck's orders.
+
+Each method is one transaction, as in `store.py`. What the truck may not do (leave a stop that it
+has promised) is looked at in the very transaction that would order it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+
+from companion.core.base.place import Place
+from companion.fleet.messages import (
+    Assign,
+    Deed,
+    Drive,
+    MoveHome,
+    PutOut,
+    Recover,
+    Serve,
+    Withdraw,
+)
+from ground_station.adapters.store import day_rows as steps
+from ground_station.adapters.store import order_rows as rows
+from ground_station.adapters.store import tables as t
+from ground_station.adapters.store.database import Database
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
+from ground_station.core.schema.orders import AssignmentState
+from ground_station.core.schema.sortie_rows import SortieRow, Visit
+
+BEGAN = "day_began_us"
+
+
+class DayStore:
+    """One desk's door to the truck's day."""
+
+    def __init__(self, database: Database, epoch_us: Callable[[], int]) -> None:
+        self._database = database
+        self._now = epoch_us
+
+    # --- the plan ------------------------------------------------------------------------------
+
+    def plan(self) -> DayPlan | None:
+        """The plan in force: that of the highest revision."""
+        query = sa.select(t.plans.c.content).order_by(t.plans.c.revision.desc()).limit(1)
+        with self._database.read() as db:
+            found = db.execute(query).scalar_one_or_none()
+        return None if found is None else msgspec.json.decode(found, type=DayPlan)
+
+    def plan_made_us(self) -> int:
+        """When the plan in force was put in force; 0: there is none."""
+        with self._database.read() as db:
+            return db.execute(sa.select(sa.func.max(t.plans.c.made_us))).scalar() or 0
+
+    def plans(self) -> list[tuple[DayPlan, str]]:
+        """Every plan that was ever in force, and why it was made."""
+        query = sa.select(t.plans.c.content, t.plans.c.why).order_by(t.plans.c.revision)
+        with self._database.read() as db:
+            found = db.execute(query).all()
+        return [(msgspec.json.decode(row.content, type=DayPlan), row.why) for row in found]
+
+    def take_plan(self, plan: DayPlan, why: str, wind: Forecast | None = None) -> bool:
+        """Put a plan in force; False where there is one of this revision already."""
+        try:
+            with self._database.write() as db:
+                db.execute(
+                    sa.insert(t.plans).values(
+                        revision=plan.revision,
+                        content=msgspec.json.encode(plan).decode(),
+                        why=why,
+                        wind=None if wind is None else msgspec.json.encode(wind).decode(),
+                        made_us=self._now(),
+                    )
+                )
+        except IntegrityError:
+            return False
+        return True
+
+    def wind(self) -> Forecast | None:
+        """The wind that was measured and planned with last; None: the day's forecast."""
+        query = sa.select(t.plans.c.wind).where(t.plans.c.wind.is_not(None))
+        with self._database.read() as db:
+            found = db.execute(query.order_by(t.plans.c.revision.desc()).limit(1)).scalar()
+        return None if found is None else msgspec.json.decode(found, type=Forecast)
+
+    def began_us(self) -> int | None:
+        """When the day began, by the desk's wall clock."""
+        query = sa.select(t.about.c.value).where(t.about.c.name == BEGAN)
+        with self._database.read() as db:
+            found = db.execute(query).scalar_one_or_none()
+        return None if found is None else int(found)
+
+    def begin(self) -> int:
+        """The day begins, where it has not; returns when it did."""
+        try:
+            with self._database.write() as db:
+                db.execute(sa.insert(t.about).values(name=BEGAN, value=str(self._now())))
+        except IntegrityError:
+            pass
+        began = self.began_us()
+        assert began is not None
+        return began
+
+    def newest_us(self) -> int | None:
+        """The newest stamp of the day: the day's time does not go back behind it."""
+        stamps = (
+            t.visits.c.arrived_us, t.visits.c.left_us, t.sorties.c.launched_us,
+            t.sorties.c.landed_us, t.plans.c.made_us,
+        )  # fmt: skip
+        with self._database.read() as db:
+            found = [db.execute(sa.select(sa.func.max(stamp))).scalar() for stamp in stamps]
+        return max((stamp for stamp in found if stamp is not None), default=None)
+
+    # --- flights -------------------------------------------------------------------------------
+
+    def assign(
+        self,
+        sortie: PlannedSortie,
+        pads: dict[str, Place],
+        flight_of: Callable[[str], dict[str, Any]],
+        obstacles: Any,
+        by: str,
+    ) -> str | None:
+        """Promise a flight its home, tell the driver to put its drone out, and hold its mission
+        back until that has been done. `flight_of(assignment)` makes the `flight/1` table.
+
+        None: the order is not open, the drone not free, or the truck not at the launch stop.
+        """
+        try:
+            with self._database.write() as db:
+                steps.lock(db)
+                last = steps.last_drive(db)
+                if last is not None and last != sortie.launch:
+                    return None
+                id_ = rows.order_taken(db, sortie.order)
+                if id_ is None:
+                    return None
+                rows.make_assignment(db, self._now(), id_, sortie.order, sortie.vehicle)
+                self._note_sortie(db, id_, sortie, pads)
+                self._put_sortie_out(db, id_, sortie, pads, flight_of(id_), obstacles, by)
+        except IntegrityError:  # the drone has another assignment in force
+            return None
+        return id_
+
+    def _note_sortie(
+        self, db: sa.Connection, id_: str, sortie: PlannedSortie, pads: dict[str, Place]
+    ) -> None:
+        db.execute(
+            sa.insert(t.sorties).values(
+                assignment=id_,
+                content=msgspec.json.encode(sortie).decode(),
+                pads=msgspec.json.encode(pads).decode(),
+                promised=sortie.home,
+            )
+        )
+
+    def _put_sortie_out(
+        self,
+        db: sa.Connection,
+        id_: str,
+        sortie: PlannedSortie,
+        pads: dict[str, Place],
+        flight: dict[str, Any],
+        obstacles: Any,
+        by: str,
+    ) -> None:
+        pad = pads[sortie.launch]
+        out = PutOut(
+            assignment=id_,
+            order=sortie.order,
+            vehicle=sortie.vehicle,
+            lat_deg=pad.lat_deg or 0.0,
+            lon_deg=pad.lon_deg or 0.0,
+        )
+        self._put_out(db, f"{id_}:put_out", TRUCK, id_, out, by)
+        deed = Assign(assignment=id_, order=sortie.order, flight=flight, obstacles=obstacles)
+        self._put_out(db, f"{id_}:assign", sortie.vehicle, id_, deed, by, held=True)
+
+    def release(self, assignment: str) -> bool:
+        """Its drone stands on its pad: send the mission. False where it was, or is void."""
+        with self._database.write() as db:
+            done = db.execute(
+                sa.update(t.commands)
+                .where(
+                    t.commands.c.id == f"{assignment}:assign",
+                    t.commands.c.held.is_(True),
+                    t.commands.c.answer.is_(None),
+                )
+                .values(held=False)
+            )
+        return done.rowcount == 1
+
+    def withdraw(self, assignment: str, by: str, why: str) -> bool:
+        """Take back a flight that has not been launched; False where it cannot be any more."""
+        states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
+        with self._database.write() as db:
+            row = rows.in_state(db, assignment, states)
+            if row is None or steps.launching(db, assignment):
+                return False
+            if steps.held(db, assignment):  # its companion has never heard of it
+                state = AssignmentState.WITHDRAWN
+                rows.end_assignment(db, self._now(), row, state, False, why)
+            else:
+                rows.set_state(db, assignment, AssignmentState.WITHDRAWING, why)
+                deed = Withdraw(assignment=assignment)
+                self._put_out(db, f"{assignment}:withdraw", row.vehicle, assignment, deed, by)
+            self._put_out(
+                db, f"{assignment}:unput", TRUCK, None, Withdraw(assignment=assignment), by
+            )
+        return True
+
+    def recover(self, assignment: str, pad: Place, by: str) -> bool:
+        """Tell the driver to take a drone aboard; False where that was told."""
+        with self._database.write() as db:
+            row = db.execute(
+                sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
+            ).one()
+            deed = Recover(
+                assignment=assignment,
+                vehicle=row.vehicle,
+                parcel=rows.parcel_missed(db, assignment),
+                lat_deg=pad.lat_deg or 0.0,
+                lon_deg=pad.lon_deg or 0.0,
+            )
+            there = sa.select(t.commands.c.n).where(t.commands.c.id == f"{assignment}:recover")
+            if db.execute(there).one_or_none() is not None:
+                return False
+            self._put_out(db, f"{assignment}:recover", TRUCK, None, deed, by)
+        return True
+
+    def ask_home(self, assignment: str, stop: str, by: str) -> bool:
+        """Ask a flight to end at another stop; both bind until it has said where it ends."""
+        here = t.sorties.c.assignment == assignment
+        with self._database.write() as db:
+            steps.lock(db)
+            row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
+            sortie = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
+            last = steps.last_drive(db)
+            if row is None or sortie is None or sortie.asked or (last and last != stop):
+                return False
+            number = rows.count_commands(db, f"{assignment}:home") + 1
+            deed = MoveHome(assignment=assignment, home=stop)
+            self._put_out(db, f"{assignment}:home{number}", row.vehicle, assignment, deed, by)
+            db.execute(sa.update(t.sorties).where(here).values(asked=stop))
+        return True
+
+    def home_is(self, assignment: str, stop: str) -> bool:
+        """A flight has said that it ends at the stop that it was asked for: the old promise is
+        void.
+        """
+        with self._database.write() as db:
+            done = db.execute(
+                sa.update(t.sorties)
+                .where(t.sorties.c.assignment == assignment, t.sorties.c.asked == stop)
+                .values(promised=stop, asked=None)
+            )
+        return done.rowcount == 1
+
+    def note(self, assignment: str, **facts: bool | float) -> None:
+        """`away` or `lapsed`: nothing waits for it any more; `used_wh`: what it used."""
+        with self._database.write() as db:
+            here = t.sorties.c.assignment == assignment
+            db.execute(sa.update(t.sorties).where(here).values(**facts))
+
+    def sorties(self) -> list[SortieRow]:
+        """Every flight from the truck, as they were assigned."""
+        query = (
+            sa.select(t.assignments, t.sorties)
+            .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
+            .order_by(t.assignments.c.n)
+        )
+        told = sa.select(t.commands.c.id, t.commands.c.answer).where(
+            sa.or_(t.commands.c.id.like("%:launch%"), t.commands.c.id.like("%:recover"))
+        )
+        with self._database.read() as db:
+            found = db.execute(query).all()
+            answers = db.execute(told).all()
+        return [steps.sortie_row(row, answers) for row in found]
+
+    # --- the truck -----------------------------------------------------------------------------
+
+    def serve(self, order_id: str, by: str) -> str | None:
+        """Give an open order to the driver; None where it is not open."""
+        with self._database.write() as db:
+            id_ = rows.order_taken(db, order_id)
+            if id_ is None:
+                return None
+            rows.make_assignment(db, self._now(), id_, order_id, TRUCK)
+            deed = Serve(assignment=id_, order=order_id)
+            self._put_out(db, f"{id_}:serve", TRUCK, id_, deed, by)
+        return id_
+
+    def drive(self, here: str, stop: PlannedStop, by: str) -> bool:
+        """Order the truck from `here` to its next stop; False where something binds it to here,
+        or it has been told already.
+        """
+        with self._database.write() as db:
+            steps.lock(db)
+            told = steps.drives(db)
+            if told and (told[-1][1] is None or told[-1][0].stop != here):
+                return False
+            if any(row.binds(here) for row in steps.bound(db)) or steps.serving(db):
+                return False
+            deed = Drive(
+                stop=stop.id,
+                lat_deg=stop.place.lat_deg or 0.0,
+                lon_deg=stop.place.lon_deg or 0.0,
+            )
+            number = rows.count_commands(db, "drive-") + 1
+            self._put_out(db, f"drive-{number}", TRUCK, None, deed, by)
+        return True
+
+    def told(self) -> str | None:
+        """The stop that the truck was last told to drive to; None: it never was."""
+        with self._database.read() as db:
+            return steps.last_drive(db)
+
+    def truck_is(self, stop: str | None) -> None:
+        """The truck stands at this stop, and has left all others; None: it drives."""
+        with self._database.write() as db:
+            visits = t.visits
+            there = db.execute(sa.select(visits).where(visits.c.stop == stop)).one_or_none()
+            if stop is not None and there is None:
+                db.execute(sa.insert(visits).values(stop=stop, arrived_us=self._now()))
+            others = (visits.c.left_us.is_(None), visits.c.stop != (stop or ""))
+            db.execute(sa.update(visits).where(*others).values(left_us=self._now()))
+
+    def visits(self) -> list[Visit]:
+        """Where the truck has been, in order."""
+        with self._database.read() as db:
+            found = db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us)).all()
+        return [Visit(row.stop, row.arrived_us, row.left_us) for row in found]
+
+    # --- inside a transaction ------------------------------------------------------------------
+
+    def _put_out(
+        self,
+        db: sa.Connection,
+        id_: str,
+        vehicle: str,
+        assignment: str | None,
+        deed: Deed,
+        by: str,
+        *,
+        held: bool = False,
+    ) -> None:
+        rows.put_out(db, self._now(), id_, vehicle, assignment, deed, by, held=held)

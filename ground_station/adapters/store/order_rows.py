@@ -1,0 +1,284 @@
+"""Steps of the store's transactions: each is given the transaction that it is a part of."""
+
+from typing import Any
+
+import msgspec
+import sqlalchemy as sa
+
+from companion.fleet.messages import (
+    Answered,
+    Assign,
+    Deed,
+    EventKind,
+    FleetEvent,
+    Launch,
+    MoveHome,
+    PutOut,
+    Serve,
+    Withdraw,
+)
+from ground_station.adapters.store import tables as t
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.orders import (
+    IN_FORCE,
+    AssignmentRow,
+    AssignmentState,
+    CommandRow,
+    OrderState,
+    assignment_id,
+    ends_as,
+    order_after,
+)
+
+
+def order_taken(db: sa.Connection, order_id: str) -> str | None:
+    """Take an open order; returns the id of the assignment that is to be made, None: not open."""
+    taken = db.execute(
+        sa.update(t.orders)
+        .where(t.orders.c.id == order_id, t.orders.c.state == OrderState.OPEN.value)
+        .values(state=OrderState.ASSIGNED.value, attempts=t.orders.c.attempts + 1, why="")
+    )
+    if taken.rowcount != 1:
+        return None
+    attempt = db.execute(
+        sa.select(sa.func.count()).where(t.assignments.c.order_id == order_id)
+    ).scalar_one()
+    return assignment_id(order_id, attempt + 1)
+
+
+def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, vehicle: str) -> None:
+    """Note who is to bring what. IntegrityError: the drone has another in force."""
+    db.execute(
+        sa.insert(t.assignments).values(
+            id=id_,
+            order_id=order_id,
+            vehicle=vehicle,
+            state=AssignmentState.ORDERED.value,
+            delivered=False,
+            why="",
+            made_us=now_us,
+        )
+    )
+
+
+def put_out(
+    db: sa.Connection,
+    now_us: int,
+    id_: str,
+    vehicle: str,
+    assignment: str | None,
+    deed: Deed,
+    by: str,
+    *,
+    held: bool = False,
+) -> None:
+    """Put a command into the outbox; `held`: not to be sent before it is released."""
+    db.execute(
+        sa.insert(t.commands).values(
+            id=id_,
+            vehicle=vehicle,
+            assignment=assignment,
+            deed=msgspec.json.encode(deed),
+            said_by=by,
+            held=held,
+            reason="",
+            made_us=now_us,
+        )
+    )
+
+
+def in_state(
+    db: sa.Connection, id_: str, states: tuple[AssignmentState, ...]
+) -> AssignmentRow | None:
+    """The assignment, locked until the transaction ends, where it is in one of these states."""
+    row = db.execute(
+        sa.select(t.assignments)
+        .where(
+            t.assignments.c.id == id_,
+            t.assignments.c.state.in_([state.value for state in states]),
+        )
+        .with_for_update()
+    ).one_or_none()
+    return None if row is None else assignment_row(row)
+
+
+def set_state(db: sa.Connection, id_: str, state: AssignmentState, why: str) -> None:
+    """Move an assignment on."""
+    db.execute(
+        sa.update(t.assignments).where(t.assignments.c.id == id_).values(state=state.value, why=why)
+    )
+
+
+def unanswered(db: sa.Connection, assignment: str) -> bool:
+    """Tell whether a command about an assignment waits for its answer."""
+    waiting = sa.select(sa.func.count()).where(
+        t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
+    )
+    return db.execute(waiting).scalar_one() > 0
+
+
+def count_commands(db: sa.Connection, prefix: str) -> int:
+    """How many commands have an id that begins so."""
+    asked = sa.select(sa.func.count()).where(t.commands.c.id.startswith(prefix, autoescape=True))
+    return db.execute(asked).scalar_one()
+
+
+def end_assignment(
+    db: sa.Connection,
+    now_us: int,
+    row: AssignmentRow,
+    state: AssignmentState,
+    delivered: bool,
+    why: str,
+    *,
+    unproven: bool = False,
+) -> None:
+    """An assignment is over: what becomes of its order, and what was still to be said is void."""
+    db.execute(
+        sa.update(t.assignments)
+        .where(t.assignments.c.id == row.id)
+        .values(state=state.value, delivered=delivered, why=why, ended_us=now_us)
+    )
+    db.execute(
+        sa.update(t.commands)
+        .where(t.commands.c.assignment == row.id, t.commands.c.answer.is_(None))
+        .values(answer=Answered.REFUSED.value, reason="the assignment is over")
+    )
+    db.execute(
+        sa.update(t.sorties).where(t.sorties.c.assignment == row.id).values(landed_us=now_us)
+    )
+    attempts = db.execute(
+        sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
+    ).scalar_one()
+    order = order_after(state, delivered, attempts, unproven)
+    db.execute(
+        sa.update(t.orders).where(t.orders.c.id == row.order_id).values(state=order.value, why=why)
+    )
+
+
+def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """The flight is over. Only the vehicle that holds the assignment can end it, and once."""
+    row = in_state(db, event.assignment or "", IN_FORCE)
+    if row is None or row.vehicle != event.vehicle:
+        return
+    delivered = bool(event.delivered)
+    state = ends_as(event.outcome or "FAIL", delivered, bool(event.home))
+    unproven = bool(event.drop_unproven)
+    why = f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
+    end_assignment(db, now_us, row, state, delivered, why, unproven=unproven)
+
+
+def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """What the truck's driver has done, or cannot do, for a drone."""
+    here = t.sorties.c.assignment == event.assignment
+    row = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
+    if row is None or event.vehicle != TRUCK:
+        return
+    match event.kind:
+        case EventKind.PLACED:
+            db.execute(sa.update(t.sorties).where(here).values(placed=True))
+        case EventKind.RECOVERED:
+            db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
+            if event.delivered is not None:
+                _parcel_found(db, row.assignment, gone=event.delivered)
+        case _ if row.placed:
+            db.execute(sa.update(t.sorties).where(here).values(away=True))
+        case _:
+            held = in_state(db, row.assignment, (AssignmentState.ORDERED,))
+            if held is not None:
+                why = f"the driver: {event.text}"
+                end_assignment(db, now_us, held, AssignmentState.WITHDRAWN, False, why)
+            db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
+    """The order whose parcel may still be on a drone that came home; None: all is known."""
+    query = (
+        sa.select(t.orders.c.id)
+        .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
+        .where(
+            t.assignments.c.id == assignment,
+            t.assignments.c.state == AssignmentState.RETURNED.value,
+            t.orders.c.state == OrderState.STUCK.value,
+        )
+    )
+    return db.execute(query).scalar_one_or_none()
+
+
+def _parcel_found(db: sa.Connection, assignment: str, *, gone: bool) -> None:
+    order = parcel_missed(db, assignment)
+    if order is None:
+        return
+    here = t.orders.c.id == order
+    attempts = db.execute(sa.select(t.orders.c.attempts).where(here)).scalar_one()
+    state = AssignmentState.DELIVERED if gone else AssignmentState.RETURNED
+    words = "gone: it was dropped" if gone else "still on it"
+    why = f"the driver looked: the parcel is {words}"
+    db.execute(
+        sa.update(t.assignments)
+        .where(t.assignments.c.id == assignment)
+        .values(state=state.value, delivered=gone, why=why)
+    )
+    after = order_after(state, gone, attempts)
+    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=why))
+
+
+def follow(
+    db: sa.Connection, now_us: int, command: CommandRow, answer: Answered, reason: str
+) -> None:
+    """What an answer means for the assignment that the command was about."""
+    row = in_state(db, command.assignment or "", IN_FORCE)
+    if row is None:
+        return
+    withdrawing = row.state is AssignmentState.WITHDRAWING
+    match command.deed, answer:
+        case ((Assign() | Serve()), Answered.REFUSED):
+            end_assignment(db, now_us, row, AssignmentState.REFUSED, False, reason)
+        case ((Assign() | Serve()), _) if not withdrawing:
+            set_state(db, row.id, AssignmentState.ABOARD, reason)
+        case PutOut(), Answered.REFUSED:
+            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
+        case Launch(), Answered.DONE | Answered.INTERRUPTED:
+            set_state(db, row.id, AssignmentState.FLYING, reason)
+            _note_launch(db, now_us, row.id)
+        case Launch(), Answered.REFUSED:
+            set_state(db, row.id, AssignmentState.ABOARD, f"launch refused: {reason}")
+        case MoveHome(), Answered.REFUSED | Answered.INTERRUPTED:
+            _forget_asked(db, row.id, command.deed.home)
+        case Withdraw(), Answered.DONE if command.vehicle == row.vehicle:
+            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
+        case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED if command.vehicle == row.vehicle:
+            set_state(db, row.id, AssignmentState.FLYING, f"not withdrawn: {reason}")
+        case _:
+            return
+
+
+def _note_launch(db: sa.Connection, now_us: int, assignment: str) -> None:
+    here = (t.sorties.c.assignment == assignment, t.sorties.c.launched_us.is_(None))
+    db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
+
+
+def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
+    here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == home)
+    db.execute(sa.update(t.sorties).where(*here).values(asked=None))
+
+
+def assignment_row(row: Any) -> AssignmentRow:
+    """A row as the core knows it."""
+    return AssignmentRow(
+        row.id, row.order_id, row.vehicle, AssignmentState(row.state), row.delivered, row.why
+    )
+
+
+def command_row(row: Any) -> CommandRow:
+    """A row as the core knows it."""
+    return CommandRow(
+        row.id,
+        row.vehicle,
+        row.assignment,
+        msgspec.json.decode(row.deed, type=Deed),
+        row.said_by,
+        None if row.answer is None else Answered(row.answer),
+        row.reason,
+        row.life,
+    )

@@ -1,0 +1,363 @@
+"""The day's truth: every order, assignment, command and event, in SQLite (WAL) or PostgreSQL.
+
+Each method is one transaction: it has happened whole, and is on the disk, when it returns, or not
+at all. Commands lie here before they are sent (an outbox), so whoever is killed between the two
+sends the same command again, and the vehicle flies it once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+
+from companion.fleet.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
+from ground_station.adapters.store import order_rows as rows
+from ground_station.adapters.store import tables as t
+from ground_station.adapters.store.database import Database
+from ground_station.core.schema.orders import (
+    IN_FORCE,
+    AssignmentRow,
+    AssignmentState,
+    CommandRow,
+    Order,
+    OrderRow,
+    OrderState,
+)
+
+DRIVER = (EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
+_IN_FORCE = [state.value for state in IN_FORCE]
+_ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: often asked
+_ASSIGNMENTS_IN_FORCE = _ASSIGNMENTS.where(t.assignments.c.state.in_(_IN_FORCE))
+_OUTBOX = (
+    sa.select(t.commands)
+    .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
+    .order_by(t.commands.c.n)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What became of orders that were handed in; `conflicts` have a known id and other content."""
+
+    added: tuple[str, ...]
+    known: tuple[str, ...]
+    conflicts: tuple[str, ...]
+
+
+class Store:
+    """One desk's door to the store. `epoch_us` stamps rows for people; nothing is decided on it."""
+
+    def __init__(self, database: Database, epoch_us: Callable[[], int]) -> None:
+        self._database = database
+        self._now = epoch_us
+
+    @property
+    def database(self) -> Database:
+        """Where it lies."""
+        return self._database
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._database.close()
+
+    # --- orders --------------------------------------------------------------------------------
+
+    def add_orders(self, orders: list[Order]) -> Taken:
+        """Take orders: all of them or, where an id comes with other content, none."""
+        try:
+            return self._add_orders(orders)
+        except IntegrityError:  # another desk took one of them at this moment: now it is known
+            return self._add_orders(orders)
+
+    def _add_orders(self, orders: list[Order]) -> Taken:
+        with self._database.write() as db:
+            found = db.execute(
+                sa.select(t.orders.c.id, t.orders.c.content).where(
+                    t.orders.c.id.in_([order.id for order in orders])
+                )
+            )
+            there = {row.id: row.content for row in found}
+            fresh: dict[str, str] = {}
+            known: list[str] = []
+            conflicts: list[str] = []
+            for order in orders:
+                content = msgspec.json.encode(order).decode()
+                before = there.get(order.id, fresh.get(order.id))
+                if before is None:
+                    fresh[order.id] = content
+                elif before == content:
+                    known.append(order.id)
+                else:
+                    conflicts.append(order.id)
+            if fresh and not conflicts:
+                db.execute(
+                    sa.insert(t.orders),
+                    [
+                        {
+                            "id": id_,
+                            "content": content,
+                            "state": OrderState.OPEN.value,
+                            "attempts": 0,
+                            "why": "",
+                            "taken_us": self._now(),
+                        }
+                        for id_, content in fresh.items()
+                    ],
+                )
+        added = () if conflicts else tuple(fresh)
+        return Taken(added, tuple(known), tuple(conflicts))
+
+    def orders(self) -> list[OrderRow]:
+        """All orders as they came."""
+        with self._database.read() as db:
+            found = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
+        return [
+            OrderRow(
+                msgspec.json.decode(row.content, type=Order),
+                OrderState(row.state),
+                row.attempts,
+                row.why,
+            )
+            for row in found
+        ]
+
+    def move_order(self, order_id: str, before: tuple[OrderState, ...], after: OrderState) -> bool:
+        """A person's change (cancel, reopen); False where the order is in none of these states."""
+        with self._database.write() as db:
+            done = db.execute(
+                sa.update(t.orders)
+                .where(
+                    t.orders.c.id == order_id,
+                    t.orders.c.state.in_([state.value for state in before]),
+                )
+                .values(state=after.value, why="by a person", attempts=0)
+            )
+        return done.rowcount == 1
+
+    # --- assignments and the outbox ------------------------------------------------------------
+
+    def assign(
+        self, order_id: str, vehicle: str, flight: dict[str, Any], obstacles: Any, by: str
+    ) -> str | None:
+        """Give an open order to a free vehicle and put the command in the outbox.
+
+        Returns the assignment's id, or `None` where the order is not open or the vehicle not free.
+        """
+        try:
+            with self._database.write() as db:
+                id_ = rows.order_taken(db, order_id)
+                if id_ is None:
+                    return None
+                rows.make_assignment(db, self._now(), id_, order_id, vehicle)
+                deed = Assign(assignment=id_, order=order_id, flight=flight, obstacles=obstacles)
+                rows.put_out(db, self._now(), f"{id_}:assign", vehicle, id_, deed, by)
+        except IntegrityError:  # the vehicle has another assignment in force
+            return None
+        return id_
+
+    def launch(self, assignment: str, by: str) -> bool:
+        """Authorise an assignment that is aboard; False where it is not, or already asked."""
+        with self._database.write() as db:
+            row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
+            if row is None or rows.unanswered(db, assignment):
+                return False
+            number = rows.count_commands(db, f"{assignment}:launch") + 1
+            deed = Launch(assignment=assignment)
+            rows.put_out(
+                db, self._now(), f"{assignment}:launch{number}", row.vehicle, assignment, deed, by
+            )
+        return True
+
+    def refused_launches(self, assignment: str) -> int:
+        """How many launches of an assignment its vehicle has refused."""
+        refused = sa.select(sa.func.count()).where(
+            t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
+            t.commands.c.answer == Answered.REFUSED.value,
+        )
+        with self._database.read() as db:
+            return db.execute(refused).scalar_one()
+
+    def not_flying(self, assignment: str, why: str) -> bool:
+        """The launch came to nothing (its companion restarted before take-off): aboard again."""
+        with self._database.write() as db:
+            row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
+            if row is None:
+                return False
+            rows.set_state(db, assignment, AssignmentState.ABOARD, why)
+        return True
+
+    def withdraw(self, assignment: str, by: str) -> bool:
+        """Take back an assignment that has not been launched; False where it cannot be any more."""
+        states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
+        with self._database.write() as db:
+            row = rows.in_state(db, assignment, states)
+            if row is None:
+                return False
+            rows.set_state(db, assignment, AssignmentState.WITHDRAWING, "withdrawn by the desk")
+            deed = Withdraw(assignment=assignment)
+            rows.put_out(
+                db, self._now(), f"{assignment}:withdraw", row.vehicle, assignment, deed, by
+            )
+        return True
+
+    def command(self, id_: str, vehicle: str, deed: Deed, by: str) -> bool:
+        """Put any other command in the outbox; False where this id is there already."""
+        try:
+            with self._database.write() as db:
+                rows.put_out(db, self._now(), id_, vehicle, None, deed, by)
+        except IntegrityError:
+            return False
+        return True
+
+    def outbox(self) -> list[CommandRow]:
+        """Commands to be sent: not held back, without a final answer; oldest first."""
+        with self._database.read() as db:
+            found = db.execute(_OUTBOX).all()
+        return [rows.command_row(row) for row in found]
+
+    def commands(self) -> list[CommandRow]:
+        """Every command ever ordered, oldest first."""
+        with self._database.read() as db:
+            found = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
+        return [rows.command_row(row) for row in found]
+
+    def give_up(self, command_id: str, reason: str) -> bool:
+        """Take a command out of the outbox; False where it has been answered."""
+        with self._database.write() as db:
+            done = db.execute(
+                sa.update(t.commands)
+                .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
+                .values(answer=Answered.REFUSED.value, reason=reason)
+            )
+        return done.rowcount == 1
+
+    def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
+        """The final answers of these commands, `None` while they wait."""
+        query = sa.select(t.commands.c.id, t.commands.c.answer)
+        with self._database.read() as db:
+            found = db.execute(query.where(t.commands.c.id.in_(command_ids))).all()
+        return {row.id: None if row.answer is None else Answered(row.answer) for row in found}
+
+    def commands_of(self, assignment: str) -> list[CommandRow]:
+        """An assignment's commands, oldest first."""
+        query = sa.select(t.commands).where(t.commands.c.assignment == assignment)
+        with self._database.read() as db:
+            found = db.execute(query.order_by(t.commands.c.n)).all()
+        return [rows.command_row(row) for row in found]
+
+    def tried(self, command_id: str, reason: str) -> None:
+        """A command was sent and not answered for good; it stays in the outbox."""
+        with self._database.write(settle=False) as db:
+            db.execute(
+                sa.update(t.commands).where(t.commands.c.id == command_id).values(reason=reason)
+            )
+
+    def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
+        """Note a final answer and what follows from it; False where it was answered before.
+
+        No wait for the disk: after a power cut the command is sent again, and answered the same.
+        """
+        with self._database.write(settle=False) as db:
+            row = db.execute(
+                sa.select(t.commands).where(t.commands.c.id == command_id)
+            ).one_or_none()
+            done = db.execute(
+                sa.update(t.commands)
+                .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
+                .values(
+                    answer=answer.value,
+                    reason=reason,
+                    life=life,
+                    answered_us=self._now(),
+                )
+            )
+            if row is None or done.rowcount != 1:
+                return False
+            rows.follow(db, self._now(), rows.command_row(row), answer, reason)
+        return True
+
+    def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
+        """Assignments as they were made; with `in_force` only those that are not over."""
+        query = _ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS
+        with self._database.read() as db:
+            found = db.execute(query).all()
+        return [rows.assignment_row(row) for row in found]
+
+    # --- events --------------------------------------------------------------------------------
+
+    def take_events(self, events: list[FleetEvent], *, replayed: bool = False) -> list[FleetEvent]:
+        """Note events and what follows from them, each once; returns those that were new.
+
+        `replayed`: they are all that the vehicle still has after `seen_to`, so none is missing
+        before the last that could still be had.
+        """
+        try:
+            return self._take_all(events, replayed)
+        except IntegrityError:  # another desk heard them at this moment: now they are known
+            return self._take_all(events, replayed)
+
+    def _take_all(self, events: list[FleetEvent], replayed: bool) -> list[FleetEvent]:
+        with self._database.write() as db:
+            new = [event for event in events if self._take(db, event)]
+            for event in events:
+                self._see(db, event, replayed)
+        return new
+
+    def seen_to(self, vehicle: str, log: str) -> int:
+        """The event of this log up to which nothing is missing that can be had; 0: none."""
+        with self._database.read() as db:
+            return self._seen_to(db, vehicle, log) or 0
+
+    def events(self, kind: EventKind | None = None) -> list[FleetEvent]:
+        """Every event heard, in the order it was heard."""
+        query = sa.select(t.events.c.content).order_by(t.events.c.n)
+        if kind is not None:
+            query = query.where(t.events.c.kind == kind.value)
+        with self._database.read() as db:
+            found = db.execute(query).scalars().all()
+        return [msgspec.json.decode(row, type=FleetEvent) for row in found]
+
+    # --- inside a transaction ------------------------------------------------------------------
+
+    def _take(self, db: sa.Connection, event: FleetEvent) -> bool:
+        there = db.execute(
+            sa.select(sa.func.count()).where(
+                t.events.c.vehicle == event.vehicle,
+                t.events.c.log == event.log,
+                t.events.c.seq == event.seq,
+            )
+        ).scalar_one()
+        if there:
+            return False
+        db.execute(
+            sa.insert(t.events).values(
+                vehicle=event.vehicle,
+                log=event.log,
+                seq=event.seq,
+                kind=event.kind.value,
+                assignment=event.assignment,
+                content=msgspec.json.encode(event).decode(),
+                heard_us=self._now(),
+            )
+        )
+        if event.kind is EventKind.OUTCOME and event.assignment and event.outcome:
+            rows.conclude(db, self._now(), event)
+        if event.kind in DRIVER and event.assignment:
+            rows.driver_said(db, self._now(), event)
+        return True
+
+    def _see(self, db: sa.Connection, event: FleetEvent, replayed: bool) -> None:
+        here = (t.logs.c.vehicle == event.vehicle, t.logs.c.log == event.log)
+        seen_to = self._seen_to(db, event.vehicle, event.log)
+        if seen_to is None:
+            values = {"vehicle": event.vehicle, "log": event.log, "seen_to": 0}
+            db.execute(sa.insert(t.logs).values(values))
+        if event.seq == (seen_to or 0) + 1 or (replayed and event.seq > (seen_to or 0)):
+            db.execute(sa.update(t.logs).where(*here).values(seen_to=event.seq))
+
+    def _seen_to(self, db: sa.Connection, vehicle: str, log: str) -> int | None:
+        query = sa.select(t.logs.c.seen_to).where(t.logs.c.vehicle == vehicle, t.logs.c.log == log)
+        return db.execute(query.with_for_update()).scalar_one_or_none()

@@ -1,0 +1,150 @@
+"""The store's tables (SQLAlchemy Core), the same in SQLite and PostgreSQL.
+
+What must never happen is a constraint here, not a habit elsewhere: one assignment in force for each
+order and for each drone, one command for each id, one event for each place in a vehicle's log, one
+plan for each revision.
+"""
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+    text,
+)
+
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.orders import IN_FORCE
+
+SCHEMA = 2
+
+metadata = MetaData()
+
+about = Table(
+    "about",
+    metadata,
+    Column("name", String(40), primary_key=True),
+    Column("value", Text, nullable=False),
+)
+
+_count = BigInteger().with_variant(Integer, "sqlite")
+
+orders = Table(
+    "orders",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("id", String(64), nullable=False, unique=True),
+    Column("content", Text, nullable=False),
+    Column("state", String(16), nullable=False, index=True),
+    Column("attempts", Integer, nullable=False, default=0),
+    Column("why", Text, nullable=False, default=""),
+    Column("taken_us", BigInteger, nullable=False),
+)
+
+assignments = Table(
+    "assignments",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("id", String(64), nullable=False, unique=True),
+    Column("order_id", String(64), ForeignKey("orders.id"), nullable=False),
+    Column("vehicle", String(32), nullable=False),
+    Column("state", String(16), nullable=False, index=True),
+    Column("delivered", Boolean, nullable=False, default=False),
+    Column("why", Text, nullable=False, default=""),
+    Column("made_us", BigInteger, nullable=False),
+    Column("ended_us", BigInteger),
+)
+
+_in_force = text("state IN ({})".format(", ".join(f"'{s.value}'" for s in IN_FORCE)))
+_of_a_drone = text(f"{_in_force.text} AND vehicle <> '{TRUCK}'")  # its driver may hold several
+for _column, _when in ((assignments.c.order_id, _in_force), (assignments.c.vehicle, _of_a_drone)):
+    Index(
+        f"one_in_force_per_{_column.name}",
+        _column,
+        unique=True,
+        sqlite_where=_when,
+        postgresql_where=_when,
+    )
+
+commands = Table(
+    "commands",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("id", String(64), nullable=False, unique=True),
+    Column("vehicle", String(32), nullable=False),
+    Column("assignment", String(64)),
+    Column("deed", LargeBinary, nullable=False),
+    Column("said_by", String(64), nullable=False),
+    Column("held", Boolean, nullable=False, default=False),
+    Column("answer", String(16), index=True),
+    Column("reason", Text, nullable=False, default=""),
+    Column("life", String(64)),
+    Column("made_us", BigInteger, nullable=False),
+    Column("answered_us", BigInteger),
+)
+
+events = Table(
+    "events",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("vehicle", String(32), nullable=False),
+    Column("log", String(64), nullable=False),
+    Column("seq", BigInteger, nullable=False),
+    Column("kind", String(16), nullable=False),
+    Column("assignment", String(64)),
+    Column("content", Text, nullable=False),
+    Column("heard_us", BigInteger, nullable=False),
+    UniqueConstraint("vehicle", "log", "seq"),
+)
+
+logs = Table(
+    "logs",
+    metadata,
+    Column("vehicle", String(32), primary_key=True),
+    Column("log", String(64), primary_key=True),
+    Column("seen_to", BigInteger, nullable=False),
+)
+
+plans = Table(
+    "plans",
+    metadata,
+    Column("revision", Integer, primary_key=True, autoincrement=False),
+    Column("content", Text, nullable=False),
+    Column("why", Text, nullable=False),
+    Column("wind", Text),
+    Column("made_us", BigInteger, nullable=False),
+)
+
+sorties = Table(
+    "sorties",
+    metadata,
+    Column("assignment", String(64), ForeignKey("assignments.id"), primary_key=True),
+    Column("content", Text, nullable=False),
+    Column("pads", Text, nullable=False),
+    Column("promised", String(64), nullable=False),
+    Column("asked", String(64)),
+    Column("placed", Boolean, nullable=False, default=False),
+    Column("recovered", Boolean, nullable=False, default=False),
+    Column("away", Boolean, nullable=False, default=False),
+    Column("lapsed", Boolean, nullable=False, default=False),
+    Column("launched_us", BigInteger),
+    Column("landed_us", BigInteger),
+    Column("used_wh", Float),
+)
+
+visits = Table(
+    "visits",
+    metadata,
+    Column("stop", String(64), primary_key=True),
+    Column("arrived_us", BigInteger, nullable=False),
+    Column("left_us", BigInteger),
+)

@@ -1,0 +1,112 @@
+"""`ground-station benchmark day-plan`: how long a whole day's plan takes, on a day that is drawn.
+
+Customers evenly over a disc about the depot, roads as the crow flies times a detour, drones of the
+shipped airframe with the energy model that they fly with, under a stated wind. Timed is everything
+that `ground-station plan` does from the day's data to its plan, compiling aside.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ground_station.adapters.files.params import read_airframe
+from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
+from ground_station.core.schema.day import Day, Depot, Drone, Forecast, Truck
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.day_state import first_state
+from ground_station.core.schema.orders import Order
+from ground_station.core.truck_drones.first_plan import first_plan
+from ground_station.core.truck_drones.schedule import schedule_of
+from ground_station.core.truck_drones.tables import tables_of, work_for
+from ground_station.core.truck_drones.tour import truck_alone
+
+AIRFRAME = "m100"
+PARCEL_KG = (0.1, 1.6)
+RADIUS_M_PER_SQRT_CUSTOMER = 350.0
+"""As dense a town whatever the number of customers: 200 of them on a disc of 5 km radius."""
+METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of 6371.0 km
+
+
+@dataclass(frozen=True, slots=True)
+class DayParams:
+    """A drawn day."""
+
+    customers: int
+    drones: int
+    wind_mps: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class DayResult:
+    """Makespans, s, and processor seconds."""
+
+    truck_alone_s: float
+    first_s: float
+    first_seconds: float
+    dynamic: DayPlan
+    dynamic_seconds: float
+    search: DayPlan
+    search_seconds: float
+
+
+def drawn_day(params: DayParams) -> DayData:
+    """The day's data."""
+    rng = np.random.default_rng(params.seed)
+    count = params.customers
+    radius_m = RADIUS_M_PER_SQRT_CUSTOMER * np.sqrt(count) * np.sqrt(rng.random(count))
+    angle = rng.random(count) * 2.0 * np.pi
+    parcel_kg = rng.uniform(*PARCEL_KG, count)
+    orders = [
+        Order(
+            id=f"o{number}",
+            lat_deg=float(r * np.cos(a)) / METRES_PER_DEGREE,
+            lon_deg=float(r * np.sin(a)) / METRES_PER_DEGREE,
+            alt_amsl_m=0.0,
+            mass_kg=float(kg),
+        )
+        for number, (r, a, kg) in enumerate(zip(radius_m, angle, parcel_kg, strict=True), 1)
+    ]
+    day = Day(
+        format="day/1",
+        name=f"drawn {params.seed}",
+        depot=Depot(lat_deg=0.0, lon_deg=0.0, alt_amsl_m=0.0),
+        drones=[Drone(id=f"d{n}", airframe=AIRFRAME) for n in range(1, params.drones + 1)],
+        truck=Truck(capacity_kg=10.0 * count),
+        forecast=Forecast(speed_mps=params.wind_mps, from_deg=270.0, std_mps=1.5),
+    )
+    return DayData(day, orders, None, {AIRFRAME: read_airframe(AIRFRAME)}, None)
+
+
+def bench_day(
+    params: DayParams, trials: int | None, tell: Callable[[float, float], None]
+) -> DayResult:
+    """Plan the day by each policy."""
+    warm = drawn_day(DayParams(5, 1, params.wind_mps, params.seed))
+    for policy in ("search", "dynamic"):
+        plan_day(warm, first_state(warm), PlanParams(policy, trials=100))
+    data = drawn_day(params)
+    begin_s = time.process_time()
+    problem = day_problem(data, first_state(data))
+    tables = tables_of(problem)
+    first = schedule_of(problem, first_plan(problem, tables, work_for(tables)))
+    first_seconds = time.process_time() - begin_s
+    alone = schedule_of(problem, truck_alone(problem, tables))
+    plans: list[tuple[DayPlan, float]] = []
+    for policy in ("dynamic", "search"):
+        begin_s = time.process_time()
+        plan = plan_day(data, first_state(data), PlanParams(policy, trials, params.seed), tell)
+        plans.append((plan, time.process_time() - begin_s))
+    (dynamic, dynamic_seconds), (search, search_seconds) = plans
+    return DayResult(
+        alone.makespan_s,
+        first.makespan_s,
+        first_seconds,
+        dynamic,
+        dynamic_seconds,
+        search,
+        search_seconds,
+    )

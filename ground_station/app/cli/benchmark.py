@@ -1,0 +1,191 @@
+"""`ground-station benchmark`: the planner against published results and against the clock."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.mfstsp_files import RESULTS, problem_folders, read_published
+from ground_station.app.benchmarks.mfstsp_bench import (
+    BenchParams,
+    BenchRow,
+    Row,
+    RowJournal,
+    rows_to_plan,
+    run_rows,
+    settings_of,
+)
+from ground_station.app.benchmarks.mfstsp_report import print_report
+
+benchmark = typer.Typer(no_args_is_help=True, help="The planner against published results.")
+POLICIES = ("search", "dynamic-assignment")
+
+
+@benchmark.command()
+def mfstsp(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Problem folders, tbl_vehicles_*.csv, reference_results.csv."
+        ),
+    ],
+    vehicles: Annotated[str, typer.Option(help="Vehicle files.")] = "101,102,103,104",
+    drones: Annotated[str, typer.Option(help="Numbers of drones.")] = "1,2,3,4",
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            min=0.05,
+            help="At most so many processor seconds a row. Without: a fixed number of trials, "
+            "the same plan every time.",
+        ),
+    ] = None,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write the rows here; also makes it resumable.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Rows at a time, one core each.")] = 1,
+    seed: Annotated[int, typer.Option(help="Another seed, other plans.")] = 0,
+    policy: Annotated[str, typer.Option(help=f"One of {', '.join(POLICIES)}.")] = "search",
+    problems: Annotated[
+        str | None, typer.Option(help="Only these problems: names, or first:step as in 1:3.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the last row's plan into this PNG.")
+    ] = None,
+) -> None:
+    """Murray & Raj's mFSTSP: plan every row, check it, print the table against their makespans.
+
+    Example: ground-station benchmark mfstsp ../shared/data/mfstsp --seconds 60 --json mfstsp.json
+
+    Ctrl-C keeps what is done in OUT.journal; the same command goes on from there.
+    """
+    console = Console()
+    if policy not in POLICIES:
+        raise LeewayError(f"--policy {policy}: expected one of {', '.join(POLICIES)}")
+    folders = _chosen(problem_folders(folder), problems)
+    rows = rows_to_plan(folders, _names(vehicles), _numbers(drones))
+    params = BenchParams(seconds, seed, policy)
+    heuristic, program = read_published(folder / RESULTS)
+    if not keep_compiled_code():
+        console.print("first run of these sources: compiling, some 20 s", highlight=False)
+    journal = RowJournal(json_out, settings_of(rows, params))
+    try:
+        done = _with_progress(console, rows, params, jobs, journal)
+    except KeyboardInterrupt:
+        kept = "the same command goes on from there" if json_out else "nothing kept without --json"
+        console.print(f"stopped; {kept}", highlight=False)
+        raise typer.Exit(130) from None
+    if json_out is not None:
+        _write(json_out, done)
+        journal.remove()
+    print_report(console, done, heuristic, program)
+    if picture is not None:
+        from ground_station.app.pictures.tour_picture import draw_row
+
+        draw_row(folder, done[-1], picture)
+        console.print(f"{picture}: {done[-1]['problem']}", highlight=False)
+
+
+def _with_progress(
+    console: Console, rows: list[BenchRow], params: BenchParams, jobs: int, journal: RowJournal
+) -> list[Row]:
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    ) as progress:
+        bar = progress.add_task("planning", total=len(rows))
+
+        def tell(number: int, row: Row) -> None:
+            said = f"{row['problem']} {row['vehicles']} x{row['drones']}: {row['makespan_s']:.0f} s"
+            progress.update(bar, advance=1, description=said)
+
+        return run_rows(rows, params, jobs, journal, tell)
+
+
+def _write(path: Path, rows: list[Row]) -> None:
+    """Whole or not at all."""
+    fresh = path.with_name(path.name + ".new")
+    fresh.write_text(json.dumps({"rows": rows}) + "\n", encoding="utf-8")
+    fresh.replace(path)
+
+
+def _names(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        numbers = [int(part) for part in _names(text)]
+    except ValueError as error:
+        raise LeewayError(f"--drones {text}: expected numbers, as in 1,2,3,4") from error
+    if not numbers or min(numbers) < 1:
+        raise LeewayError(f"--drones {text}: expected one drone at least")
+    return numbers
+
+
+def _chosen(folders: list[Path], text: str | None) -> list[Path]:
+    """All, those named, or every so many-th: first:step, counted from 0 by name."""
+    if text is None:
+        return folders
+    if ":" in text:
+        try:
+            first, step = (int(part) for part in text.split(":"))
+            chosen = folders[first::step]
+        except ValueError as error:
+            raise LeewayError(f"--problems {text}: expected first:step, as in 1:3") from error
+    else:
+        by_name = {folder.name: folder for folder in folders}
+        unknown = [name for name in _names(text) if name not in by_name]
+        if unknown:
+            raise LeewayError(f"--problems: no folder {unknown[0]} in {folders[0].parent}")
+        chosen = [by_name[name] for name in _names(text)]
+    if not chosen:
+        raise LeewayError(f"--problems {text}: names none of {len(folders)} problems")
+    return chosen
+
+
+@benchmark.command("day-plan")
+def day_plan(
+    customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
+    drones: Annotated[int, typer.Option(min=1, help="Drones on the truck.")] = 8,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Trials of the search. Without: by the day's size.")
+    ] = None,
+    wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
+    seed: Annotated[int, typer.Option(help="Another seed, another day.")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the default's plan into this PNG.")
+    ] = None,
+) -> None:
+    """How long the whole plan of a drawn day takes, and what each policy makes of it.
+
+    Example: ground-station benchmark day-plan --customers 1000
+    """
+    console = Console()
+    if not keep_compiled_code():
+        console.print("first run of these sources: compiling, some 20 s", highlight=False)
+    from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day
+    from ground_station.app.benchmarks.day_report import print_day
+    from ground_station.app.pictures.day_picture import draw_day_plan
+
+    params = DayParams(customers, drones, wind_mps, seed)
+    with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
+        bar = progress.add_task("planning", total=1.0)
+        found = bench_day(
+            params,
+            trials,
+            lambda frac, best_s: progress.update(
+                bar, completed=frac, description=f"best {best_s:.0f} s"
+            ),
+        )
+    print_day(console, params, found)
+    if picture is not None:
+        draw_day_plan(drawn_day(params), found.search, picture)
+        console.print(f"{picture}: the default policy's plan", highlight=False)

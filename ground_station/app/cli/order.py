@@ -1,0 +1,158 @@
+"""`ground-station order`: orders in, and what has become of them."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.day_files import read_day, read_orders
+from ground_station.adapters.store.order_store import Store
+from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_store
+from ground_station.core.feasibility.drone_choice import Chooser
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.orders import Order, OrderState, Service
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help=(
+        "Orders in, and what has become of them.\n\n"
+        "ground-station order import params/days/harbour.toml --store sqlite:///desk.db"
+    ),
+)
+
+
+@app.command()
+def add(
+    order_id: Annotated[str, typer.Argument(help="The order's own id, for example H-101.")],
+    lat: Annotated[float, typer.Option(help="Latitude, degrees.")],
+    lon: Annotated[float, typer.Option(help="Longitude, degrees.")],
+    alt: Annotated[float, typer.Option(help="Height of the GROUND there, metres AMSL.")],
+    mass: Annotated[float, typer.Option(help="Parcel, kg.")],
+    service: Annotated[Service, typer.Option(help="Who may bring it.")] = Service.ANY,
+    note: Annotated[str, typer.Option(help="For people.")] = "",
+    store: StoreUrl = DEFAULT_STORE,
+) -> None:
+    """Take one order; acknowledged means on the disk. Given again it is known, not doubled.
+
+    ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
+    """
+    table = {
+        "id": order_id,
+        "lat_deg": lat,
+        "lon_deg": lon,
+        "alt_amsl_m": alt,
+        "mass_kg": mass,
+        "service": service.value,
+        "note": note,
+    }
+    try:
+        order = msgspec.convert(table, Order)
+    except msgspec.ValidationError as error:
+        raise LeewayError(f"order {order_id!r}: {error}") from error
+    opened = open_store(store)
+    try:
+        take_orders(opened, [order])
+    finally:
+        opened.close()
+
+
+@app.command(name="import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="Orders (.csv, .geojson), or a day (.toml).")],
+    store: StoreUrl = DEFAULT_STORE,
+) -> None:
+    """Take all orders of a file, or none: everything that is wrong in it is listed at once.
+
+    ground-station order import params/days/harbour.toml
+    """
+    data = read_day(file) if file.suffix == ".toml" else None
+    orders = read_orders(file, None) if data is None else data.orders
+    opened = open_store(store)
+    try:
+        take_orders(opened, orders)
+    finally:
+        opened.close()
+    if data is not None:
+        list_impossible(data)
+
+
+@app.command(name="list")
+def list_(
+    state: Annotated[OrderState | None, typer.Option(help="Only those in this state.")] = None,
+    store: StoreUrl = DEFAULT_STORE,
+) -> None:
+    """Every order, as they came, with what has become of it."""
+    opened = open_store(store)
+    rows = [row for row in opened.orders() if state is None or row.state is state]
+    opened.close()
+    table = Table("order", "kg", "service", "state", "flights", "why")
+    for row in rows:
+        order = row.order
+        cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
+        table.add_row(*cells, str(row.attempts), row.why)
+    Console().print(table)
+    counts = Counter(row.state.value for row in rows)
+    typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
+
+
+@app.command()
+def cancel(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+    """Take an order back that no vehicle has yet."""
+    _move(order_id, (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED, store)
+
+
+@app.command()
+def reopen(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+    """Let a stuck or cancelled order be dispatched again: only who knows where the parcel is."""
+    _move(order_id, (OrderState.STUCK, OrderState.CANCELLED), OrderState.OPEN, store)
+
+
+@app.command()
+def brought(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+    """A stuck order has been brought after all: only who has asked its customer, or has looked at
+    the drone.
+    """
+    _move(order_id, (OrderState.STUCK,), OrderState.DELIVERED, store)
+
+
+def take_orders(store: Store, orders: list[Order]) -> None:
+    """Put orders into the store and say what became of them."""
+    taken = store.add_orders(orders)
+    if taken.conflicts:
+        words = ", ".join(taken.conflicts)
+        raise LeewayError(f"orders {words}: known with other content; none was taken")
+    known = f", {len(taken.known)} known before" if taken.known else ""
+    typer.echo(f"{len(taken.added)} orders taken{known}")
+
+
+def list_impossible(data: DayData) -> list[str]:
+    """Say which orders no drone can bring from the depot, and what would make them possible."""
+    chooser = Chooser(data.day, data.airframes)
+    found: list[str] = []
+    table = Table("order", "no drone from the depot", "possible with")
+    for order in data.orders:
+        cannot = chooser.impossible(order)
+        if cannot is not None:
+            found.append(order.id)
+            table.add_row(order.id, cannot.why, cannot.remedy)
+    if found:
+        Console().print(table)
+    return found
+
+
+def _move(order_id: str, before: tuple[OrderState, ...], after: OrderState, url: str) -> None:
+    store = open_store(url)
+    try:
+        if store.move_order(order_id, before, after):
+            typer.echo(f"{order_id}: {after.value}")
+            return
+        state = next((r.state.value for r in store.orders() if r.order.id == order_id), None)
+    finally:
+        store.close()
+    expected = " or ".join(s.value for s in before)
+    raise LeewayError(f"order {order_id}: {state or 'not known'}, expected {expected}")

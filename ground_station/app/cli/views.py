@@ -1,0 +1,142 @@
+"""The day in numbers."""
+
+from collections import Counter
+from statistics import fmean, median
+from typing import Any
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from companion.fleet.messages import EventKind, FleetEvent
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.core.schema.orders import OrderState
+from ground_station.core.schema.sortie_rows import SortieRow, Visit
+
+
+def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
+    """The day in numbers, JSON-safe; with `day`, of one with a truck."""
+    orders, assignments = store.orders(), store.assignments()
+    commands, events = store.commands(), store.events()
+    outcomes = _outcomes(events)
+    margins = [e.margin_wh for e in outcomes if e.margin_wh is not None]
+    p_home = [e.p_home for e in events if e.p_home is not None and e.assignment]
+    return {
+        "format": "day-report/1",
+        "orders": dict(Counter(row.state.value for row in orders)),
+        "assignments": dict(Counter(row.state.value for row in assignments)),
+        "outcomes": dict(Counter(e.outcome for e in outcomes if e.outcome)),
+        "deliveries_by_vehicle": dict(Counter(e.vehicle for e in outcomes if e.delivered)),
+        "vehicles_not_home": sorted(e.vehicle for e in outcomes if e.home is False),
+        "margin_wh_mean": fmean(margins) if margins else None,
+        "margin_wh_min": min(margins, default=None),
+        "p_home_decided_min": min(p_home, default=None),
+        "commands": dict(Counter(c.answer.value if c.answer else "waiting" for c in commands)),
+        "events": len(events),
+        "by_vehicle": _by_vehicle(outcomes),
+        "left": [
+            {"order": row.order.id, "state": row.state.value, "why": row.why}
+            for row in orders
+            if row.state not in (OrderState.DELIVERED, OrderState.CANCELLED)
+        ],
+        **(_truck_figures(day) if day is not None else {}),
+    }
+
+
+def _truck_figures(day: DayStore) -> dict[str, Any]:
+    """Plan against actual, and what became of the promises; nothing for a day without a truck."""
+    plans, began_us = day.plans(), day.began_us()
+    if not plans or began_us is None:
+        return {}
+    rows, visits = day.sorties(), {visit.stop: visit for visit in day.visits()}
+    flown = [row for row in rows if row.launched_us is not None]
+    used = [(row.sortie.energy_wh, row.used_wh) for row in flown if row.used_wh is not None]
+    late_s = [
+        (row.launched_us - began_us) / 1e6 - row.sortie.launch_s
+        for row in flown
+        if row.launched_us is not None
+    ]
+    last = [*(v.arrived_us for v in visits.values()), *(r.landed_us or 0 for r in flown)]
+    minutes = (max(last, default=began_us) - began_us) / 6e7
+    return {
+        "flights": len(flown),
+        "promises": dict(Counter(_kept(row, visits) for row in flown)),
+        "plans": [why for _, why in plans],
+        "minutes_planned": plans[0][0].makespan_s / 60.0,
+        "minutes": minutes,
+        "launch_late_s_median": median(late_s) if late_s else None,
+        "wh_planned": sum(planned for planned, _ in used),
+        "wh_used": sum(wh for _, wh in used),
+    }
+
+
+def _kept(row: SortieRow, visits: dict[str, Visit]) -> str:
+    """What became of the last promise to a flight."""
+    visit = visits.get(row.promised)
+    if row.lapsed or row.landed_us is None:
+        return "lapsed" if row.lapsed else "open"
+    if row.away:
+        return "landed elsewhere"
+    left_us = visit.left_us if visit is not None else None
+    return "kept" if left_us is None or left_us >= row.landed_us else "BROKEN"
+
+
+def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
+    """What each vehicle ended, and with how little above its reserve."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in sorted({event.vehicle for event in outcomes}):
+        mine = [event for event in outcomes if event.vehicle == name]
+        margins = [event.margin_wh for event in mine if event.margin_wh is not None]
+        found[name] = {
+            "ended": len(mine),
+            "delivered": sum(bool(event.delivered) for event in mine),
+            "not_home": sum(event.home is False for event in mine),
+            "margin_wh_min": min(margins, default=None),
+        }
+    return found
+
+
+def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
+    """The first outcome of each assignment: a companion killed at the end may tell it twice."""
+    first: dict[str, FleetEvent] = {}
+    for event in events:
+        if event.kind is EventKind.OUTCOME and event.assignment:
+            first.setdefault(event.assignment, event)
+    return list(first.values())
+
+
+def report_view(figures: dict[str, Any]) -> RenderableType:
+    """The same for people."""
+    table = Table("what", "figure", title="the day", title_justify="left", box=box.SIMPLE_HEAD)
+    for name, value in figures.items():
+        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
+            continue
+        if isinstance(value, dict):
+            value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
+        elif isinstance(value, list):
+            value = ", ".join(value) or "none"
+        elif isinstance(value, float):
+            value = f"{value:.4g}"
+        table.add_row(name.replace("_", " "), "-" if value is None else str(value))
+    return Group(table, _vehicles_table(figures["by_vehicle"]), *_left_lines(figures["left"]))
+
+
+def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("vehicle")
+    for name in ("ended", "delivered", "not home", "least margin Wh"):
+        table.add_column(name, justify="right")
+    for name, row in by_vehicle.items():
+        margin_wh = row["margin_wh_min"]
+        least = "-" if margin_wh is None else f"{margin_wh:.1f}"
+        counts = (str(row[key]) for key in ("ended", "delivered", "not_home"))
+        table.add_row(name, *counts, least, style="bold red" if row["not_home"] else None)
+    return table
+
+
+def _left_lines(left: list[dict[str, str]]) -> list[Text]:
+    if not left:
+        return [Text("every order is delivered or cancelled")]
+    return [Text(f"left: {row['order']} {row['state']} {row['why']}".rstrip()) for row in left]

@@ -1,0 +1,208 @@
+"""The live view of a fleet: every vehicle a line, what wants a person's eye, what comes next.
+
+Made for 80 columns: what a vehicle last said is cut off there, and only that.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.core.fleet.fleet_picture import Picture, VehicleSeen
+from ground_station.core.fleet.truck import DRIVING, TRUCK
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
+from ground_station.core.schema.sortie_rows import SortieRow
+
+NEXT = 5
+
+COLUMNS = ("\n", "\nphase", "\norder", "\nends at", "left\nWh", "P\nhome", "P\ndone", "s\nago")
+FIGURES_FROM = 4
+
+
+@dataclass(frozen=True, slots=True)
+class DayShown:
+    """A day with a truck, for people: the plan in force, its flights, the truck's last stop."""
+
+    plan: DayPlan
+    sorties: list[SortieRow]
+    began_us: int | None
+    now_us: int
+
+    def following(self, open_orders: set[str]) -> list[PlannedSortie]:
+        """The flights that come next."""
+        begun = [row.sortie for row in self.sorties]
+        left = [s for s in self.plan.sorties if s.order in open_orders and s not in begun]
+        return sorted(left, key=lambda s: s.launch_s)[:NEXT]
+
+    @property
+    def title(self) -> str:
+        """The plan's number and the day's time."""
+        if self.began_us is None:
+            return f"plan {self.plan.revision}, not begun"
+        now_s = (self.now_us - self.began_us) / 1e6
+        planned = _clock(self.plan.makespan_s)
+        return f"plan {self.plan.revision}, {_clock(now_s)} of {planned}"
+
+    def sortie(self, vehicle: str) -> SortieRow | None:
+        """The flight that a drone is put out for, in the air on, or back from and not aboard."""
+        mine = (row for row in self.sorties if row.vehicle == vehicle)
+        return next((row for row in mine if not (row.aboard or row.gone)), None)
+
+    def binding(self, stop: str) -> list[str]:
+        """Which flights keep the truck at a stop."""
+        return [why for row in self.sorties if (why := row.binds(stop)) is not None]
+
+
+def day_shown(day: DayStore, now_us: int) -> DayShown | None:
+    """What the store tells of a day with a truck; None: it is none."""
+    plan = day.plan()
+    return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(max(0, round(seconds)), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def watch_view(
+    picture: Picture,
+    rows: list[AssignmentRow],
+    orders: list[OrderRow],
+    t_s: float,
+    day: DayShown | None = None,
+) -> RenderableType:
+    """Every vehicle with what it says, what is wrong, and what comes next."""
+    held = {row.vehicle: row for row in rows if row.state in IN_FORCE}
+    names = {*picture.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
+    lines: list[tuple[tuple[str, ...], bool]] = []
+    wrong: list[str] = []
+    for name in sorted(names, key=lambda name: (name != TRUCK, name)):
+        line = _Line(picture.of(name), held.get(name), day, t_s)
+        alarms = [f"{name}: {words}" for words in line.alarms()]
+        lines.append((line.cells(), bool(alarms)))
+        wrong += alarms
+    table = _table(_title(orders, day), lines)
+    return Group(table, *(Text(words) for words in _below(picture, orders, day, wrong)))
+
+
+def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
+    """Columns as wide as what is in them; the last gives way."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    table.show_edge = table.pad_edge = False
+    for k, name in enumerate(COLUMNS):
+        widest = max(map(len, [*name.split("\n"), *(cells[k] for cells, _ in lines)]))
+        justify = "right" if k >= FIGURES_FROM else "left"
+        table.add_column(name, justify=justify, no_wrap=True, min_width=widest)
+    table.add_column("\nsays", no_wrap=True, overflow="ellipsis")
+    for cells, alarming in lines:
+        table.add_row(*cells, style="bold red" if alarming else None)
+    return table
+
+
+def _title(orders: list[OrderRow], day: DayShown | None) -> str:
+    counts = Counter(row.state.value for row in orders)
+    counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
+    return counted if day is None else f"{counted}; {day.title}"
+
+
+def _below(
+    picture: Picture, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
+) -> Iterator[str]:
+    yield from (f"LOOK: {words}" for words in wrong)
+    stuck = [row for row in orders if row.state is OrderState.STUCK]
+    yield from (f"LOOK: {row.order.id} is stuck: {row.why}" for row in stuck)
+    waiting = [row.order.id for row in orders if row.state is OrderState.OPEN]
+    if day is None:
+        yield f"next: {', '.join(waiting[:NEXT]) or 'nothing'}"
+        return
+    state = picture.of(TRUCK).state
+    here = None if state is None or state.phase == DRIVING else state.stop
+    if here is not None and (binding := day.binding(here)):
+        yield f"the truck waits at {here} for:"
+        yield from (f"  {why}" for why in binding)
+    for sortie in day.following(set(waiting)):
+        where = f"from {sortie.launch} to {sortie.home}"
+        yield f"next: {_clock(sortie.launch_s):>5}  {sortie.order} by {sortie.vehicle} {where}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """One vehicle."""
+
+    seen: VehicleSeen
+    row: AssignmentRow | None
+    day: DayShown | None
+    t_s: float
+
+    @property
+    def _sortie(self) -> SortieRow | None:
+        return self.day.sortie(self.seen.vehicle) if self.day is not None else None
+
+    @property
+    def _off(self) -> str | None:
+        """Where a drone is that is rightly not heard."""
+        if self.day is None or self.seen.vehicle == TRUCK or self.seen.lives:
+            return None
+        sortie = self._sortie
+        if sortie is None:
+            return "on the truck"
+        if sortie.launched_us is not None:
+            return None
+        return "starting up" if sortie.placed else "to be put out"
+
+    def alarms(self) -> Iterator[str]:
+        """What wants a person's eye."""
+        seen, state = self.seen, self.seen.state
+        yield from seen.doubts
+        if self._off is None and not seen.lives:
+            yield "not on the network"
+        elif seen.lives and not seen.present(self.t_s) and state is not None:
+            yield f"not heard for {seen.silent_s(self.t_s) or 0.0:.0f} s"
+        if state is not None and self._flies and (state.margin_wh or 0.0) < 0.0:
+            yield f"{-(state.margin_wh or 0.0):.1f} Wh short of its promise"
+
+    @property
+    def _flies(self) -> bool:
+        state = self.seen.state
+        return state is not None and bool(state.armed and state.assignment)
+
+    def cells(self) -> tuple[str, ...]:
+        """Its line of the table."""
+        seen, state, sortie = self.seen, self.seen.state, self._sortie
+        silent_s = seen.silent_s(self.t_s)
+        heard = "-" if silent_s is None or self._off else f"{silent_s:.0f}"
+        order = "-" if self.row is None else self.row.order_id
+        home = "-" if sortie is None else sortie.promised
+        if sortie is not None and sortie.asked:
+            home += f" > {sortie.asked}"
+        if state is None or self._off is not None:
+            return (seen.vehicle, self._off or "-", order, home, "-", "-", "-", heard, "")
+        return (
+            seen.vehicle,
+            self._phase(state.phase, state.stop),
+            order,
+            home,
+            _figure(state.margin_wh, ".1f"),
+            _figure(state.p_home, ".4f"),
+            _figure(state.p_success, ".3f"),
+            heard,
+            state.text,
+        )
+
+    def _phase(self, phase: str, stop: str | None) -> str:
+        sortie = self._sortie
+        if stop:
+            return f"{'driving to' if phase == DRIVING else 'at'} {stop}"
+        if sortie is not None and sortie.over:
+            return "down, take it in"
+        return phase
+
+
+def _figure(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,210 @@
+"""What the desk sees of a day with a truck: the store's rows and the live picture, a `DayView`."""
+
+from dataclasses import dataclass, field
+
+from companion.core.pilot.transitions import Phase
+from companion.fleet.messages import State
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.plan_in_force import PlanInForce
+from ground_station.core.dispatch.day_decisions import distance_m
+from ground_station.core.dispatch.day_view import DayView, DroneView, TruckView
+from ground_station.core.dispatch.measured_wind import MeasuredWind
+from ground_station.core.fleet.fleet_link import Clock
+from ground_station.core.fleet.fleet_picture import STANDBY, Picture, VehicleSeen
+from ground_station.core.fleet.truck import DRIVING, TRUCK
+from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
+from ground_station.core.schema.sortie_rows import SortieRow, Visit
+
+OFF_PAD_M = 30.0
+OFF_GROUND_M = 2.0
+
+
+ROWS_S = 5.0
+"""So old may be what was read of the store, where this desk has heard and done nothing since."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """What was read of the store at `read_s`."""
+
+    read_s: float
+    open: frozenset[str]
+    sorties: tuple[SortieRow, ...]
+    serves: tuple[AssignmentRow, ...]
+    told: str | None
+    visits: dict[str, Visit]
+    plan_made_us: int
+
+
+@dataclass(slots=True)
+class DaySight:
+    """Hears members, reads the store, and says how the day stands."""
+
+    store: Store
+    day: DayStore
+    plans: PlanInForce
+    clock: Clock
+    view: DayView | None = None
+    _wind: MeasuredWind = field(default_factory=MeasuredWind)
+    _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
+    _off_ground: set[str] = field(default_factory=set)
+    _truck_stop: tuple[str, bool] | None = None
+    _waits_s: dict[str, float] = field(default_factory=dict)
+    _began_us: int | None = None
+    _rows: _Rows | None = None
+    _from_us: int = 0
+
+    def __post_init__(self) -> None:
+        self._from_us = self.clock.epoch_us()
+
+    def forget_rows(self) -> None:
+        """Something was written, or may have been: read the store anew."""
+        self._rows = None
+
+    def forget_old_rows(self) -> None:
+        """Now and then it is read anew all the same: others write to it, too."""
+        rows = self._rows
+        if rows is not None and self.clock.monotonic_s() - rows.read_s > ROWS_S:
+            self._rows = None
+
+    def hear(self, state: State) -> None:
+        """Take what a member tells."""
+        if state.vehicle == TRUCK:
+            self._hear_truck(state)
+            return
+        if state.armed and state.assignment:
+            if state.wind_to_n_mps is not None and state.wind_to_e_mps is not None:
+                t_s = self.clock.monotonic_s()
+                self._wind.hear(t_s, state.wind_to_n_mps, state.wind_to_e_mps)
+            if state.energy_left_wh is not None:
+                first = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
+                self._energy_wh[state.assignment] = (first, state.energy_left_wh)
+            if (state.height_rel_m or 0.0) > OFF_GROUND_M:
+                self._off_ground.add(state.assignment)
+
+    def _hear_truck(self, state: State) -> None:
+        """Its arrivals and departures, for the plan's times."""
+        if state.stop is None:
+            return
+        now = (state.stop, state.phase == DRIVING)
+        if now != self._truck_stop:
+            self.day.truck_is(None if now[1] else state.stop)
+            self._rows = None
+            self._truck_stop = now
+
+    def look(self, picture: Picture) -> DayView:
+        """The day as it is now."""
+        now_s = self.clock.monotonic_s()
+        truck = picture.vehicles.get(TRUCK)
+        began_us = self._begun_us(truck is not None and truck.present(now_s))
+        rows = self._rows = self._rows or self._read(now_s)
+        drones = {
+            d.id: self._drone_view(picture.of(d.id), now_s) for d in self.plans.data.day.drones
+        }
+        self.view = DayView(
+            now_s=max(0.0, (self.clock.epoch_us() - began_us) / 1e6),
+            began_us=began_us,
+            plan=self.plans.plan,
+            truck=_truck_view(truck, now_s),
+            drones=drones,
+            open=rows.open,
+            sorties=rows.sorties,
+            serves=rows.serves,
+            told=rows.told,
+            visits=rows.visits,
+            replanning=self.plans.is_asked,
+            plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
+            tried_s=self.plans.trial.at_s,
+            tried=self.plans.trial.situation,
+            waited_s=self._waited(rows.sorties, drones, now_s),
+            wind_off_sigmas=self._wind.off_sigmas(now_s, self.plans.data.day.forecast),
+            desk_from_s=(self._from_us - began_us) / 1e6,
+        )
+        return self.view
+
+    def _begun_us(self, truck_here: bool) -> int:
+        """The day begins when its truck is first heard."""
+        if self._began_us is None:
+            self._began_us = self.day.begin() if truck_here else self.day.began_us()
+        return self.clock.epoch_us() if self._began_us is None else self._began_us
+
+    def _read(self, now_s: float) -> _Rows:
+        orders = self.store.orders()
+        self.plans.note_orders(orders)
+        return _Rows(
+            read_s=now_s,
+            open=_open(orders),
+            sorties=tuple(self.day.sorties()),
+            serves=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
+            told=self.day.told(),
+            visits={visit.stop: visit for visit in self.day.visits()},
+            plan_made_us=self.day.plan_made_us(),
+        )
+
+    def _waited(
+        self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneView], now_s: float
+    ) -> dict[str, float]:
+        """How long each drone on its pad has not been ready, as far as this desk has seen."""
+        waiting = (AssignmentState.ORDERED, AssignmentState.ABOARD)
+        on_pads = [r for r in sorties if r.placed and r.row.state in waiting]
+        late = [r.id for r in on_pads if r.vehicle in drones and not drones[r.vehicle].ready]
+        self._waits_s = {id_: self._waits_s.get(id_, now_s) for id_ in late}
+        return {id_: now_s - since_s for id_, since_s in self._waits_s.items()}
+
+    def _drone_view(self, seen: VehicleSeen, now_s: float) -> DroneView:
+        state = seen.state
+        if state is None:
+            return DroneView(seen.vehicle)
+        airframe = self.plans.data.airframes.get(state.airframe)
+        charge = None
+        if airframe is not None and state.voltage_v and state.armed is False:
+            charge = airframe.battery.charge_frac_at_rest(state.voltage_v)
+        return DroneView(
+            vehicle=seen.vehicle,
+            present=seen.present(now_s),
+            doubtful=bool(seen.doubts),
+            idle=state.phase == STANDBY and not state.armed,
+            ready=state.phase == Phase.READY.value and not state.armed,
+            off_ground=state.assignment in self._off_ground or self._left_pad(state),
+            assignment=state.assignment,
+            home=state.home,
+            lat_deg=state.lat_deg,
+            lon_deg=state.lon_deg,
+            charge_frac=charge,
+            silent_s=seen.silent_s(now_s),
+        )
+
+    def _left_pad(self, state: State) -> bool:
+        """Through a restart of the desk too: it is elsewhere than where it started."""
+        rows = self.view.sorties if self.view is not None else ()
+        row = next((row for row in rows if row.id == state.assignment), None)
+        if row is None:
+            return False
+        away_m = distance_m(state.lat_deg, state.lon_deg, row.pads[row.sortie.launch])
+        return away_m is not None and away_m > OFF_PAD_M
+
+    def still_open(self) -> frozenset[str]:
+        """Orders that nobody has, by the store."""
+        return _open(self.store.orders())
+
+    def measured_wind(self, before: Forecast) -> Forecast:
+        """To plan with now, by what drones in flight tell; `before` where that is too little."""
+        return self._wind.forecast(self.clock.monotonic_s(), before)
+
+    def energy_used_wh(self, assignment: str) -> float | None:
+        """What a flight that is over has told of its energy, once; None: nothing."""
+        told = self._energy_wh.pop(assignment, None)
+        return None if told is None else max(0.0, told[0] - told[1])
+
+
+def _open(orders: list[OrderRow]) -> frozenset[str]:
+    return frozenset(row.order.id for row in orders if row.state is OrderState.OPEN)
+
+
+def _truck_view(seen: VehicleSeen | None, now_s: float) -> TruckView | None:
+    state = seen.state if seen is not None else None
+    if seen is None or state is None or state.stop is None:
+        return None
+    return TruckView(seen.present(now_s), state.phase == DRIVING, state.stop)

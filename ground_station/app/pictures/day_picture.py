@@ -1,0 +1,119 @@
+"""A day plan on a map: the truck's route, each drone's sorties, and what stands in the way."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
+from companion.core.mission.flight_plan import frame_at
+from ground_station.core.feasibility.obstacle_routes import Ways
+from ground_station.core.planning.nodes import obstacle_map
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.order_rows import place_of
+
+COLOURS = (
+    "tab:blue",
+    "tab:orange",
+    "tab:green",
+    "tab:red",
+    "tab:purple",
+    "tab:brown",
+    "tab:pink",
+    "tab:olive",
+    "tab:cyan",
+    "navy",
+)
+OBSTACLE, NO_FLY = "0.75", "#f4b6b6"
+NO_FLY_FROM_M = 120.0
+"""What is as high as drones may fly is drawn as an area to stay out of."""
+
+
+def draw_day_plan(data: DayData, plan: DayPlan, out: Path) -> None:
+    """The plan into a PNG, metres east and north of the depot."""
+    figure = Figure(figsize=(9.5, 9.0), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    frame = frame_at(data.day.depot.place)
+    _draw_obstacles(axes, frame, data)
+    _draw_sorties(axes, frame, data, plan)
+    _draw_truck(axes, frame, plan)
+    _draw_unplanned(axes, frame, data, plan)
+    by_truck = sum(len(stop.serves) for stop in plan.stops)
+    axes.set_title(
+        f"{plan.day}: {plan.makespan_s / 60.0:.1f} min, {len(plan.sorties)} orders by drone,"
+        f" {by_truck} by truck, {len(plan.unplanned)} by nobody",
+        fontsize=11,
+    )
+    axes.set_aspect("equal")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    try:
+        figure.savefig(out, bbox_inches="tight")
+    except OSError as error:
+        raise LeewayError(f"{out}: {error.strerror}") from error
+
+
+def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:
+    if data.no_fly is None:
+        return
+    named: set[str] = set()
+    for obstacle in obstacles_from_geojson(frame, data.no_fly):
+        never = obstacle.height_m >= NO_FLY_FROM_M
+        label = "no-fly area" if never else "obstacle"
+        ring = np.array(obstacle.ring_ne_m)[:, ::-1]
+        colour = NO_FLY if never else OBSTACLE
+        shown = None if label in named else label
+        axes.add_patch(Polygon(ring, facecolor=colour, edgecolor="0.5", zorder=0, label=shown))
+        words = f"{obstacle.name}" if never else f"{obstacle.name} {obstacle.height_m:.0f} m"
+        axes.annotate(words, ring.mean(axis=0), fontsize=6, ha="center", va="center", color="0.35")
+        named.add(label)
+
+
+def _draw_sorties(axes: Axes, frame: LocalFrame, data: DayData, plan: DayPlan) -> None:
+    orders = {order.id: order for order in data.orders}
+    drones = sorted({sortie.vehicle for sortie in plan.sorties})
+    obstacles = obstacle_map(data)
+    named: set[str] = set()
+    for sortie in plan.sorties:
+        drone = sortie.vehicle
+        colour = COLOURS[drones.index(drone) % len(COLOURS)]
+        launch, home = (
+            place_ned(frame, plan.stop(id_).pads[drone]) for id_ in (sortie.launch, sortie.home)
+        )
+        customer = place_ned(frame, place_of(orders[sortie.order]))
+        label = None if drone in named else drone
+        named.add(drone)
+        points = np.array([launch, customer, home])[:, :2]
+        ways = Ways(obstacles, points, data.day.mission.cruise_height_m)
+        for start, end, style in ((0, 1, "-"), (1, 2, "--")):
+            way = np.array([points[start], *ways.via(start, end), points[end]])
+            shown = label if style == "-" else None
+            axes.plot(
+                way[:, 1], way[:, 0], style, color=colour, linewidth=1.0, label=shown, zorder=2
+            )
+        axes.plot(customer[1], customer[0], "^", color=colour, markersize=6, zorder=4)
+
+
+def _draw_truck(axes: Axes, frame: LocalFrame, plan: DayPlan) -> None:
+    stops = np.array([place_ned(frame, stop.place)[1::-1] for stop in plan.stops])
+    axes.plot(*stops.T, "-", color="0.25", linewidth=2.2, label="truck", zorder=3)
+    axes.plot(*stops[1:-1].T, "s", color="0.25", markersize=6, zorder=5)
+    axes.plot(*stops[0], "D", color="black", markersize=9, label="depot", zorder=6)
+    for stop, (x, y) in zip(plan.stops[1:-1], stops[1:-1], strict=True):
+        words = f"{stop.id.removeprefix('stop-')}: {stop.arrive_s / 60.0:.0f}'"
+        axes.annotate(words, (x, y), xytext=(6, 6), textcoords="offset points", fontsize=8)
+
+
+def _draw_unplanned(axes: Axes, frame: LocalFrame, data: DayData, plan: DayPlan) -> None:
+    lost = {line.order for line in plan.unplanned}
+    at = [place_ned(frame, place_of(order)) for order in data.orders if order.id in lost]
+    if at:
+        ne_m = np.array(at)[:, :2]
+        axes.plot(ne_m[:, 1], ne_m[:, 0], "x", color="red", markersize=10, label="by nobody")

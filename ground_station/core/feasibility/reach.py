@@ -1,0 +1,231 @@
+"""Who can bring what, by the energy model that the vehicles fly with: out, drop, home, landed.
+
+A filter for the desk, not the promise: a straight line each way in the forecast, priced by
+`RouteEnergy` and widened to the accepted loss. Routes around obstacles, and the gate's decisions on
+the way, are the companion's: it may still refuse, and says so.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import ndtri
+
+from companion.core.base.geo import Ned
+from companion.core.mission.flight_file import Mission
+from companion.core.mission.flight_plan import DROP_S, SETTLE_SLACK_S
+from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.vehicle.airframe import Airframe
+from ground_station.core.schema.day import Drone, Forecast
+
+Ways = tuple[tuple[float, float], ...]
+"""Points (north, east) of a way around what stands in it."""
+
+PAYLOAD_STEP_KG = 0.1
+"""Payloads are priced rounded up to this, so that few power tables are made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What a delivery takes: mean and standard deviation of its energy, and its mean time."""
+
+    mean_wh: float
+    std_wh: float
+    time_s: float
+    flyable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CanBring:
+    """It can, with this much to spare at the accepted loss."""
+
+    spare_wh: float
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CannotBring:
+    """It cannot, why, and what would make it possible."""
+
+    why: str
+    remedy: str
+
+
+class Reach:
+    """One drone's reach under a forecast."""
+
+    def __init__(
+        self,
+        drone: Drone,
+        airframe: Airframe,
+        mission: Mission,
+        forecast: Forecast,
+        route_energy: RouteEnergy | None = None,
+    ) -> None:
+        self.drone = drone
+        self.airframe = airframe
+        self.mission = mission
+        self.wind_to_ne_mps = np.array(forecast.to_ne_mps)
+        self.wind_cov_ne_m2ps2 = forecast.std_mps**2 * np.eye(2)
+        self.energy = route_energy or RouteEnergy.for_mission(airframe, mission)
+        self.sigmas = float(ndtri(1.0 - mission.max_loss))
+
+    def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
+        """Usable energy above the reserve, and its standard deviation."""
+        battery, drone = self.airframe.battery, self.drone
+        draw_w = self.energy.hover_power_w(rounded_up(payload_kg))
+        full_wh = battery.usable_wh(draw_w, drone.temperature_c, drone.battery_health_frac)
+        left_wh = full_wh * (drone.charge_frac if charge_frac is None else charge_frac)
+        return left_wh - self.mission.reserve_frac * full_wh, battery.usable_std_frac * left_wh
+
+    def need(
+        self,
+        payload_kg: float,
+        start: Ned,
+        customer: Ned,
+        end: Ned,
+        height_m: float | None = None,
+        out_via: Ways = (),
+        back_via: Ways = (),
+    ) -> Need:
+        """A delivery's energy and time; `customer` is the GROUND point there, NED about the depot.
+
+        `start` and `end` are ground points too: the depot, or stops of the truck. Flown `height_m`
+        above the depot (None: the mission's cruise height), over the points (north, east) given.
+        """
+        up_m = self.mission.cruise_height_m if height_m is None else height_m
+        legs = self._legs(rounded_up(payload_kg), (start, customer, end), up_m, out_via, back_via)
+        costs = self.energy.costs(legs, self.wind_to_ne_mps[None, :])
+        mean_wh = float(costs.energy_wh.sum())
+        wind_wh = self.energy.route_std_wh(legs, self.wind_to_ne_mps, self.wind_cov_ne_m2ps2)
+        model_wh = self.airframe.power_rotor.model_std_frac * mean_wh
+        std_wh = math.hypot(wind_wh, model_wh)
+        return Need(mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()))
+
+    def can_bring(
+        self,
+        payload_kg: float,
+        customer: Ned,
+        start: Ned = (0.0, 0.0, 0.0),
+        end: Ned = (0.0, 0.0, 0.0),
+        charge_frac: float | None = None,
+    ) -> CanBring | CannotBring:
+        """Whether payload, wind and energy allow this delivery at the accepted loss."""
+        most_kg = self.airframe.mass.max_payload_kg
+        if payload_kg > most_kg:
+            return CannotBring(
+                f"{payload_kg:g} kg, {self.drone.airframe} carries {most_kg:g} kg",
+                f"a parcel of at most {most_kg:g} kg, or the truck",
+            )
+        need = self.need(payload_kg, start, customer, end)
+        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
+        if need.flyable and spare_wh >= 0.0:
+            return CanBring(spare_wh, need.time_s)
+        return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
+
+    def time_s(
+        self, payload_kg: float, customer: Ned, charge_frac: float | None = None
+    ) -> float | None:
+        """How long a delivery from the depot takes; None: it cannot (reasons take longer)."""
+        if payload_kg > self.airframe.mass.max_payload_kg:
+            return None
+        depot = (0.0, 0.0, 0.0)
+        need = self.need(payload_kg, depot, customer, depot)
+        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
+        return need.time_s if need.flyable and spare_wh >= 0.0 else None
+
+    def affordable(
+        self,
+        payload_kg: float,
+        start: Ned,
+        customer: Ned,
+        end: Ned,
+        height_m: float,
+        out_via: Ways = (),
+        back_via: Ways = (),
+    ) -> Need | None:
+        """What a delivery takes, where the energy is there at the accepted loss."""
+        need = self.need(payload_kg, start, customer, end, height_m, out_via, back_via)
+        return need if need.flyable and self._spare_wh(need, payload_kg, None) >= 0.0 else None
+
+    def _spare_wh(self, need: Need, payload_kg: float, charge_frac: float | None) -> float:
+        budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
+        return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)
+
+    @property
+    def upwind_ne(self) -> tuple[float, float]:
+        """Unit vector against the wind; north in a calm."""
+        speed_mps = float(np.hypot(*self.wind_to_ne_mps))
+        if speed_mps < 0.1:
+            return 1.0, 0.0
+        return -float(self.wind_to_ne_mps[0]) / speed_mps, -float(
+            self.wind_to_ne_mps[1]
+        ) / speed_mps
+
+    def _cannot(
+        self, need: Need, spare_wh: float, payload_kg: float, customer: Ned, charge: float | None
+    ) -> CannotBring:
+        if not need.flyable:
+            return CannotBring("the wind is too strong to make way", "less wind, or the truck")
+        why = f"{-spare_wh:.0f} Wh short at the accepted loss of {self.mission.max_loss:g}"
+        full = self._spare_wh(need, payload_kg, 1.0)
+        at = self.drone.charge_frac if charge is None else charge
+        if at < 1.0 and full >= 0.0:
+            return CannotBring(why, "a full battery")
+        stop_m = self.radius_m(payload_kg, customer)
+        if stop_m <= 0.0:
+            return CannotBring(why, "less wind, or the truck")
+        return CannotBring(why, f"a launch and landing within {stop_m:.0f} m of it, or the truck")
+
+    def radius_m(self, payload_kg: float, customer: Ned, charge_frac: float = 1.0) -> float:
+        """How far from this customer, towards the depot, it may start and land."""
+        far_m = math.hypot(customer[0], customer[1])
+        low, high = 0.0, far_m
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            share = 1.0 - middle / far_m if far_m > 0.0 else 0.0
+            stop = (share * customer[0], share * customer[1], customer[2])
+            need = self.need(payload_kg, stop, customer, stop)
+            fits = need.flyable and self._spare_wh(need, payload_kg, charge_frac) >= 0.0
+            low, high = (middle, high) if fits else (low, middle)
+        return low
+
+    def _legs(
+        self,
+        payload_kg: float,
+        grounds: tuple[Ned, Ned, Ned],
+        height_m: float,
+        out_via: Ways,
+        back_via: Ways,
+    ) -> tuple[Leg, ...]:
+        start, customer, end = grounds
+        mission, up = self.mission, -height_m
+        drop = customer[2] - mission.drop_height_m
+        over_start, over, over_end = ((p[0], p[1], up) for p in grounds)
+        low = (customer[0], customer[1], drop)
+        return (
+            Leg(LegKind.CLIMB, start, over_start, payload_kg),
+            Leg(LegKind.HOVER, over_start, over_start, payload_kg, duration_s=self.settle_s),
+            *_cruise(over_start, out_via, over, payload_kg),
+            Leg(LegKind.DESCEND, over, low, payload_kg),
+            Leg(LegKind.HOVER, low, low, payload_kg, duration_s=DROP_S),
+            Leg(LegKind.CLIMB, low, over, 0.0),
+            *_cruise(over, back_via, over_end, 0.0),
+            Leg(LegKind.LAND, over_end, end, 0.0),
+        )
+
+    @property
+    def settle_s(self) -> float:
+        """How long it loiters over its pad before it leaves."""
+        return self.mission.wind_settle_s + SETTLE_SLACK_S
+
+
+def _cruise(start: Ned, via: Ways, end: Ned, payload_kg: float) -> list[Leg]:
+    points = [start, *((north, east, start[2]) for north, east in via), end]
+    return [Leg(LegKind.CRUISE, a, b, payload_kg) for a, b in pairwise(points)]
+
+
+def rounded_up(payload_kg: float) -> float:
+    """The payload that a parcel is priced as."""
+    return math.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9) * PAYLOAD_STEP_KG

@@ -1,0 +1,65 @@
+"""What planned sorties fill of the air: for the planner, and for the desk's last check."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from companion.core.base.geo import Ned, place_ned
+from companion.core.mission.flight_plan import frame_at
+from ground_station.core.deconfliction.separation import Filled, may_launch
+from ground_station.core.feasibility.obstacle_routes import Ways
+from ground_station.core.planning.nodes import obstacle_map
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
+from ground_station.core.schema.order_rows import place_of
+
+
+class Airspace:
+    """The day's air. Ways around what stands in them are laid as the planner lays them."""
+
+    def __init__(self, data: DayData) -> None:
+        self.frame = frame_at(data.day.depot.place)
+        self._orders = {order.id: order for order in data.orders}
+        self._obstacles = obstacle_map(data)
+        self._cruise_m = data.day.mission.cruise_height_m
+
+    def filled(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> Filled:
+        """What a sortie may fill: all ways between its pads and its customer."""
+        here, home = (
+            place_ned(self.frame, stops[id_].pads[sortie.vehicle])
+            for id_ in (sortie.launch, sortie.home)
+        )
+        customer = place_ned(self.frame, place_of(self._orders[sortie.order]))
+        points = [here, customer, home]
+        ways = Ways(self._obstacles, np.array(points)[:, :2], self._cruise_m)
+        ground = [*map(_ne, points), *ways.via(0, 1), *ways.via(1, 2)]
+        heights_m = [-here[2] + h for h in (sortie.outbound_height_m, sortie.return_height_m)]
+        return Filled(
+            sortie.vehicle,
+            sortie.order,
+            tuple(ground),
+            tuple(_ne(point) for point in dict.fromkeys(points)),
+            min(heights_m),
+            max(heights_m),
+            sortie.launch_s,
+            sortie.land_s,
+        )
+
+    def may_launch(
+        self,
+        sortie: PlannedSortie,
+        in_air_now: Iterable[PlannedSortie],
+        stops: Mapping[str, PlannedStop],
+    ) -> str | None:
+        """The desk's last check: why this sortie must wait; None: it may go.
+
+        `in_air_now`: each with the home that is promised now; one that was asked to move and has
+        not answered stands there twice, once for each home. Before a home is moved the same is
+        asked of the sortie with its new home, beside all others in the air.
+        """
+        mine = self.filled(sortie, stops)
+        return may_launch(mine, [self.filled(other, stops) for other in in_air_now])
+
+
+def _ne(point: Ned) -> tuple[float, float]:
+    return point[0], point[1]

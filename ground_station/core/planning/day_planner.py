@@ -1,0 +1,363 @@
+"""From the day's data and where it stands to a day plan: who brings what, from where, and when."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import Ned, place_ned
+from companion.core.base.place import Place
+from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
+from ground_station.core.planning.airspace import Airspace
+from ground_station.core.planning.forward_pass import Drive, Driven, polished
+from ground_station.core.planning.launch_slots import Slot, SlotFinder, Wish
+from ground_station.core.planning.nodes import DayNodes, day_nodes, without
+from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
+from ground_station.core.schema.day_data import DEPOT, DayData
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
+from ground_station.core.schema.day_state import DayState
+from ground_station.core.schema.orders import Order
+from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
+from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.search import (
+    Search,
+    SearchParams,
+    default_rounds,
+    default_trials,
+)
+from ground_station.core.truck_drones.tables import Plan
+
+PolicyName = Literal["search", "dynamic"]
+DAY_TRIALS_FRAC = 0.45
+"""Of the default: with pads a trial takes that much longer than in the published problem (200
+customers, 8 drones: 51 s of one core at the default, goal 30 s)."""
+LAYERED_SHARE = 10
+"""One trial with layers for so many without: each takes five to ten times as long."""
+LAYERED_CUSTOMERS = 40
+"""With more customers fewer in proportion: launches, and who is in the air at each, grow too."""
+LAYERED_FROM = 0.3
+"""A share of the cooling: hot enough to move a sortie, too cold to lose the plan it starts from."""
+Tell = Callable[[float, float], None]
+"""Called now and then with the share of the search that is done, and the makespan so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanParams:
+    """`search`, or the paper's `dynamic` assignment. `trials` None: by the number of orders."""
+
+    policy: PolicyName = "search"
+    trials: int | None = None
+    seed: int = 0
+
+
+def plan_day(
+    data: DayData,
+    start: DayState,
+    params: PlanParams = PlanParams(),
+    tell: Tell = lambda done_frac, best_s: None,
+) -> DayPlan:
+    """The plan that goes on from `start`; what is promised there stays as it is.
+
+    Raises LeewayError where `start` does not hold together.
+    """
+    _check_state(data, start)
+    return _DayPlanner(data, start, params, tell).planned()
+
+
+def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
+    """The truck-and-drones problem that the policies are given, without layers."""
+    planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
+    return replace(planner.nodes().problem, air=None)
+
+
+class _DayPlanner:
+    """One plan in the making."""
+
+    def __init__(self, data: DayData, start: DayState, params: PlanParams, tell: Tell) -> None:
+        self._data, self._start, self._params, self._tell = data, start, params, tell
+        self._airspace = Airspace(data)
+        self._here = start.stops[-1]
+        self._t0_s = self._here.arrive_s
+        self._unplanned: list[Unplanned] = []
+        self._trials = 0
+
+    def planned(self) -> DayPlan:
+        nodes = self.nodes()
+        while True:
+            driven = self._driven(nodes)
+            if not driven.lost:
+                return self._day_plan(nodes, driven)
+            order = nodes.orders[driven.lost[0] - 1]
+            self._unplanned.append(no_slot(order))
+            nodes = without(nodes, {order.id})
+
+    def _driven(self, nodes: DayNodes) -> Driven:
+        """The best of the policy's plans, driven forward."""
+        drive = self._drive(nodes)
+        found = [self._repaired(nodes, drive, *plan) for plan in self._plans(nodes)]
+        route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
+        if self._params.policy == "dynamic":
+            return driven
+        return polished(drive, route, wishes, driven)
+
+    def _repaired(
+        self, nodes: DayNodes, drive: Drive, problem: TruckAndDrones, plan: Plan
+    ) -> tuple[list[int], list[Wish], Driven]:
+        """Who finds no slot is brought by the truck, where it may."""
+        route, wishes = drive.wished(problem, plan)
+        driven = drive.driven(route, wishes)
+        while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
+            lost = driven.lost[0]
+            meet = next(wish.meet for wish in wishes if wish.customer == lost)
+            wishes = [wish for wish in wishes if wish.customer != lost]
+            at = max(1, route.index(meet))
+            route = [*route[:at], lost, *route[at:]]
+            driven = drive.driven(route, wishes)
+        return route, wishes, driven
+
+    def nodes(self) -> DayNodes:
+        by_id = {order.id: order for order in self._data.orders}
+        orders = [by_id[id_] for id_ in self._start.open]
+        full = beyond_capacity(orders, self._data.day.truck.capacity_kg - self._aboard_kg(by_id))
+        left = {line.order for line in full}
+        nodes = day_nodes(
+            self._data,
+            [order for order in orders if order.id not in left],
+            place_ned(self._airspace.frame, self._here.place),
+            self._here_name(),
+            {id_: max(0.0, at - self._t0_s) for id_, at in self._start.free_from_s.items()},
+            self._hold_s(),
+            ring_radius_m(),
+        )
+        far = beyond_reach(nodes)
+        self._unplanned += [*full, *far]
+        return without(nodes, {line.order for line in far}) if far else nodes
+
+    def _aboard_kg(self, by_id: dict[str, Order]) -> float:
+        """What is promised to be brought already."""
+        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
+        ids += [sortie.order for sortie in self._start.flying]
+        return sum(by_id[id_].mass_kg for id_ in ids if id_ in by_id)
+
+    def _here_name(self) -> str:
+        return self._here.serves[0] if self._here.serves else DEPOT
+
+    def _hold_s(self) -> float:
+        """Until when the truck stays where the new plan begins: all that it promised there."""
+        recover_s = self._data.day.truck.recover_s
+        lands_s = [s.land_s + recover_s for s in self._start.flying if s.home == self._here.id]
+        until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
+        return until_s - self._t0_s
+
+    def _plans(self, nodes: DayNodes) -> Iterator[tuple[TruckAndDrones, Plan]]:
+        """Plans, each with the problem that it is one of.
+
+        By the search: two that know of no layers, with drones met where they were launched, and met
+        anywhere (the first loses least to layers, the second reaches furthest); then the first
+        again, cooled once more with layers priced.
+        """
+        layered = nodes.problem
+        anywhere = replace(layered, air=None)
+        loops = replace(anywhere, loops_only=True)
+        rng = np.random.default_rng(self._params.seed)
+        if self._params.policy == "dynamic":
+            yield anywhere, DynamicAssignment().plan(anywhere, rng)
+            return
+        default = max(1, int(DAY_TRIALS_FRAC * default_trials(anywhere.customers)))
+        trials = self._params.trials or default
+        self._trials = trials
+        first = self._searched(loops, rng, trials // 2, (0.0, 0.4))
+        yield loops, first
+        yield anywhere, self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8))
+        apart = replace(layered, loops_only=True)
+        share = min(1.0, LAYERED_CUSTOMERS / max(1, layered.customers)) / LAYERED_SHARE
+        kept = self._kept_apart(apart, rng, first, int(share * trials))
+        if kept is not None:
+            yield apart, kept
+
+    def _searched(
+        self,
+        problem: TruckAndDrones,
+        rng: np.random.Generator,
+        trials: int,
+        tell_frac: tuple[float, float],
+    ) -> Plan:
+        search = Search(problem, rng, SearchParams())
+        rounds = default_rounds(problem.customers) if problem.customers else 0
+        each_frac = (tell_frac[1] - tell_frac[0]) / max(1, rounds)
+        for number in range(rounds):
+            from_frac = tell_frac[0] + number * each_frac
+            of_round = max(1, trials // rounds)
+            self._cooled(search, of_round, 0.0, (from_frac, from_frac + each_frac))
+        return search.best
+
+    def _kept_apart(
+        self, problem: TruckAndDrones, rng: np.random.Generator, start: Plan, trials: int
+    ) -> Plan | None:
+        """From a plan that knew of no layers to one that does, by the colder part of a round.
+
+        None: some sortie of the first finds no layer at all, however long it waits.
+        """
+        search = Search(problem, rng, SearchParams(), start)
+        if search.best_s == math.inf:
+            return None
+        if problem.customers:
+            self._cooled(search, max(1, trials), LAYERED_FROM, (0.8, 1.0))
+        return search.best
+
+    def _cooled(
+        self, search: Search, trials: int, begin: float, tell_frac: tuple[float, float]
+    ) -> None:
+        """One cooling, from this part of a round to its end."""
+        done, most = 0, SearchParams().step_trials
+        while done < trials:
+            now = min(most, trials - done)
+            shares = [begin + (1.0 - begin) * n / trials for n in (done, done + now)]
+            search.step(now, *shares)
+            done += now
+            told = tell_frac[0] + (tell_frac[1] - tell_frac[0]) * done / trials
+            self._tell(told, search.best_s)
+
+    def _drive(self, nodes: DayNodes) -> Drive:
+        stops = {stop.id: stop for stop in self._start.stops}
+        standing = [self._airspace.filled(sortie, stops) for sortie in self._start.flying]
+        pads = {
+            drone: place_ned(self._airspace.frame, place)
+            for drone, place in self._here.pads.items()
+        }
+        ready_s = self._data.day.truck.ready_s
+        finder = SlotFinder(nodes, self._t0_s, pads)
+        return Drive(nodes, finder, standing, self._t0_s, ready_s)
+
+    def _day_plan(self, nodes: DayNodes, driven: Driven) -> DayPlan:
+        start, params = self._start, self._params
+        ids = self._stop_ids(driven)
+        sorties = [self._sortie(nodes, driven, slot, ids) for slot in driven.slots]
+        stops = [*start.stops[:-1]]
+        for number, stop in enumerate(driven.stops):
+            order = nodes.orders[stop.node - 1] if 0 < stop.node <= len(nodes.orders) else None
+            fresh = PlannedStop(
+                id=ids[stop.node],
+                place=self._place(ids[stop.node], nodes.ned(stop.node)),
+                arrive_s=self._t0_s + stop.arrive_s,
+                depart_s=self._t0_s + stop.depart_s,
+                serves=[order.id] if order else [],
+                pads=self._pads(ids[stop.node], driven.pads[stop.node]),
+            )
+            if number == 0:
+                pads = {**fresh.pads, **self._here.pads}
+                fresh = PlannedStop(
+                    id=self._here.id,
+                    place=self._here.place,
+                    arrive_s=self._here.arrive_s,
+                    depart_s=fresh.depart_s,
+                    serves=self._here.serves,
+                    pads=pads,
+                )
+            stops.append(fresh)
+        return DayPlan(
+            format="day-plan/1",
+            day=self._data.day.name,
+            policy=params.policy,
+            seed=params.seed,
+            trials=self._trials,
+            makespan_s=stops[-1].depart_s,
+            stops=stops,
+            sorties=[*start.flying, *sorties],
+            unplanned=self._unplanned,
+            revision=start.revision,
+        )
+
+    def _stop_ids(self, driven: Driven) -> dict[int, str]:
+        """A stop's name stays its own through the day: later revisions use names of their own."""
+        prefix = f"r{self._start.revision}-" if self._start.revision else ""
+        nodes = [stop.node for stop in driven.stops]
+        ids = {node: f"{prefix}stop-{number}" for number, node in enumerate(nodes)}
+        return ids | {nodes[0]: self._here.id, nodes[-1]: f"{prefix}depot-end"}
+
+    def _pads(self, stop_id: str, pads: StopPads) -> dict[str, Place]:
+        return {drone: self._place(stop_id, ned) for drone, ned in sorted(pads.of.items())}
+
+    def _place(self, name: str, ned_m: Ned) -> Place:
+        lat_rad, lon_rad, alt_amsl_m = self._airspace.frame.to_geodetic(ned_m)
+        return Place(
+            name=name,
+            lat_deg=round(math.degrees(lat_rad), 7),
+            lon_deg=round(math.degrees(lon_rad), 7),
+            alt_amsl_m=round(alt_amsl_m, 2),
+        )
+
+    def _others(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> list[str]:
+        """Other stops that it could land at, with a pad: its launch, and the one after home."""
+        wish = slot.wish
+        route = [stop.node for stop in driven.stops]
+        after = route[route.index(wish.meet) + 1 :][:1]
+        found: list[str] = []
+        for node in [wish.launch, *after]:
+            pad = driven.pads[node].best(slot.drone, nodes.ned(wish.customer))
+            if node == wish.meet or pad is None:
+                continue
+            need = nodes.classes[wish.kind].reach.affordable(
+                nodes.orders[wish.customer - 1].mass_kg,
+                slot.from_pad_ned_m,
+                nodes.ned(wish.customer),
+                pad[1],
+                slot.filled.high_m,
+                nodes.ways.via(wish.launch, wish.customer),
+                nodes.ways.via(wish.customer, node),
+            )
+            if need is not None:
+                driven.pads[node].of[slot.drone] = pad[1]
+                found.append(ids[node])
+        return found
+
+    def _sortie(
+        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+    ) -> PlannedSortie:
+        wish = slot.wish
+        order = nodes.orders[wish.customer - 1]
+        reach = nodes.classes[wish.kind].reach
+        height_m = slot.filled.high_m
+        out = nodes.ways.via(wish.launch, wish.customer)
+        back = nodes.ways.via(wish.customer, wish.meet)
+        here, there = slot.from_pad_ned_m, slot.to_pad_ned_m
+        customer = nodes.ned(wish.customer)
+        need = reach.need(order.mass_kg, here, customer, there, height_m, out, back)
+        usable_wh, battery_std_wh = reach.budget_wh(order.mass_kg)
+        sure_wh = need.mean_wh + reach.sigmas * math.hypot(need.std_wh, battery_std_wh)
+        above_pad_m = round(height_m + here[2], 2)
+        return PlannedSortie(
+            order=order.id,
+            vehicle=slot.drone,
+            launch=ids[wish.launch],
+            home=ids[wish.meet],
+            launch_s=self._t0_s + slot.launched_s,
+            land_s=self._t0_s + slot.landed_s,
+            outbound_height_m=above_pad_m,
+            return_height_m=above_pad_m,
+            energy_wh=need.mean_wh,
+            sure_wh=sure_wh,
+            usable_wh=usable_wh,
+            others=self._others(nodes, driven, slot, ids),
+        )
+
+
+def _worth(driven: Driven) -> tuple[int, float]:
+    """Fewer orders lost, then sooner home."""
+    return len(driven.lost), driven.makespan_s
+
+
+def _check_state(data: DayData, start: DayState) -> None:
+    known = {order.id for order in data.orders}
+    stops = {stop.id for stop in start.stops}
+    unknown = sorted(set(start.open) - known)
+    if unknown:
+        raise LeewayError(f"open orders {', '.join(unknown)}: not in the day's orders")
+    for sortie in start.flying:
+        if sortie.home not in stops:
+            raise LeewayError(f"{sortie.vehicle}: its home {sortie.home} is no promised stop")

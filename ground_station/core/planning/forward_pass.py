@@ -1,0 +1,277 @@
+"""The day driven forward, as the desk will: a launch waits until it is apart from all in the air.
+
+The search decides who is brought by whom, from where to where and in which order; here its plan is
+carried out event by event with pads, drones and layers. At a stop the driver launches what can be
+launched, in the search's order, takes in what has landed, delivers, waits. A launch that is blocked
+by a drone on its way to a later stop goes to the next stop itself: the truck cannot wait for it.
+"""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from ground_station.core.deconfliction.pads import StopPads
+from ground_station.core.deconfliction.separation import SLACK_S, Filled
+from ground_station.core.planning.launch_slots import Blocked, Slot, SlotFinder, Wish
+from ground_station.core.planning.nodes import DayNodes
+from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.schedule import Stop, flights_of
+from ground_station.core.truck_drones.tables import Plan
+
+MOST_ROUNDS = 40
+EPSILON_S = 1e-6
+
+
+@dataclass(slots=True)
+class Driven:
+    """A day driven: stops, sorties, pads by node, and customers that found no slot."""
+
+    stops: list[Stop] = field(default_factory=list[Stop])
+    slots: list[Slot] = field(default_factory=list[Slot])
+    pads: dict[int, StopPads] = field(default_factory=dict[int, StopPads])
+    lost: list[int] = field(default_factory=list[int])
+
+    @property
+    def makespan_s(self) -> float:
+        """From the start to the last departure."""
+        return self.stops[-1].depart_s if self.stops else 0.0
+
+
+POLISH_DRIVES = 50
+POLISH_ORDERS = 2_000
+"""Together: with more orders fewer drives, since each takes longer too."""
+
+
+class Drive:
+    """Drives one plan of the search, as often as it takes that no drone lands before the truck."""
+
+    def __init__(
+        self,
+        nodes: DayNodes,
+        finder: SlotFinder,
+        standing: list[Filled],
+        t0_s: float,
+        ready_s: float,
+    ) -> None:
+        """`standing`: what is in the air already (the day's time; the truck starts at `t0_s`)."""
+        self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
+        self._ready_s = ready_s
+
+    def wished(self, problem: TruckAndDrones, plan: Plan) -> tuple[list[int], list[Wish]]:
+        """The route and the sorties of a plan of the search, in its order of launches."""
+        stops, flights = flights_of(problem, plan)
+        wishes = [Wish(f.customer, f.kind, f.launch, f.meet) for f in flights]
+        return [stop.node for stop in stops], wishes
+
+    def driven(self, route: list[int], wishes: list[Wish]) -> Driven:
+        """The day; the truck is at each home `lead_s` before its drones."""
+        release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
+        pushes = dict.fromkeys(release_s, 0)
+        early: list[tuple[int, float, float]] = []
+        for _ in range(MOST_ROUNDS + len(wishes)):
+            done = _Pass(
+                self._nodes, self._finder, self._standing, self._t0_s, self._ready_s, release_s
+            )
+            day = done.drive(route, wishes)
+            early = self._too_early(day)
+            if not early:
+                return day
+            for customer, by_s, starts_s in early:
+                pushes[customer] += 1
+                release_s[customer] = starts_s + by_s + EPSILON_S
+                if pushes[customer] > 3:  # the truck waits for its launch: the two never meet
+                    wishes = [_as_loop(w) if w.customer == customer else w for w in wishes]
+                    release_s[customer] = 0.0
+        return Driven(lost=[customer for customer, _, _ in early])
+
+    def _too_early(self, day: Driven) -> list[tuple[int, float, float]]:
+        """Customers whose drone would be home before the truck: by how much, and its start."""
+        arrive_s = {stop.node: stop.arrive_s for stop in day.stops}
+        problem = self._nodes.problem
+        found: list[tuple[int, float, float]] = []
+        for slot in day.slots:
+            wish = slot.wish
+            by_s = arrive_s[wish.meet] + problem.lead_s - slot.landed_s
+            if wish.launch != wish.meet and by_s > EPSILON_S:
+                starts_s = slot.launched_s - self._ready_s - problem.kinds[wish.kind].launch_s
+                found.append((wish.customer, by_s, starts_s))
+        return found
+
+
+def polished(drive: Drive, route: list[int], wishes: list[Wish], driven: Driven) -> Driven:
+    """Drones that a stop launches last are met at the next one, where that ends the day sooner."""
+    left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(wishes)))
+    for here, there in pairwise(route):
+        loops = [s for s in driven.slots if s.wish.launch == s.wish.meet == here]
+        for slot in sorted(loops, key=lambda slot: -slot.launched_s):
+            if left == 0:
+                return driven
+            left -= 1
+            customer = slot.wish.customer
+            other = [replace(w, meet=there) if w.customer == customer else w for w in wishes]
+            tried = drive.driven(route, other)
+            if len(tried.lost) <= len(driven.lost) and tried.makespan_s < driven.makespan_s - 1.0:
+                wishes, driven = other, tried
+    return driven
+
+
+def _as_loop(wish: Wish) -> Wish:
+    return replace(wish, launch=wish.meet)
+
+
+class _Pass:
+    """One pass along the route."""
+
+    def __init__(
+        self,
+        nodes: DayNodes,
+        finder: SlotFinder,
+        standing: list[Filled],
+        t0_s: float,
+        ready_s: float,
+        release_s: dict[int, float],
+    ) -> None:
+        self._nodes, self._finder, self._release_s = nodes, finder, release_s
+        self._problem, self._t0_s = nodes.problem, t0_s
+        self._standing, self._ready_s = standing, ready_s
+        self._day = Driven()
+        self._now_s = 0.0
+        self._aboard = [
+            dict.fromkeys(of.ids, kind.from_s)
+            # A fleet without drones has one kind, of none.
+            for of, kind in zip(nodes.classes, nodes.problem.kinds, strict=False)
+        ]
+        self._out: list[Slot] = []
+        """Not taken in yet."""
+        self._blocked_until_s: dict[int, float] = {}
+
+    def drive(self, route: list[int], wishes: list[Wish]) -> Driven:
+        day = self._day
+        for number, node in enumerate(route):
+            day.pads[node] = self._finder.pads_at(node, first=number == 0)
+        for number, node in enumerate(route):
+            arrive_s = self._now_s
+            following = route[number + 1] if number + 1 < len(route) else None
+            mine = [wish for wish in wishes if wish.launch == node]
+            put_off = self._stop(node, mine, last=following is None)
+            if number == 0:
+                self._now_s = max(self._now_s, self._problem.hold_s)
+            # Nobody leaves a drone that has not taken off.
+            self._now_s = max([self._now_s, *(slot.launched_s for slot in self._out)])
+            day.stops.append(Stop(node, arrive_s, self._now_s))
+            if following is not None:
+                self._now_s += float(self._problem.travel_s[node, following])
+                wishes = [wish for wish in wishes if wish not in put_off] + [
+                    _from(wish, following, node) for wish in put_off
+                ]
+        return day
+
+    def _stop(self, node: int, wishes: list[Wish], *, last: bool) -> list[Wish]:
+        """Everything at this stop; the launches that must go to the next one."""
+        deliver_s = float(self._problem.deliver_s[node])
+        waiting, put_off = list(wishes), list[Wish]()
+        while True:
+            launched, until_s = self._launch(waiting, put_off, node, last=last)
+            if launched is not None:
+                waiting.remove(launched)
+                continue
+            home = [slot for slot in self._out if slot.wish.meet == node]
+            landed = [slot for slot in home if slot.landed_s <= self._now_s + EPSILON_S]
+            if landed:
+                self._take_in(min(landed, key=lambda slot: slot.landed_s))
+            elif deliver_s > 0.0:
+                self._now_s += deliver_s
+                deliver_s = 0.0
+            elif home or waiting:
+                times_s = [slot.landed_s for slot in home] + until_s
+                if not times_s:
+                    self._day.lost += [wish.customer for wish in waiting]
+                    return put_off
+                self._now_s = max(min(times_s), self._now_s)
+            else:
+                return put_off
+
+    def _take_in(self, slot: Slot) -> None:
+        self._now_s += self._problem.kinds[slot.wish.kind].recover_s
+        self._out.remove(slot)
+        self._aboard[slot.wish.kind][slot.drone] = self._now_s
+        self._blocked_until_s.clear()  # its pads may be out of the way
+
+    def _launch(
+        self, waiting: list[Wish], put_off: list[Wish], node: int, *, last: bool
+    ) -> tuple[Wish | None, list[float]]:
+        """Launch the first that can go now; else when others may be able to."""
+        until_s: list[float] = []
+        for wish in list(waiting):
+            not_before_s = max(
+                self._release_s[wish.customer], self._blocked_until_s.get(wish.customer, 0.0)
+            )
+            if not_before_s > self._now_s + EPSILON_S:
+                until_s.append(not_before_s)
+                continue
+            drones = [
+                drone
+                for drone, from_s in self._aboard[wish.kind].items()
+                if from_s <= self._now_s + EPSILON_S
+            ]
+            if not drones:
+                later_s = [s for s in self._aboard[wish.kind].values() if s > self._now_s]
+                until_s += later_s
+                if not later_s and not self._coming(wish.kind, node):
+                    self._pass_on(wish, waiting, put_off, last=last)
+                continue
+            put_out_s = self._now_s + self._problem.kinds[wish.kind].launch_s
+            launched_s = put_out_s + self._ready_s
+            in_air = self._in_air(launched_s)
+            found = self._finder.find(wish, launched_s, drones, self._day.pads, in_air)
+            if isinstance(found, Slot):
+                self._now_s = put_out_s
+                del self._aboard[wish.kind][found.drone]
+                self._out.append(found)
+                self._day.slots.append(found)
+                return wish, []
+            self._wait_or_pass_on(wish, found, launched_s, (waiting, put_off, until_s), node, last)
+        return None, until_s
+
+    def _wait_or_pass_on(
+        self,
+        wish: Wish,
+        found: Blocked,
+        launched_s: float,
+        lists: tuple[list[Wish], list[Wish], list[float]],
+        node: int,
+        last: bool,
+    ) -> None:
+        waiting, put_off, until_s = lists
+        if found.until_s is not None:
+            free_s = found.until_s - self._t0_s + SLACK_S + EPSILON_S
+            wait_s = free_s - (launched_s - self._now_s)
+            home_here = [s.landed_s for s in self._out if s.wish.meet == node]
+            foreign = [s.landed_s for s in self._out if s.wish.meet != node]
+            if last or not foreign or (home_here and min(foreign) + SLACK_S > free_s):
+                wait_s = max(wait_s, self._now_s + EPSILON_S)
+                self._blocked_until_s[wish.customer] = wait_s
+                until_s.append(wait_s)
+                return
+        self._pass_on(wish, waiting, put_off, last=last)
+
+    def _coming(self, kind: int, node: int) -> bool:
+        """Will a drone of this kind be taken in here?"""
+        return any(slot.wish.meet == node and slot.wish.kind == kind for slot in self._out)
+
+    def _pass_on(self, wish: Wish, waiting: list[Wish], put_off: list[Wish], *, last: bool) -> None:
+        waiting.remove(wish)
+        if last:
+            self._day.lost.append(wish.customer)
+        else:
+            put_off.append(wish)
+
+    def _in_air(self, at_s: float) -> list[Filled]:
+        """Who may be in the air at this time or later."""
+        until_s = self._t0_s + at_s - SLACK_S
+        filled = [slot.filled for slot in self._day.slots]
+        return [one for one in (*self._standing, *filled) if one.to_s > until_s]
+
+
+def _from(wish: Wish, node: int, before: int) -> Wish:
+    """Launched at the next stop instead; met there where it would have been met before."""
+    return replace(wish, launch=node, meet=node if wish.meet == before else wish.meet)

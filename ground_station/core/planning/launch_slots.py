@@ -1,0 +1,163 @@
+"""A pad, a drone and a layer for each launch: apart from everybody who is in the air.
+
+Of the drones that are aboard the one whose pads lie on the way; of the layers the lowest in which
+the sortie is apart from all others in the air, and for which the energy is there.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.core.base.geo import Ned
+from ground_station.core.deconfliction.pads import StopPads, pad_places
+from ground_station.core.deconfliction.separation import Filled, Near, near
+from ground_station.core.feasibility.reach import Need
+from ground_station.core.planning.nodes import DayNodes, layer_height_m, layers_over
+
+Points = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A sortie as the search wants it."""
+
+    customer: int
+    kind: int
+    launch: int
+    meet: int
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One sortie with all that it was given; times from the truck's arrival at the start."""
+
+    wish: Wish
+    drone: str
+    from_pad_ned_m: Ned
+    to_pad_ned_m: Ned
+    launched_s: float
+    landed_s: float
+    filled: Filled
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """Who is in the way in the layer that is free first; None: no layer has the energy or room."""
+
+    until_s: float | None
+
+
+class SlotFinder:
+    """Finds slots over one problem; what it has worked out is kept."""
+
+    def __init__(self, nodes: DayNodes, t0_s: float, start_pads: dict[str, Ned]) -> None:
+        """`t0_s`: when the truck is at the start, in the day's time."""
+        self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
+        self._cruise_m = nodes.cruise_height_m
+        self._near: dict[tuple[Points, Points, Points, Points], Near] = {}
+        self._needs: dict[tuple[Wish, Ned, Ned, int], Need | None] = {}
+        self._places: dict[int, list[Ned]] = {}
+
+    def pads_at(self, node: int, *, first: bool) -> StopPads:
+        """An empty set of pads for a stop; at the start with those that are promised already."""
+        ned = self._nodes.ned(node)
+        if node not in self._places:
+            self._places[node] = pad_places(ned, self._nodes.obstacles)
+        return StopPads(ned, self._places[node], dict(self._start_pads) if first else {})
+
+    def find(
+        self,
+        wish: Wish,
+        launched_s: float,
+        drones: list[str],
+        pads: dict[int, StopPads],
+        in_air: list[Filled],
+    ) -> Slot | Blocked:
+        """A slot for a launch now, beside these; pads are given only where it is found."""
+        crew = self._crew(wish, drones, pads)
+        if crew is None:
+            return Blocked(None)
+        drone, here, there = crew
+        shape = self._filled(wish, drone, here, there)
+        beside = [(other, self._near_to(shape, other)) for other in in_air]
+        until_s: float | None = None
+        for layer in self._layers(wish, here, there):
+            up_m = layer_height_m(self._cruise_m, layer)
+            blocking = [
+                other.to_s
+                for other, near_to in beside
+                if near_to.clash((up_m, up_m), (other.low_m, other.high_m))
+            ]
+            if blocking:
+                free_s = max(blocking)
+                until_s = free_s if until_s is None else min(until_s, free_s)
+                continue
+            need = self._need(wish, here, there, layer)
+            if need is None:
+                continue
+            pads[wish.launch].of[drone] = here
+            pads[wish.meet].of[drone] = there
+            from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
+            to_s = self._t0_s + landed_s
+            filled = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
+            return Slot(wish, drone, here, there, launched_s, landed_s, filled)
+        return Blocked(until_s)
+
+    def _crew(
+        self, wish: Wish, drones: list[str], pads: dict[int, StopPads]
+    ) -> tuple[str, Ned, Ned] | None:
+        ned = self._nodes.ned(wish.customer)
+        able: list[tuple[float, str, Ned, Ned]] = []
+        for drone in drones:
+            here = pads[wish.launch].best(drone, ned)
+            there = here if wish.meet == wish.launch else pads[wish.meet].best(drone, ned)
+            if here is not None and there is not None:
+                able.append((here[0] + there[0], drone, here[1], there[1]))
+        return min(able)[1:] if able else None
+
+    def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[int]:
+        """Layers with the room for this sortie, upwards."""
+        grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
+        lowest, layers = layers_over(grounds_m, self._cruise_m)
+        yield from range(int(lowest.max()), int(layers.min()))
+
+    def _need(self, wish: Wish, here: Ned, there: Ned, layer: int) -> Need | None:
+        """What it takes in this layer; None where that is more than there is."""
+        key = (wish, here, there, layer)
+        if key not in self._needs:
+            nodes = self._nodes
+            reach = nodes.classes[wish.kind].reach
+            self._needs[key] = reach.affordable(
+                nodes.orders[wish.customer - 1].mass_kg,
+                here,
+                nodes.ned(wish.customer),
+                there,
+                layer_height_m(self._cruise_m, layer),
+                nodes.ways.via(wish.launch, wish.customer),
+                nodes.ways.via(wish.customer, wish.meet),
+            )
+        return self._needs[key]
+
+    def _filled(self, wish: Wish, drone: str, here: Ned, there: Ned) -> Filled:
+        """Its ways and columns, in no layer and at no time yet."""
+        nodes = self._nodes
+        points = (here, nodes.ned(wish.customer), there)
+        out = nodes.ways.via(wish.launch, wish.customer)
+        back = nodes.ways.via(wish.customer, wish.meet)
+        return Filled(
+            vehicle=drone,
+            order=nodes.orders[wish.customer - 1].id,
+            ground_ne_m=tuple(p[:2] for p in points) + out + back,
+            columns_ne_m=tuple(p[:2] for p in dict.fromkeys(points)),
+            low_m=0.0,
+            high_m=0.0,
+            from_s=0.0,
+            to_s=0.0,
+        )
+
+    def _near_to(self, one: Filled, other: Filled) -> Near:
+        key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)
+        if key not in self._near:
+            self._near[key] = near(one, other)
+        return self._near[key]

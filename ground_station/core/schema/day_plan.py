@@ -1,0 +1,94 @@
+"""A day's plan as planner, desk, simulator and people share it (`day-plan/1`, JSON).
+
+Times are seconds after the truck leaves the depot for the first time. Stops are in the order of the
+truck's route; the first and the last are the depot. A sortie's home is a stop that the truck
+promises (safety rule 3): the truck is there before the drone lands, and stays until it is down or
+has read back another end point.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from companion.core.base.place import Place
+from companion.core.base.wire_message import Name
+from companion.fleet.messages import Id, Words
+
+Seconds = Annotated[float, Meta(ge=0.0)]
+Metres = Annotated[float, Meta(gt=0.0)]
+
+
+class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Unknown fields are refused."""
+
+
+class PlannedStop(_Part, frozen=True, kw_only=True):
+    """Where the truck stands from `arrive_s` to `depart_s`; `serves`: orders the driver brings.
+
+    `pads` are where drones stand for launch and landing, one for each drone that uses the stop:
+    apart enough for two to go up and down at once.
+    """
+
+    id: Id
+    place: Place
+    arrive_s: Seconds
+    depart_s: Seconds
+    serves: list[Id] = []
+    pads: dict[Name, Place] = {}
+
+
+class PlannedSortie(_Part, frozen=True, kw_only=True):
+    """One flight: `order` by `vehicle`, from the pad at stop `launch` to that at stop `home`.
+
+    `launch_s` is its launch slot, `land_s` the expected touchdown. Heights are above the launch
+    pad, one layer for the way out, one for the way back (safety rule 7). `others` names further
+    stops that it could land at, should the truck promise them. `energy_wh` is what the flight is
+    expected to use, `sure_wh` the same at the accepted loss, `usable_wh` what it may use.
+    """
+
+    order: Id
+    vehicle: Name
+    launch: Id
+    home: Id
+    launch_s: Seconds
+    land_s: Seconds
+    outbound_height_m: Metres
+    return_height_m: Metres
+    energy_wh: Seconds
+    sure_wh: Seconds
+    usable_wh: Seconds
+    others: list[Id] = []
+
+
+class Unplanned(_Part, frozen=True, kw_only=True):
+    """An order that nobody can bring as things are, and what would make it possible."""
+
+    order: Id
+    why: Words
+    remedy: Words
+
+
+class DayPlan(_Part, frozen=True, kw_only=True):
+    """A `day-plan/1` file.
+
+    `revision` counts re-plans of one day. `policy`, `seed` and `trials` make it again.
+    """
+
+    format: Literal["day-plan/1"]
+    day: str
+    policy: str
+    seed: int
+    trials: int
+    makespan_s: Seconds
+    stops: list[PlannedStop]
+    sorties: list[PlannedSortie]
+    unplanned: list[Unplanned] = []
+    revision: Annotated[int, Meta(ge=0)] = 0
+
+    def stop(self, id_: str) -> PlannedStop:
+        """The stop of this name. Raises KeyError where there is none."""
+        for stop in self.stops:
+            if stop.id == id_:
+                return stop
+        raise KeyError(id_)

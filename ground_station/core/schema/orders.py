@@ -1,0 +1,155 @@
+"""Orders, assignments and what becomes of them: states as data, shared by store and desk."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from companion.core.base.errors import check_range
+from companion.fleet.messages import Answered, Deed
+
+OrderId = Annotated[
+    str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
+]
+
+
+BOUNDS = {
+    "lat_deg": (-85.0, 85.0),
+    "lon_deg": (-180.0, 180.0),
+    "alt_amsl_m": (-500.0, 9000.0),
+    "mass_kg": (0.0, 500.0),
+}
+"""Of an order's numbers."""
+
+
+class Service(Enum):
+    """Who may bring it."""
+
+    ANY = "any"
+    DRONE = "drone"
+    TRUCK = "truck"
+
+
+class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One parcel to one place; `alt_amsl_m` is the height of the GROUND there (safety rule 8).
+
+    `note` is data for people: nothing decides on it.
+    """
+
+    id: OrderId
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    mass_kg: float
+    service: Service = Service.ANY
+    note: Annotated[str, Meta(max_length=500)] = ""
+
+    def __post_init__(self) -> None:
+        for key, (low, high) in BOUNDS.items():
+            check_range(key, getattr(self, key), low, high)
+
+
+class OrderState(Enum):
+    """`stuck` waits for a person: too many attempts, a vehicle was lost with it, or nothing proved
+    that it was dropped.
+    """
+
+    OPEN = "open"
+    ASSIGNED = "assigned"
+    DELIVERED = "delivered"
+    STUCK = "stuck"
+    CANCELLED = "cancelled"
+
+
+class AssignmentState(Enum):
+    """From the desk's wish to the end. While it is in force (`IN_FORCE`) it holds order and
+    vehicle.
+    """
+
+    ORDERED = "ordered"
+    ABOARD = "aboard"
+    FLYING = "flying"
+    WITHDRAWING = "withdrawing"
+    DELIVERED = "delivered"
+    RETURNED = "returned"
+    LOST = "lost"
+    REFUSED = "refused"
+    WITHDRAWN = "withdrawn"
+
+
+IN_FORCE = (
+    AssignmentState.ORDERED,
+    AssignmentState.ABOARD,
+    AssignmentState.FLYING,
+    AssignmentState.WITHDRAWING,
+)
+
+ATTEMPTS = 3
+"""Flights that an order gets by itself before a person has to look at it."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrderRow:
+    """An order with what has become of it."""
+
+    order: Order
+    state: OrderState
+    attempts: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class AssignmentRow:
+    """Who brings what."""
+
+    id: str
+    order_id: str
+    vehicle: str
+    state: AssignmentState
+    delivered: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRow:
+    """A command in the outbox (no answer yet), or answered by the companion's life `life`."""
+
+    id: str
+    vehicle: str
+    assignment: str | None
+    deed: Deed
+    by: str
+    answer: Answered | None
+    reason: str
+    life: str | None
+
+
+def assignment_id(order: str, attempt: int) -> str:
+    """One for each attempt at an order: two desks that try at once mean the same."""
+    return f"{order}.{attempt}"
+
+
+def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
+    """How an assignment ends by the outcome of its flight (evaluation, section 1)."""
+    if outcome in ("DEL", "FAIL") or not home:
+        return AssignmentState.LOST
+    return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
+
+
+def order_after(
+    state: AssignmentState, delivered: bool, attempts: int, unproven: bool = False
+) -> OrderState:
+    """What becomes of an order when its assignment has ended.
+
+    A parcel aboard a lost vehicle, or one that was perhaps dropped (`unproven`), is nobody's to
+    send again: a person looks, and decides.
+    """
+    if delivered or state is AssignmentState.DELIVERED:
+        return OrderState.DELIVERED
+    if state is AssignmentState.LOST or unproven:
+        return OrderState.STUCK
+    if state is AssignmentState.WITHDRAWN:
+        return OrderState.OPEN
+    return OrderState.OPEN if attempts < ATTEMPTS else OrderState.STUCK

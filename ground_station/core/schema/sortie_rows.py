@@ -1,0 +1,91 @@
+"""Flights from a truck as the store keeps them: what is promised, and what binds the truck."""
+
+from dataclasses import dataclass
+
+from companion.core.base.place import Place
+from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, AssignmentState
+
+
+@dataclass(frozen=True, slots=True)
+class SortieRow:
+    """One flight. `pads` are the places that it could land at, by stop, launch pad among them.
+
+    `promised` is the stop where it ends (safety rule 3); `asked` one that it was asked to move to
+    and has not read back: both bind. `placed`: the driver has put it on its launch pad;
+    `recovered`: has taken it aboard again; `away`: it lies where the truck does not come. `lapsed`:
+    it has not been heard for so long that it cannot be in the air any more. `launching`: a launch
+    is under way to it; `refused` counts those that it refused; `recovering`: the driver was told.
+    """
+
+    row: AssignmentRow
+    sortie: PlannedSortie
+    pads: dict[str, Place]
+    promised: str
+    asked: str | None = None
+    placed: bool = False
+    recovered: bool = False
+    away: bool = False
+    lapsed: bool = False
+    launched_us: int | None = None
+    landed_us: int | None = None
+    used_wh: float | None = None
+    launching: bool = False
+    refused: int = 0
+    recovering: bool = False
+
+    @property
+    def id(self) -> str:
+        """Its assignment."""
+        return self.row.id
+
+    @property
+    def vehicle(self) -> str:
+        """Who flies it."""
+        return self.row.vehicle
+
+    @property
+    def over(self) -> bool:
+        """Its outcome is known, or it never flew."""
+        return self.row.state not in IN_FORCE
+
+    @property
+    def in_air(self) -> bool:
+        """It may be in the air, for all that is known."""
+        flying = self.launching or self.row.state is AssignmentState.FLYING
+        return not self.over and flying and not self.lapsed
+
+    @property
+    def aboard(self) -> bool:
+        """Its drone is on the truck again, or never left it."""
+        return self.over and (self.recovered or not self.placed)
+
+    @property
+    def gone(self) -> bool:
+        """Its drone is not to be had again today."""
+        lost = self.row.state is AssignmentState.LOST
+        return lost or self.away or self.lapsed
+
+    def binds(self, stop: str) -> str | None:
+        """Why the truck may not leave this stop because of it; None: it may."""
+        if self.gone or self.aboard:
+            return None
+        here = f"{self.vehicle} ({self.id})"
+        if stop in (self.promised, self.asked):
+            return f"{here} is promised this stop"
+        stands_here = self.launched_us is None or self.recovering  # else it stands where it landed
+        if self.sortie.launch == stop and self.over and stands_here:
+            return f"{here} is not aboard again"
+        flying = self.row.state is AssignmentState.FLYING
+        if self.sortie.launch == stop and not (self.over or flying):
+            return f"{here} is not launched"
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """The truck at a stop, by the desk's clock."""
+
+    stop: str
+    arrived_us: int
+    left_us: int | None

@@ -1,0 +1,376 @@
+"""Vehicles that leave one truck at once, in one layer, and cross each other's paths.
+
+Slots and layers are left out on purpose: what keeps them apart here is what companions tell each
+other, and the set-points that they fly near neighbours (docs/avoidance.md, "In flight"). The
+drones, the network and the stepped clock are the simulated day's; nobody dispatches.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.adapters.files.params import params_dir, read_airframe
+from companion.app.flight.fleet_port import FleetPort
+from companion.app.flight.run import Run, RunOptions
+from companion.app.flight.value_table_worker import TablesHere
+from companion.core.base.geo import LocalFrame
+from companion.core.mission.events import Authorised
+from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.transitions import Phase
+from companion.core.separation.track import Track as Told
+from companion.fleet.messages import decode_track, encode
+from sim_bridge.app.day.build import AUTOPILOTS
+from sim_bridge.app.day.bus import Bus
+from sim_bridge.app.day.clock import DayClock
+from sim_bridge.app.day.companion import MemoryLink
+from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.terrain import PlaneTerrain
+from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, mean_wind
+
+SITE = (55.47, 8.45, 12.0)
+AIRFRAME = "m100"
+RING_M = 46.0
+"""From the truck to each pad; eight are then 35 m from each other (docs/avoidance.md, 4)."""
+
+CUSTOMER_M = 100.0
+"""From the truck to each customer, on the far side: all ways lead past the truck."""
+
+ASTRAY_RAD = math.radians(20.0)
+"""How far a customer may lie from straight across."""
+
+WIND_MAX_MPS = 6.0
+WANDER_S = 30.0
+"""The errors of what neighbours are told wander this slowly: satellites' do, so averaging does not
+help (as sim_bridge.research.avoidance has it)."""
+
+VERTICAL_SHARE = 0.25
+"""Of the horizontal error: heights are told by barometers."""
+
+PAYLOAD_KG = 0.3
+STEP_S = 0.1
+STEPS = 10
+LIMIT_S = 420.0
+
+
+@dataclass(frozen=True, slots=True)
+class CrossOptions:
+    """`late_s`, `off_m`: what is wrong with what neighbours are told (1 sigma a horizontal axis).
+
+    `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
+    wished, by `policy` (a learned actor) or straight on. Pads and customers lie so far from the
+    truck, customers at
+    most so far from straight across.
+    """
+
+    vehicles: int = 8
+    autopilot: str = "mixed"
+    seed: int = 1
+    late_s: float = 0.2
+    off_m: float = 2.0
+    keep_apart: bool = True
+    separation_filter: bool = True
+    policy: str | None = None
+    ring_m: float = RING_M
+    customer_m: float = CUSTOMER_M
+    astray_rad: float = ASTRAY_RAD
+    cruise_height_m: float = 30.0
+    run_root: Path = Path("logs")
+
+
+@dataclass(slots=True)
+class LoneCompanion:
+    """A companion of the fleet with a mission of its own, stepped in this process."""
+
+    port: FleetPort
+    link: MemoryLink
+    run: Run
+    ended: int | None = None
+    running: bool = True
+    """For the drone: this companion is not started again when its mission is over."""
+
+    @property
+    def phase(self) -> Phase:
+        """What it does."""
+        return self.run.pilot.phase
+
+    def authorise(self) -> None:
+        """An operator says go."""
+        self.run.loop.ask(Authorised(self.run.loop.clock.t_s, "the truck"))
+
+    def hear(self, datagrams: list[bytes]) -> list[bytes]:
+        """Hear all of these; what is said to the autopilot in answer."""
+        self.link.heard.extend(datagrams)
+        while self.ended is None:
+            code = self.run.step()
+            if code is not None:
+                self.run.end(code)
+                self.ended = code
+                self.port.close()
+            if not self.link.heard:
+                break
+        said, self.link.said = self.link.said, []
+        return said
+
+    def kill(self) -> None:
+        """As a computer that loses its power."""
+        if self.ended is None:
+            self.ended = 9
+            self.port.close()
+            self.run.recorder.close()
+
+    def stop(self) -> None:
+        """In order."""
+        if self.ended is None:
+            self.run.end(0)
+            self.ended = 0
+            self.port.close()
+
+
+@dataclass(slots=True)
+class Crosser:
+    """One vehicle of the scene; `truth` has a row (t, north, east, down, airborne) each step."""
+
+    drone: DayDrone
+    pad_ne_m: tuple[float, float]
+    customer_ne_m: tuple[float, float]
+    companion: LoneCompanion | None = None
+    truth: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    aside_s: float = 0.0
+    dead: bool = False
+
+    @property
+    def is_ready(self) -> bool:
+        """Mission aboard and read back."""
+        return self.companion is not None and self.companion.phase is Phase.READY
+
+    @property
+    def is_over(self) -> bool:
+        """It stands, and nobody will fly it again."""
+        ended = self.dead or (self.companion is not None and self.companion.ended is not None)
+        return ended and not self.drone.is_airborne
+
+
+class Spoiler:
+    """What neighbours are told of each vehicle is off by errors that wander."""
+
+    def __init__(self, off_m: float, rng: np.random.Generator) -> None:
+        self._std = np.array([off_m, off_m, VERTICAL_SHARE * off_m])
+        self._rng = rng
+        self._off: dict[str, tuple[float, np.ndarray]] = {}
+
+    def __call__(self, raw: bytes, t_s: float) -> bytes:
+        """The same track, as wrong as its sender's satellites are now."""
+        told = decode_track(raw)
+        if not isinstance(told, Told):
+            return raw
+        before_s, off = self._off.get(told.vehicle, (t_s, self._std * self._rng.standard_normal(3)))
+        keep = math.exp(-(t_s - before_s) / WANDER_S)
+        off = keep * off + math.sqrt(1.0 - keep**2) * self._std * self._rng.standard_normal(3)
+        self._off[told.vehicle] = (t_s, off)
+        north, east, down = (float(x) for x in off)
+        lat = told.lat_deg + math.degrees(north / 6_371_008.8)
+        lon = told.lon_deg + math.degrees(
+            east / (6_371_008.8 * math.cos(math.radians(told.lat_deg)))
+        )
+        return encode(
+            msgspec.structs.replace(
+                told, lat_deg=lat, lon_deg=lon, alt_amsl_m=told.alt_amsl_m - down
+            )
+        )
+
+
+class Crossing:
+    """The scene: `run` it to its end, then look at `crossers`."""
+
+    def __init__(self, options: CrossOptions, folder: Path) -> None:
+        self.options, self.folder = options, folder
+        self.clock = DayClock()
+        seeds = np.random.SeedSequence(options.seed).spawn(4)
+        scene_seed, bus_seed, error_seed, drone_seed = seeds
+        self.bus = Bus(np.random.default_rng(bus_seed))
+        self.bus.track_delay_s = options.late_s
+        if options.off_m > 0.0:
+            self.bus.spoil = Spoiler(options.off_m, np.random.default_rng(error_seed))
+        self.airframe = read_airframe(AIRFRAME)
+        self.authorised_s: float | None = None
+        self.crossers = self._crossers(np.random.default_rng(scene_seed), drone_seed)
+        self._steps = 0
+
+    # --- building ------------------------------------------------------------------------------
+
+    def _crossers(self, rng: np.random.Generator, seed: np.random.SeedSequence) -> list[Crosser]:
+        count = self.options.vehicles
+        speed = float(rng.uniform(0.0, WIND_MAX_MPS))
+        wind = RampedWindParams(
+            points=[WindPoint(t_s=0.0, speed_mps=speed, from_deg=float(rng.uniform(0.0, 360.0)))],
+            turbulence="dryden",
+        )
+        world = DroneWorld(
+            site=SITE,
+            terrain=PlaneTerrain(),
+            wind=wind,
+            mean=mean_wind(wind, Path()),
+            parameters={
+                f: read_parameters(params_dir() / "autopilots" / f"{f}.toml") for f in AUTOPILOTS
+            },
+        )
+        truth = load_airframe(params_dir() / "truth" / f"{AIRFRAME}.toml")
+        turn = float(rng.uniform(0.0, 2.0 * math.pi))
+        found: list[Crosser] = []
+        for k, own in enumerate(seed.spawn(count)):
+            angle = turn + 2.0 * math.pi * k / count
+            across = angle + math.pi + float(rng.uniform(-1.0, 1.0)) * self.options.astray_rad
+            drone = DayDrone(
+                name=f"d{k + 1}",
+                number=k + 1,
+                flavour=self._flavour(k),
+                airframe=truth,
+                temperature_c=20.0,
+                battery_health_frac=1.0,
+                shelf_frac=(0.9, 0.95),
+                world=world,
+                folder=self.folder / f"d{k + 1}",
+                seeds=own,
+                start_companion=self._start,
+            )
+            found.append(
+                Crosser(
+                    drone,
+                    _polar(self.options.ring_m, angle),
+                    _polar(self.options.customer_m, across),
+                )
+            )
+        for crosser in found:
+            drone = crosser.drone
+            drone.switch_on(0.0, crosser.pad_ne_m, PAYLOAD_KG, drone.name, booted=True)
+        return found
+
+    def _flavour(self, k: int) -> str:
+        return AUTOPILOTS[k % 2] if self.options.autopilot == "mixed" else self.options.autopilot
+
+    def _start(self, drone: DayDrone) -> Companion:
+        crosser = next(c for c in self.crossers if c.drone is drone)
+        link = MemoryLink()
+        port = FleetPort.open(
+            drone.name,
+            AIRFRAME,
+            self.airframe,
+            drone.folder,
+            lambda life: self.bus.join(drone.name, life),
+            self.clock.monotonic_s,
+            self.clock.epoch_us,
+        )
+        options = RunOptions(
+            link="memory",
+            airframe=AIRFRAME,
+            mission=self._flight_file(crosser),
+            run_dir=drone.folder,
+            lockstep=True,
+            policy=self.options.policy,
+            pilot=PilotOptions(
+                configure=True,
+                keep_apart=self.options.keep_apart,
+                separation_filter=self.options.separation_filter,
+                name=drone.name,
+            ),
+        )
+        run = Run.begin(
+            options,
+            lambda url: link,
+            port=port,
+            make_tables=TablesHere,
+            wall_clock_s=self.clock.monotonic_s,
+        )
+        run.loop.tables = None  # a flight of three minutes: the return budget alone decides
+        crosser.companion = LoneCompanion(port, link, run)
+        return crosser.companion
+
+    def _flight_file(self, crosser: Crosser) -> Path:
+        frame = LocalFrame(math.radians(SITE[0]), math.radians(SITE[1]), SITE[2])
+        lat, lon, _ = frame.to_geodetic((*crosser.pad_ne_m, 0.0))
+        north, east = (c - p for c, p in zip(crosser.customer_ne_m, crosser.pad_ne_m, strict=True))
+        table: dict[str, Any] = {
+            "format": "flight/1",
+            "name": crosser.drone.name,
+            "site": {
+                "depot": {
+                    "lat_deg": math.degrees(lat),
+                    "lon_deg": math.degrees(lon),
+                    "alt_amsl_m": SITE[2],
+                },
+                "customer": {"name": "customer", "north_m": north, "east_m": east},
+            },
+            "vehicle": {"airframe": AIRFRAME, "payload_kg": PAYLOAD_KG, "charge_frac": [0.9, 0.95]},
+            "mission": {
+                "cruise_height_m": self.options.cruise_height_m,
+                "drop_height_m": 15.0,
+                "leg_length_m": 100.0,
+                "wind_settle_s": 4.0,
+            },
+        }
+        path = crosser.drone.folder / "flight.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.toml.encode(table))
+        return path
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def run(self, goes_on: Callable[["Crossing"], bool] = lambda _: True) -> None:
+        """Until all are down, or `LIMIT_S`; `goes_on` is asked once a second."""
+        try:
+            while self.clock.t_s < LIMIT_S and not all(c.is_over for c in self.crossers):
+                self.step()
+                if self._steps % 10 == 0 and not goes_on(self):
+                    return
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End every companion, in order."""
+        for crosser in self.crossers:
+            if crosser.companion is not None:
+                crosser.companion.stop()
+
+    def step(self) -> None:
+        """A tenth of a second."""
+        self._steps += 1
+        t_s = self.clock.t_s = self._steps * STEP_S
+        self.bus.deliver(t_s)
+        for crosser in self.crossers:
+            if not crosser.is_over:
+                crosser.drone.advance(t_s, STEPS)
+                self._look(crosser, t_s)
+        if self.authorised_s is None and all(c.is_ready for c in self.crossers):
+            self.authorised_s = t_s
+        if self.authorised_s is not None:
+            for crosser in self.crossers:
+                if crosser.is_ready and crosser.companion is not None:
+                    crosser.companion.authorise()
+
+    def kill(self, number: int) -> None:
+        """A companion dies, and is not started again."""
+        crosser = self.crossers[number]
+        crosser.drone.kill_companion(self.clock.t_s)
+        crosser.drone.companion_due_s = None
+        crosser.dead = True
+
+    def _look(self, crosser: Crosser, t_s: float) -> None:
+        up = crosser.drone.up
+        if up is None:
+            return
+        vehicle = up.vehicle
+        north, east, down = vehicle.pos_ned_m
+        crosser.truth.append((t_s, north, east, down, float(vehicle.is_airborne)))
+        if crosser.companion is not None and crosser.companion.ended is None:
+            crosser.aside_s += STEP_S * crosser.companion.run.pilot.apart.wanted
+
+
+def _polar(radius_m: float, angle_rad: float) -> tuple[float, float]:
+    return radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad)

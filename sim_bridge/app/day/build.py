@@ -1,0 +1,336 @@
+"""From a day's file to its world: wind, drones with their companions, truck, network, faults.
+
+Everything that is drawn is drawn from the seed, each part from a stream of its own.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from companion.adapters.files.params import params_dir
+from companion.app.flight.fleet_port import FleetPort
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import LocalFrame, Ned, place_ned
+from companion.core.mission.flight_plan import frame_at
+from companion.fleet.messages import State
+from companion.fleet.network import MemberLink
+from ground_station.app.desk.truck_port import TruckPort
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.order_rows import place_of
+from sim_bridge.app.day.bus import Bus
+from sim_bridge.app.day.clock import DayClock
+from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
+from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
+from sim_bridge.app.day.truck import DayTruck, DriverTimes
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
+from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.params import load_airframe
+from sim_bridge.truth.terrain import PlaneTerrain
+from sim_bridge.truth.wind_field import MeanWind
+from sim_bridge.truth.wind_log import WindLog, load_wind_log
+from sim_bridge.truth.wind_params import (
+    RampedWindParams,
+    WindParams,
+    WindPoint,
+    mean_wind,
+    parse_wind,
+)
+
+AUTOPILOTS = ("px4", "ardupilot")
+SHELF_SPREAD_FRAC = 0.03
+"""Packs leave the charger full and wait: they are this much below what the day says, at most."""
+
+FORECAST_FROM_S = 600.0
+"""A recorded day is planned with the mean of the recording's ten minutes before it began: what a
+dispatcher with an anemometer at the depot has."""
+
+KILLED_WITHIN = (0.1, 0.7)
+"""Of the plan's time: while there is something to kill."""
+
+WIND_EVERY_S = 300.0
+WANDER_FRAC = 0.5
+"""A made wind is drawn about the forecast: a mean that is off by its std, and wanders by half of
+that every five minutes, towards that mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class DayWish:
+    """What the command line asks of a day's world."""
+
+    wind_log: Path | None = None
+    wind_table: Path | None = None
+    loss: float = 0.0
+    companion_kills: int = 0
+    ground_kills: int = 0
+    truck_late_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DayWind:
+    """The true wind, and the forecast that the desk has of it."""
+
+    params: WindParams
+    mean: MeanWind
+    forecast: Forecast
+
+
+@dataclass(slots=True)
+class Faults:
+    """What is to go wrong, drawn before the day as shares of its plan's time (`spread_over`)."""
+
+    ground_kills: list[float] = field(default_factory=list)
+    companion_kills: list[float] = field(default_factory=list)
+    log: list[tuple[float, str]] = field(default_factory=list)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    ground_kills_s: list[float] = field(default_factory=list)
+    companion_kills_s: list[float] = field(default_factory=list)
+
+    def spread_over(self, makespan_s: float) -> None:
+        """The day is planned to take so long: now its times are known."""
+        self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
+        self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
+
+
+class Network(Protocol):
+    """What the world needs of the fleet's network: time passes, and what vehicles tell."""
+
+    @property
+    def states(self) -> dict[str, State]: ...
+    @property
+    def sent(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+    def deliver(self, t_s: float) -> None:
+        """Let time reach `t_s`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Plumbing:
+    """How world, companions and truck meet: in this process (`bus`), or as processes."""
+
+    network: Network
+    start: Callable[[DayDrone], Companion]
+    truck_link: Callable[[str], MemberLink]
+    epoch_us: Callable[[], int]
+    pace: Callable[[float], None] = lambda t_s: None
+    close: Callable[[], None] = lambda: None
+    bus: Bus | None = None
+
+
+Plumb = Callable[[DayData, DayClock, np.random.Generator], Plumbing]
+
+
+@dataclass(slots=True)
+class BuiltDay:
+    """Everything of a day but its desk."""
+
+    data: DayData
+    frame: LocalFrame
+    clock: DayClock
+    plumbing: Plumbing
+    drones: list[DayDrone]
+    truck: DayTruck
+    faults: Faults
+    customers: dict[str, Ned] = field(default_factory=dict)
+
+
+def day_wind(data: DayData, wish: DayWish, rng: np.random.Generator, need_s: float) -> DayWind:
+    """The recording from where the seed says, the table's wind, or one drawn about the forecast."""
+    forecast = data.day.forecast
+    try:
+        if wish.wind_log is not None:
+            return _recorded(wish.wind_log.absolute(), forecast, rng, need_s)
+        if wish.wind_table is not None:
+            table = msgspec.toml.decode(wish.wind_table.read_bytes())
+            params = parse_wind(table.get("wind", table))
+            return DayWind(params, mean_wind(params, wish.wind_table.parent), forecast)
+    except (TruthError, OSError, msgspec.DecodeError) as error:
+        raise LeewayError(f"wind: {error}") from error
+    params = _made(forecast, rng, need_s)
+    return DayWind(params, mean_wind(params, Path()), forecast)
+
+
+def _recorded(path: Path, forecast: Forecast, rng: np.random.Generator, need_s: float) -> DayWind:
+    log = load_wind_log(path)
+    first, last = log.t_s[0] + FORECAST_FROM_S, log.t_s[-1] - need_s
+    if last < first:
+        raise LeewayError(
+            f"{path}: {log.t_s[-1] - log.t_s[0]:.0f} s, expected {need_s + FORECAST_FROM_S:.0f}"
+        )
+    start_s = float(rng.uniform(first, last))
+    params = parse_wind({"kind": "log", "log": str(path), "start_s": start_s})
+    return DayWind(params, mean_wind(params, Path()), _persisting(log, start_s, forecast))
+
+
+def _persisting(log: WindLog, start_s: float, forecast: Forecast) -> Forecast:
+    t = np.asarray(log.t_s)
+    before = (t >= start_s - FORECAST_FROM_S) & (t < start_s)
+    north = float(np.mean(np.asarray(log.to_north_mps)[before]))
+    east = float(np.mean(np.asarray(log.to_east_mps)[before]))
+    from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+    return msgspec.structs.replace(
+        forecast, speed_mps=round(math.hypot(north, east), 2), from_deg=round(from_deg, 1)
+    )
+
+
+def _made(forecast: Forecast, rng: np.random.Generator, need_s: float) -> RampedWindParams:
+    mean = np.asarray(forecast.to_ne_mps) + rng.normal(0.0, forecast.std_mps, 2) / math.sqrt(2.0)
+    off = np.zeros(2)
+    points: list[WindPoint] = []
+    for k in range(math.ceil(need_s / WIND_EVERY_S) + 1):
+        north, east = mean + off
+        from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+        if points:  # directions are interpolated as the numbers stand: the short way round
+            turn = (from_deg - points[-1].from_deg + 180.0) % 360.0 - 180.0
+            from_deg = points[-1].from_deg + turn
+        speed_mps = float(np.hypot(north, east))
+        points.append(WindPoint(t_s=k * WIND_EVERY_S, speed_mps=speed_mps, from_deg=from_deg))
+        step = rng.normal(0.0, WANDER_FRAC * forecast.std_mps, 2) / math.sqrt(2.0)
+        off = 0.7 * off + step
+    return RampedWindParams(points=points, turbulence="dryden")
+
+
+def here(loss: float, folder: Path) -> Plumb:
+    """Everything in this process, on simulated time."""
+
+    def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
+        bus = Bus(rng, loss)
+        airframe_of = {drone.id: drone.airframe for drone in data.day.drones}
+
+        def start(drone: DayDrone) -> Companion:
+            name = airframe_of[drone.name]
+            port = FleetPort.open(
+                drone.name,
+                name,
+                data.airframes[name],
+                folder / drone.name,
+                lambda life: bus.join(drone.name, life),
+                clock.monotonic_s,
+                clock.epoch_us,
+            )
+            return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s)
+
+        def truck_link(life: str) -> MemberLink:
+            return bus.join(TRUCK, life)
+
+        return Plumbing(bus, start, truck_link, clock.epoch_us, bus=bus)
+
+    return plumb
+
+
+def build_day(
+    data: DayData, wish: DayWish, seed: int, folder: Path, need_s: float, plumb: Plumb
+) -> BuiltDay:
+    """The world of one day; `data` comes back with the forecast that holds."""
+    seeds = np.random.SeedSequence(seed).spawn(6)
+    wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, _ = seeds
+    wind = day_wind(data, wish, np.random.default_rng(wind_seed), need_s)
+    data = replace(data, day=msgspec.structs.replace(data.day, forecast=wind.forecast))
+    depot = data.day.depot
+    frame = frame_at(depot.place)
+    clock = DayClock()
+    plumbing = plumb(data, clock, np.random.default_rng(bus_seed))
+    world = DroneWorld(
+        site=(depot.lat_deg, depot.lon_deg, depot.alt_amsl_m),
+        terrain=_terrain(data),
+        wind=wind.params,
+        mean=wind.mean,
+        parameters={
+            f: read_parameters(params_dir() / "autopilots" / f"{f}.toml") for f in AUTOPILOTS
+        },
+        mavlink_loss=wish.loss,
+    )
+    drones = _drones(data, world, folder, drone_seed, plumbing.start)
+    truck_rng = np.random.default_rng(truck_seed)
+    truck = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
+    truck.late_s = wish.truck_late_s
+    faults = _faults(wish, np.random.default_rng(fault_seed))
+    customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
+    return BuiltDay(data, frame, clock, plumbing, drones, truck, faults, customers)
+
+
+def _terrain(data: DayData) -> PlaneTerrain:
+    ground = data.day.depot.terrain
+    if ground is None:
+        return PlaneTerrain()
+    return PlaneTerrain(ground.slope_north_frac, ground.slope_east_frac)
+
+
+def _drones(
+    data: DayData,
+    world: DroneWorld,
+    folder: Path,
+    seed: np.random.SeedSequence,
+    start: Callable[[DayDrone], Companion],
+) -> list[DayDrone]:
+    made: list[DayDrone] = []
+    for k, (drone, own) in enumerate(
+        zip(data.day.drones, seed.spawn(len(data.day.drones)), strict=True)
+    ):
+        made.append(
+            DayDrone(
+                name=drone.id,
+                number=k + 1,
+                flavour=AUTOPILOTS[k % 2],
+                airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
+                temperature_c=drone.temperature_c,
+                battery_health_frac=drone.battery_health_frac,
+                shelf_frac=(
+                    max(0.05, drone.charge_frac - SHELF_SPREAD_FRAC),
+                    drone.charge_frac,
+                ),
+                world=world,
+                folder=folder / drone.id,
+                seeds=own,
+                start_companion=start,
+            )
+        )
+    return made
+
+
+def _truck(
+    data: DayData,
+    frame: LocalFrame,
+    drones: list[DayDrone],
+    plumbing: Plumbing,
+    clock: DayClock,
+    folder: Path,
+    rng: np.random.Generator,
+) -> DayTruck:
+    day = data.day
+    port = TruckPort.open(
+        TRUCK,
+        folder / TRUCK,
+        plumbing.truck_link,
+        stop="depot",
+        lat_deg=day.depot.lat_deg,
+        lon_deg=day.depot.lon_deg,
+        capacity_kg=day.truck.capacity_kg,
+        clock_s=clock.monotonic_s,
+        epoch_us=plumbing.epoch_us,
+    )
+    times = DriverTimes(day.truck.launch_s, day.truck.recover_s, day.truck.deliver_s)
+    return DayTruck(
+        port=port,
+        frame=frame,
+        drones={drone.name: drone for drone in drones},
+        payload_kg={order.id: order.mass_kg for order in data.orders},
+        times=times,
+        drive_s=lambda before, after, metres: metres / day.truck.speed_mps,
+        detour_factor=day.truck.detour_factor,
+        rng=rng,
+    )
+
+
+def _faults(wish: DayWish, rng: np.random.Generator) -> Faults:
+    ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
+    companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
+    return Faults(ground, companions, rng=rng)

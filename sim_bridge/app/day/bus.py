@@ -1,0 +1,292 @@
+"""The fleet's network in one process: desk and members meet on simulated time, as on zenoh.
+
+States and events go to every desk, commands and questions to every life of a vehicle, each answered
+or visibly not; a member's liveliness is seen by all. A message takes `DELAY_S` and, by `loss`, may
+not arrive; liveliness always does (zenoh keeps it itself). The same generator, the same losses.
+"""
+
+import heapq
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from companion.fleet.messages import (
+    Command,
+    FleetEvent,
+    Refused,
+    Result,
+    State,
+    decode_event,
+    decode_result,
+    decode_state,
+    encode,
+)
+from companion.fleet.network import Ask, Asked
+from ground_station.core.fleet.fleet_link import (
+    Alive,
+    CommandAnswered,
+    EventsHeard,
+    Heard,
+    Nonsense,
+    StateHeard,
+)
+
+DELAY_S = 0.02
+"""Of a message: a few hops of a radio network, less than a step of the simulated day."""
+
+Answers = Callable[[list[bytes]], None]
+
+
+@dataclass(slots=True)
+class Bus:
+    """The network. `t_s` is the day's time, set by who steps it; `deliver` after each step."""
+
+    rng: np.random.Generator
+    loss: float = 0.0
+    t_s: float = 0.0
+    sent: int = 0
+    lost: int = 0
+    track_delay_s: float = DELAY_S
+    spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
+    states: dict[str, State] = field(default_factory=dict)
+    """What each vehicle last said, whether or not anybody heard it: for the judge."""
+    _links: list["BusLink"] = field(default_factory=list)
+    _desks: list["BusFleet"] = field(default_factory=list)
+    _under_way: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
+    _numbers: "count[int]" = field(default_factory=count)
+
+    def join(self, vehicle: str, life: str) -> "BusLink":
+        """A member comes: everybody sees that it lives."""
+        link = BusLink(self, vehicle, life)
+        for other in self.links_of(vehicle):
+            self._twin(other, link)
+            self._twin(link, other)
+        self._links.append(link)
+        self._all_see(link, up=True)
+        return link
+
+    def _twin(self, who: "BusLink", twin: "BusLink") -> None:
+        asked = Asked(Ask.TWIN, lambda replies: None, twin.life.encode())
+        self.later(DELAY_S, lambda: who.hear(asked))
+
+    def leave(self, link: "BusLink") -> None:
+        """A member is gone, in order or killed: its token goes with it."""
+        if link in self._links:
+            self._links.remove(link)
+            self._all_see(link, up=False)
+
+    def _all_see(self, link: "BusLink", *, up: bool) -> None:
+        for desk in list(self._desks):
+            self.tell_alive(desk, link, up=up)
+
+    def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
+        """A desk sees a life come or go."""
+        alive = Alive(link.vehicle, link.life, up=up)
+        self.later(DELAY_S, lambda: desk.hear(alive))
+
+    def desk(self) -> "BusFleet":
+        """A desk joins; it sees who lives."""
+        desk = BusFleet(self)
+        self._desks.append(desk)
+        for link in self._links:
+            self.tell_alive(desk, link, up=True)
+        return desk
+
+    def leave_desk(self, desk: "BusFleet") -> None:
+        """A desk is gone."""
+        if desk in self._desks:
+            self._desks.remove(desk)
+
+    @property
+    def desks(self) -> list["BusFleet"]:
+        """Who listens."""
+        return list(self._desks)
+
+    def links_of(self, vehicle: str | None = None) -> list["BusLink"]:
+        """The lives of one vehicle, or all."""
+        return [link for link in self._links if vehicle in (None, link.vehicle)]
+
+    def post(self, deliver: Callable[[], None]) -> None:
+        """Send a message: it arrives after `DELAY_S`, or never."""
+        if not self._is_lost():
+            self.later(DELAY_S, deliver)
+
+    def post_track(self, sender: "BusLink", raw: bytes) -> None:
+        """To every other vehicle, as late and as wrong as this network makes it."""
+        spoilt = self.spoil(raw, self.t_s)
+        for link in self.links_of():
+            if link.vehicle != sender.vehicle and not self._is_lost():
+                self.later(self.track_delay_s, lambda link=link: link.hear_track(spoilt))
+
+    def _is_lost(self) -> bool:
+        self.sent += 1
+        lost = self.loss > 0.0 and self.rng.random() < self.loss
+        self.lost += lost
+        return lost
+
+    def later(self, after_s: float, do: Callable[[], None]) -> None:
+        """Do something after a while."""
+        heapq.heappush(self._under_way, (self.t_s + after_s, next(self._numbers), do))
+
+    def deliver(self, t_s: float) -> None:
+        """Let time reach `t_s`, and arrive what is due."""
+        while self._under_way and self._under_way[0][0] <= t_s:
+            self.t_s, _, do = heapq.heappop(self._under_way)
+            do()
+        self.t_s = t_s
+
+
+@dataclass(slots=True)
+class BusLink:
+    """A member's end (`companion.fleet.network.MemberLink`)."""
+
+    bus: Bus
+    vehicle: str
+    life: str
+    state: bytes = b""
+    _waiting: list[Asked] = field(default_factory=list)
+    _tracks: list[bytes] = field(default_factory=list)
+
+    def asked(self) -> list[Asked]:
+        """Everything that waits."""
+        waiting, self._waiting = self._waiting, []
+        return waiting
+
+    def hear(self, asked: Asked) -> None:
+        """Something arrives."""
+        self._waiting.append(asked)
+
+    def be_woken(self, wake: Callable[[], None]) -> None:
+        """Nobody sleeps here: every member is stepped."""
+
+    def publish_state(self, raw: bytes) -> None:
+        """Tell the newest state; who asks later gets it too."""
+        self.state = raw
+        state = decode_state(raw)
+        if isinstance(state, State):
+            self.bus.states[self.vehicle] = state
+        for desk in self.bus.desks:
+            self.bus.post(lambda desk=desk: desk.hear_state(self.vehicle, raw))
+
+    def publish_event(self, raw: bytes) -> None:
+        """Tell an event, to whoever listens."""
+        for desk in self.bus.desks:
+            self.bus.post(lambda desk=desk: desk.hear_event(self.vehicle, raw))
+
+    def publish_track(self, raw: bytes) -> None:
+        """Tell the neighbours where we are."""
+        self.bus.post_track(self, raw)
+
+    def tracks(self) -> list[bytes]:
+        """What neighbours told since the last call."""
+        tracks, self._tracks = self._tracks, []
+        return tracks
+
+    def hear_track(self, raw: bytes) -> None:
+        """A neighbour's place arrives."""
+        self._tracks.append(raw)
+
+    def close(self) -> None:
+        """Leave."""
+        self.bus.leave(self)
+
+
+@dataclass(slots=True)
+class BusFleet:
+    """A desk's end (`ground_station.core.fleet.fleet_link.Fleet`)."""
+
+    bus: Bus
+    _heard: list[Heard] = field(default_factory=list)
+
+    def heard(self, wait_s: float) -> list[Heard]:
+        """What has arrived; time does not pass here."""
+        heard, self._heard = self._heard, []
+        return heard
+
+    def hear(self, heard: Heard) -> None:
+        """Something arrives."""
+        self._heard.append(heard)
+
+    def hear_state(self, vehicle: str, raw: bytes) -> None:
+        """A vehicle's state arrives."""
+        state = self._decoded(vehicle, raw, decode_state)
+        if isinstance(state, State):
+            self.hear(StateHeard(state))
+
+    def hear_event(self, vehicle: str, raw: bytes) -> None:
+        """A vehicle's event arrives."""
+        event = self._decoded(vehicle, raw, decode_event)
+        if isinstance(event, FleetEvent):
+            self.hear(EventsHeard(vehicle, [event]))
+
+    def ask_states(self, wait_s: float) -> None:
+        """Ask every vehicle for its newest state."""
+        for link in self.bus.links_of():
+            self.bus.post(lambda link=link: self._reply_state(link))
+
+    def _reply_state(self, link: BusLink) -> None:
+        if link.state:
+            self.bus.post(lambda: self.hear_state(link.vehicle, link.state))
+
+    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
+        """Ask a vehicle for the events that it keeps after this number."""
+        for link in self.bus.links_of(vehicle):
+            asked = Asked(
+                Ask.EVENTS, self._once(lambda raw: self._replay(vehicle, raw)), b"", after
+            )
+            self.bus.post(lambda link=link, asked=asked: link.hear(asked))
+
+    def _once(self, take: Answers) -> Answers:
+        """Replies go back as one message, and no more after the first call."""
+        gone: list[bool] = []
+
+        def answer(replies: list[bytes]) -> None:
+            if not gone:
+                gone.append(True)
+                self.bus.post(lambda: take(replies))
+
+        return answer
+
+    def _replay(self, vehicle: str, replies: list[bytes]) -> None:
+        events = [self._decoded(vehicle, raw, decode_event) for raw in replies]
+        found = sorted((e for e in events if isinstance(e, FleetEvent)), key=lambda e: e.seq)
+        if found:
+            self.hear(EventsHeard(vehicle, found, replayed=True))
+
+    def send(self, command: Command, wait_s: float) -> None:
+        """Send a command; its answer, or that there was none in this time, is heard."""
+        done: list[bool] = []
+
+        def conclude(result: Result | None) -> None:
+            if not done:
+                done.append(True)
+                self.hear(CommandAnswered(command.id, result))
+
+        def take(replies: list[bytes]) -> None:
+            for raw in replies:
+                result = self._decoded(command.vehicle, raw, decode_result)
+                if isinstance(result, Result) and result.id == command.id:
+                    conclude(result)
+
+        payload = encode(command)
+        for link in self.bus.links_of(command.vehicle):
+            asked = Asked(Ask.COMMAND, self._once(take), payload)
+            self.bus.post(lambda link=link, asked=asked: link.hear(asked))
+        self.bus.later(wait_s, lambda: conclude(None))
+
+    def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:
+        message = decode(raw)
+        if isinstance(message, Refused):
+            self.hear(Nonsense(vehicle, message.reason))
+            return None
+        if message.vehicle != vehicle:
+            self.hear(Nonsense(vehicle, f"speaks for {message.vehicle}"))
+            return None
+        return message
+
+    def close(self) -> None:
+        """Leave."""
+        self.bus.leave_desk(self)

@@ -1,0 +1,21 @@
+"""The clock of a simulated day: desk, companions, truck and judge all live on it."""
+
+from dataclasses import dataclass
+
+EPOCH_US = 1_780_000_000_000_000
+"""When every simulated day begins, by the wall clocks of all who are in it (June 2026)."""
+
+
+@dataclass(slots=True)
+class DayClock:
+    """The clock of everybody in the day (`ground_station.core.fleet.fleet_link.Clock`)."""
+
+    t_s: float = 0.0
+
+    def monotonic_s(self) -> float:
+        """Seconds since the day began."""
+        return self.t_s
+
+    def epoch_us(self) -> int:
+        """Microseconds since 1970."""
+        return EPOCH_US + round(self.t_s * 1e6)

@@ -1,0 +1,153 @@
+"""The desk in the simulated day's own process, and what a desk's store says of a day."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.day_desk import DayDesk
+from ground_station.app.desk.desk import Desk
+from ground_station.app.desk.plan_in_force import PlanInForce
+from ground_station.app.desk.replanner import ReplannerAtOnce
+from ground_station.core.fleet.fleet_link import Clock
+from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.schema.day_plan import DayPlan
+from sim_bridge.app.day.build import BuiltDay
+
+LOG = "desk.log"
+
+
+def store_url(folder: Path) -> str:
+    """Where a day's truth is kept."""
+    return f"sqlite:///{folder / 'desk.db'}"
+
+
+@dataclass(slots=True)
+class Books:
+    """A day's store, opened."""
+
+    database: Database
+    store: Store
+    day: DayStore
+
+    @classmethod
+    def open(cls, folder: Path, clock: Clock) -> "Books":
+        """Take up what the folder holds, or begin."""
+        database = Database(store_url(folder))
+        return cls(database, Store(database, clock.epoch_us), DayStore(database, clock.epoch_us))
+
+    @property
+    def plans(self) -> list[DayPlan]:
+        """Every plan that was in force."""
+        return [plan for plan, _ in self.day.plans()]
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Each order's state, and why."""
+        return {row.order.id: f"{row.state.value} {row.why}".strip() for row in self.store.orders()}
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self.store.close()
+
+
+@dataclass(slots=True)
+class DeskHere:
+    """`ground_station`'s desk, stepped. `kill` drops all but what its store has on the disk."""
+
+    built: BuiltDay
+    folder: Path
+    seed: int
+    trials: int | None
+    books: Books
+    desk: Desk | None = None
+    _log: IO[str] | None = field(default=None, repr=False)
+
+    @classmethod
+    def open(
+        cls, built: BuiltDay, plan: DayPlan, folder: Path, seed: int, trials: int | None
+    ) -> "DeskHere":
+        """Take the orders and the plan into the store, and sit down."""
+        books = Books.open(folder, built.clock)
+        taken = books.store.add_orders(built.data.orders)
+        if taken.conflicts:
+            raise LeewayError(f"{folder}: its store holds other orders")
+        books.day.take_plan(plan, "the day's plan")
+        built.faults.spread_over(plan.makespan_s)
+        seat = cls(built, folder, seed, trials, books)
+        seat._log = (folder / LOG).open("a", encoding="utf-8")
+        seat._sit_down()
+        return seat
+
+    def _sit_down(self) -> None:
+        built, books = self.built, self.books
+        bus, plan = built.plumbing.bus, books.day.plan()
+        assert bus is not None
+        assert plan is not None
+        data = built.data
+        replanner = ReplannerAtOnce(self.seed, self.trials)
+        plans = PlanInForce(books.day, data, plan, replanner, self._say)
+        day = DayDesk(books.store, books.day, plans, built.clock, self._say)
+        picture = Picture(data.airframes)
+        self.desk = Desk(
+            books.store,
+            bus.desk(),
+            self._say,
+            data=data,
+            picture=picture,
+            clock=built.clock,
+            day=day,
+        )
+        self.desk.begin()
+
+    def _say(self, words: str) -> None:
+        if self._log is not None:
+            self._log.write(f"{self.built.clock.t_s:8.1f}  {words}\n")
+            self._log.flush()
+
+    def turn(self) -> None:
+        """One turn of the desk's loop."""
+        if self.desk is not None:
+            self.desk.turn(0.0)
+
+    def kill(self) -> None:
+        """Nothing is put in order."""
+        if self.desk is not None:
+            self._say("KILLED")
+            self.desk.fleet.close()  # a dead process's session is gone from the network too
+            self.desk = None
+            self.books.close()
+
+    def start(self) -> None:
+        """The same command again, on the same store."""
+        self.books = Books.open(self.folder, self.built.clock)
+        self._say("STARTED AGAIN")
+        self._sit_down()
+
+    @property
+    def is_done(self) -> bool:
+        """The desk says that the day is over."""
+        return self.desk is not None and self.desk.day is not None and self.desk.day.is_over
+
+    @property
+    def plans(self) -> list[DayPlan]:
+        """Every plan that was in force."""
+        return self.books.plans
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Each order's state, and why."""
+        return self.books.told
+
+    def close(self) -> None:
+        """In order."""
+        if self.desk is not None:
+            self.desk.fleet.close()
+            self.desk = None
+            self.books.close()
+        if self._log is not None:
+            self._log.close()
+            self._log = None

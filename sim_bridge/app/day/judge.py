@@ -1,0 +1,302 @@
+"""The verdict on a day, from truth: who came home, what was brought, who came how near to whom.
+
+Times are the day's, positions NED metres about its depot. Nothing here knows what the desk or the
+companions believe, but for the home that each vehicle told at each moment: that is the promise
+which the truck has to keep (safety rule 3).
+"""
+
+import itertools
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_bridge.app.flight.judge import (
+    DROP_HEIGHT_SLACK_M,
+    DROP_RADIUS_M,
+    HOME_RADIUS_M,
+    outcome_of,
+)
+
+LEAST_FLIGHT_S = 5.0
+"""Shorter hops on one pack are a bounce of the landing, not a flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One vehicle from switching on to switching off: what truly was, sampled evenly.
+
+    `ned_m` has a row a sample; `released_s` and `released_ned_m`: where the parcel left it, with
+    `release_height_m` above the ground there. `margin_wh`: usable above the reserve, at the end.
+    """
+
+    vehicle: str
+    autopilot: str
+    order: str | None
+    pad_ne_m: tuple[float, float]
+    t_s: np.ndarray
+    ned_m: np.ndarray
+    airborne: np.ndarray
+    energy_used_wh: float
+    margin_wh: float
+    crashed: bool = False
+    released_s: float | None = None
+    released_ned_m: tuple[float, float, float] | None = None
+    release_height_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """The truck stood at a stop from `arrived_s` to `left_s` (infinite: it is there still)."""
+
+    stop: str
+    ne_m: tuple[float, float]
+    arrived_s: float
+    left_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """From `t_s` on the vehicle told this home (None: none, or it stood by)."""
+
+    t_s: float
+    vehicle: str
+    home: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """An order that the driver handed over."""
+
+    order: str
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pad:
+    """Where a vehicle is to land at a stop."""
+
+    stop: str
+    vehicle: str
+    ne_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What a day is judged by. `customers`: NED of the ground; `rally`: declared places."""
+
+    customers: dict[str, tuple[float, float, float]]
+    drop_height_m: float
+    tracks: list[Track]
+    stands: list[Stand]
+    pads: list[Pad]
+    homes: list[Told]
+    served: list[Served]
+    rally: list[tuple[float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class DayFlight:
+    """One flight by truth. `stop`: where it landed, `at rally`, or None for nowhere promised."""
+
+    vehicle: str
+    autopilot: str
+    order: str | None
+    launch_s: float
+    land_s: float | None
+    outcome: str
+    delivered: bool
+    home: bool
+    stop: str | None
+    energy_used_wh: float
+    margin_wh: float
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """The nearest that two airborne vehicles came: 3-D, and its horizontal and vertical parts."""
+
+    distance_m: float
+    horizontal_m: float
+    vertical_m: float
+    t_s: float
+    vehicles: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class DayVerdict:
+    """`lost`: vehicles not home; `twice`: orders brought or flown again after they were brought;
+    `broken`: promises that the truck did not keep, in words."""
+
+    flights: list[DayFlight]
+    delivered: dict[str, str]
+    lost: list[str]
+    twice: list[str]
+    broken: list[str]
+    nearest: Near | None
+    nearest_horizontal_m: float | None
+
+
+def judge_day(world: World) -> DayVerdict:
+    """Judge a day that has ended (or was stopped) by truth."""
+    flights: list[DayFlight] = []
+    broken: list[str] = []
+    for track in world.tracks:
+        for begin, end in flown(track):
+            flights.append(_flight(world, track, begin, end))
+            broken += broken_promises(track, begin, end, world)
+    flights.sort(key=lambda f: (f.launch_s, f.vehicle))
+    lost = [f"{f.vehicle} with {f.order}" for f in flights if not f.home]
+    nearest, horizontal_m = nearest_of(world.tracks)
+    by = {f.order: f.vehicle for f in flights if f.delivered and f.order is not None}
+    by = {s.order: "truck" for s in world.served} | by
+    return DayVerdict(
+        flights, by, lost, twice(flights, world.served), broken, nearest, horizontal_m
+    )
+
+
+def flown(track: Track) -> list[tuple[int, int]]:
+    """First and last airborne sample of each flight on one pack."""
+    up = np.concatenate(([False], track.airborne > 0.0, [False]))
+    edges = np.flatnonzero(np.diff(up.astype(int)))
+    spans = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in spans if track.t_s[b] - track.t_s[a] >= LEAST_FLIGHT_S]
+
+
+def _flight(world: World, track: Track, begin: int, end: int) -> DayFlight:
+    landed = end + 1 < len(track.t_s) and not track.crashed
+    down = track.ned_m[min(end + 1, len(track.t_s) - 1)]
+    ne_m = (float(down[0]), float(down[1]))
+    land_s = float(track.t_s[end]) if landed else None
+    stop = None if land_s is None else place_of_landing(world, track, ne_m, land_s)
+    delivered = brought(world, track, float(track.t_s[begin]), float(track.t_s[end]))
+    home = stop is not None and track.margin_wh >= 0.0
+    return DayFlight(
+        vehicle=track.vehicle,
+        autopilot=track.autopilot,
+        order=track.order,
+        launch_s=float(track.t_s[begin]),
+        land_s=land_s,
+        outcome=outcome_of(delivered=delivered, home=home),
+        delivered=delivered,
+        home=home,
+        stop=stop,
+        energy_used_wh=track.energy_used_wh,
+        margin_wh=track.margin_wh,
+    )
+
+
+def brought(world: World, track: Track, begin_s: float, end_s: float) -> bool:
+    """Whether the parcel left the vehicle on this flight, low over its own customer."""
+    place = world.customers.get(track.order or "")
+    if place is None or track.released_s is None or track.released_ned_m is None:
+        return False
+    height_m = track.release_height_m
+    return (
+        begin_s <= track.released_s <= end_s
+        and math.dist(track.released_ned_m[:2], place[:2]) <= DROP_RADIUS_M
+        and height_m is not None
+        and height_m <= world.drop_height_m + DROP_HEIGHT_SLACK_M
+    )
+
+
+def place_of_landing(
+    world: World, track: Track, ne_m: tuple[float, float], land_s: float
+) -> str | None:
+    """The stop on whose pad for it it stands, and where the truck is or will be; or `rally`."""
+    if any(_near(ne_m, place) for place in world.rally):
+        return "rally"
+    on = {p.stop for p in world.pads if p.vehicle == track.vehicle and _near(ne_m, p.ne_m)}
+    for stand in world.stands:
+        if stand.stop in on and stand.left_s > land_s:
+            return stand.stop
+    return None
+
+
+def _near(ne_m: tuple[float, float], place_ne_m: tuple[float, float]) -> bool:
+    return math.dist(ne_m, place_ne_m) <= HOME_RADIUS_M
+
+
+def broken_promises(track: Track, begin: int, end: int, world: World) -> list[str]:
+    """A truck that left a stop while a flight told that stop as its home, in words."""
+    begin_s, end_s = float(track.t_s[begin]), float(track.t_s[end])
+    told = [(t.t_s, t.home) for t in world.homes if t.vehicle == track.vehicle]
+    found: list[str] = []
+    for stand in world.stands:
+        if not begin_s < stand.left_s <= end_s:
+            continue
+        before = [home for t_s, home in told if t_s <= stand.left_s]
+        again = any(s.stop == stand.stop and s.arrived_s > stand.left_s for s in world.stands)
+        if before and before[-1] == stand.stop and not again:
+            found.append(
+                f"{track.vehicle} with {track.order}: the truck left {stand.stop} at"
+                f" {stand.left_s:.0f} s, {end_s - stand.left_s:.0f} s before it was down there"
+            )
+    return found
+
+
+def twice(flights: list[DayFlight], served: list[Served]) -> list[str]:
+    """Orders that were flown or handed over again after they had been brought."""
+    brought_s: dict[str, float] = {}
+    found: list[str] = []
+    deeds = [(f.launch_s, f.order, f.delivered, f.land_s or f.launch_s) for f in flights]
+    deeds += [(s.t_s, s.order, True, s.t_s) for s in served]
+    for begun_s, order, delivered, _ in sorted(deeds, key=lambda d: d[0]):
+        if order is None:
+            continue
+        if order in brought_s:
+            found.append(order)
+        elif delivered:
+            brought_s[order] = begun_s
+    return sorted(set(found))
+
+
+def nearest_of(tracks: list[Track]) -> tuple[Near | None, float | None]:
+    """The least distance of any two vehicles in the air at once, and the least of their horizontal
+    distances; None where never two flew at once."""
+    nears: list[Near] = []
+    flat: list[float] = []
+    for a, b in itertools.combinations(tracks, 2):
+        if a.vehicle != b.vehicle:
+            found = _nearest_pair(a, b)
+            if found is not None:
+                nears.append(found[0])
+                flat.append(found[1])
+    if not nears:
+        return None, None
+    return min(nears, key=lambda n: n.distance_m), min(flat)
+
+
+def _nearest_pair(a: Track, b: Track) -> tuple[Near, float] | None:
+    """On the samples of `a`, with `b` interpolated; between samples they move straight."""
+    low = max(a.t_s[0], b.t_s[0])
+    high = min(a.t_s[-1], b.t_s[-1])
+    times = a.t_s[(a.t_s >= low) & (a.t_s <= high)]
+    if times.size < 2:
+        return None
+    both = (_at(a, times)[1] > 0.0) & (_at(b, times)[1] > 0.0)
+    apart = _at(a, times)[0] - _at(b, times)[0]
+    inside = both[:-1] & both[1:]
+    if not inside.any():
+        return None
+    start, step = apart[:-1][inside], np.diff(apart, axis=0)[inside]
+    squared = np.maximum(np.sum(step * step, axis=1), 1e-12)
+    share = np.clip(-np.sum(start * step, axis=1) / squared, 0.0, 1.0)
+    closest = start + share[:, None] * step
+    distance = np.linalg.norm(closest, axis=1)
+    k = int(np.argmin(distance))
+    near = Near(
+        distance_m=float(distance[k]),
+        horizontal_m=float(np.hypot(closest[k][0], closest[k][1])),
+        vertical_m=float(abs(closest[k][2])),
+        t_s=float(times[:-1][inside][k]),
+        vehicles=(a.vehicle, b.vehicle),
+    )
+    return near, float(np.min(np.hypot(closest[:, 0], closest[:, 1])))
+
+
+def _at(track: Track, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position at these times, and whether it flew at the last sample before each."""
+    ned = np.column_stack([np.interp(times, track.t_s, track.ned_m[:, k]) for k in range(3)])
+    index = np.clip(np.searchsorted(track.t_s, times + 1e-9) - 1, 0, len(track.t_s) - 1)
+    return ned, track.airborne[index]

@@ -1,0 +1,342 @@
+"""A simulated day whose desk and companions are processes: `sim-bridge day --processes`.
+
+MAVLink goes over UDP on loopback, the fleet over zenoh, time is the wall's. The world (vehicles,
+truck with its driver, wind) is this process; it meets the others only by what they send. No other
+process outlives it, however it ends.
+"""
+
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+
+from companion.adapters.clock import epoch_us
+from companion.core.base.errors import LeewayError
+from companion.fleet.messages import State
+from companion.fleet.network import MemberLink
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.zenoh_link import ZenohLink, read_config
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet.fleet_link import StateHeard
+from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.lifeline import entry
+from sim_bridge.adapters.lossy_relay import Dice, LossyRelay
+from sim_bridge.adapters.realtime import Pacer
+from sim_bridge.app.day.build import BuiltDay, Plumb, Plumbing
+from sim_bridge.app.day.clock import DayClock
+from sim_bridge.app.day.desk import LOG, Books, store_url
+from sim_bridge.app.day.drone import Companion, DayDrone
+from sim_bridge.app.flight.companion_process import CompanionProcess
+from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE
+
+DESK, MEMBER, PLAN = "desk.json5", "member.json5", "plan.json"
+ROUTER, DESK_ROUTER = "router.json5", "desk-router.json5"
+DESK_MAIN = "from ground_station.app.cli.main import main; main()"
+
+
+def write_network(folder: Path, *, relayed: bool) -> None:
+    """zenoh configurations on loopback: everybody calls a router of the simulator's; `relayed`: the
+    desk calls another, and nothing but a relay lies between the two.
+    """
+    here = "tcp/127.0.0.1:{}"
+    members, desk = here.format(_free_port()), here.format(_free_port())
+    files = {ROUTER: _listens(members), MEMBER: _calls(members), DESK: _calls(members)}
+    if relayed:
+        files |= {DESK_ROUTER: _listens(desk), DESK: _calls(desk)}
+    for name, table in files.items():
+        (folder / name).write_text(json.dumps(table))
+
+
+ALONE: dict[str, Any] = {"scouting": {"multicast": {"enabled": False}}}
+
+
+def _listens(endpoint: str) -> dict[str, Any]:
+    return ALONE | {"mode": "router", "listen": {"endpoints": [endpoint]}}
+
+
+def _calls(endpoint: str) -> dict[str, Any]:
+    retry = {"period_init_ms": 50, "period_max_ms": 500}
+    call = {"endpoints": [endpoint], "retry": retry}
+    return ALONE | {"mode": "client", "connect": call}
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@dataclass(slots=True)
+class Wires:
+    """Every drone's UDP endpoint, by its place in the fleet; `pace` waits for the wall's clock."""
+
+    endpoints: EndpointSet
+    inbox: dict[int, deque[bytes]] = field(default_factory=dict)
+    pacer: Pacer = field(default_factory=Pacer)
+
+    def pace(self, t_s: float) -> None:
+        """Wait until the day's time is due; keep what arrives meanwhile."""
+        self._keep(self.pacer.wait_until(t_s, self.endpoints))
+
+    def exchange(self, number: int, datagrams: list[bytes]) -> list[bytes]:
+        """Send these to a companion; what it has said since the last time."""
+        for datagram in datagrams:
+            self.endpoints.send(number, datagram)
+        self._keep(self.endpoints.poll(0.0))
+        box = self.inbox.setdefault(number, deque())
+        said = list(box)
+        box.clear()
+        return said
+
+    def _keep(self, received: list[tuple[int, bytes]]) -> None:
+        for number, datagram in received:
+            self.inbox.setdefault(number, deque()).append(datagram)
+
+
+@dataclass(slots=True)
+class UdpCompanion:
+    """A `companion run --fleet` process at the other end of a wire."""
+
+    process: CompanionProcess
+    wires: Wires
+    number: int
+
+    def hear(self, datagrams: list[bytes]) -> list[bytes]:
+        """Send; what has come since."""
+        return self.wires.exchange(self.number, datagrams)
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        self.process.kill()
+        self.process.end()
+
+    def stop(self) -> None:
+        """SIGTERM, and wait."""
+        self.process.end()
+
+    @property
+    def running(self) -> bool:
+        """False once it has ended."""
+        return self.process.running
+
+
+@dataclass(slots=True)
+class Launcher:
+    """Starts companions as processes."""
+
+    data: DayData
+    wires: Wires
+    folder: Path
+
+    def start(self, drone: DayDrone) -> Companion:
+        """One drone's companion."""
+        port = self.wires.endpoints.urls[drone.number - 1].rsplit(":", 1)[1]
+        (own,) = [d for d in self.data.day.drones if d.id == drone.name]
+        process = CompanionProcess(
+            run_dir=drone.folder,
+            arguments=[
+                f"--link=udpout:127.0.0.1:{port}",
+                f"--airframe={own.airframe}",
+                f"--fleet={self.data.day.fleet}",
+                f"--vehicle={drone.name}",
+                f"--zenoh={self.folder / MEMBER}",
+                "--configure",
+            ],
+        )
+        process.start()
+        return UdpCompanion(process, self.wires, drone.number - 1)
+
+
+@dataclass(slots=True)
+class ZenohNetwork:
+    """The fleet's network as the world listens in on it, on the vehicles' side: states only, for
+    the judge. With `dice` a relay that loses messages lies between there and the desk.
+    """
+
+    ears: ZenohFleet
+    states: dict[str, State] = field(default_factory=dict)
+    dice: Dice | None = None
+    relay: LossyRelay | None = None
+    heard: int = 0
+
+    @classmethod
+    def open(
+        cls, folder: Path, fleet: str, loss: float, rng: np.random.Generator
+    ) -> "ZenohNetwork":
+        """Between a folder's zenoh configurations, which are written here."""
+        write_network(folder, relayed=loss > 0.0)
+        if loss == 0.0:
+            return cls(ZenohFleet(fleet, folder / ROUTER))
+        dice = Dice(rng, loss)
+        ends = read_config(folder / ROUTER), read_config(folder / DESK_ROUTER)
+        relay = LossyRelay(fleet, *ends, dice)
+        return cls(ZenohFleet(fleet, folder / MEMBER), dice=dice, relay=relay)
+
+    @property
+    def sent(self) -> int:
+        """Messages that were to be relayed; without a relay, states that were heard."""
+        return self.heard if self.dice is None else self.dice.sent
+
+    @property
+    def lost(self) -> int:
+        """How many of them were lost."""
+        return 0 if self.dice is None else self.dice.lost
+
+    def deliver(self, t_s: float) -> None:
+        """Take what has been heard."""
+        for heard in self.ears.heard(0.0):
+            if isinstance(heard, StateHeard):
+                self.heard += 1
+                self.states[heard.state.vehicle] = heard.state
+
+    def close(self) -> None:
+        """Stop listening, and relaying."""
+        self.ears.close()
+        if self.relay is not None:
+            self.relay.close()
+
+
+def apart(folder: Path, loss: float) -> Plumb:
+    """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
+    LEAVES_AT_ONCE.set()
+
+    def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
+        config, fleet = folder / MEMBER, data.day.fleet
+        wires = Wires(EndpointSet(["udpin:127.0.0.1:0"] * len(data.day.drones)))
+        network = ZenohNetwork.open(folder, fleet, loss, rng)
+
+        def truck_link(life: str) -> MemberLink:
+            keys = VehicleKeys(fleet, TRUCK)
+            return ZenohLink(read_config(config), keys, life, lambda: None)
+
+        def close() -> None:
+            with contextlib.closing(wires.endpoints):
+                network.close()
+
+        start = Launcher(data, wires, folder).start
+        return Plumbing(network, start, truck_link, epoch_us, pace=wires.pace, close=close)
+
+    return plumb
+
+
+IN_ORDER = (0, 3)
+"""How a desk's process ends by itself; 3: orders are left that nobody can bring."""
+
+
+@dataclass(slots=True)
+class DeskProcess:
+    """`ground-station dispatch` on its store; `kill` and `start` are a real kill -9 and restart."""
+
+    folder: Path
+    day_file: Path
+    clock: DayClock
+    _process: subprocess.Popen[bytes] | None = None
+    _output: IO[bytes] | None = field(default=None, repr=False)
+
+    @classmethod
+    def open(cls, path: Path, built: BuiltDay, plan: DayPlan, folder: Path) -> "DeskProcess":
+        """The desk's files, and its first start; `path` is the day's file."""
+        (folder / PLAN).write_bytes(msgspec.json.format(msgspec.json.encode(plan)))
+        seat = cls(folder, write_day_file(path, built.data, folder), built.clock)
+        built.faults.spread_over(plan.makespan_s)
+        seat.start()
+        return seat
+
+    def start(self) -> None:
+        """The command that a person gives, first and after a kill."""
+        if self._output is None:
+            self._output = (self.folder / LOG).open("ab")
+        arguments = [
+            "dispatch",
+            str(self.day_file),
+            f"--store={store_url(self.folder)}",
+            f"--plan={self.folder / PLAN}",
+            f"--zenoh={self.folder / DESK}",
+            "--until-done",
+        ]
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", entry(DESK_MAIN), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            start_new_session=True,
+        )
+
+    def turn(self) -> None:
+        """It turns by itself. Raises LeewayError where it has ended, and not in order."""
+        code = None if self._process is None else self._process.poll()
+        if code not in (None, *IN_ORDER):
+            words = (self.folder / LOG).read_text(errors="replace").strip().splitlines()[-5:]
+            raise LeewayError(
+                "\n".join([f"{self.folder}: the desk ended with code {code}:", *words])
+            )
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    @property
+    def is_done(self) -> bool:
+        """It has ended, in order."""
+        return self._process is not None and self._process.poll() in IN_ORDER
+
+    @property
+    def plans(self) -> list[DayPlan]:
+        """Every plan that was in force, as its store has them."""
+        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
+            return books.plans
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Each order's state, and why, as its store has them."""
+        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
+            return books.told
+
+    def close(self) -> None:
+        """SIGTERM, then SIGKILL; always leaves no process behind."""
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        if self._output is not None:
+            self._output.close()
+
+
+def write_day_file(path: Path, data: DayData, folder: Path) -> Path:
+    """The day as the world has it (its forecast, its files by absolute path), for the desk."""
+    day = data.day
+    changed: dict[str, Any] = {"orders": [str((path.parent / o).resolve()) for o in day.orders]}
+    for name in ("no_fly", "roads"):
+        value = getattr(day, name)
+        if value is not None:
+            changed[name] = str((path.parent / value).resolve())
+    table = msgspec.to_builtins(msgspec.structs.replace(day, **changed))
+    written = folder / "day.toml"
+    written.write_bytes(msgspec.toml.encode(_without_none(table)))
+    return written
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list):
+        return [_without_none(v) for v in value]
+    return value

@@ -1,0 +1,236 @@
+"""One simulated day from its orders to its verdict, and what it leaves in its folder."""
+
+import contextlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from companion.adapters.clock import cpu_s
+from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.day.build import BuiltDay, DayWish, Plumb, build_day
+from sim_bridge.app.day.judge import DayVerdict, Pad, World, judge_day
+from sim_bridge.app.day.picture import Drawn, draw_day
+from sim_bridge.app.day.world import DayWorld, Seat
+
+RESULT, PICTURE = "day.json", "day.png"
+FORMAT = "simulated-day/1"
+EXPECTED_S = 3600.0
+"""How much wind a day needs; should it take longer, a recording's last value is held."""
+
+
+class DeskSeat(Seat, Protocol):
+    """A desk, and what it can be asked once the day is over."""
+
+    @property
+    def plans(self) -> list[DayPlan]:
+        """Every plan of the day, as it was made and made again."""
+        ...
+
+    @property
+    def told(self) -> dict[str, str]:
+        """What the desk holds of each order: its state, and why."""
+        ...
+
+    def close(self) -> None:
+        """In order."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DayOptions:
+    """One day. `limit_s`: the day's own time after which it is broken off."""
+
+    name: str
+    data: DayData
+    wish: DayWish
+    seed: int
+    folder: Path
+    limit_s: float
+    settings: str
+    picture: bool = True
+
+
+def fly_day(
+    options: DayOptions,
+    plumb: Plumb,
+    take_seat: Callable[[BuiltDay, Path], DeskSeat],
+    progress: Callable[[DayWorld], bool],
+) -> dict[str, Any]:
+    """Fly the day to its end; its row, which is in the folder too."""
+    folder = options.folder
+    if folder.exists():
+        shutil.rmtree(folder)  # of a day that was stopped: the same seed flies the same day
+    folder.mkdir(parents=True)
+    need_s = min(options.limit_s, EXPECTED_S)
+    with contextlib.ExitStack() as stack:  # each is ended, whatever becomes of the others
+        made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
+        stack.callback(made.plumbing.close)
+        stack.callback(made.truck.port.close)
+        for drone in made.drones:
+            stack.callback(drone.switch_off)
+        seat = take_seat(made, folder)  # plans, which may take minutes, and be stopped
+        stack.callback(seat.close)
+        world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
+        began_wall_s, began_cpu_s = wall_s(), cpu_s()
+        ended = world.run(options.limit_s, progress)
+        spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
+        row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}
+    text = json.dumps(row, indent=1, allow_nan=False)
+    fresh = folder / f"{RESULT}.new"
+    fresh.write_text(text + "\n")
+    fresh.replace(folder / RESULT)
+    return row
+
+
+def _conclude(
+    options: DayOptions, built: BuiltDay, world: DayWorld, seat: DeskSeat, *, ended: bool
+) -> dict[str, Any]:
+    mission = built.data.day.mission
+    tracks = [
+        drone.track(up, mission.reserve_frac)
+        for drone in built.drones
+        for up in [*drone.past, *([drone.up] if drone.up is not None else [])]
+        if up.rows
+    ]
+    judged = World(
+        customers=built.customers,
+        drop_height_m=mission.drop_height_m,
+        tracks=tracks,
+        stands=world.stands,
+        pads=_pads(built.frame, seat.plans),
+        homes=world.homes,
+        served=world.served,
+        rally=[place_ned(built.frame, place)[:2] for place in built.data.day.rally],
+    )
+    verdict = judge_day(judged)
+    if options.picture:
+        _draw(options, built, world, judged, verdict)
+    return _row(options, built, world, seat, verdict, ended=ended)
+
+
+def _pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
+    found = {
+        Pad(stop.id, vehicle, place_ned(frame, place)[:2])
+        for plan in plans
+        for stop in plan.stops
+        for vehicle, place in stop.pads.items()
+    }
+    return sorted(found, key=lambda pad: (pad.stop, pad.vehicle, pad.ne_m))
+
+
+def _row(
+    options: DayOptions,
+    built: BuiltDay,
+    world: DayWorld,
+    seat: DeskSeat,
+    verdict: DayVerdict,
+    *,
+    ended: bool,
+) -> dict[str, Any]:
+    told, by = seat.told, verdict.delivered
+    orders = [order.id for order in built.data.orders]
+    infeasible = {line.order: line for plan in seat.plans[:1] for line in plan.unplanned}
+    undelivered = [
+        {
+            "order": id_,
+            "feasible": id_ not in infeasible,
+            "why": told.get(id_, "unknown to the desk"),
+        }
+        for id_ in orders
+        if id_ not in by
+    ]
+    near = verdict.nearest
+    plans = seat.plans
+    return {
+        "format": FORMAT,
+        "settings": options.settings,
+        "day": options.name,
+        "seed": options.seed,
+        "ended": ended,
+        "duration_s": round(world.clock.t_s, 1),
+        "faults": _faults(options.wish),
+        "orders": len(orders),
+        "feasible": len(orders) - len(infeasible),
+        "delivered": len(by),
+        "by_truck": sum(who == "truck" for who in by.values()),
+        "undelivered": undelivered,
+        "believed_otherwise": _believed_otherwise(orders, by, told),
+        "vehicles": len(built.drones),
+        "vehicles_lost": len(verdict.lost),
+        "lost": verdict.lost,
+        "flown_twice": verdict.twice,
+        "promises_broken": verdict.broken,
+        "separation_min_m": None if near is None else round(near.distance_m, 2),
+        "separation_horizontal_min_m": _rounded(verdict.nearest_horizontal_m),
+        "nearest": None if near is None else asdict(near),
+        "margin_min_wh": _rounded(min((f.margin_wh for f in verdict.flights), default=None)),
+        "energy_used_wh": round(sum(f.energy_used_wh for f in verdict.flights), 1),
+        "flights": [_flight_row(asdict(flight)) for flight in verdict.flights],
+        "truck": [
+            {"stop": s.stop, "arrive_s": round(s.arrived_s, 1), "depart_s": _time(s.left_s)}
+            for s in world.stands
+        ],
+        "messages": {"sent": built.plumbing.network.sent, "lost": built.plumbing.network.lost},
+        "frames_lost": sum(drone.lost_frames for drone in built.drones),
+        "disarmed_by_hand": sum(drone.disarmed_by_hand for drone in built.drones),
+        "companions_started": sum(drone.companion_starts for drone in built.drones),
+        "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
+        "replans": len(plans) - 1,
+        "plan": msgspec.to_builtins(plans[0]) if plans else None,
+        "run": str(options.folder),
+    }
+
+
+def _believed_otherwise(orders: list[str], by: dict[str, str], told: dict[str, str]) -> list[str]:
+    """Orders of which the desk holds something else than what was so."""
+    return [id_ for id_ in orders if (id_ in by) != told.get(id_, "").startswith("delivered")]
+
+
+def _flight_row(flight: dict[str, Any]) -> dict[str, Any]:
+    return {k: round(v, 2) if isinstance(v, float) else v for k, v in flight.items()}
+
+
+def _faults(wish: DayWish) -> dict[str, Any]:
+    return {k: v for k, v in asdict(wish).items() if k not in ("wind_log", "wind_table") and v}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def _time(t_s: float) -> float | None:
+    return None if t_s == float("inf") else round(t_s, 1)
+
+
+def _draw(
+    options: DayOptions, built: BuiltDay, world: DayWorld, judged: World, verdict: DayVerdict
+) -> None:
+    no_fly = built.data.no_fly
+    rings = [] if no_fly is None else obstacles_from_geojson(built.frame, no_fly)
+    brought, orders = len(verdict.delivered), len(built.customers)
+    flights = len(verdict.flights)
+    nearest = verdict.nearest
+    apart = "" if nearest is None else f", never nearer than {nearest.distance_m:.1f} m"
+    drawn = Drawn(
+        title=f"{options.name}, seed {options.seed}: {brought} of {orders} orders in"
+        f" {world.clock.t_s / 60.0:.0f} min, {flights} flights, {len(verdict.lost)} lost{apart}",
+        customers=built.customers,
+        tracks=judged.tracks,
+        drives=built.truck.drives,
+        stands=world.stands,
+        tasks=built.truck.done,
+        verdict=verdict,
+        ended_s=world.clock.t_s,
+        faults=world.faults.log,
+        no_fly_ne_m=[np.array(ring.ring_ne_m) for ring in rings],
+    )
+    draw_day(options.folder / PICTURE, drawn)

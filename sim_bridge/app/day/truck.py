@@ -1,0 +1,186 @@
+"""The simulated truck and its driver: what the desk asks takes the time that it takes.
+
+The driver does one thing after another, in the order in which the desk asked. Positions are NED
+metres about the day's depot.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.core.base.geo import LocalFrame, place_ned
+from companion.core.base.place import Place
+from ground_station.app.desk.truck_port import TruckPort
+from ground_station.core.fleet.truck import Task, TaskKind
+from sim_bridge.app.day.drone import DayDrone
+
+ON_PAD_M = 30.0
+"""A driver looks for a drone about its pad; farther off it is somebody else's ground."""
+
+WAIT_DOWN_S = 60.0
+"""A drone that is to be taken aboard and still flies is waited for, and then told."""
+
+SPEED_STD_FRAC, TASK_STD_FRAC = 0.10, 0.15
+"""How much one drive's speed and one task's time vary: a driver, not a machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverTimes:
+    """Seconds for each of a driver's tasks, on average."""
+
+    launch_s: float
+    recover_s: float
+    serve_s: float
+
+    def of(self, kind: TaskKind) -> float:
+        """For one task at a stop."""
+        match kind:
+            case TaskKind.PUT_OUT:
+                return self.launch_s
+            case TaskKind.RECOVER:
+                return self.recover_s
+            case _:
+                return self.serve_s
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """One drive as it was: from place to place, leaving and arriving, day's time."""
+
+    stop: str
+    from_ne_m: tuple[float, float]
+    to_ne_m: tuple[float, float]
+    left_s: float
+    arrive_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """One task of the driver's, done (or not: `why`) between two times at a stop."""
+
+    kind: str
+    stop: str
+    order: str | None
+    vehicle: str | None
+    begun_s: float
+    ended_s: float
+    why: str = ""
+
+
+@dataclass(slots=True)
+class DayTruck:
+    """`drive_s(stop, from, to)` is what a drive takes on average; `late_s` befalls the second."""
+
+    port: TruckPort
+    frame: LocalFrame
+    drones: dict[str, DayDrone]
+    payload_kg: dict[str, float]
+    times: DriverTimes
+    drive_s: Callable[[str, str, float], float]
+    detour_factor: float
+    rng: np.random.Generator
+    late_s: float = 0.0
+    drives: list[Drive] = field(default_factory=list)
+    done: list[Done] = field(default_factory=list)
+    delivered: list[tuple[float, str]] = field(default_factory=list)
+    _stop: str = ""
+    _task: Task | None = None
+    _began_s: float = 0.0
+    _ends_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._stop = self.port.truck.stop
+
+    @property
+    def ne_m(self) -> tuple[float, float]:
+        """Where it stands, or stood last."""
+        return self.drives[-1].to_ne_m if self.drives else (0.0, 0.0)
+
+    def ne_at_m(self, t_s: float) -> tuple[float, float]:
+        """Where it is, also on the way (drawn as a straight line)."""
+        if not self.drives or t_s >= self.drives[-1].arrive_s:
+            return self.ne_m
+        drive = self.drives[-1]
+        share = (t_s - drive.left_s) / max(drive.arrive_s - drive.left_s, 1e-9)
+        (n0, e0), (n1, e1) = drive.from_ne_m, drive.to_ne_m
+        return n0 + share * (n1 - n0), e0 + share * (e1 - e0)
+
+    def turn(self, t_s: float) -> None:
+        """Answer the desk, work, tell the state."""
+        self.port.turn()
+        if self._task is not None and self._task not in self.port.todo:
+            self._task = None  # withdrawn
+        if self._task is None and self.port.todo:
+            self._begin(self.port.todo[0], t_s)
+        if self._task is not None and t_s >= self._ends_s:
+            self._end(self._task, t_s)
+        if self.port.truck.driving:
+            lat, lon, _ = self.frame.to_geodetic((*self.ne_at_m(t_s), 0.0))
+            self.port.here(math.degrees(lat), math.degrees(lon), self._speed_mps())
+        self.port.publish()
+
+    def _speed_mps(self) -> float | None:
+        drive = self.drives[-1] if self.drives else None
+        if drive is None or drive.arrive_s <= drive.left_s:
+            return None
+        return math.dist(drive.from_ne_m, drive.to_ne_m) / (drive.arrive_s - drive.left_s)
+
+    def _begin(self, task: Task, t_s: float) -> None:
+        self._task, self._began_s = task, t_s
+        spread = float(np.exp(self.rng.normal(0.0, TASK_STD_FRAC)))
+        if task.kind is not TaskKind.ARRIVE:
+            self._ends_s = t_s + self.times.of(task.kind) * spread
+            return
+        to = self._ne_of(task)
+        apart_m = math.dist(self.ne_m, to) * self.detour_factor
+        spread = float(np.exp(self.rng.normal(0.0, SPEED_STD_FRAC)))
+        late_s = self.late_s if len(self.drives) == 1 else 0.0
+        takes_s = self.drive_s(self._stop, task.id, apart_m) * spread + late_s
+        self.drives.append(Drive(task.id, self.ne_m, to, t_s, t_s + takes_s))
+        self._ends_s = t_s + takes_s
+
+    def _ne_of(self, task: Task) -> tuple[float, float]:
+        place = Place(lat_deg=task.lat_deg, lon_deg=task.lon_deg, alt_amsl_m=0.0)
+        north, east, _ = place_ned(self.frame, place)
+        return north, east
+
+    def _end(self, task: Task, t_s: float) -> None:
+        drone = self.drones.get(task.vehicle or "")
+        gone = drone is None or not drone.carries_parcel if task.parcel else None
+        why = self._do(task, t_s)
+        if why == "":
+            self.port.confirm(task, gone=gone)
+        elif t_s < self._ends_s + WAIT_DOWN_S:
+            return
+        else:
+            self.port.cannot(task, why)
+        self._task = None
+        if task.kind is TaskKind.ARRIVE:
+            self._stop = task.id
+        row = Done(task.kind.value, self._stop, task.order, task.vehicle, self._began_s, t_s, why)
+        self.done.append(row)
+
+    def _do(self, task: Task, t_s: float) -> str:
+        """What the hands do at the end of a task; why it cannot be, or nothing."""
+        drone = self.drones.get(task.vehicle or "")
+        match task.kind:
+            case TaskKind.PUT_OUT if drone is not None:
+                if drone.is_airborne:
+                    return f"{drone.name} is in the air"
+                payload_kg = self.payload_kg.get(task.order or "", 0.0)
+                drone.switch_on(t_s, self._ne_of(task), payload_kg, task.order)
+            case TaskKind.RECOVER if drone is not None:
+                if drone.up is None:
+                    return ""  # it never left the truck
+                if not drone.standing_at(t_s, self._ne_of(task), ON_PAD_M):
+                    return f"{drone.name} does not stand there"
+                drone.switch_off()
+            case TaskKind.SERVE:
+                self.delivered.append((t_s, task.order or ""))
+            case TaskKind.ARRIVE:
+                return ""
+            case _:
+                return f"no drone {task.vehicle} here"
+        return ""

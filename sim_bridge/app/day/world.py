@@ -1,0 +1,141 @@
+"""The simulated day itself: drones, truck, network and desk, a tenth of a second at a time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from sim_bridge.app.day.build import Faults, Plumbing
+from sim_bridge.app.day.clock import DayClock
+from sim_bridge.app.day.drone import PHYSICS_STEP_S, DayDrone
+from sim_bridge.app.day.judge import Served, Stand, Told
+from sim_bridge.app.day.truck import DayTruck
+
+STEP_S = 0.1
+STEPS = round(STEP_S / PHYSICS_STEP_S)
+DESK_EVERY_S = 0.5
+DESK_AWAY_S = 20.0
+"""From a desk's kill -9 to the same command given again by a person or a service."""
+
+LEAST_AT_WORK_S = 5.0
+LEAST_UP_S = 15.0
+"""A companion is killed well in the air, where it matters."""
+
+
+class Seat(Protocol):
+    """The desk, wherever it runs."""
+
+    def turn(self) -> None:
+        """Hear, mind, assign, send."""
+        ...
+
+    def kill(self) -> None:
+        """SIGKILL: only what the store holds is left."""
+        ...
+
+    def start(self) -> None:
+        """The same command again."""
+        ...
+
+    @property
+    def is_done(self) -> bool:
+        """Nothing is open or under way."""
+        ...
+
+
+@dataclass(slots=True)
+class DayWorld:
+    """`run` until the desk has nothing left to do, or `limit_s`."""
+
+    clock: DayClock
+    plumbing: Plumbing
+    drones: list[DayDrone]
+    truck: DayTruck
+    seat: Seat
+    faults: Faults
+    homes: list[Told] = field(default_factory=list)
+    _home: dict[str, str | None] = field(default_factory=dict)
+    _desk_due_s: float = 0.0
+    _desk_back_s: float | None = None
+    _steps: int = 0
+
+    def run(self, limit_s: float, progress: Callable[["DayWorld"], bool]) -> bool:
+        """Whether the day ended by itself; `progress` is called once a second, False stops."""
+        while self.clock.t_s < limit_s:
+            self.step()
+            if self._steps % round(1.0 / STEP_S) == 0:
+                if self.is_over:
+                    return True
+                if not progress(self):
+                    return False
+        return False
+
+    @property
+    def is_over(self) -> bool:
+        """The desk has nothing left to do, and nothing flies."""
+        at_rest = self._desk_back_s is None and not any(d.is_airborne for d in self.drones)
+        return at_rest and not self.truck.port.todo and self.seat.is_done
+
+    def step(self) -> None:
+        """A tenth of a second."""
+        self._steps += 1
+        t_s = self.clock.t_s = self._steps * STEP_S
+        self.plumbing.network.deliver(t_s)
+        for drone in self.drones:
+            drone.advance(t_s, STEPS)
+        self._note_homes(t_s)
+        self.truck.turn(t_s)
+        self._mind_faults(t_s)
+        if self._desk_back_s is None and t_s >= self._desk_due_s:
+            self._desk_due_s = t_s + DESK_EVERY_S - STEP_S / 2.0
+            self.seat.turn()
+        self.plumbing.pace(t_s)
+
+    def _note_homes(self, t_s: float) -> None:
+        for vehicle, state in self.plumbing.network.states.items():
+            if self._home.get(vehicle) != state.home:
+                self._home[vehicle] = state.home
+                self.homes.append(Told(t_s, vehicle, state.home))
+
+    def _mind_faults(self, t_s: float) -> None:
+        faults = self.faults
+        if self._desk_back_s is not None and t_s >= self._desk_back_s:
+            self._desk_back_s = None
+            self.seat.start()
+            at_work_s = t_s + LEAST_AT_WORK_S  # a dead desk is not killed once more
+            faults.ground_kills_s = [max(kill_s, at_work_s) for kill_s in faults.ground_kills_s]
+            faults.log.append((t_s, "desk started again"))
+        if self._desk_back_s is None and faults.ground_kills_s and t_s >= faults.ground_kills_s[0]:
+            faults.ground_kills_s.pop(0)
+            self.seat.kill()
+            self._desk_back_s = t_s + DESK_AWAY_S
+            faults.log.append((t_s, "desk killed"))
+        if faults.companion_kills_s and t_s >= faults.companion_kills_s[0]:
+            self._kill_a_companion(t_s)
+
+    def _kill_a_companion(self, t_s: float) -> None:
+        """Of one that has been in the air for a while; else later."""
+        flying = [d for d in self.drones if d.is_airborne and d.companion is not None]
+        flying = [d for d in flying if d.airborne_s(t_s) >= LEAST_UP_S]
+        if not flying:
+            return
+        drone = flying[int(self.faults.rng.integers(len(flying)))]
+        self.faults.companion_kills_s.pop(0)
+        drone.kill_companion(t_s)
+        self.faults.log.append((t_s, f"companion of {drone.name} killed"))
+
+    # --- what was ------------------------------------------------------------------------------
+
+    @property
+    def stands(self) -> list[Stand]:
+        """Where the truck stood, and from when to when."""
+        found: list[Stand] = []
+        here, ne_m, since_s = "depot", (0.0, 0.0), 0.0
+        for drive in self.truck.drives:
+            found.append(Stand(here, ne_m, since_s, drive.left_s))
+            here, ne_m, since_s = drive.stop, drive.to_ne_m, drive.arrive_s
+        return [*found, Stand(here, ne_m, since_s, float("inf"))]
+
+    @property
+    def served(self) -> list[Served]:
+        """What the driver handed over."""
+        return [Served(order, t_s) for t_s, order in self.truck.delivered]

@@ -1,0 +1,115 @@
+"""A `companion run` process beside a simulated vehicle: started, killed, restarted, ended."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from sim_bridge.adapters.lifeline import entry
+
+ENTRY = "from companion.app.cli.main import main; main()"
+
+
+@dataclass(slots=True)
+class CompanionProcess:
+    """One companion that knows its vehicle only by the MAVLink link in `arguments`."""
+
+    run_dir: Path
+    arguments: list[str]
+    starts: int = 0
+    _process: subprocess.Popen[bytes] | None = None
+    _output: IO[bytes] | None = field(default=None, repr=False)
+
+    def start(self) -> None:
+        """Start it; its standard output and errors are appended to `companion.out`."""
+        self.run_dir.mkdir(parents=True, exist_ok=True)
+        self._close_output()
+        self._output = (self.run_dir / "companion.out").open("ab")
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                entry(ENTRY),
+                "run",
+                *self.arguments,
+                "--run-dir",
+                str(self.run_dir),
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,  # Ctrl-C reaches the bridge alone, which ends it in order
+        )
+        self.starts += 1
+
+    @property
+    def pid(self) -> int | None:
+        """Process id while it runs."""
+        return self._process.pid if self.running else None  # type: ignore[union-attr]
+
+    @property
+    def running(self) -> bool:
+        """True while the process lives."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def exit_code(self) -> int | None:
+        """Its exit code once it has ended."""
+        return None if self._process is None else self._process.poll()
+
+    def wait(self, limit_s: float) -> None:
+        """Wait for its end, no longer than `limit_s`."""
+        if self._process is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(limit_s)
+
+    def kill(self) -> None:
+        """SIGKILL, as a companion computer that loses its power."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def end(self, grace_s: float = 10.0) -> None:
+        """SIGTERM, then SIGKILL after `grace_s`; always leaves no process behind."""
+        if self._process is not None and self.running:
+            self._process.terminate()
+            try:
+                self._process.wait(grace_s)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        self._close_output()
+
+    def result(self) -> dict[str, Any]:
+        """The companion's own record, `{}` where it left none."""
+        path = self.run_dir / "result.json"
+        if not path.exists():
+            return {}
+        try:
+            return json.loads(path.read_text())
+        except json.JSONDecodeError:
+            return {}
+
+    @property
+    def phase(self) -> str:
+        """The phase that it last said it is in, empty before the first."""
+        path = self.run_dir / "companion.out"
+        text = path.read_text(errors="replace") if path.exists() else ""
+        changes = [line for line in text.splitlines() if " -> " in line]
+        return changes[-1].rsplit(" -> ", 1)[1] if changes else ""
+
+    def last_words(self, lines: int = 5) -> str:
+        """The end of what it printed, for an error message."""
+        path = self.run_dir / "companion.out"
+        text = path.read_text(errors="replace").strip() if path.exists() else ""
+        return "\n".join(text.splitlines()[-lines:])
+
+    def _close_output(self) -> None:
+        if self._output is not None:
+            self._output.close()
+            self._output = None

@@ -1,0 +1,153 @@
+"""`sim-bridge fly --link URL`: the same flight, on vehicles that somebody else runs.
+
+ArduPilot's SITL, PX4's SIH, a Pixhawk on the bench: one companion process for each link, and
+nothing else. No lockstep: the companions live on the autopilots' clocks, whatever their speed-up.
+The verdict is each companion's own (own_record.py).
+"""
+
+import contextlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.adapters.files.params import read_airframe, read_flight
+from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_file import Flight
+from sim_bridge.app.flight.companion_process import CompanionProcess
+from sim_bridge.app.flight.overheard import Overheard
+from sim_bridge.app.flight.own_record import own_row
+from sim_bridge.app.flight.report import Shown
+from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
+
+LOOK_EVERY_S = 0.2  # of the wall's time
+EXIT_USAGE, EXIT_NO_LINK = 2, 4  # the companion's exit codes for a mistake, and for nobody there
+
+Show = Callable[[list[Shown], float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignOptions:
+    """What the command line asks. `here`: the site lies about where each vehicle stands."""
+
+    flight_file: Path
+    links: tuple[str, ...]
+    gate: bool = True
+    configure: bool = False
+    here: bool = False
+    run_root: Path = Path("logs")
+
+
+@dataclass(slots=True)
+class _Guest:
+    """One vehicle of somebody else's, with our companion on its link."""
+
+    number: int
+    link: str
+    companion: CompanionProcess
+    heard: Overheard
+    began_s: float | None = field(default=None)
+
+    def shown(self) -> Shown:
+        heard = self.heard
+        return Shown(
+            label=f"{self.number} {heard.flavour or self.link}",
+            phase=self.companion.phase or "looking for it",
+            away_m=heard.away_m,
+            up_m=heard.up_m,
+            named=heard.named,
+            said=heard.said,
+        )
+
+    def flown_s(self) -> float:
+        """The autopilot's time since it was first heard."""
+        if self.began_s is None and self.heard.t_s > 0.0:
+            self.began_s = self.heard.t_s
+        return max(0.0, self.heard.t_s - (self.began_s or 0.0))
+
+
+def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
+    """Fly to the end; `{"flights": [...]}` as the companions saw it.
+
+    Raises LeewayError for a mistake in the input, and where no link brought an autopilot.
+    """
+    flight = read_flight(options.flight_file)
+    read_airframe(flight.vehicle.airframe)
+    _check(options, flight)
+    gate = "" if options.gate else "-gate-off"
+    run_dir = new_run_dir(options.run_root, f"{flight.name}-link{gate}")
+    with contextlib.ExitStack() as stack:
+        guests = [_guest(options, number, run_dir) for number in range(1, len(options.links) + 1)]
+        for guest in guests:
+            stack.callback(guest.companion.end)
+            guest.companion.start()
+        with saved_on_interrupt(run_dir):
+            _watch(guests, show)
+    for guest in guests:
+        _complain(guest)
+    rows = [
+        own_row(
+            guest.companion.result(),
+            vehicle=f"{flight.vehicle.airframe}-{guest.number}",
+            autopilot=guest.heard.flavour or "-",
+            run=os.path.relpath(guest.companion.run_dir),
+        )
+        for guest in guests
+    ]
+    result = {"flights": rows}
+    (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
+    return result
+
+
+def _check(options: ForeignOptions, flight: Flight) -> None:
+    if flight.faults:
+        raise LeewayError(
+            f"{options.flight_file}: [[faults]] happen in the simulated world: take them out to fly"
+            " somebody else's vehicle (--link)"
+        )
+    twice = {link for link in options.links if options.links.count(link) > 1}
+    if twice:
+        raise LeewayError(f"--link {', '.join(sorted(twice))}: named twice")
+    if len(options.links) > 1 and flight.site.depot is not None and not options.here:
+        raise LeewayError(
+            "several --link and one site.depot: their paths would be one; --here lays the site"
+            " about each vehicle"
+        )
+
+
+def _guest(options: ForeignOptions, number: int, run_dir: Path) -> _Guest:
+    link = options.links[number - 1]
+    own_dir = run_dir if len(options.links) == 1 else run_dir / f"vehicle{number}"
+    arguments = [
+        f"--link={link}",
+        f"--mission={options.flight_file}",
+        f"--gate={'on' if options.gate else 'off'}",
+        "--authorise",  # whoever types --link has said that this vehicle is to fly this mission
+    ]
+    arguments += ["--configure"] if options.configure else []
+    arguments += ["--here"] if options.here else []
+    companion = CompanionProcess(run_dir=own_dir, arguments=arguments)
+    return _Guest(number, link, companion, Overheard(own_dir / "stream.tlog"))
+
+
+def _watch(guests: list[_Guest], show: Show) -> None:
+    """Look on until every companion has ended by itself."""
+    running = True
+    while running:
+        running = any(guest.companion.running for guest in guests)
+        for guest in guests:
+            guest.heard.listen()
+        show([guest.shown() for guest in guests], max(guest.flown_s() for guest in guests))
+        next((g for g in guests if g.companion.running), guests[0]).companion.wait(LOOK_EVERY_S)
+
+
+def _complain(guest: _Guest) -> None:
+    """A mistake in the input, or an empty link, is an error and no flight."""
+    code = guest.companion.exit_code
+    if code == EXIT_USAGE:
+        raise LeewayError(f"companion {guest.number}: {guest.companion.last_words(1)}")
+    if code == EXIT_NO_LINK and guest.heard.flavour is None:
+        raise LeewayError(f"--link {guest.link}: no autopilot heard")

@@ -1,0 +1,108 @@
+"""The verdict on a flight, from truth: outcome, energy, margin, and the wind estimate's error."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim_bridge.app.flight.record import TruthRecord
+
+HOME_RADIUS_M = 12.0  # a pad with room for GNSS error (2.5 m CEP) and landing drift
+DROP_RADIUS_M = 12.0
+DROP_HEIGHT_SLACK_M = 4.0  # barometer and GNSS height error at the drop
+WIND_WINDOW_S = 10.0  # evaluation: the centred 10 s mean of the true wind at the vehicle
+WIND_WARM_UP_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Outcome of one flight by truth, in the words and units of the evaluation's section 8."""
+
+    outcome: str
+    delivered: bool
+    home: bool
+    energy_used_wh: float
+    margin_wh: float
+    flight_time_s: float
+    wind_rmse_mps: float | None
+    wind_nees: float | None
+
+
+def outcome_of(*, delivered: bool, home: bool) -> str:
+    """SUC, DEL, FAIL or ABRT (evaluation, section 1)."""
+    if delivered:
+        return "SUC" if home else "DEL"
+    return "ABRT" if home else "FAIL"
+
+
+def judge(
+    record: TruthRecord,
+    *,
+    homes_ne_m: list[tuple[float, float]],
+    customer_ne_m: tuple[float, float],
+    drop_height_m: float,
+    reserve_wh: float,
+    wind_estimates: list[dict[str, Any]],
+) -> Verdict:
+    """Judge a finished (or stopped) flight by truth; home means landed there with the reserve."""
+    truth = record.arrays()
+    margin_wh = float(truth["usable_wh"][-1]) - reserve_wh
+    on_ground = record.landed_s is not None
+    here = (float(truth["north_m"][-1]), float(truth["east_m"][-1]))
+    at_home = any(math.dist(here, home) <= HOME_RADIUS_M for home in homes_ne_m)
+    never_left = record.took_off_s is None
+    home = never_left or (on_ground and at_home and not record.crashed and margin_wh >= 0.0)
+    delivered = (
+        record.released_ned_m is not None
+        and record.release_height_m is not None
+        and math.dist(record.released_ned_m[:2], customer_ne_m) <= DROP_RADIUS_M
+        and record.release_height_m <= drop_height_m + DROP_HEIGHT_SLACK_M
+    )
+    rmse, nees = wind_errors(truth, record.took_off_s, record.landed_s, wind_estimates)
+    end_s = record.landed_s if record.landed_s is not None else float(truth["t_s"][-1])
+    return Verdict(
+        outcome=outcome_of(delivered=delivered, home=home),
+        delivered=delivered,
+        home=home,
+        energy_used_wh=float(truth["energy_used_wh"][-1]),
+        margin_wh=margin_wh,
+        flight_time_s=end_s - record.took_off_s if record.took_off_s is not None else 0.0,
+        wind_rmse_mps=rmse,
+        wind_nees=nees,
+    )
+
+
+def centred_mean(t_s: np.ndarray, values: np.ndarray, window_s: float) -> np.ndarray:
+    """Mean of `values` over [t - window/2, t + window/2] at every t, shortened at the ends."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    half_s = window_s / 2 + 1e-6  # samples on the edge count, whatever their last bit
+    low = np.searchsorted(t_s, t_s - half_s, side="left")
+    high = np.searchsorted(t_s, t_s + half_s, side="right")
+    return (total[high] - total[low]) / (high - low)
+
+
+def wind_errors(
+    truth: dict[str, np.ndarray],
+    took_off_s: float | None,
+    landed_s: float | None,
+    estimates: list[dict[str, Any]],
+) -> tuple[float | None, float | None]:
+    """RMSE of the wind vector (m/s) and mean normalised error squared (2 is ideal), or None.
+
+    `estimates`: rows with t_s, n, e (m/s, where the air moves to) and nn, ne, ee (m2/s2).
+    """
+    if took_off_s is None or not estimates:
+        return None, None
+    t = truth["t_s"]
+    last = landed_s if landed_s is not None else float(t[-1])
+    rows = [r for r in estimates if took_off_s + WIND_WARM_UP_S <= r["t_s"] <= last]
+    if not rows:
+        return None, None
+    at = np.array([r["t_s"] for r in rows])
+    mean_n = np.interp(at, t, centred_mean(t, truth["wind_to_n_mps"], WIND_WINDOW_S))
+    mean_e = np.interp(at, t, centred_mean(t, truth["wind_to_e_mps"], WIND_WINDOW_S))
+    err = np.stack([np.array([r["n"] for r in rows]) - mean_n, [r["e"] for r in rows] - mean_e], 1)
+    cov = np.array([[[r["nn"], r["ne"]], [r["ne"], r["ee"]]] for r in rows])
+    nees = np.einsum("ki,kij,kj->k", err, np.linalg.inv(cov), err)
+    return float(np.sqrt(np.mean(np.sum(err**2, axis=1)))), float(np.mean(nees))

@@ -1,0 +1,205 @@
+"""What a person sees of a flight: one live line a vehicle, then the table."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich import box
+from rich.console import Console, Group, JustifyMethod, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.flight.fly import Progress
+from sim_bridge.app.flight.vehicle_process import Craft
+
+REFRESH_WALL_S = 0.25
+LINE_EVERY_S = 30.0
+ROUTINE = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One vehicle as the live view shows it; `away_m` from where it started."""
+
+    label: str
+    phase: str
+    away_m: float
+    up_m: float
+    named: Mapping[str, float]
+    said: Sequence[tuple[float, str]]
+
+
+@dataclass(slots=True)
+class LiveView(Progress):
+    """A live table on a terminal; on anything else a line every half minute of flight."""
+
+    console: Console = field(default_factory=Console)
+    _live: Live | None = None
+    _next_wall_s: float = 0.0
+    _next_line_s: float = 0.0
+    _started_wall_s: float = field(default_factory=wall_s)
+
+    def __enter__(self) -> "LiveView":
+        if self.console.is_terminal:
+            self._live = Live(console=self.console, refresh_per_second=4, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exc_info: Any) -> None:
+        if self._live is not None:
+            self._live.__exit__(*exc_info)
+
+    def update(self, crafts: list[Craft], t_s: float) -> None:
+        """Show where everybody is; called ten times a simulated second."""
+        if wall_s() >= self._next_wall_s:
+            self.show([_shown(craft) for craft in crafts], t_s)
+
+    def show(self, vehicles: list[Shown], t_s: float) -> None:
+        """Show these, `t_s` into the flights."""
+        now = wall_s()
+        if now < self._next_wall_s:
+            return
+        self._next_wall_s = now + REFRESH_WALL_S
+        pace = t_s / max(now - self._started_wall_s, 1e-6)
+        if self._live is not None:
+            self._live.update(_live_table(vehicles, t_s, pace))
+        elif t_s >= self._next_line_s:
+            self._next_line_s = t_s + LINE_EVERY_S
+            for vehicle in vehicles:
+                self.console.print(_line(vehicle, t_s), highlight=False)
+
+
+def _shown(craft: Craft) -> Shown:
+    row = craft.record.rows[-1] if craft.record.rows else (0.0,) * 13
+    return Shown(
+        label=f"{craft.number} {craft.flavour}",
+        phase=craft.phase,
+        away_m=math.hypot(row[1], row[2]),
+        up_m=-row[3],
+        named=craft.operator.named,
+        said=craft.operator.said,
+    )
+
+
+def _live_table(vehicles: list[Shown], t_s: float, pace: float) -> Table:
+    table = Table(title=f"{t_s:.0f} s of flight time at {pace:.0f} x real time", box=None)
+    for name in ("vehicle", "phase", "from depot", "height", "wind", "margin", "P(home)", "says"):
+        table.add_column(name, justify="left" if name in ("vehicle", "phase", "says") else "right")
+    for vehicle in vehicles:
+        table.add_row(*_cells(vehicle))
+    return table
+
+
+def _cells(vehicle: Shown) -> list[str]:
+    named, said = vehicle.named, vehicle.said
+    wind = "-"
+    if "LW_WINDN" in named and "LW_WINDE" in named:
+        north, east = named["LW_WINDN"], named["LW_WINDE"]
+        from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+        wind = f"{math.hypot(north, east):.1f} m/s from {from_deg:03.0f}"
+    return [
+        vehicle.label,
+        vehicle.phase,
+        f"{vehicle.away_m:.0f} m",
+        f"{vehicle.up_m:.0f} m",
+        wind,
+        f"{named['LW_MARGIN']:+.1f} Wh" if "LW_MARGIN" in named else "-",
+        f"{named['LW_PHOME']:.3f}" if "LW_PHOME" in named else "-",
+        said[-1][1] if said else "",
+    ]
+
+
+def _line(vehicle: Shown, t_s: float) -> str:
+    names = ("", "", "out ", "up ", "wind ", "margin ", "P(home) ", "")
+    cells = [n + c for n, c in zip(names, _cells(vehicle), strict=True) if c]
+    return f"t={t_s:5.0f} s  " + ", ".join(cells)
+
+
+def slim_table(title: str, *columns: tuple[str, JustifyMethod]) -> Table:
+    """An empty table without a frame, for terminals of 80 columns."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+    )
+    for name, justify in columns:
+        table.add_column(name, justify=justify, no_wrap=True)
+    return table
+
+
+def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
+    """The flights of a run: a table of figures, and below it what each decided."""
+    title = "gate on" if gate else "GATE OFF: it flies on whatever the budget says"
+    if any(row["judged_by"] == "companion" for row in result["flights"]):
+        title += "\nby the companion's own record; - is what only the truth could tell"
+    table = slim_table(
+        title,
+        ("\nvehicle", "left"),
+        ("\nend", "left"),
+        ("used\nWh", "right"),
+        ("margin\nWh", "right"),
+        ("time\ns", "right"),
+        ("wind\nRMSE", "right"),
+        ("\nNEES", "right"),
+        ("least\nP(home)", "right"),
+        ("clair-\nvoyant", "right"),
+    )
+    decided: list[RenderableType] = []
+    for row in result["flights"]:
+        number = row["vehicle"].rpartition("-")[2]
+        table.add_row(
+            f"{number} {row['autopilot']}",
+            row["outcome"] or "-",
+            _number(row["energy_used_wh"], 1),
+            _number(row["margin_wh"], 1, sign="+"),
+            _number(row["flight_time_s"], 0),
+            _number(row["wind_rmse_mps"], 2),
+            _number(row["wind_nees"], 2),
+            _number(row["p_home_min"], 3),
+            _clairvoyant(row),
+        )
+        words = ", ".join(_decision_words(row["decisions"])) or "nothing"
+        decided.append(Text(f"{number} decided: {words}"))
+    return Group(table, "", *decided)
+
+
+def grounded_words(row: dict[str, Any]) -> list[str]:
+    """What kept a vehicle of somebody else's on the ground, and what would help."""
+    if row["judged_by"] != "companion" or row["flight_time_s"] != 0.0:
+        return []
+    findings = row["findings"]
+    words = [f"{'MISSING' if f['blocks'] else 'off    '}  {f['words']}" for f in findings]
+    words.append(f"no take-off: {row['reason']}")
+    if any(f["blocks"] for f in findings):
+        words.append("--configure sets these and puts the old values back after landing")
+    return words
+
+
+def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:
+    words: list[str] = []
+    for decision in decisions:
+        if decision["kind"] in ROUTINE:
+            continue
+        word = decision["kind"].replace("_", " ")
+        if not words or words[-1].split(" x")[0] != word:
+            words.append(word)
+        else:
+            count = int(words[-1].split(" x")[1]) if " x" in words[-1] else 1
+            words[-1] = f"{word} x{count + 1}"
+    return words
+
+
+def _clairvoyant(row: dict[str, Any]) -> str:
+    if row["clairvoyant"] is None:
+        return "-"
+    return f"{row['clairvoyant']} {row['clairvoyant_margin_wh']:+.1f}"
+
+
+def _number(value: float | None, digits: int, sign: str = "") -> str:
+    return "-" if value is None else f"{value:{sign}.{digits}f}"

@@ -1,0 +1,104 @@
+"""Geofences: cylinder, polygons and circles, and which of them a position breaks."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from sim_bridge.autopilot.flight.geodesy import LocalFrame
+from sim_bridge.autopilot.mavlink.enums import Cmd
+from sim_bridge.autopilot.mission.mission import Item
+
+PointNE = tuple[float, float]
+
+
+_VERTICES = (
+    Cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    Cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+)
+
+
+class Breach(Enum):
+    """What was broken, by its MAVLink FENCE_BREACH number."""
+
+    MAX_HEIGHT = 2
+    BOUNDARY = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A polygon (or a circle, by its radius about one vertex) to stay in, or out of."""
+
+    vertices_ne_m: tuple[PointNE, ...]
+    radius_m: float | None
+    is_inclusion: bool
+
+    def contains(self, point: PointNE) -> bool:
+        """Whether a point lies inside."""
+        if self.radius_m is not None:
+            return math.dist(point, self.vertices_ne_m[0]) <= self.radius_m
+        return _in_polygon(point, self.vertices_ne_m)
+
+
+def _in_polygon(point: PointNE, vertices: Sequence[PointNE]) -> bool:
+    """Crossing-number test; the boundary belongs to either side."""
+    north, east = point
+    inside = False
+    previous = vertices[-1]
+    for vertex in vertices:
+        (n0, e0), (n1, e1) = previous, vertex
+        if (e0 > east) != (e1 > east) and north < (n1 - n0) * (east - e0) / (e1 - e0) + n0:
+            inside = not inside
+        previous = vertex
+    return inside
+
+
+def read_areas(items: Sequence[Item], frame: LocalFrame) -> tuple[Area, ...]:
+    """The areas of a stored fence; an incomplete polygon is left out."""
+    areas: list[Area] = []
+    vertices: list[PointNE] = []
+    for item in items:
+        point = frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
+        is_inclusion = item.command in (
+            Cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+            Cmd.NAV_FENCE_CIRCLE_INCLUSION,
+        )
+        if item.command in (Cmd.NAV_FENCE_CIRCLE_INCLUSION, Cmd.NAV_FENCE_CIRCLE_EXCLUSION):
+            areas.append(Area((point,), item.param1, is_inclusion))
+        elif item.command in _VERTICES:
+            vertices.append(point)
+            if len(vertices) >= max(int(item.param1), 3):
+                areas.append(Area(tuple(vertices), None, is_inclusion))
+                vertices = []
+    return tuple(areas)
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """Everything that bounds the flight; None where there is no bound."""
+
+    areas: tuple[Area, ...] = ()
+    radius_m: float | None = None
+    height_m: float | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is bounded."""
+        return not self.areas and self.radius_m is None and self.height_m is None
+
+    def breach(self, point: PointNE, home: PointNE, height_m: float) -> Breach | None:
+        """What a position breaks; `height_m` is above home.
+
+        With several inclusion areas one suffices (PX4); ArduPilot wants them all unless
+        FENCE_OPTIONS says otherwise, and one is the usual number.
+        """
+        if self.height_m is not None and height_m > self.height_m:
+            return Breach.MAX_HEIGHT
+        if self.radius_m is not None and math.dist(point, home) > self.radius_m:
+            return Breach.BOUNDARY
+        inclusions = [area for area in self.areas if area.is_inclusion]
+        if inclusions and not any(area.contains(point) for area in inclusions):
+            return Breach.BOUNDARY
+        if any(area.contains(point) for area in self.areas if not area.is_inclusion):
+            return Breach.BOUNDARY
+        return None

@@ -1,0 +1,211 @@
+"""The autopilot's end of its links: sending, streaming, texts, parameters, forwarding."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sim_bridge.autopilot.flavour import LinkKind
+from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message, Signer
+from sim_bridge.autopilot.mavlink.commands import Command
+from sim_bridge.autopilot.mavlink.enums import Result, Severity
+from sim_bridge.autopilot.mavlink.links import Link
+from sim_bridge.autopilot.mavlink.router import Router
+
+if TYPE_CHECKING:
+    from sim_bridge.autopilot.autopilot import Autopilot
+
+_TEXT_SIZE = 50
+_PARAMETERS_PER_STEP = 4
+
+
+@dataclass(slots=True)
+class _OwnCommand:
+    """A command that the autopilot itself sent to whoever is there, and may send again."""
+
+    number: int
+    params: tuple[float, ...]
+    tries: int
+    next_s: float
+
+
+class Radio:
+    """All links of one autopilot, and what waits to be sent on them."""
+
+    def __init__(self, ap: "Autopilot", router: Router) -> None:
+        self._ap = ap
+        self._router = router
+        self.links: dict[int, Link] = {}
+        self._outbox: list[tuple[int, bytes]] = []
+        self._own_commands: list[_OwnCommand] = []
+        self._text_id = 0
+
+    def add_link(
+        self, link_id: int, kind: LinkKind, *, stream: bool, signing: Signer | None
+    ) -> None:
+        """Bring a link up with its kind's streams."""
+        system = self._ap.system_id
+        link = Link(
+            link_id,
+            kind,
+            Encoder(system, 1, signing=signing),
+            Decoder(stream=stream, keep_unknown=True, signing=signing),
+        )
+        self.links[link_id] = link
+        self._router.add_link(link_id)
+        self._start_streams(link)
+
+    def drop_link(self, link_id: int) -> None:
+        """Take a link down."""
+        self.links.pop(link_id, None)
+        self._router.drop_link(link_id)
+
+    def reboot(self) -> None:
+        """Forget everything that was asked and heard."""
+        self._own_commands.clear()
+        self._text_id = 0
+        for link in self.links.values():
+            link.gcs_until_s = -1.0
+            link.peers.clear()
+            link.parameters = None
+            self._start_streams(link)
+
+    def take_outbox(self) -> list[tuple[int, bytes]]:
+        """Frames to send, in order; the outbox is then empty."""
+        outbox, self._outbox = self._outbox, []
+        return outbox
+
+    def take_in(self, link_id: int, datagram: bytes) -> list[Message]:
+        """Messages for this autopilot; those for others are passed on."""
+        link = self.links[link_id]
+        mine = (self._ap.system_id, 1)
+        messages = []
+        for message in link.decoder.feed(datagram):
+            if (message.src_system, message.src_component) == mine:
+                continue
+            routing = self._router.route(link_id, message)
+            for other in routing.forward_to:
+                if isinstance(other, int) and other in self.links:
+                    self._outbox.append((other, message.wire_bytes))
+            link.peers.add((message.src_system, message.src_component))
+            if routing.deliver and message.msg_name != "UNKNOWN":
+                messages.append(message)
+        return messages
+
+    def send(self, link_id: int, name: str, **fields: Any) -> None:
+        """Queue one message on one link."""
+        link = self.links.get(link_id)
+        if link is not None:
+            self._outbox.append((link_id, link.encoder.encode(Message(name, **fields))))
+
+    def send_all(self, name: str, **fields: Any) -> None:
+        """Queue one message on every link."""
+        for link_id in self.links:
+            self.send(link_id, name, **fields)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Queue a STATUSTEXT where the flavour sends them, in chunks of 50 bytes."""
+        text, link_ids = self._ap.behaviour.status_text(self._ap, text)
+        chunks = [text[at : at + _TEXT_SIZE] for at in range(0, len(text), _TEXT_SIZE)]
+        text_id = 0
+        if len(chunks) > 1:
+            self._text_id = text_id = self._text_id % 65535 + 1
+        for link_id in link_ids:
+            for number, chunk in enumerate(chunks):
+                self.send(
+                    link_id,
+                    "STATUSTEXT",
+                    severity=int(severity),
+                    text=chunk,
+                    id=text_id,
+                    chunk_seq=number,
+                )
+
+    def acknowledge(self, command: Command, result: Result, progress: int = 0) -> None:
+        """Queue a COMMAND_ACK to the sender of a command."""
+        self.send(
+            command.link_id,
+            "COMMAND_ACK",
+            command=command.number,
+            result=int(result),
+            progress=progress,
+            target_system=command.system,
+            target_component=command.component,
+        )
+
+    def send_parameter(self, link_id: int, name: str, index: int | None = None) -> None:
+        """Queue a PARAM_VALUE."""
+        if name == "_HASH_CHECK":
+            value, kind, index = self._ap.behaviour.hash_check(self._ap.params), 5, 65535
+        else:
+            value, kind = self._ap.params.wire(name)
+            if index is None:
+                index = self._ap.params.index_of(name)
+        self.send(
+            link_id,
+            "PARAM_VALUE",
+            param_id=name,
+            param_value=value,
+            param_type=kind,
+            param_count=len(self._ap.params),
+            param_index=index,
+        )
+
+    def start_parameter_list(self, link_id: int) -> None:
+        """Begin to send all parameters on a link, as fast as a link may bear."""
+        self.links[link_id].parameters = iter(self._ap.behaviour.parameter_names(self._ap.params))
+
+    def ask_companions(self, number: int, *params: float) -> None:
+        """Send a command of our own to whoever is on the links; repeated until answered."""
+        padded = (*params, *(0.0,) * (7 - len(params)))
+        self.forget_own_command(number)
+        self._own_commands.append(_OwnCommand(number, padded, 3, self._ap.t_s))
+
+    def forget_own_command(self, number: int) -> None:
+        """Somebody answered, whatever they said."""
+        self._own_commands = [c for c in self._own_commands if c.number != number]
+
+    def repeat_own_commands(self) -> None:
+        for command in [c for c in self._own_commands if c.next_s <= self._ap.t_s]:
+            for link in self.links.values():
+                if not any(system == self._ap.system_id for system, _ in link.peers):
+                    continue
+                fields = {f"param{i + 1}": value for i, value in enumerate(command.params)}
+                self.send(
+                    link.id,
+                    "COMMAND_LONG",
+                    target_system=self._ap.system_id,
+                    target_component=0,
+                    command=command.number,
+                    confirmation=3 - command.tries,
+                    **fields,
+                )
+            command.tries -= 1
+            command.next_s = self._ap.t_s + 0.2
+        self._own_commands = [c for c in self._own_commands if c.tries > 0]
+
+    def _start_streams(self, link: Link) -> None:
+        link.clear_streams()
+        for name, interval_s in self._ap.behaviour.default_streams(link.kind).items():
+            link.set_interval(name, interval_s, self._ap.t_s)
+
+    def talk(self) -> None:
+        """Send what is due."""
+        built: dict[str, Message | None] = {}
+        for link in self.links.values():
+            for name in link.due(self._ap.t_s + 1e-6):
+                if name not in built:
+                    fields = self._ap.behaviour.streams[name](self._ap)
+                    built[name] = None if fields is None else Message(name, **fields)
+                message = built[name]
+                if message is not None:
+                    self._outbox.append((link.id, link.encoder.encode(message)))
+            if link.parameters is not None:
+                self._send_parameters(link)
+
+    def _send_parameters(self, link: Link) -> None:
+        assert link.parameters is not None
+        for _ in range(_PARAMETERS_PER_STEP):
+            name = next(link.parameters, None)
+            if name is None:
+                link.parameters = None
+                return
+            self.send_parameter(link.id, name)

@@ -1,0 +1,309 @@
+"""The paper's experiments as commands: each writes Markdown, CSV and a picture, and prints."""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.research.campaign.journal import Journal, Result, Work, digest_of, journaled_map
+from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.cli.campaign import INTERRUPTED
+
+app = typer.Typer(add_completion=False, no_args_is_help=True)
+
+Out = Annotated[Path, typer.Option(help="folder for the tables and pictures")]
+Jobs = Annotated[int, typer.Option(help="processes; 0: all cores")]
+OUT = Path("logs/experiments")
+ANEMOMETER = Path("estimator") / "anemometer_uav_5hz.csv"
+
+
+def _cores(jobs: int) -> int:
+    return jobs or len(os.sched_getaffinity(0))
+
+
+def finish(sheet: Sheet, out: Path, stem: str) -> None:
+    written = sheet.write(out, stem)
+    typer.echo(sheet.markdown())
+    typer.echo("wrote " + ", ".join(str(path) for path in written), err=True)
+
+
+def progress_bar() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def run_journaled(
+    title: str, work: Sequence[Work], do: Callable[[Work], Result], jobs: int, kept: Journal[Result]
+) -> list[Result]:
+    """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
+    with progress_bar() as bar:
+        shown = bar.add_task(title, total=len(work))
+        try:
+            return journaled_map(
+                work, do, _cores(jobs), kept, lambda done, _: bar.update(shown, completed=done)
+            )
+        except KeyboardInterrupt:
+            typer.echo(f"stopped; {kept.path} keeps what is done, the same command goes on")
+            raise typer.Exit(INTERRUPTED) from None
+
+
+@app.command()
+def table1(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    rounds: Annotated[int, typer.Option(help="rounds")] = 10,
+    graphs: Annotated[int, typer.Option(help="graphs a round")] = 10,
+    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 13,
+    gusty: Annotated[bool, typer.Option(help="the gusty set, which is ours")] = False,
+    wind_log: Annotated[Path | None, typer.Option(help="replay a recording instead")] = None,
+) -> None:
+    """Table 1: SER, RER, GER and BER on random graphs, 4 and 8 wind classes."""
+    from dataclasses import replace
+
+    from sim_bridge.research.tables.table1 import (
+        GUSTY_PARAMS,
+        NOTE,
+        Part,
+        Table1Params,
+        cells_of,
+        draw,
+        fly,
+        jobs_of,
+        sheet,
+    )
+    from sim_bridge.research.wind.wind_logs import read_wind_log
+
+    params = GUSTY_PARAMS if gusty else Table1Params()
+    params = replace(params, rounds=rounds, graphs=graphs, seed=seed)
+    wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
+    title = "Table 1" + (", gusty set (ours)" if gusty else "")
+    title += f", recording {wind_log.stem}" if wind_log else ""
+    stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
+    work = jobs_of(params, wind)
+    kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
+    cells = cells_of(run_journaled(title, work, fly, jobs, kept), params)
+    finish(
+        sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
+    )
+    draw(cells, title, out / f"{stem}.png")
+    kept.remove()
+
+
+@app.command()
+def table2(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    trials: Annotated[int, typer.Option(help="trials", min=1)] = 10,
+    seed: Annotated[int, typer.Option(help="of towns, customers and winds", min=0)] = 2611,
+    llm_url: Annotated[
+        str | None, typer.Option(help="an OpenAI-compatible server: a row clustered by its LLM")
+    ] = None,
+    llm_model: Annotated[str | None, typer.Option(help="the model's name there")] = None,
+    llm_key: Annotated[Path | None, typer.Option(help="a file with the key, if any")] = None,
+) -> None:
+    """Table 2: what each part is worth, over days of 20 customers, 4 drones and one truck.
+
+    Example: sim-bridge table2 --trials 2 --jobs 2
+    """
+    from ground_station.adapters.llm import LlmParams
+    from sim_bridge.research.tables import table2 as experiment
+
+    if (llm_url is None) != (llm_model is None):
+        raise LeewayError("--llm-url and --llm-model: expected both or neither")
+    llm = None
+    if llm_url is not None and llm_model is not None:
+        try:
+            key = None if llm_key is None else llm_key.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise LeewayError(f"--llm-key {llm_key}: {error}") from None
+        llm = LlmParams(llm_url, llm_model, key)
+    work = experiment.trials_of(trials, seed, llm)
+    kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
+    measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
+    found = experiment.by_variant(work, measured)
+    finish(experiment.sheet(found, seed), out, "table2")
+    experiment.draw(found, out / "table2.png")
+    kept.remove()
+
+
+@app.command()
+def lambda_sweep(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    graphs: Annotated[int, typer.Option(help="graphs")] = 100,
+) -> None:
+    """Outcomes against the risk weight lambda and the battery."""
+    from sim_bridge.research.tables import lambda_sweep as experiment
+
+    work = experiment.jobs_of(graphs)
+    kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.Part])
+    points = experiment.points_of(run_journaled("lambda sweep", work, experiment.fly, jobs, kept))
+    finish(experiment.sheet(points), out, "lambda_sweep")
+    experiment.draw(points, out / "lambda_sweep.png")
+    kept.remove()
+
+
+@app.command()
+def energy_speed(
+    out: Out = OUT, airframe: Annotated[str, typer.Option(help="name or file")] = "octo8"
+) -> None:
+    """Energy per kilometre against speed by wind and payload, with both power models."""
+    from companion.adapters.files.params import read_airframe
+    from sim_bridge.research.tables import energy_speed as experiment
+
+    believed = read_airframe(airframe)
+    found = experiment.curves(believed)
+    finish(experiment.sheet(found, believed), out, "energy_speed")
+    experiment.draw(found, out / "energy_speed.png")
+
+
+@app.command()
+def speed_to_fly(
+    out: Out = OUT,
+    airframe: Annotated[
+        list[str] | None, typer.Option(help="in params/airframes and params/truth; default: m100")
+    ] = None,
+) -> None:
+    """The speed to fly against the least true Wh/km by brute force, and the saving over cruise.
+
+    Example: sim-bridge speed-to-fly --airframe m100 --airframe octo8
+    """
+    from companion.adapters.files.params import params_dir, read_airframe
+    from sim_bridge.research.tables import speed_to_fly as experiment
+    from sim_bridge.truth.params import load_airframe
+
+    for name in airframe or ["m100"]:
+        believed = read_airframe(name)
+        truth = load_airframe(params_dir() / "truth" / f"{believed.name}.toml")
+        with progress_bar() as bar:
+            shown = bar.add_task(name, total=len(experiment.LOADS_FRAC))
+            cells = experiment.envelope(believed, truth, lambda b=bar, t=shown: b.advance(t))
+        stem = f"speed_to_fly_{believed.name}"
+        finish(experiment.sheet(cells, believed), out, stem)
+        experiment.write_cells(cells, out / f"{stem}_all.csv")
+        experiment.draw(believed, truth, out / f"{stem}.png")
+
+
+@app.command()
+def towns(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    rounds: Annotated[int, typer.Option(help="rounds")] = 10,
+    towns: Annotated[int, typer.Option(help="towns a round")] = 10,
+    budget_wh: Annotated[float, typer.Option(help="B")] = 50.0,
+    max_loss: Annotated[float, typer.Option(help="BER's bound in every town")] = 0.01,
+) -> None:
+    """Outcomes over generated towns whose wind differs from edge to edge."""
+    from sim_bridge.research.tables import urban_table
+    from sim_bridge.research.tables.urban_scene import TownParams, generate_town
+
+    work = [urban_table.TownJob(t, budget_wh, max_loss) for t in range(rounds * towns)]
+    kept = Journal(out / "towns.partial", digest_of(work), dict[str, list[float]])
+    flown = run_journaled("towns", work, urban_table.fly_town, jobs, kept)
+    found = urban_table.by_planner(flown, rounds)
+    finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
+    town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
+    urban_table.draw_town(town, out / "towns.png")
+    kept.remove()
+
+
+@app.command()
+def frontier(
+    out: Out = OUT,
+    graphs: Annotated[int, typer.Option(help="graphs, each with B = 100 and 50")] = 20,
+    seed: Annotated[int, typer.Option(help="of graphs and winds")] = 404,
+    jobs: Jobs = 0,
+) -> None:
+    """How far BER is below the frontier on random chains; goes on where it was stopped."""
+    from sim_bridge.research.campaign import frontier_check as check
+
+    cases = check.cases(graphs, seed)
+    kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
+    found = run_journaled("frontier", cases, check.check, jobs, kept)
+    finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
+    kept.remove()
+
+
+@app.command()
+def planner_bench(
+    out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False
+) -> None:
+    """Speed and size of planners and campaigns beside their plain alternatives."""
+    from sim_bridge.research.benchmarks import planner_bench as bench
+
+    finish(bench.sheet(large), out, "planner_bench")
+
+
+@app.command()
+def estimator_bench(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    flights: Annotated[
+        int, typer.Option(min=2, help="flights for each place in the envelope")
+    ] = 20,
+    bounds: Annotated[
+        int | None,
+        typer.Option(min=2, help="flights of these whose bound is computed; left out: all"),
+    ] = None,
+    only: Annotated[
+        str, typer.Option(help='conditions with this in their name, say "step" or "hover"')
+    ] = "",
+    seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
+    anemometer: Annotated[
+        Path | None, typer.Option(help="the real flight's CSV; left out: where it is usually found")
+    ] = None,
+    airframe: Annotated[str, typer.Option(help="of the real flight: name or file")] = "generic",
+    draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,
+    pitot: Annotated[bool, typer.Option(help="a pitot aboard in the envelope")] = False,
+    envelope: Annotated[bool, typer.Option(help="fly the envelope, too (minutes)")] = True,
+) -> None:
+    """The wind estimator on a real flight with an anemometer, and beside the bound.
+
+    For example: sim-bridge estimator-bench --no-envelope, which takes half a minute.
+    """
+    from companion.adapters.files.params import params_dir, read_airframe
+    from sim_bridge.research.wind import estimator_bench as bench
+    from sim_bridge.research.wind.anemometer_flight import read_recording
+    from sim_bridge.truth.params import load_airframe
+
+    names = [condition.name for condition in bench.CONDITIONS]
+    if not any(only in name for name in names):
+        raise typer.BadParameter(f"--only: {only!r} is in no condition's name: {'; '.join(names)}")
+    believed = read_airframe(airframe)
+    path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
+    if anemometer is None and not path.exists():
+        typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
+    else:
+        recording = read_recording(path, believed.mass_kg(0.0))
+        with progress_bar() as bar:
+            bar.add_task("real flight", total=None)
+            rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
+        out.mkdir(parents=True, exist_ok=True)
+        finish(bench.flight_sheet(rows), out, "estimator_flight")
+        bench.draw_flight(recording, rows, out / "estimator_flight.png")
+        for name, airspeed in (("tilt only", False), ("with airspeed", True)):
+            median, most = bench.update_us(recording, believed, airspeed=airspeed)
+            typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
+    if not envelope:
+        return
+    truth = load_airframe(params_dir() / "truth" / "m100.toml")
+    bounded = min(flights, bounds or flights)
+    work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
+    work = [job for job in work if only in job.condition.name]
+    stem = "estimator_envelope" + ("_pitot" if pitot else "")
+    kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
+    found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
+    finish(bench.envelope_sheet(found, seed, pitot), out, stem)
+    kept.remove()

@@ -1,0 +1,106 @@
+"""Judged blocks, missions drawn in them, and the wind that every mission meets."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.research.promise.recording import Stretch
+from sim_bridge.research.promise.truth import Flown, Missions, Profile, TruePower
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+BLOCK_S = 1200
+BEFORE_S = 30  # of wind that the distance is chosen by, and that is seen before the start
+TIERS = {"hard": (0.5, 1.1), "easy": (0.2, 1.1), "stress": (0.5, 1.1)}
+LEAST_DISTANCE_M = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Seconds `first` to `last` of a stretch in which missions start, all judged together.
+
+    `until`: the last second that a mission from it may fly through.
+    """
+
+    stretch: int
+    first: int
+    last: int
+    until: int
+
+
+def blocks_of(stretches: tuple[Stretch, ...], longest_s: float) -> tuple[Block, ...]:
+    """20-minute blocks over every stretch; what is left over goes to the last block.
+
+    A mission starts when it has been watched for BEFORE_S, and ends within its stretch.
+    """
+    blocks: list[Block] = []
+    reach = math.ceil(longest_s)
+    for index, stretch in enumerate(stretches):
+        last_start = stretch.seconds - reach
+        if last_start < BEFORE_S:
+            continue
+        count = max(1, round((last_start + 1) / BLOCK_S))
+        edges = np.linspace(BEFORE_S, last_start + 1, count + 1).round().astype(int)
+        for a, b in itertools.pairwise(edges):
+            blocks.append(Block(index, int(a), int(b) - 1, int(b) - 1 + reach))
+    if not blocks:
+        longest = max((s.seconds for s in stretches), default=0)
+        raise LeewayError(
+            f"the longest stretch lasts {longest} s: expected {reach + BEFORE_S} s or more,"
+            " for one whole mission and what is seen before it"
+        )
+    return tuple(blocks)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Missions with where they come from: block and second of each, in order of time."""
+
+    block: Ints
+    flown: Flown
+    asked_frac: Floats
+    """Round-trip energy in the wind of the last 30 s over the budget."""
+
+
+def draw_missions(
+    stretches: tuple[Stretch, ...],
+    blocks: tuple[Block, ...],
+    power: TruePower,
+    profile: Profile,
+    tier: str,
+    count: int,
+    rng: np.random.Generator,
+) -> Drawn:
+    """`count` missions, starts uniform over all judged seconds, directions uniform, stratified."""
+    widths = np.array([b.last - b.first + 1 for b in blocks])
+    edges = np.concatenate([[0], np.cumsum(widths)])
+    second = np.floor((np.arange(count) + rng.random(count)) / count * edges[-1]).astype(np.int64)
+    block = np.searchsorted(edges, second, side="right") - 1
+    start = second - edges[block] + np.array([b.first for b in blocks])[block]
+    angle = rng.uniform(0.0, 2.0 * math.pi, count)
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    low, high = TIERS[tier]
+    asked = rng.uniform(low, high, count)
+    reach = math.ceil(power.endurance_s)
+    wind = np.empty((count, reach + 1, 2))
+    recent = np.empty((count, 2))
+    for i in range(count):
+        series = stretches[blocks[block[i]].stretch].wind_ne_mps
+        wind[i] = series[start[i] : start[i] + reach + 1]
+        recent[i] = series[start[i] - BEFORE_S : start[i]].mean(axis=0)
+    distance = distances_m(recent, unit, asked, power)
+    missions = Missions(start, unit, distance)
+    return Drawn(block, Flown(missions, power, profile, wind), asked)
+
+
+def distances_m(wind_ne_mps: Floats, unit_ne: Floats, asked: Floats, power: TruePower) -> Floats:
+    """How far a share of the budget goes, out and back, in a wind that stays."""
+    speed = np.hypot(wind_ne_mps[:, 0], wind_ne_mps[:, 1])
+    fixed_wh = power.deliver_wh(speed) + power.land_wh(speed, loaded=False)
+    per_m = power.round_trip_wh_per_m(wind_ne_mps, unit_ne)
+    return np.maximum((asked * power.budget_wh - fixed_wh) / per_m, LEAST_DISTANCE_M)

@@ -1,0 +1,91 @@
+"""The most that anybody with the same information could deliver, on simulated wind.
+
+The process of a simulated day is Gaussian and Markov, so what its past tells of its future is known
+exactly: a Kalman filter on the true process over every noisy second until the vehicle is over the
+customer, and futures drawn from where it ends. That gives P(success | all that was seen) of each
+mission. Whoever may deliver the missions with the greatest of these, and comes home for nothing
+from all others, does at least as well as any policy that has to decide on the way and pay for it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.research.promise.planner import NOISE_MPS, Seen
+from sim_bridge.research.promise.truth import Flown, Missions
+from sim_bridge.research.promise.world import World
+from sim_bridge.truth.wind_days import DayProcess
+
+Floats = NDArray[np.float64]
+
+FUTURES = 200
+
+
+def p_success(world: World, number: int, seen: Seen, rng: np.random.Generator) -> float:
+    """P(delivered and home) over the customer, given every noisy second until then.
+
+    `rng` is the mission's own: the noise is the one that its planner sees.
+    """
+    power, profile = world.power, world.profile
+    if not np.isfinite(seen.arrival_s):
+        return 0.0
+    process = world.days[world.blocks[world.drawn.block[number]].stretch]
+    noisy = seen.wind_ne_mps + NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
+    now = seen.history_s + int(seen.arrival_s)
+    mean, cov = filtered(process, noisy[:now])
+    left_wh = power.budget_wh - power.loaded_w * seen.arrival_s / 3600.0
+    if left_wh <= 0.0:
+        return 0.0
+    # Beyond these seconds its energy is gone, wherever it is.
+    steps = 2 + int(power.endurance_s * left_wh / power.budget_wh + profile.landing_s + 60.0)
+    wind = futures(process, mean, cov, steps, rng)
+    missions = Missions(
+        np.zeros(FUTURES, np.int64),
+        np.tile(seen.unit_ne, (FUTURES, 1)),
+        np.full(FUTURES, seen.distance_m),
+    )
+    flown = Flown(missions, power, profile, wind)
+    flown.arrival_s = np.zeros(FUTURES)  # over the customer already
+    return float((flown.delivering_wh() <= left_wh).mean())
+
+
+def filtered(process: DayProcess, noisy_ne_mps: Floats) -> tuple[Floats, Floats]:
+    """The parts' means (parts, 2) one second after the last observation, and their covariance."""
+    keep = np.exp(-1.0 / np.array(process.memory_s))
+    variance = np.array(process.std_mps) ** 2
+    added = np.diag(variance * (1.0 - keep**2))
+    mean, cov = np.zeros((3, 2)), np.diag(variance)
+    for observed in noisy_ne_mps - np.array(process.mean_ne_mps):
+        gain = cov.sum(axis=1) / (cov.sum() + NOISE_MPS**2)
+        mean = mean + np.outer(gain, observed - mean.sum(axis=0))
+        cov = cov - np.outer(gain, cov.sum(axis=0))
+        mean = keep[:, None] * mean
+        cov = keep[:, None] * cov * keep + added
+    return mean, cov
+
+
+def futures(
+    process: DayProcess, mean: Floats, cov: Floats, steps: int, rng: np.random.Generator
+) -> Floats:
+    """FUTURES winds, (FUTURES, steps, 2), that follow on a belief over the parts."""
+    keep = np.exp(-1.0 / np.array(process.memory_s))[:, None]
+    spread = np.array(process.std_mps)[:, None] * np.sqrt(1.0 - keep**2)
+    root = np.linalg.cholesky(cov + 1e-12 * np.eye(3))
+    parts = mean + np.einsum("ij,fjc->fic", root, rng.standard_normal((FUTURES, 3, 2)))
+    wind = np.empty((FUTURES, steps, 2))
+    for k in range(steps):
+        wind[:, k] = np.array(process.mean_ne_mps) + parts.sum(axis=1)
+        parts = keep * parts + spread * rng.standard_normal(parts.shape)
+    return wind
+
+
+def most_success(p_each: Floats, lost: float) -> float:
+    """The greatest expected count of successes with at most `lost` expected losses."""
+    ranked = np.sort(p_each)[::-1]
+    losses = np.cumsum(1.0 - ranked)
+    whole = int((losses <= lost).sum())
+    success = float(ranked[:whole].sum())
+    if whole < ranked.size:
+        before = float(losses[whole - 1]) if whole else 0.0
+        share = (lost - before) / float(losses[whole] - before)
+        success += share * float(ranked[whole])
+    return success

@@ -1,0 +1,294 @@
+"""The gate's part of `promise`: a planner for each fold, and its missions, in pieces of work."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import zip_longest
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.vehicle.power_bias import ModelError
+from companion.core.wind.process import WindProcessParams
+from sim_bridge.research.promise.believed import Measured, calibrated
+from sim_bridge.research.promise.blocks import BEFORE_S, TIERS, Block, distances_m
+from sim_bridge.research.promise.bound import p_success
+from sim_bridge.research.promise.calibrating import (
+    Unjudged,
+    accepted_for,
+    fitted_process,
+    fitted_spread,
+    unjudged_by,
+)
+from sim_bridge.research.promise.planner import (
+    HISTORY_S,
+    Decided,
+    Planner,
+    PlannerParams,
+    Seen,
+)
+from sim_bridge.research.promise.recording import Stretch
+from sim_bridge.research.promise.world import Setting, World, simulated_days
+from sim_bridge.truth.steady_flight import SteadyFlight
+
+Floats = NDArray[np.float64]
+
+LEVELS = (
+    0.002,
+    0.005,
+    0.01,
+    0.02,
+    0.04,
+    0.07,
+    0.12,
+    0.2,
+    0.3,
+    0.42,
+    0.55,
+    0.7,
+    0.85,
+    0.95,
+    0.999,
+    0.99999,
+)
+DEPARTURES = 240
+CHUNK = 20
+_HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
+_MODEL_STD_FRAC = 0.01  # what a calibrated model is off by in another wind (docs/promise.md)
+_COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
+_LOOKS = 48  # of a mission that flies for as long as it can
+_LEAST_BETWEEN_S = 10.0
+_LEAST_OPEN_S = 600
+_SPARE_DAYS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """What a fold's planner learned from the seconds that it does not judge."""
+
+    fold: int
+    process: WindProcessParams
+    spread: float
+    accepted: dict[str, float]
+    departures: int
+
+
+@dataclass(frozen=True, slots=True)
+class FoldWork:
+    """Fit one fold."""
+
+    setting: Setting
+    fold: int
+
+
+@dataclass(frozen=True, slots=True)
+class FlyWork:
+    """Fly some missions of one fold."""
+
+    setting: Setting
+    fitted: Fitted
+    missions: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class GateFlight:
+    """One mission under every policy, by the names in `World.accepted_losses`."""
+
+    mission: int
+    go: list[bool]
+    turn_s: list[float | None]
+    said: list[list[float | None]]
+    p_bound: float | None = None
+    """On simulated wind: P(success) over the customer by the true process (bound.py)."""
+
+
+@lru_cache(maxsize=1)
+def world_of(setting: Setting) -> World:
+    """The world of a setting, built once in every process."""
+    return World(setting)
+
+
+@lru_cache(maxsize=1)
+def believed_route_energy(setting: Setting) -> RouteEnergy:
+    """The planner's energy model: the shipped airframe after a calibration flight."""
+    world = world_of(setting)
+    profile, steady = world.profile, SteadyFlight(world.truth)
+    hover_mps = _HOVER_WIND_OVER_AIR * profile.airspeed_mps
+    measured = [
+        Measured(payload, speed, steady.level_flight_power_w(speed, payload))
+        for payload in (0.0, profile.payload_kg)
+        for speed in (hover_mps, profile.airspeed_mps)
+    ]
+    airframe = calibrated(read_airframe(setting.airframe), measured)
+    speeds = replace(
+        airframe.speeds,
+        max_ground_mps=60.0,
+        max_tilt_deg=60.0,
+        climb_mps=profile.climb_mps,
+        descent_mps=profile.descent_mps,
+        landing_mps=profile.landing_mps,
+        land_slow_height_m=profile.land_slow_height_m,
+        accel_mps2=profile.accel_mps2,
+    )
+    return RouteEnergy(
+        replace(airframe, speeds=speeds),
+        cruise_airspeed_mps=profile.airspeed_mps,
+        speed_rule="cruise",
+        holds_airspeed=True,
+    )
+
+
+def planner_params(
+    world: World, process: WindProcessParams, spread: float, accepted: tuple[float, ...]
+) -> PlannerParams:
+    """What a fold's planner believes."""
+    power = world.power
+    pack_std_wh = math.hypot(world.setting.pack_std_frac, _COUNTER_STD_FRAC) * power.budget_wh
+    return PlannerParams(
+        profile=world.profile,
+        budget_wh=power.budget_wh,
+        loaded_w=power.loaded_w,
+        model=ModelError(1.0, _MODEL_STD_FRAC),
+        pack_std_wh=pack_std_wh,
+        every_s=max(_LEAST_BETWEEN_S, power.endurance_s / _LOOKS),
+        accepted=accepted,
+        process=process,
+        spread=spread,
+    )
+
+
+def fit_fold(work: FoldWork) -> Fitted:
+    """Fit spread and accepted losses on what the fold does not judge."""
+    world = world_of(work.setting)
+    rng = np.random.default_rng([work.setting.seed, 4, work.fold])
+    unjudged = unjudged_by(world.judged(work.fold), world.stretches)
+    shipped = read_wind_process(work.setting.wind_process)
+    process = fitted_process(unjudged, world.stretches, shipped)
+    spread = fitted_spread(unjudged, world.stretches, process, world.power.endurance_s, rng)
+    params = planner_params(world, process, spread, LEVELS)
+    planner = Planner(believed_route_energy(work.setting), params)
+    said = _departures(world, _open_to(world, unjudged), planner, rng)
+    accepted = {
+        name: accepted_for(loss, LEVELS, said) for name, loss in world.accepted_losses.items()
+    }
+    return Fitted(work.fold, process, spread, accepted, said.shape[0])
+
+
+def _open_to(world: World, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch, Block]]:
+    """Where departures may be drawn: in unjudged seconds; with too few, in simulated wind.
+
+    What is said at a departure hardly depends on the wind, but on how it compares to the airspeed.
+    """
+    found = [
+        (world.stretches[u.stretch], Block(u.stretch, u.first + BEFORE_S, u.last, u.last))
+        for u in unjudged
+        if u.last - u.first > BEFORE_S
+    ]
+    if sum(block.last - block.first for _, block in found) >= _LEAST_OPEN_S:
+        return found
+    days = simulated_days(_SPARE_DAYS, world.setting.seed, world.mean_wind_mps)[1]
+    return [(day, Block(k, HISTORY_S, day.seconds, day.seconds)) for k, day in enumerate(days)]
+
+
+def _departures(
+    world: World,
+    open_to: list[tuple[Stretch, Block]],
+    planner: Planner,
+    rng: np.random.Generator,
+) -> Floats:
+    """P(home) as said at departures in these blocks, NaN where the gate would stay."""
+    blocks = [block for _, block in open_to]
+    widths = np.array([b.last - b.first + 1 for b in blocks])
+    edges = np.concatenate([[0], np.cumsum(widths)])
+    second = np.floor((np.arange(DEPARTURES) + rng.random(DEPARTURES)) / DEPARTURES * edges[-1])
+    said = np.full((DEPARTURES, len(LEVELS)), math.nan)
+    low, high = TIERS[world.setting.tier]
+    for i, at in enumerate(second.astype(np.int64)):
+        number = int(np.searchsorted(edges, at, side="right")) - 1
+        stretch, block = open_to[number]
+        start = int(at - edges[number]) + block.first
+        wind = stretch.wind_ne_mps
+        # History from before the fitted seconds would be the judged block's own.
+        history = min(HISTORY_S, start - (block.first - BEFORE_S))
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        unit = np.array([math.cos(angle), math.sin(angle)])
+        recent = wind[start - BEFORE_S : start].mean(axis=0)
+        asked = np.array([rng.uniform(low, high)])
+        distance = distances_m(recent[None, :], unit[None, :], asked, world.power)
+        seen = Seen(
+            wind[start - history : start + 1],
+            history,
+            unit,
+            float(distance[0]),
+            math.inf,
+            np.zeros(1),
+        )
+        for k, decision in enumerate(planner.depart(seen, rng)):
+            said[i, k] = math.nan if decision.turn_back else decision.p_home
+    return said
+
+
+def works_of(world: World, fitted: list[Fitted]) -> list[FlyWork]:
+    """The missions in pieces, from all folds in turn: a call that is stopped has seen each."""
+    by_fold: list[list[FlyWork]] = []
+    for fold in fitted:
+        mine = np.nonzero(world.fold_of_mission == fold.fold)[0].tolist()
+        by_fold.append(
+            [
+                FlyWork(world.setting, fold, tuple(mine[k : k + CHUNK]))
+                for k in range(0, len(mine), CHUNK)
+            ]
+        )
+    return [work for turn in zip_longest(*by_fold) for work in turn if work is not None]
+
+
+def fly(work: FlyWork) -> list[GateFlight]:
+    """The gate's missions of one piece."""
+    world = world_of(work.setting)
+    names = tuple(world.accepted_losses)
+    accepted = tuple(work.fitted.accepted[name] for name in names)
+    params = planner_params(world, work.fitted.process, work.fitted.spread, accepted)
+    planner = Planner(believed_route_energy(work.setting), params)
+    return [_flight(world, planner, number) for number in work.missions]
+
+
+def _flight(world: World, planner: Planner, number: int) -> GateFlight:
+    rng = _rng_of(world, number)
+    seen = seen_by(world, number)
+    decided: list[Decided] = planner.fly(seen, rng)
+    best = None
+    if world.days:
+        best = p_success(world, number, seen, _rng_of(world, number))
+    return GateFlight(
+        number,
+        [d.go for d in decided],
+        [d.turn_s if math.isfinite(d.turn_s) else None for d in decided],
+        [list(d.said) for d in decided],
+        best,
+    )
+
+
+def _rng_of(world: World, number: int) -> np.random.Generator:
+    """A mission's own randomness; its first numbers are the noise on its wind."""
+    return np.random.default_rng([world.setting.seed, 5, number])
+
+
+def seen_by(world: World, number: int) -> Seen:
+    """What the vehicle of one mission may see: its wind, as it comes."""
+    flown, missions = world.drawn.flown, world.drawn.flown.missions
+    block = world.blocks[world.drawn.block[number]]
+    start = int(missions.start[number])
+    history = min(HISTORY_S, start)
+    seconds = flown.wind_ne_mps.shape[1]
+    wind = world.stretches[block.stretch].wind_ne_mps
+    return Seen(
+        wind_ne_mps=wind[start - history : start + seconds],
+        history_s=history,
+        unit_ne=missions.unit_ne[number],
+        distance_m=float(missions.distance_m[number]),
+        arrival_s=float(flown.arrival_s[number]),
+        out_m=flown.out_by_second(number),
+    )

@@ -1,0 +1,226 @@
+"""The planner's side: the flight's gate on a mission of `promise`, seeing only its own wind.
+
+What it is told: the wind so far at the vehicle with noise, where it is, what it has used. What it
+is asked: fly on or turn round, at the start and every `every_s` on the way out and over the
+customer; and, at the departure, half way out and over the customer, how sure it is of home. The
+gate is `companion.core.return_budget.budget.Gate`, with the outlook and the energy model that fly.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.return_budget.budget import Ahead, Decision, Gate, GateParams, Stage, WayHome
+from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.vehicle.energy_ledger import EnergyBelief
+from companion.core.vehicle.power_bias import ModelError
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind.forecast import LEG_S, WindForecast, WindOutlook
+from companion.core.wind.process import WindProcessParams
+from sim_bridge.research.promise.truth import Profile
+
+Floats = NDArray[np.float64]
+
+HISTORY_S = 300
+NOISE_MPS = 0.5
+AVERAGE_S = 5  # the wind is believed from the mean of so many seconds, once each
+_STAGES = 5  # decision points ahead that the gate is shown, the next and the last among them
+PHASES = ("departure", "half way", "delivery")
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What one mission's vehicle may know: its wind from `history` seconds before the start on."""
+
+    wind_ne_mps: Floats
+    history_s: int
+    unit_ne: Floats
+    distance_m: float
+    arrival_s: float
+    out_m: Floats
+    """Metres out at every second from the start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """One policy's mission: when it turned (infinite: never; 0: it stayed), and what it said."""
+
+    go: bool
+    turn_s: float
+    said: tuple[float | None, ...]
+    """P(home) by phase; None where it did not come to that."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerParams:
+    """What the planner believes of vehicle and mission, and how often it looks."""
+
+    profile: Profile
+    budget_wh: float
+    loaded_w: float
+    """What it measures itself to draw on the way out."""
+    model: ModelError
+    pack_std_wh: float
+    every_s: float
+    accepted: tuple[float, ...]
+    """Policies side by side: what a single decision may risk, rising."""
+    process: WindProcessParams
+    spread: float
+    """Of the wind to come over the process's own, calibrated on other blocks."""
+
+
+class SpreadOutlook(WindOutlook):
+    """The flight's outlook with its spread times a calibrated factor."""
+
+    def __init__(self, process: WindProcessParams, spread: float) -> None:
+        super().__init__(process)
+        self._spread = spread
+
+    def forecast(
+        self, belief: WindBelief, horizon_s: Floats, averaged_s: float = LEG_S
+    ) -> WindForecast:
+        """As the outlook's, the walk's deviations times the factor."""
+        seen = super().forecast(belief, horizon_s, averaged_s)
+        return replace(seen, walk_cov_m2ps2=self._spread**2 * seen.walk_cov_m2ps2)
+
+
+class Planner:
+    """Flies missions by the gate; one for a fold, as its models are that fold's."""
+
+    def __init__(self, route_energy: RouteEnergy, params: PlannerParams) -> None:
+        self._params = params
+        self._gate = Gate(route_energy, GateParams(max_loss=0.01, reserve_wh=0.0))
+
+    def depart(self, seen: Seen, rng: np.random.Generator) -> list[Decision]:
+        """What is decided at the start under every accepted loss."""
+        p = self._params
+        watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
+        return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
+
+    def fly(self, seen: Seen, rng: np.random.Generator) -> list[Decided]:
+        """One mission under every accepted loss."""
+        p = self._params
+        watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
+        turn_s = [math.inf] * len(p.accepted)
+        said: list[list[float | None]] = [[None] * len(PHASES) for _ in p.accepted]
+        half_said = False
+        for t_s in self._looks(seen):
+            left_wh = p.budget_wh - p.loaded_w * t_s / 3600.0
+            flying = [k for k, turned in enumerate(turn_s) if math.isinf(turned)]
+            if not flying or left_wh <= 0.0:
+                break
+            here_m = _interpolated(seen.out_m, t_s)
+            phase = 0 if t_s == 0.0 else 2 if t_s == seen.arrival_s else None
+            if phase is None and not half_said and here_m >= 0.5 * seen.distance_m:
+                phase, half_said = 1, True
+            accepted = [p.accepted[k] for k in flying]
+            for k, answer in zip(
+                flying, self._ask(watch, t_s, here_m, seen, left_wh, accepted), strict=True
+            ):
+                if answer.turn_back:
+                    turn_s[k] = t_s
+                if phase is not None:
+                    said[k][phase] = answer.p_home
+        return [
+            Decided(turned > 0.0, turned, tuple(each))
+            for turned, each in zip(turn_s, said, strict=True)
+        ]
+
+    def _looks(self, seen: Seen) -> list[float]:
+        """When it decides: every so often on the way out, and over the customer."""
+        arrives = math.isfinite(seen.arrival_s)
+        until = seen.arrival_s if arrives else seen.out_m.size - 1.0
+        looks = np.arange(0.0, until, self._params.every_s).tolist()
+        return [*looks, seen.arrival_s] if arrives else looks
+
+    def _ask(
+        self,
+        watch: "_Watch",
+        t_s: float,
+        here_m: float,
+        seen: Seen,
+        left_wh: float,
+        accepted: list[float],
+    ) -> list[Decision]:
+        p = self._params
+        belief = watch.belief(t_s)
+        step_m = p.every_s * max(
+            p.profile.airspeed_mps + float(belief.mean_to_ne_mps @ seen.unit_ne), 1.0
+        )
+        ahead = ahead_of(p.profile, seen.unit_ne, here_m, seen.distance_m, step_m)
+        energy = EnergyBelief(t_s, left_wh, p.pack_std_wh, p.budget_wh, "counted")
+        return self._gate.decide_each(ahead, belief, watch.outlook, energy, p.model, accepted)
+
+
+def _interpolated(by_second: Floats, t_s: float) -> float:
+    low = min(int(t_s), by_second.size - 2)
+    return float(by_second[low] + (t_s - low) * (by_second[low + 1] - by_second[low]))
+
+
+class _Watch:
+    """The wind as seen so far: 5-second means of noisy seconds, told to the outlook in order."""
+
+    def __init__(self, seen: Seen, rng: np.random.Generator, outlook: WindOutlook) -> None:
+        noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
+        self._noisy = seen.wind_ne_mps + noise
+        self._history_s = seen.history_s
+        self._next = -seen.history_s + AVERAGE_S
+        self.outlook = outlook
+
+    def belief(self, t_s: float) -> WindBelief:
+        """The wind as believed at a time of the mission, the outlook told of all before."""
+        while self._next <= t_s - 1e-9:
+            self.outlook.observe(self._mean(float(self._next)))
+            self._next += AVERAGE_S
+        return self._mean(t_s)
+
+    def _mean(self, t_s: float) -> WindBelief:
+        now = math.floor(t_s) + self._history_s  # whole seconds that have passed
+        mean = self._noisy[max(now - AVERAGE_S, 0) : max(now, 1)].mean(axis=0)
+        cov = np.eye(2) * NOISE_MPS**2 / AVERAGE_S
+        return WindBelief(t_s, mean, cov, ("told",), True)
+
+
+def ahead_of(
+    profile: Profile, unit_ne: Floats, here_m: float, distance_m: float, step_m: float
+) -> Ahead:
+    """The gate's question on the way out, or over the customer: stages of what is left."""
+    p = profile
+    up = -p.cruise_height_m
+
+    def at(metres: float, down: float = up) -> tuple[float, float, float]:
+        return float(unit_ne[0] * metres), float(unit_ne[1] * metres), down
+
+    def home(metres: float, payload_kg: float, before: tuple[Leg, ...] = ()) -> WayHome:
+        legs = before
+        if metres > 1.0:
+            legs += (Leg(LegKind.CRUISE, at(metres), at(0.0), payload_kg),)
+        return WayHome("depot", (*legs, Leg(LegKind.LAND, at(0.0), at(0.0, 0.0), payload_kg)))
+
+    left_m = distance_m - here_m
+    stages: list[Stage] = []
+    begin = here_m
+    for end in _points(here_m, distance_m, step_m) if left_m > 1.0 else ():
+        legs = (Leg(LegKind.CRUISE, at(begin), at(end), p.payload_kg),)
+        stages.append(Stage(legs, (home(end, p.payload_kg),)))
+        begin = end
+    drop = at(distance_m, -p.drop_height_m)
+    down = (
+        Leg(LegKind.DESCEND, at(distance_m), drop, p.payload_kg),
+        Leg(LegKind.HOVER, drop, drop, p.payload_kg, p.hover_s),
+    )
+    up_again = (Leg(LegKind.CLIMB, drop, at(distance_m), 0.0),)
+    stages.append(Stage(down, (home(distance_m, 0.0, up_again),), delivers=True))
+    return Ahead((home(here_m, p.payload_kg),), tuple(stages))
+
+
+def _points(here_m: float, distance_m: float, step_m: float) -> list[float]:
+    """Where the next looks are, thinned: the next one, the last before the customer, and there."""
+    if distance_m - here_m <= step_m:
+        return [distance_m]
+    looks = np.arange(here_m + step_m, distance_m, step_m)
+    if looks.size > _STAGES - 1:
+        looks = looks[np.linspace(0, looks.size - 1, _STAGES - 1).round().astype(int)]
+    return [*looks.tolist(), distance_m]

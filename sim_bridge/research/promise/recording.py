@@ -1,0 +1,72 @@
+"""Recordings as `promise` flies them: the companion's checks, then wind at whole seconds.
+
+What is wrong with a file is found and named as `companion fit-wind` does it (wind_log_checks.py);
+each run that it leaves is a stretch, if it lasts.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.adapters.logs.wind_logs import read_wind_log
+from companion.core.base.errors import LeewayError
+from companion.core.wind_fit.log_checks import Samples
+
+Floats = NDArray[np.float64]
+
+LEAST_STRETCH_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Wind that moves to north and east, (n, 2), at whole seconds from `start_s` of its file."""
+
+    name: str
+    start_s: float
+    wind_ne_mps: Floats
+
+    @property
+    def seconds(self) -> int:
+        """How many seconds it lasts."""
+        return self.wind_ne_mps.shape[0] - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A file's good stretches, and what was wrong with the rest, in words."""
+
+    path: Path
+    stretches: tuple[Stretch, ...]
+    troubles: tuple[str, ...]
+
+
+def read_recording(path: Path) -> Recording:
+    """Read `t_s, wind_speed_mps, wind_from_deg` (where from, clockwise from north).
+
+    LeewayError where nothing can be used: no file, no text, other columns, no good stretch.
+    """
+    found = read_wind_log(path)
+    stretches = (_at_whole_seconds(path.stem, run) for run in found.runs)
+    good = tuple(s for s in stretches if s is not None and s.seconds >= LEAST_STRETCH_S)
+    if not good:
+        why = "; ".join(found.findings) or f"{sum(r.t_s.size for r in found.runs)} rows"
+        raise LeewayError(
+            f"{path}: no stretch of {LEAST_STRETCH_S:.0f} s without a gap to fly in ({why})"
+        )
+    return Recording(path, good, tuple(f"{path}: {words}" for words in found.findings))
+
+
+def _at_whole_seconds(name: str, run: Samples) -> Stretch | None:
+    """The wind vector between samples, linear; None for less than a second."""
+    if run.t_s.size < 2:
+        return None
+    first, last = math.ceil(run.t_s[0]), math.floor(run.t_s[-1])
+    if last <= first:
+        return None
+    seconds = np.arange(first, last + 1, dtype=np.float64)
+    wind = run.wind_to_ne_mps
+    axes = [np.interp(seconds, run.t_s, wind[:, axis]) for axis in (0, 1)]
+    return Stretch(name, float(first), np.stack(axes, axis=-1))

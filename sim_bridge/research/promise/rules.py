@@ -1,0 +1,100 @@
+"""What flies beside the gate: PX4's time rule, fixed thresholds, the clairvoyant.
+
+All go at once but the clairvoyant; all look every second on the way out, and none after the
+delivery, when there is nothing left to turn back from.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.research.promise.truth import Flown
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+PX4_FACTOR, PX4_ADDED_S = 1.1, 100.0
+THRESHOLDS = {"threshold_25": 0.25, "threshold_35": 0.35}
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """How each mission ended; `margin_wh` is what was left at the end, negative when it fell."""
+
+    go: Bools
+    delivered: Bools
+    margin_wh: Floats
+
+    def of(self, numbers: NDArray[np.int64]) -> "Ends":
+        """Some of the missions."""
+        return Ends(self.go[numbers], self.delivered[numbers], self.margin_wh[numbers])
+
+    @property
+    def home(self) -> Bools:
+        """Went, and came home."""
+        return self.go & (self.margin_wh >= 0.0)
+
+    @property
+    def success(self) -> Bools:
+        """Delivered, and came home."""
+        return self.home & self.delivered
+
+    @property
+    def lost(self) -> Bools:
+        """Went, and did not come home."""
+        return self.go & ~self.home
+
+
+def ends_of(flown: Flown, turn_s: Floats, go: Bools | None = None) -> Ends:
+    """How missions end that turn at `turn_s` of their time (infinite: they deliver)."""
+    budget_wh = flown.power.budget_wh + flown.pack_wh
+    turned = np.isfinite(turn_s)
+    spent = np.where(turned, flown.turning_wh(np.where(turned, turn_s, 0.0)), flown.delivering_wh())
+    arrived_wh = flown.power.loaded_w * flown.arrival_s / 3600.0
+    at_drop_wh = arrived_wh + flown.power.deliver_wh(np.zeros(1))[0]
+    delivered = ~turned & (at_drop_wh <= budget_wh)
+    return Ends(np.ones(turned.size, np.bool_) if go is None else go, delivered, budget_wh - spent)
+
+
+def clairvoyant(flown: Flown) -> Ends:
+    """Goes exactly where the whole trip will work out."""
+    going = flown.delivering_wh() <= flown.power.budget_wh + flown.pack_wh
+    ends = ends_of(flown, np.full(going.size, math.inf), going)
+    return Ends(going, ends.delivered & going, ends.margin_wh)
+
+
+def px4_time(flown: Flown) -> Ends:
+    """Returns when `1.1 t + 100 s` exceeds the time that the energy left lasts.
+
+    `t`: distance home at cruise ground speed without wind. The mean power of the last 60 s is the
+    loaded cruise's: at one airspeed it draws the same on all the way out.
+    """
+    times = _seconds(flown)
+    out_m = np.stack([flown.out_m(np.full(flown.arrival_s.size, t)) for t in times], axis=1)
+    home_s = out_m / flown.profile.airspeed_mps
+    left_wh = flown.power.budget_wh - flown.power.loaded_w * times / 3600.0
+    remaining_s = left_wh * 3600.0 / flown.power.loaded_w
+    return ends_of(
+        flown, _first(PX4_FACTOR * home_s + PX4_ADDED_S > remaining_s[None, :], times, flown)
+    )
+
+
+def threshold(flown: Flown, frac: float) -> Ends:
+    """Returns when less than `frac` of the budget is left."""
+    times = _seconds(flown)
+    left = 1.0 - flown.power.loaded_w * times / 3600.0 / flown.power.budget_wh
+    closed = np.broadcast_to(left < frac, (flown.arrival_s.size, times.size))
+    return ends_of(flown, _first(closed, times, flown))
+
+
+def _seconds(flown: Flown) -> Floats:
+    return np.arange(flown.wind_ne_mps.shape[1], dtype=np.float64)
+
+
+def _first(closed: Bools, times_s: Floats, flown: Flown) -> Floats:
+    """The first second of each row's way out at which the rule closed; infinite for none."""
+    open_yet = times_s[None, :] <= flown.arrival_s[:, None]
+    hit = closed & open_yet
+    return np.where(hit.any(axis=1), times_s[hit.argmax(axis=1)], math.inf)

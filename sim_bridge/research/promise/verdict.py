@@ -1,0 +1,177 @@
+"""Was the promise kept? Rules' counts, reliability of what was said, intervals.
+
+Intervals: half an hour of wind is a handful of independent winds, however many missions fly through
+it, so the bootstrap draws whole units (300 s of a recording, a simulated day) with replacement. A
+bootstrap knows nothing of losses that it has not seen: where it is the narrower, Wilson's interval
+of the bare counts takes its place.
+"""
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.research.promise.planner import PHASES
+from sim_bridge.research.promise.rules import Ends
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+RESAMPLES = 4000
+LEAST_MISSIONS = 100  # in a reliability bin
+EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
+_Z95 = 1.959964
+
+
+class RuleRow(msgspec.Struct, frozen=True):
+    """Counts of one rule; `margin_wh_mean` of those that came home, None where none did."""
+
+    missions: int
+    go: int
+    home: int
+    delivered: int
+    SUC: int
+    margin_wh_mean: float | None
+
+    @property
+    def loss(self) -> float:
+        """Share of the vehicles that went and did not come home."""
+        return (self.go - self.home) / max(self.go, 1)
+
+
+class Bin(msgspec.Struct, frozen=True):
+    """Statements with P(home) from `p_low` to `p_high`, and how many came true."""
+
+    p_low: float
+    p_high: float
+    count: int
+    home: int
+    lower95: float
+    upper95: float
+
+
+class Go(msgspec.Struct, frozen=True):
+    """Decisions to go, and how many of them came home."""
+
+    count: int
+    home: int
+    lower95: float
+
+
+class Verdict(msgspec.Struct, frozen=True):
+    """`--json` (evaluation.md, section 10)."""
+
+    rules: dict[str, RuleRow]
+    reliability: list[Bin]
+    go: Go
+
+
+@dataclass(frozen=True, slots=True)
+class Statements:
+    """What was said, by whom (mission), in which unit of wind, and whether it came true."""
+
+    p_home: Floats
+    home: Bools
+    mission: Ints
+    unit: Ints
+
+
+def rule_row(ends: Ends) -> RuleRow:
+    """One rule's counts."""
+    home = ends.home
+    return RuleRow(
+        missions=int(ends.go.size),
+        go=int(ends.go.sum()),
+        home=int(home.sum()),
+        delivered=int((ends.delivered & ends.go).sum()),
+        SUC=int(ends.success.sum()),
+        margin_wh_mean=float(ends.margin_wh[home].mean()) if home.any() else None,
+    )
+
+
+def statements_of(said: Floats, ends: Ends, unit: Ints) -> Statements:
+    """One statement for each mission that went and each phase that it came to; `said` (n, 3)."""
+    there = np.isfinite(said) & ends.go[:, None]
+    mission, _ = np.nonzero(there)
+    return Statements(said[there], ends.home[mission], mission, unit[mission])
+
+
+def bins_of(said: Statements, rng: np.random.Generator) -> list[Bin]:
+    """Reliability in bins of at least LEAST_MISSIONS missions, joined from below as needed.
+
+    What is left over below goes to the lowest bin that is full; where none is, one bin has all.
+    """
+    if said.p_home.size == 0:
+        return []
+    bounds: list[tuple[float, float]] = []
+    high = EDGES[-1]
+    for low in reversed(EDGES[:-1]):
+        inside = _inside(said.p_home, low, high)
+        if np.unique(said.mission[inside]).size >= LEAST_MISSIONS:
+            bounds.append((low, high))
+            high = low
+    if not bounds:
+        bounds = [(EDGES[0], EDGES[-1])]
+    elif bounds[-1][0] > 0.0 and _inside(said.p_home, 0.0, bounds[-1][0]).any():
+        bounds[-1] = (0.0, bounds[-1][1])
+    bins: list[Bin] = []
+    for low, top in reversed(bounds):
+        inside = _inside(said.p_home, low, top)
+        lower, upper = interval95(said.home[inside], said.unit[inside], rng)
+        count, home = int(inside.sum()), int(said.home[inside].sum())
+        bins.append(Bin(low, top, count, home, lower, upper))
+    return bins
+
+
+def said_in(said: Statements, each: Bin) -> float:
+    """The mean of what was said in a bin."""
+    return float(said.p_home[_inside(said.p_home, each.p_low, each.p_high)].mean())
+
+
+def _inside(p: Floats, low: float, high: float) -> Bools:
+    return (p >= low) & ((p < high) | (high >= EDGES[-1]))
+
+
+def go_of(ends: Ends, unit: Ints, rng: np.random.Generator) -> Go:
+    """Whether those who went came home."""
+    home = ends.home[ends.go]
+    lower, _ = interval95(home, unit[ends.go], rng)
+    return Go(int(home.size), int(home.sum()), lower)
+
+
+def interval95(hit: Bools, unit: Ints, rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of the share of hits: by units with replacement, or Wilson's where wider."""
+    if hit.size == 0:
+        return 0.0, 1.0
+    _, index = np.unique(unit, return_inverse=True)
+    hits = np.bincount(index, weights=hit.astype(float))
+    counts = np.bincount(index).astype(float)
+    drawn = rng.integers(0, hits.size, (RESAMPLES, hits.size))
+    shares = hits[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    lower, upper = np.quantile(shares, [0.025, 0.975])
+    low, high = wilson95(int(hit.sum()), hit.size)
+    return min(float(lower), low), max(float(upper), high)
+
+
+def wilson95(hits: int, count: int) -> tuple[float, float]:
+    """Wilson's score interval of a share (E. B. Wilson, JASA 22, 1927)."""
+    share, z2 = hits / count, _Z95**2
+    middle = (share + z2 / (2 * count)) / (1.0 + z2 / count)
+    half = share * (1.0 - share) / count + z2 / (4.0 * count**2)
+    half = _Z95 * math.sqrt(half) / (1.0 + z2 / count)
+    low = 0.0 if hits == 0 else max(middle - half, 0.0)
+    return low, 1.0 if hits == count else min(middle + half, 1.0)
+
+
+def said_by_phase(said: Floats, ends: Ends) -> list[tuple[str, int, float, float]]:
+    """(phase, statements, mean said, share home) for the table."""
+    rows: list[tuple[str, int, float, float]] = []
+    for k, phase in enumerate(PHASES):
+        there = np.isfinite(said[:, k]) & ends.go
+        if there.any():
+            home = float(ends.home[there].mean())
+            rows.append((phase, int(there.sum()), float(said[there, k].mean()), home))
+    return rows

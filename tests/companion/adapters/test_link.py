@@ -1,0 +1,503 @@
+"""The companion's ears: garbage, foreign, stale and torn frames, clocks that jump, signatures."""
+
+import importlib
+import math
+import random
+import socket
+import struct
+import time
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
+from companion.adapters.autopilots.link import TcpLink, UdpLink, open_link
+from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.clock import LEAP_S, AutopilotClock
+from companion.core.base.errors import LeewayError
+from companion.core.mission import events as ev
+
+
+def sender(system: int = 1, component: int = 1, key: bytes | None = None) -> mavlink.MAVLink:
+    """Another end of the link, by pymavlink itself."""
+    mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    if key is not None:
+        mav.signing.secret_key = key
+        mav.signing.sign_outgoing = True
+        mav.signing.timestamp = int((time.time() - 1_420_070_400) * 1e5)
+    return mav
+
+
+def frame(mav: mavlink.MAVLink, message: object) -> bytes:
+    data = bytes(message.pack(mav))  # type: ignore[attr-defined]
+    mav.seq = (mav.seq + 1) % 256
+    return data
+
+
+def heartbeat(kind: int = 2, autopilot: int = 12, state: int = 3, custom: int = 0) -> object:
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, custom, state, 3)
+
+
+def attitude(ms: int, roll: float = 0.1) -> object:
+    return mavlink.MAVLink_attitude_message(ms, roll, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def running_clock() -> AutopilotClock:
+    """A clock that TIMESYNC has told already: 0 s."""
+    clock = AutopilotClock()
+    clock.synchronise(0.0)
+    return clock
+
+
+def port(autopilot: int = 12, system: int = 1) -> tuple[AutopilotPort, list, MavlinkCodec]:
+    """A port that has recognised an autopilot; what it sends; and its codec."""
+    sent: list = []
+    made = AutopilotPort(sent.append, AutopilotClock())
+    codec = MavlinkCodec(datagrams=True)
+    mav = sender(system)
+    for _ in range(10):  # as many as it takes from one that never tells the time
+        for message in codec.parse(frame(mav, heartbeat(autopilot=autopilot))):
+            made.hear(message)
+    assert made.system_id == system
+    return made, sent, codec
+
+
+def hear(made: AutopilotPort, codec: MavlinkCodec, data: bytes) -> list[ev.Event]:
+    return [event for message in codec.parse(data) for event in made.hear(message)]
+
+
+# --- bytes ---------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.binary(max_size=120), max_size=8))
+@settings(max_examples=200, deadline=None)
+def test_no_bytes_whatever_break_the_codec_and_the_next_datagram_is_heard(chunks):
+    codec = MavlinkCodec(datagrams=True)
+    for chunk in chunks:
+        codec.parse(chunk)
+    good = frame(sender(), attitude(1000))
+    assert [m.get_type() for m in codec.parse(good)] == ["ATTITUDE"]
+
+
+@given(st.integers(0, 39), st.integers(0, 255))
+@settings(max_examples=200, deadline=None)
+def test_a_frame_with_one_changed_byte_is_never_taken_for_the_message_it_was(index, byte):
+    data = bytearray(frame(sender(), attitude(1000)))
+    index %= len(data)
+    if data[index] == byte:
+        return
+    data[index] = byte
+    heard = MavlinkCodec(datagrams=True).parse(bytes(data))
+    assert [m for m in heard if m.get_type() == "ATTITUDE"] == []
+
+
+@given(st.integers(1, 39))
+@settings(max_examples=40, deadline=None)
+def test_a_torn_datagram_swallows_nothing_of_the_next(cut):
+    codec = MavlinkCodec(datagrams=True)
+    data = frame(sender(), attitude(1000))
+    assert codec.parse(data[: min(cut, len(data) - 1)]) == []
+    assert len(codec.parse(data)) == 1
+    assert codec.bad_frames == 1
+
+
+def test_a_byte_stream_may_come_in_any_pieces():
+    codec = MavlinkCodec(datagrams=False)
+    mav = sender()
+    stream = b"".join(frame(mav, attitude(1000 + i)) for i in range(50))
+    pieces, rng, at = [], random.Random(1), 0
+    while at < len(stream):
+        size = rng.randint(1, 23)
+        pieces.append(stream[at : at + size])
+        at += size
+    heard = [m.time_boot_ms for piece in pieces for m in codec.parse(piece)]
+    assert heard == [1000 + i for i in range(50)]
+
+
+def test_garbage_between_frames_costs_only_itself():
+    codec = MavlinkCodec(datagrams=True)
+    mav = sender()
+    data = frame(mav, attitude(1)) + b"\x00\x11\x22" + frame(mav, attitude(2))
+    assert [m.time_boot_ms for m in codec.parse(data)] == [1, 2]
+    assert codec.bad_frames == 1
+
+
+# --- who is heard --------------------------------------------------------------------------------
+
+
+def test_one_heartbeat_is_nobody_three_are_a_vehicle():
+    made = AutopilotPort(lambda m: None, running_clock())
+    codec, mav = MavlinkCodec(datagrams=True), sender(7)
+    hear(made, codec, frame(mav, heartbeat()))
+    hear(made, codec, frame(mav, heartbeat()))
+    assert made.system_id is None
+    events = hear(made, codec, frame(mav, heartbeat()))
+    assert ev.Identified(0.0, ev.Flavour.PX4, 7) in events
+
+
+def test_a_fast_heartbeat_still_leaves_two_seconds_to_hear_another_computer():
+    made = AutopilotPort(lambda m: None, AutopilotClock())
+    codec, mav = MavlinkCodec(datagrams=True), sender()
+    for ms in range(100_000, 101_900, 100):
+        hear(made, codec, frame(mav, heartbeat()) + frame(mav, attitude(ms)))
+    assert made.system_id is None
+    hear(made, codec, frame(mav, attitude(102_100)) + frame(mav, heartbeat()))
+    assert made.system_id == 1
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "message"),
+    [
+        (2, 1, attitude(5000)),  # another vehicle
+        (1, 154, attitude(5000)),  # its gimbal
+        (255, 190, attitude(5000)),  # a ground station
+        (2, 1, heartbeat(custom=5)),
+        (1, 190, heartbeat(kind=6, autopilot=8)),
+    ],
+)
+def test_other_systems_and_components_say_nothing(system, component, message):
+    made, _, codec = port()
+    assert hear(made, codec, frame(sender(system, component), message)) == []
+
+
+def test_a_chosen_system_is_waited_for_whoever_else_talks():
+    made = AutopilotPort(lambda m: None, running_clock(), system_id=3)
+    codec = MavlinkCodec(datagrams=True)
+    for system in (1, 2, 3):
+        mav = sender(system)
+        for _ in range(3):
+            hear(made, codec, frame(mav, heartbeat()))
+    assert made.system_id == 3
+
+
+def test_another_component_191_is_another_computer():
+    made, _, codec = port()
+    other = sender(1, 191)
+    events = hear(made, codec, frame(other, heartbeat(kind=18, autopilot=8, state=4)))
+    assert events == [ev.OtherComputer(0.0, active=True)]
+    events = hear(made, codec, frame(other, heartbeat(kind=18, autopilot=8, state=3)))
+    assert events == [ev.OtherComputer(0.0, active=False)]
+
+
+# --- what is said --------------------------------------------------------------------------------
+
+
+def test_nan_angles_and_zero_positions_are_not_data():
+    made, _, codec = port()
+    mav = sender()
+    assert hear(made, codec, frame(mav, attitude(1000, math.nan))) == []
+    nowhere = mavlink.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0)
+    assert hear(made, codec, frame(mav, nowhere)) == []
+
+
+def test_a_position_comes_in_si_with_its_own_time():
+    made, _, codec = port()
+    message = mavlink.MAVLink_global_position_int_message(
+        12_300, 554_700_000, 84_500_000, 52_000, 40_000, 120, -340, -50, 9000
+    )
+    (event,) = hear(made, codec, frame(sender(), message))
+    assert event.t_s == pytest.approx(12.3)
+    assert (event.lat_deg, event.lon_deg) == pytest.approx((55.47, 8.45))
+    assert (event.alt_amsl_m, event.height_rel_m) == (52.0, 40.0)
+    assert (event.vel_n_mps, event.vel_e_mps, event.vel_d_mps) == pytest.approx((1.2, -3.4, -0.5))
+
+
+def status(voltage: int = 22_000, current: int = 2150, remaining: int = 60) -> object:
+    return mavlink.MAVLink_sys_status_message(
+        0, 0, 0, 0, voltage, current, remaining, 0, 0, 0, 0, 0, 0
+    )
+
+
+def test_unknown_battery_fields_are_none_and_never_minus_one():
+    made, _, codec = port()
+    (event,) = hear(made, codec, frame(sender(), status(65535, -1, -1)))
+    assert event == ev.Battery(0.0)
+    (event,) = hear(made, codec, frame(sender(), status()))
+    assert (event.voltage_v, event.current_a, event.remaining_frac) == (22.0, 21.5, 0.6)
+
+
+def battery(current: int, consumed: int, energy: int, temperature: int = 32767) -> object:
+    volts = [3900] * 6 + [65535] * 4
+    return mavlink.MAVLink_battery_status_message(
+        0, 0, 0, temperature, volts, current, consumed, energy, 55
+    )
+
+
+def test_counters_without_a_current_sensor_are_unknown_as_px4_sih_sends_them():
+    # Measured: PX4 SIH sends current -1, consumed 0, energy -1.
+    made, _, codec = port()
+    (event,) = hear(made, codec, frame(sender(), battery(-1, 0, -1)))
+    assert (event.current_a, event.consumed_ah, event.consumed_j) == (None, None, None)
+    assert event.voltage_v == pytest.approx(23.4)
+    (event,) = hear(made, codec, frame(sender(), battery(2800, 1500, 1200, 2150)))
+    assert (event.consumed_ah, event.consumed_j) == (1.5, 120_000.0)  # mAh, hJ on the wire
+    assert event.temperature_c == 21.5
+
+
+def wind(direction: float, speed: float) -> object:
+    return mavlink.MAVLink_wind_message(direction, speed, 0.0)
+
+
+def parameter(name: str, value: float) -> object:
+    return mavlink.MAVLink_param_value_message(name.encode(), value, 9, 1, 0)
+
+
+def test_arducopters_default_wind_is_no_wind():
+    # Measured: direction -180, speed 0 even in 8 m/s of wind.
+    made, _, codec = port(autopilot=3)
+    mav = sender()
+    assert hear(made, codec, frame(mav, wind(-180.0, 0.0))) == []
+    assert hear(made, codec, frame(mav, wind(90.0, 5.0))) == [], "drag fusion is not known to be on"
+    hear(made, codec, frame(mav, parameter("EK3_DRAG_BCOEF_X", 20.0)))
+    (event,) = hear(made, codec, frame(mav, wind(90.0, 5.0)))
+    assert (event.to_n_mps, event.to_e_mps) == pytest.approx((0.0, -5.0))  # FROM the east
+
+
+def test_px4_wind_points_where_it_blows_to_and_an_accuracy_of_0_is_unknown():
+    made, _, codec = port(autopilot=12)
+    message = mavlink.MAVLink_wind_cov_message(1_000_000, 3.0, -4.0, 0.0, 0.0, 0.0, 40.0, 0.0, 0.0)
+    (event,) = hear(made, codec, frame(sender(), message))
+    assert event == ev.AutopilotWind(0.0, 3.0, -4.0, None)
+    message = mavlink.MAVLink_wind_cov_message(1_000_000, math.nan, 0, 0, 0, 0, 0, 0, 0)
+    assert hear(made, codec, frame(sender(), message)) == []
+
+
+def hud(airspeed: float, throttle: int = 45) -> object:
+    return mavlink.MAVLink_vfr_hud_message(airspeed, 9.0, 90, throttle, 50.0, 0.0)
+
+
+@pytest.mark.parametrize(("autopilot", "sensor"), [(3, "ARSPD_TYPE"), (12, "SYS_HAS_NUM_ASPD")])
+def test_vfr_hud_airspeed_counts_only_with_a_sensor(autopilot, sensor):
+    # Measured: ArduCopter puts the ground velocity there, PX4 NaN.
+    made, _, codec = port(autopilot)
+    mav = sender()
+    assert [type(e) for e in hear(made, codec, frame(mav, hud(9.0)))] == [ev.Throttle]
+    value = 1.0 if autopilot == 3 else struct.unpack("<f", struct.pack("<i", 1))[0]
+    kind = 9 if autopilot == 3 else 6
+    message = mavlink.MAVLink_param_value_message(sensor.encode(), value, kind, 1, 0)
+    hear(made, codec, frame(mav, message))
+    events = hear(made, codec, frame(mav, hud(9.0)))
+    assert ev.Airspeed(0.0, 9.0) in events
+    assert [type(e) for e in hear(made, codec, frame(mav, hud(math.nan)))] == [ev.Throttle]
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "custom", "mode"),
+    [
+        (3, 3, ev.Mode.MISSION),
+        (3, 6, ev.Mode.RTL),
+        (3, 0, ev.Mode.OTHER),
+        (12, 4 << 16 | 4 << 24, ev.Mode.MISSION),
+        (12, 4 << 16 | 5 << 24, ev.Mode.RTL),
+        (12, 6 << 16, ev.Mode.GUIDED),
+        (12, 3 << 16, ev.Mode.OTHER),
+    ],
+)
+def test_modes_are_the_flavours_own_numbers(autopilot, custom, mode):
+    made, _, codec = port(autopilot)
+    (event,) = hear(made, codec, frame(sender(), heartbeat(autopilot=autopilot, custom=custom)))
+    assert event.mode is mode
+
+
+def test_px4_tells_its_mode_between_heartbeats_by_current_mode():
+    # pymavlink's own development dialect as the other end; HOLD is main mode 4, sub mode 3.
+    development = importlib.import_module("pymavlink.dialects.v20.development")
+    mav = development.MAVLink(None, srcSystem=1, srcComponent=1)
+    made, _, codec = port(12)
+    told = development.MAVLink_current_mode_message(0, 4 << 16 | 3 << 24, 4 << 16 | 4 << 24)
+    assert hear(made, codec, bytes(told.pack(mav))) == [ev.ModeNow(0.0, ev.Mode.HOLD, "AUTO.HOLD")]
+
+
+@pytest.mark.parametrize(("autopilot", "seq", "total", "index", "count"), [
+    (3, 5, 40, 4, 40), (3, 0, 0, None, None), (12, 5, 40, 5, 40), (12, 0, 65535, 0, None),
+])  # fmt: skip
+def test_mission_items_are_counted_as_ours_and_an_empty_mission_is_unknown(
+    autopilot, seq, total, index, count
+):
+    made, _, codec = port(autopilot)
+    message = mavlink.MAVLink_mission_current_message(seq, total, 3, 1)
+    (event,) = hear(made, codec, frame(sender(), message))
+    assert (event.index, event.total, event.in_mission) == (index, count, True)
+
+
+# --- the clock -----------------------------------------------------------------------------------
+
+
+def test_core_time_is_the_autopilots_time_since_boot():
+    clock = AutopilotClock()
+    assert clock.stamp(12.5).t_s == 12.5
+    assert clock.stamp(12.6).t_s == pytest.approx(12.6)
+
+
+@given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=60))
+@settings(max_examples=200, deadline=None)
+def test_whatever_the_stamps_core_time_never_goes_back(stamps):
+    clock, last = AutopilotClock(), 0.0
+    for stamp in stamps:
+        clock.stamp(stamp)
+        assert clock.t_s >= last
+        last = clock.t_s
+
+
+def test_one_wild_stamp_moves_nothing():
+    clock = AutopilotClock()
+    clock.stamp(100.0)
+    assert clock.stamp(99_999.0).t_s is None
+    assert clock.stamp(3.0).t_s is None
+    reading = clock.stamp(100.1)
+    assert (reading.t_s, reading.back_s, reading.ahead_s) == (pytest.approx(100.1), 0.0, 0.0)
+
+
+def test_a_late_message_keeps_its_own_time_and_moves_nothing():
+    clock = AutopilotClock()
+    clock.stamp(100.0)
+    assert clock.stamp(99.6).t_s == pytest.approx(99.6)
+    assert clock.t_s == 100.0
+
+
+def test_a_reboot_is_told_once_and_core_time_goes_on():
+    clock = AutopilotClock()
+    clock.stamp(500.0)
+    readings = [clock.stamp(3.0 + 0.1 * i) for i in range(6)]
+    assert [r.back_s for r in readings if r.back_s] == [pytest.approx(496.8)]
+    assert clock.t_s == pytest.approx(500.3)
+
+
+def test_a_silence_is_time_that_passed():
+    clock = AutopilotClock()
+    clock.stamp(100.0)
+    readings = [clock.stamp(160.0 + 0.1 * i) for i in range(4)]
+    assert [r.ahead_s for r in readings if r.ahead_s] == [pytest.approx(60.2)]
+    assert clock.t_s == pytest.approx(160.3)
+
+
+def test_timesync_that_counts_otherwise_never_fakes_a_reboot():
+    clock = AutopilotClock()
+    for i in range(50):
+        assert clock.stamp(3.0 + 0.1 * i).back_s == 0.0
+        clock.synchronise(1e6 + 0.1 * i)
+    assert clock.t_s == pytest.approx(7.9, abs=0.2)
+
+
+def test_after_a_restart_core_time_starts_no_earlier_than_the_checkpoint():
+    clock = AutopilotClock()
+    clock.resume(110.0)
+    clock.stamp(4.0)  # the autopilot has rebooted meanwhile
+    assert clock.t_s == 110.0
+    clock = AutopilotClock()
+    clock.resume(110.0)
+    clock.stamp(115.0)
+    assert clock.t_s == 115.0
+
+
+def test_the_port_tells_of_steps():
+    made, _, codec = port()
+    mav = sender()
+    hear(made, codec, frame(mav, attitude(500_000)))
+    events = [e for i in range(5) for e in hear(made, codec, frame(mav, attitude(3000 + 100 * i)))]
+    assert sum(isinstance(e, ev.ClockStepped) for e in events) == 1
+    events = [
+        e
+        for i in range(5)
+        for e in hear(made, codec, frame(mav, attitude(round(1e3 * (9 + LEAP_S)) + 100 * i)))
+    ]
+    assert sum(isinstance(e, ev.ClockLeapt) for e in events) == 1
+
+
+# --- signing -------------------------------------------------------------------------------------
+
+KEY = bytes(range(32))
+
+
+def test_with_a_key_only_rightly_signed_frames_are_heard():
+    codec = MavlinkCodec(datagrams=True, signing_key=KEY)
+    assert codec.parse(frame(sender(), attitude(1))) == []
+    assert codec.parse(frame(sender(key=bytes(32)), attitude(1))) == []
+    signed = frame(sender(key=KEY), attitude(1))
+    assert len(codec.parse(signed)) == 1
+    assert codec.parse(signed) == [], "a replay"
+
+
+def test_a_forged_signature_from_the_future_does_not_lock_the_true_one_out():
+    codec = MavlinkCodec(datagrams=True, signing_key=KEY)
+    forger = sender(key=bytes(32))
+    forger.signing.timestamp += 10**9
+    assert codec.parse(frame(forger, attitude(1))) == []
+    assert len(codec.parse(frame(sender(key=KEY), attitude(2)))) == 1
+
+
+def test_what_goes_out_is_signed_and_pymavlink_believes_it():
+    codec = MavlinkCodec(datagrams=True, signing_key=KEY)
+    listener = sender(key=KEY)
+    heard = listener.parse_buffer(codec.pack(heartbeat()))
+    assert heard is not None
+    assert heard[0].get_type() == "HEARTBEAT"
+
+
+def test_a_key_file_holds_32_bytes_or_64_digits(tmp_path):
+    path = tmp_path / "key"
+    path.write_bytes(KEY)
+    assert read_signing_key(path) == KEY
+    path.write_text(KEY.hex() + "\n")
+    assert read_signing_key(path) == KEY
+    path.write_text("no key")
+    with pytest.raises(LeewayError, match="expected 32 bytes"):
+        read_signing_key(path)
+    with pytest.raises(LeewayError, match="missing"):
+        read_signing_key(tmp_path / "missing")
+
+
+# --- links ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "url", ["udp", "udpin:localhost", "tcp:host:x", "udpin:h:0", "udpin:h:70000", "ftp:h:1", ""]
+)
+def test_a_link_url_that_is_none_says_what_one_looks_like(url):
+    with pytest.raises(LeewayError, match=r"expected"):
+        open_link(url)
+
+
+def test_a_listening_link_answers_only_whom_it_is_told_to():
+    link = UdpLink("127.0.0.1", 0, listen=True)
+    try:
+        here = link._socket.getsockname()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.settimeout(2.0)
+            peer.sendto(b"hello", here)
+            incoming = link.receive(2.0)
+            assert incoming is not None
+            assert incoming.data == b"hello"
+            link.send(b"lost")
+            link.answer_to(incoming.peer)
+            link.send(b"answer")
+            assert peer.recv(100) == b"answer"
+    finally:
+        link.close()
+
+
+def test_a_calling_link_survives_that_nobody_listens_yet():
+    link = open_link("udpout:127.0.0.1:9")
+    try:
+        for _ in range(5):
+            link.send(b"anybody?")
+        assert link.receive(0.05) is None
+    finally:
+        link.close()
+
+
+def test_tcp_calls_again_after_the_line_broke():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        link = TcpLink("127.0.0.1", server.getsockname()[1])
+        try:
+            for word in (b"one", b"two"):
+                line, _ = server.accept()
+                line.sendall(word)
+                incoming = link.receive(3.0)
+                assert incoming is not None
+                assert incoming.data == word
+                line.close()
+        finally:
+            link.close()

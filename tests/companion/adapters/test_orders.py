@@ -1,0 +1,636 @@
+"""Orders on the wire: acknowledged, retried, refused, given up; in each flavour's own way."""
+
+import math
+import struct
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from companion.adapters.autopilots.announcer import OperatorPort
+from companion.adapters.autopilots.ardupilot import ArduPilot
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.parameters import ParameterDesk, decode_bytewise, encode_bytewise
+from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.autopilots.px4 import Px4
+from companion.adapters.clock import AutopilotClock
+from companion.core.mission import events as ev
+from companion.core.mission.actions import (
+    Arm,
+    AskParameters,
+    AskTelemetry,
+    Configure,
+    JumpTo,
+    ReadMissionBack,
+    Release,
+    Reply,
+    SetGroundSpeed,
+    SetMode,
+    UploadMission,
+)
+from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
+from companion.core.mission.preflight_checks import RouteFacts, judge, names_read, settings_wanted
+from companion.core.pilot.estimates import Limits
+
+ARDUPILOT, PX4 = 3, 12
+ITEMS = (
+    MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", Spot(55.47, 8.45, 40.0)),
+    MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, "out", Spot(55.48, 8.45, 40.0)),
+    MissionItem(ItemKind.JUMP, Part.OUTBOUND, "home", None, 3.0),
+    MissionItem(ItemKind.LAND, Part.LAND, "land", Spot(55.47, 8.45, 0.0)),
+)
+
+
+class Bench:
+    """A port that has recognised an autopilot, and the autopilot's mouth."""
+
+    def __init__(self, autopilot: int) -> None:
+        self.sent: list[Any] = []
+        self.clock = AutopilotClock()
+        self.port = AutopilotPort(self.sent.append, self.clock)
+        self.codec = MavlinkCodec(datagrams=True)
+        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.t_s = 10.0
+        self.hear(mavlink.MAVLink_attitude_message(7_500, 0, 0, 0, 0, 0, 0))
+        self.hear(mavlink.MAVLink_attitude_message(10_000, 0, 0, 0, 0, 0, 0))
+        for _ in range(3):
+            self.hear(mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))
+        self.take()
+
+    def hear(self, message: Any) -> list[ev.Event]:
+        data = bytes(message.pack(self.mav))
+        self.mav.seq = (self.mav.seq + 1) % 256
+        return [e for m in self.codec.parse(data) for e in self.port.hear(m)]
+
+    def ack(self, command: int, result: int = 0, system: int = 1, comp: int = 191) -> list:
+        return self.hear(mavlink.MAVLink_command_ack_message(command, result, 0, 0, system, comp))
+
+    def wait(self, seconds: float) -> list[ev.Event]:
+        found: list[ev.Event] = []
+        for _ in range(round(seconds * 10)):
+            self.t_s += 0.1
+            self.clock.stamp(self.t_s)
+            found += self.port.tick(self.clock.t_s)
+        return found
+
+    def take(self) -> list[Any]:
+        found, self.sent[:] = list(self.sent), []
+        return found
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+def test_an_order_is_repeated_until_it_is_acknowledged_and_then_no_more():
+    bench = Bench(PX4)
+    bench.port.order(Arm(), 10.0)
+    bench.wait(2.5)
+    sent = bench.take()
+    assert [m.confirmation for m in sent] == [0, 1, 2]
+    assert {m.command for m in sent} == {mavlink.MAV_CMD_COMPONENT_ARM_DISARM}
+    assert {m.param2 for m in sent} == {0.0}, "never forced"
+    assert bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [
+        ev.OrderAccepted(bench.clock.t_s, "arm")
+    ]
+    assert bench.wait(10.0) == []
+    assert bench.take() == []
+
+
+def test_an_order_that_nobody_answers_is_given_up():
+    bench = Bench(PX4)
+    bench.port.order(Arm(), 10.0)
+    (event,) = bench.wait(20.0)
+    assert isinstance(event, ev.OrderRefused)
+    assert event.reason == "no answer"
+    assert len(bench.take()) == 4
+
+
+@pytest.mark.parametrize(("result", "reason"), [(2, "denied"), (3, "unsupported"), (4, "failed")])
+def test_a_refusal_is_told_in_words(result, reason):
+    bench = Bench(ARDUPILOT)
+    bench.port.order(Arm(), 10.0)
+    (event,) = bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, result)
+    assert (event.order, event.reason) == ("arm", reason)
+
+
+def test_a_busy_autopilot_is_asked_again_a_little_later():
+    bench = Bench(PX4)
+    bench.port.order(Arm(), 10.0)
+    assert bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == []
+    bench.wait(1.1)
+    assert len(bench.take()) == 2
+
+
+def test_an_acknowledgement_for_somebody_else_is_not_ours():
+    bench = Bench(PX4)
+    bench.port.order(Arm(), 10.0)
+    assert bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 255, 190) == []
+    assert bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 191) != []
+
+
+def test_safety_rule_1_dropped_orders_are_never_sent_again():
+    bench = Bench(PX4)
+    for order in (AskTelemetry(), Arm(), UploadMission(ITEMS), AskParameters(("A", "B"))):
+        bench.port.order(order, 10.0)
+    bench.take()
+    bench.port.drop_orders()
+    assert bench.wait(30.0) == []
+    bench.hear(mavlink.MAVLink_mission_request_int_message(1, 191, 0, 0))
+    assert bench.take() == []
+
+
+def test_modes_are_ordered_in_each_flavours_numbers():
+    for autopilot, params in ((ARDUPILOT, (1.0, 3.0, 0.0)), (PX4, (1.0, 4.0, 4.0))):
+        bench = Bench(autopilot)
+        bench.port.order(SetMode(ev.Mode.MISSION), 10.0)
+        (message,) = bench.take()
+        assert message.command == mavlink.MAV_CMD_DO_SET_MODE
+        assert (message.param1, message.param2, message.param3) == params
+
+
+def test_arducopter_jumps_by_command_and_counts_its_home():
+    bench = Bench(ARDUPILOT)
+    bench.port.order(JumpTo(4), 10.0)
+    (message,) = bench.take()
+    assert (message.get_type(), message.command) == ("COMMAND_LONG", 224)
+    assert message.param1 == 5.0
+
+
+def test_px4_jumps_by_mission_set_current_and_its_echo_ends_the_repeating():
+    bench = Bench(PX4)
+    bench.port.order(JumpTo(4), 10.0)
+    bench.wait(1.4)  # MISSION_CURRENT comes once a second: not repeated before it could
+    assert [(m.get_type(), m.seq) for m in bench.take()] == [("MISSION_SET_CURRENT", 4)]
+    bench.wait(0.2)
+    assert [(m.get_type(), m.seq) for m in bench.take()] == [("MISSION_SET_CURRENT", 4)]
+    bench.hear(mavlink.MAVLink_mission_current_message(4, 10, 3, 1))
+    assert bench.wait(5.0) == []
+    assert bench.take() == []
+
+
+def test_a_newer_speed_replaces_the_one_that_still_waits():
+    bench = Bench(PX4)
+    bench.port.order(SetGroundSpeed(9.0), 10.0)
+    bench.port.order(SetGroundSpeed(11.0), 10.1)
+    bench.take()
+    bench.wait(1.5)
+    (again,) = bench.take()
+    assert (again.param1, again.param2, again.param3) == (1.0, 11.0, -1.0)
+
+
+def test_the_release_is_a_command_that_both_flavours_know():
+    bench = Bench(ARDUPILOT)
+    bench.port.order(Release(), 10.0)
+    (message,) = bench.take()
+    assert (message.command, message.param1, message.param2) == (211, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_telemetry_is_asked_for_stream_by_stream_and_refusals_are_told_once(autopilot):
+    bench = Bench(autopilot)
+    bench.port.order(AskTelemetry(), 10.0)
+    events: list[ev.Event] = []
+    asked = []
+    for _ in range(40):
+        for message in bench.take():
+            asked.append(int(message.param1))
+            refused = message.param1 == mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
+            events += bench.ack(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2 if refused else 0)
+        events += bench.wait(0.1)
+    assert events == [ev.StreamsAsked(events[0].t_s, ("GPS_RAW_INT",))]
+    assert {30, 33, 1, 24, 245} <= set(asked)
+
+
+def streams_asked(bench: Bench, refused: int, late_s: float) -> tuple[list[ev.Event], list[int]]:
+    """Ask an autopilot that answers its first request late, and everything it got by then."""
+    bench.port.order(AskTelemetry(), bench.clock.t_s)
+    bench.wait(late_s)
+    events: list[ev.Event] = []
+    asked: list[int] = []
+    while len(asked) < 40:
+        batch = bench.take()
+        asked += [int(m.param1) for m in batch]
+        for message in batch:
+            result = 2 if message.param1 == refused else 0
+            events += bench.ack(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, result)
+        events += bench.wait(0.1)
+        if events:
+            break
+    return events, asked
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+@pytest.mark.parametrize("late_s", [0.1, 1.5, 2.5])
+def test_answers_to_a_repeated_request_are_not_booked_to_the_next_one(autopilot, late_s):
+    # What both real autopilots did at first contact: each request that was sent twice is answered
+    # twice. Booked off by one, the refusal would name another stream, or none.
+    bench = Bench(autopilot)
+    events, asked = streams_asked(bench, mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, late_s)
+    assert events == [ev.StreamsAsked(events[0].t_s, ("GPS_RAW_INT",))]
+    assert len(asked) == len(set(asked)) + (late_s > 1.0) + (late_s > 2.0)
+
+
+def test_an_answer_that_never_comes_holds_up_the_next_request_no_longer_than_a_second():
+    bench = Bench(PX4)
+    bench.port.order(AskTelemetry(), 10.0)
+    bench.wait(1.1)
+    first = bench.take()
+    assert len(first) == 2
+    bench.ack(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)
+    assert bench.take() == [], "one more answer may come: the next request waits for it"
+    bench.wait(1.2)
+    assert len(bench.take()) == 1
+
+
+def test_an_answer_to_a_wish_that_was_replaced_does_not_end_the_new_one():
+    bench = Bench(ARDUPILOT)
+    bench.port.order(JumpTo(4), 10.0)
+    bench.port.order(JumpTo(9), 10.0)
+    assert [m.param1 for m in bench.take()] == [5.0, 10.0], "the newer wish goes out at once"
+    assert bench.ack(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 4) == []
+    (event,) = bench.ack(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 0)
+    assert event == ev.OrderAccepted(event.t_s, "jump to item 9")
+
+
+def test_a_vehicle_that_tells_no_time_is_asked_for_it_before_it_is_asked_for_anything_else():
+    # ArduCopter sends HEARTBEATs and nothing else before it is asked: orders given at time 0 would
+    # all look overdue at the first stamp.
+    sent: list[Any] = []
+    clock = AutopilotClock()
+    port, codec = AutopilotPort(sent.append, clock), MavlinkCodec(datagrams=True)
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = mavlink.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 3, 3)
+    for _ in range(5):
+        for message in codec.parse(bytes(beat.pack(mav))):
+            assert port.hear(message) == []
+    assert {m.get_type() for m in sent} == {"TIMESYNC"}
+    (answer,) = codec.parse(
+        bytes(mavlink.MAVLink_timesync_message(40_000_000_000, sent[-1].ts1).pack(mav))
+    )
+    port.hear_time(answer)
+    (message,) = codec.parse(bytes(beat.pack(mav)))
+    identified = port.hear(message)[-1]
+    assert identified == ev.Identified(40.0, ev.Flavour.ARDUPILOT, 1)
+    assert clock.t_s == 40.0
+
+
+def test_a_vehicle_that_will_not_tell_the_time_is_taken_as_it_is():
+    port, codec = AutopilotPort(lambda m: None, AutopilotClock()), MavlinkCodec(datagrams=True)
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = mavlink.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 3, 3)
+    events = [
+        e for _ in range(12) for m in codec.parse(bytes(beat.pack(mav))) for e in port.hear(m)
+    ]
+    assert any(isinstance(event, ev.Identified) for event in events)
+
+
+def test_a_clock_that_stands_still_is_asked_again_so_that_lost_orders_are_repeated():
+    bench = Bench(ARDUPILOT)
+    beat = mavlink.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 3, 3)
+    bench.hear(beat)
+    assert bench.take() == [], "telemetry had moved it"
+    bench.hear(beat)
+    (asked,) = bench.take()
+    assert (asked.get_type(), asked.tc1) == ("TIMESYNC", 0)
+
+
+# --- missions ------------------------------------------------------------------------------------
+
+
+def request(bench: Bench, seq: int, plain: bool = False) -> list[ev.Event]:
+    kind = mavlink.MAVLink_mission_request_message
+    return bench.hear(
+        (kind if plain else mavlink.MAVLink_mission_request_int_message)(1, 191, seq, 0)
+    )
+
+
+@pytest.mark.parametrize(("autopilot", "home"), [(ARDUPILOT, 1), (PX4, 0)])
+def test_an_upload_answers_each_request_and_ends_with_the_acknowledgement(autopilot, home):
+    bench = Bench(autopilot)
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    (count,) = bench.take()
+    assert count.count == len(ITEMS) + home
+    for seq in range(count.count):
+        request(bench, seq, plain=autopilot == ARDUPILOT)
+    items = bench.take()
+    assert [m.get_type() for m in items] == ["MISSION_ITEM_INT"] * count.count
+    assert [m.seq for m in items] == list(range(count.count))
+    assert items[home].command == mavlink.MAV_CMD_NAV_TAKEOFF
+    assert items[home + 2].param1 == 3.0 + home
+    # ArduCopter refuses NaN in a TAKEOFF; on PX4 a yaw of 0 would turn the vehicle north.
+    assert math.isnan(items[home].param4) == (autopilot == PX4)
+    events = bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0))
+    assert events == [ev.MissionUploaded(bench.clock.t_s)]
+
+
+def test_a_lost_item_is_sent_again_and_a_dead_upload_given_up():
+    bench = Bench(PX4)
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    request(bench, 0)
+    bench.take()
+    bench.wait(1.6)
+    assert [m.seq for m in bench.take()] == [0]
+    events = bench.wait(30.0)
+    assert [e.reason for e in events] == ["no answer to item 0"]
+
+
+def test_an_acknowledgement_before_the_last_item_was_asked_for_is_not_believed():
+    bench = Bench(PX4)
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    request(bench, 0)
+    assert bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0)) == []
+
+
+def test_a_refused_upload_says_why():
+    bench = Bench(PX4)
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    (event,) = bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 4, 0))
+    assert event.reason == "no space"
+
+
+def test_a_request_beyond_the_mission_is_not_answered():
+    bench = Bench(PX4)
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    bench.take()
+    request(bench, 99)
+    assert bench.take() == []
+
+
+def item(seq: int, source: Any) -> Any:
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 191, seq, source.frame, source.command, 0, 1, source.param1, source.param2,
+        source.param3, source.param4, source.x, source.y, source.z, 0,
+    )  # fmt: skip
+
+
+def read_back(bench: Bench, stored: list[Any]) -> list[ev.Event]:
+    bench.port.order(ReadMissionBack(ITEMS), bench.clock.t_s)
+    bench.take()
+    bench.hear(mavlink.MAVLink_mission_count_message(1, 191, len(stored), 0))
+    events: list[ev.Event] = []
+    for _ in stored:
+        ask = next(m for m in bench.take() if m.get_type() == "MISSION_REQUEST_INT")
+        events = bench.hear(item(ask.seq, stored[ask.seq]))
+    return events
+
+
+def uploaded(bench: Bench) -> list[Any]:
+    bench.port.order(UploadMission(ITEMS), 10.0)
+    (count,) = bench.take()
+    for seq in range(count.count):
+        request(bench, seq)
+    return bench.take()
+
+
+def test_what_was_uploaded_reads_back_without_a_difference():
+    for autopilot in (ARDUPILOT, PX4):
+        bench = Bench(autopilot)
+        stored = uploaded(bench)
+        bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0))
+        (event,) = read_back(bench, stored)
+        assert event.differences == ()
+        assert bench.take()[-1].get_type() == "MISSION_ACK"
+
+
+def test_a_stored_mission_that_differs_is_told_in_words():
+    bench = Bench(PX4)
+    stored = [SimpleNamespace(**m.to_dict()) for m in uploaded(bench)]
+    bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0))
+    stored[1].z = 12.0
+    (event,) = read_back(bench, stored)
+    assert event.differences[0].startswith("item 1 (out): another place aboard")
+
+
+def test_an_empty_mission_aboard_is_a_difference():
+    bench = Bench(PX4)
+    bench.port.order(ReadMissionBack(ITEMS), 10.0)
+    (event,) = bench.hear(mavlink.MAVLink_mission_count_message(1, 191, 0, 0))
+    assert event.differences[0] == "0 items aboard, 4 uploaded"
+
+
+# --- parameters ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [0, 1, 3, -1, 2**24 + 1, -(2**31), 2**31 - 1])
+def test_px4_integers_lie_as_bits_in_the_float(value):
+    # The same bytes by the standard library.
+    on_wire = struct.unpack("<f", struct.pack("<i", value))[0]
+    assert decode_bytewise(on_wire, 6) == value
+    again = encode_bytewise(float(value), 6)
+    assert struct.pack("<f", again) == struct.pack("<i", value)
+
+
+def value_of(name: str, value: float, kind: int = 9) -> Any:
+    return mavlink.MAVLink_param_value_message(name.encode(), value, kind, 10, 0)
+
+
+def test_parameters_are_read_by_name_and_unknown_ones_end_as_none():
+    bench = Bench(ARDUPILOT)
+    bench.port.order(AskParameters(("AUTO_OPTIONS", "NO_SUCH")), 10.0)
+    names = {m.param_id for m in bench.take()}
+    assert "AUTO_OPTIONS" in names
+    for name in ("AUTO_OPTIONS", "EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "ARSPD_TYPE"):
+        bench.hear(value_of(name, 3.0))
+    (event,) = bench.wait(10.0)
+    assert event.values["AUTO_OPTIONS"] == 3.0
+    assert event.values["NO_SUCH"] is None
+
+
+def test_an_autopilot_that_says_that_there_is_no_such_parameter_is_believed_at_once():
+    bench = Bench(PX4)
+    bench.port.order(AskParameters(("NO_SUCH",)), 10.0)
+    for name in ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO"):
+        bench.hear(value_of(name, 0.0, 6))
+    error = mavlink.MAVLink_param_error_message(1, 191, b"NO_SUCH", -1, 1)
+    (event,) = bench.hear(error)
+    assert event.values["NO_SUCH"] is None
+
+
+def test_a_setting_is_read_back_and_a_stubborn_one_is_named():
+    bench = Bench(ARDUPILOT)
+    bench.hear(value_of("A", 1.0))
+    bench.hear(value_of("B", 1.0))
+    bench.port.order(Configure({"A": 2.0, "B": 2.0}), 10.0)
+    assert {m.param_id for m in bench.take()} == {"A", "B"}
+    bench.hear(value_of("A", 2.0))
+    bench.hear(value_of("B", 1.0))
+    events = bench.wait(10.0)
+    assert ev.ParametersSet(events[0].t_s, ("B",)) in events
+
+
+def test_after_a_restart_a_setting_is_read_first_because_its_type_is_unknown():
+    sent: list[Any] = []
+    desk = ParameterDesk(sent.append, bytewise=True)
+    desk.set({"COM_LOW_BAT_ACT": 3.0}, 0.0)
+    assert sent[-1].get_type() == "PARAM_REQUEST_READ"
+    desk.hear(value_of("COM_LOW_BAT_ACT", 0.0, 6))
+    desk.tick(0.1)
+    assert sent[-1].get_type() == "PARAM_SET"
+    assert struct.pack("<f", sent[-1].param_value) == struct.pack("<i", 3)
+
+
+FACTS = RouteFacts(
+    highest_obstacle_m=75.0, cruise_height_m=40.0, farthest_m=1600.0, first_waypoint_m=150.0,
+    max_ground_mps=20.0, max_tilt_deg=35.0, climb_mps=3.0, descent_mps=2.0, landing_mps=0.7,
+    battery_cutoff_v=19.8, battery_low_v=20.1, battery_cells=6, battery_capacity_mah=5700.0,
+    carries_parcel=True,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [ArduPilot(), Px4()])
+def test_what_configure_sets_meets_every_requirement(words):
+    path = Path(__file__).parents[3] / "params" / "autopilots" / f"{words.flavour.value}.toml"
+    table = tomllib.loads(path.read_text())["parameters"]
+    requirements = words.requirements(FACTS)
+    values: dict[str, float | None] = dict.fromkeys(names_read(requirements))
+    values |= {n: float(table[n]["default"]) for n in values if n in table}
+    before = judge(requirements, values)
+    assert any(finding.blocks for finding in before), "the defaults do not keep the promise"
+    values |= settings_wanted(requirements, values)
+    assert [f for f in judge(requirements, values) if f.blocks] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("AUTO_OPTIONS", 0.0, "arming in AUTO"),
+        ("FS_OPTIONS", 0.0, "remote control"),
+        ("BATT_FS_LOW_ACT", 0.0, "low-battery action"),
+        ("RTL_ALT", 1500.0, "above every obstacle"),
+        ("MIS_RESTART", 1.0, "resumes"),
+    ],
+)
+def test_each_failsafe_that_is_not_set_blocks_in_its_own_words(name, value, words):
+    requirements = ArduPilot().requirements(FACTS)
+    good: dict[str, float | None] = {
+        "AUTO_OPTIONS": 3.0, "MIS_RESTART": 0.0, "FS_THR_ENABLE": 1.0, "FS_GCS_ENABLE": 1.0,
+        "FS_OPTIONS": 3.0, "BATT_FS_LOW_ACT": 2.0, "BATT_LOW_VOLT": 20.1, "RTL_ALT": 8500.0,
+        "FENCE_ENABLE": 0.0, "GRIP_ENABLE": 1.0, "ANGLE_MAX": 3500.0,
+    }  # fmt: skip
+    assert not any(f.blocks for f in judge(requirements, good))
+    blocking = [f for f in judge(requirements, good | {name: value}) if f.blocks]
+    assert any(words in f.words for f in blocking)
+
+
+def test_a_fence_that_the_mission_leaves_blocks():
+    requirements = ArduPilot().requirements(FACTS)
+    fence = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0}
+    assert any("fence" in f.words for f in judge(requirements, fence) if f.blocks)
+    fence["FENCE_RADIUS"] = 2000.0
+    names = [f.name for f in judge(requirements, fence)]
+    assert "FENCE_ENABLE" not in names
+
+
+# --- what is addressed to us ---------------------------------------------------------------------
+
+
+class Desk:
+    """An operator port with a mission that answers as it is told."""
+
+    def __init__(self, reply: Reply = Reply.ACCEPTED) -> None:
+        self.sent: list[Any] = []
+        self.asked: list[ev.Event] = []
+        self.said: list[str] = []
+        self.reply = reply
+        self.port = OperatorPort(
+            self.sent.append, self.ask, lambda: Limits(0.01, 0.15), self.said.append
+        )
+
+    def ask(self, event: ev.Event) -> Reply:
+        self.asked.append(event)
+        return self.reply
+
+    def hear(self, message: Any, system: int = 255, component: int = 190) -> bool:
+        mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        (heard,) = MavlinkCodec(datagrams=True).parse(bytes(message.pack(mav)))
+        return self.port.hear(heard, 1, 5.0)
+
+
+def command(number: int, param1: float = 0.0, system: int = 1, component: int = 191) -> Any:
+    return mavlink.MAVLink_command_long_message(
+        system, component, number, 0, param1, 0, 0, 0, 0, 0, 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "param1", "kind"),
+    [
+        (300, 0.0, ev.Authorised),
+        (193, 1.0, ev.ControlHandedBack),
+        (193, 0.0, ev.ControlTaken),
+        (20, 0.0, ev.AbortOrdered),
+    ],
+)
+def test_an_operators_orders_are_understood_and_answered(number, param1, kind):
+    desk = Desk()
+    assert desk.hear(command(number, param1))
+    assert type(desk.asked[0]) is kind
+    (ack,) = desk.sent
+    assert (ack.command, ack.result) == (number, mavlink.MAV_RESULT_ACCEPTED)
+    assert (ack.target_system, ack.target_component) == (255, 190)
+
+
+@pytest.mark.parametrize("number", [1000, 1001, 2003, 400])
+def test_px4s_own_commands_are_answered_unsupported(number):
+    desk = Desk()
+    assert desk.hear(command(number), 1, 1)
+    assert desk.asked == []
+    assert desk.sent[0].result == mavlink.MAV_RESULT_UNSUPPORTED
+
+
+def test_a_refused_or_early_order_is_answered_as_such():
+    for reply, result in ((Reply.DENIED, 2), (Reply.LATER, 1)):
+        desk = Desk(reply)
+        desk.hear(command(300))
+        assert desk.sent[0].result == result
+
+
+@pytest.mark.parametrize(("system", "component"), [(1, 0), (1, 1), (2, 191), (0, 191)])
+def test_what_is_addressed_to_others_or_to_everybody_is_not_ours(system, component):
+    desk = Desk()
+    assert not desk.hear(command(300, 0.0, system, component))
+    assert desk.asked == []
+    assert desk.sent == []
+
+
+@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 1), (2, 191)])
+def test_no_autopilot_and_no_other_companion_is_an_operator(system, component):
+    desk = Desk()
+    desk.hear(command(300), system, component)
+    assert desk.asked == []
+    assert desk.sent[0].result == mavlink.MAV_RESULT_DENIED
+
+
+def set_parameter(name: bytes, value: float) -> Any:
+    return mavlink.MAVLink_param_set_message(1, 191, name, value, 9)
+
+
+def test_our_parameters_are_listed_read_and_set():
+    desk = Desk()
+    desk.hear(mavlink.MAVLink_param_request_list_message(1, 191))
+    assert [(m.param_id, m.param_index, m.param_count) for m in desk.sent] == [
+        ("MAX_LOSS", 0, 2),
+        ("RESERVE_FRAC", 1, 2),
+    ]
+    desk.hear(set_parameter(b"MAX_LOSS", 0.05))
+    assert desk.asked == [ev.LimitsChanged(5.0, max_loss=pytest.approx(0.05))]
+    desk.hear(mavlink.MAVLink_param_request_read_message(1, 191, b"RESERVE_FRAC", -1))
+    assert desk.sent[-1].param_id == "RESERVE_FRAC"
+    assert desk.sent[-1].param_value == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("value", [0.9, -1.0, 0.0, math.nan, math.inf])
+def test_a_parameter_out_of_range_is_refused_and_the_old_value_told(value):
+    desk = Desk()
+    desk.hear(set_parameter(b"MAX_LOSS", value))
+    assert desk.asked == []
+    assert "refused" in desk.said[0]
+    assert desk.sent[-1].param_value == pytest.approx(0.01)
+
+
+def test_an_unknown_parameter_is_not_answered():
+    desk = Desk()
+    desk.hear(set_parameter(b"NO_SUCH", 1.0))
+    assert desk.sent == []

@@ -1,0 +1,330 @@
+"""The loop in lockstep and without: answers last, ticks on telemetry, survives what it is fed."""
+
+import json
+import math
+import random
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.link import Incoming
+from companion.adapters.files.params import digest_of, read_airframe, read_flight, read_wind_process
+from companion.app.flight import run as run_module
+from companion.app.flight.loop import Loop
+from companion.app.flight.recorder import Recorder
+from companion.app.flight.run import BROKEN, requirements
+from companion.core.mission.actions import Publish
+from companion.core.pilot.pilot import Pilot
+from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.transitions import Phase
+
+ROOT = Path(__file__).parents[3]
+FLIGHT = ROOT / "params" / "flights" / "default.toml"
+
+
+class WireTap:
+    """A link without a wire: what is put in is received, what is sent is kept."""
+
+    datagrams = True
+
+    def __init__(self) -> None:
+        self.incoming: deque[bytes] = deque()
+        self.sent: list[bytes] = []
+        self.tells_waiting = False
+
+    def receive(self, timeout_s: float) -> Incoming | None:
+        return Incoming(self.incoming.popleft(), ("here", 1)) if self.incoming else None
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def waiting(self) -> int:
+        return len(self.incoming) if self.tells_waiting else 0
+
+    def answer_to(self, peer: Any) -> None:
+        return
+
+    def close(self) -> None:
+        return
+
+
+class Station:
+    """A loop on a tapped wire, and an autopilot's mouth."""
+
+    def __init__(self, folder: Path, system: int = 1) -> None:
+        flight, airframe = read_flight(FLIGHT), read_airframe("m100")
+        wind_process = read_wind_process("coast")
+        self.wire = WireTap()
+        self.recorder = Recorder(folder)
+        self.pilot = Pilot(
+            flight,
+            airframe,
+            wind_process,
+            obstacles=None,
+            requirements=requirements,
+            digest=digest_of(FLIGHT, airframe, wind_process),
+            options=PilotOptions(),
+        )
+        self.loop = Loop.wire(
+            self.wire,
+            MavlinkCodec(datagrams=True),
+            self.recorder,
+            self.pilot,
+            system_id=None,
+            silence_limit_s=1e9,
+        )
+        self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
+        self.ear = mavlink.MAVLink(None)
+
+    def put(self, *messages: Any) -> None:
+        for message in messages:
+            self.wire.incoming.append(bytes(message.pack(self.mav)))
+            self.mav.seq = (self.mav.seq + 1) % 256
+
+    def turn(self) -> list[Any]:
+        """Let the loop handle everything; what it said."""
+        while self.wire.incoming:
+            self.loop.step()
+        sent, self.wire.sent[:] = list(self.wire.sent), []
+        return [m for data in sent for m in self.ear.parse_buffer(data) or []]
+
+    def sync(self, t_s: float) -> Any:
+        return mavlink.MAVLink_timesync_message(0, round(t_s * 1e9))
+
+    def identify(self) -> None:
+        beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+        self.put(*[beat] * 10)  # as many as it takes from one that never tells the time
+        self.turn()
+
+    def telemetry(self, ms: int) -> list[Any]:
+        return [
+            mavlink.MAVLink_attitude_message(ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_global_position_int_message(
+                ms, 554_700_000, 84_500_000, 12_000, 0, 0, 0, 0, 0
+            ),
+            mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 25_000, 50, 90, 0, 0, 0, 0, 0, 0),
+        ]
+
+
+@pytest.fixture
+def station(tmp_path):
+    made = Station(tmp_path)
+    yield made
+    made.recorder.close()
+
+
+def test_before_it_knows_the_vehicle_it_answers_timesync_and_gives_no_order(station):
+    station.put(station.sync(0.1))
+    said = station.turn()
+    assert {m.get_type() for m in said} == {"HEARTBEAT", "TIMESYNC"}
+    assert said[-1].ts1 == 100_000_000
+    assert said[-1].tc1 != 0
+
+
+def test_a_timesync_request_is_answered_last_after_everything_before_it_was_handled(station):
+    station.identify()
+    for k in range(1, 30):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        said = station.turn()
+        assert said[-1].get_type() == "TIMESYNC"
+        assert said[-1].ts1 == round(0.1 * k * 1e9)
+        assert [m.get_type() for m in said].count("TIMESYNC") == 1
+        assert station.loop.clock.t_s == pytest.approx(0.1 * k)
+
+
+def test_what_is_said_leaves_together_in_whole_frames_that_an_ethernet_carries(station):
+    for _ in range(40):
+        station.loop.send(mavlink.MAVLink_statustext_message(6, b"x" * 50))
+    station.loop.flush()
+    sent = station.wire.sent
+    assert [len(data) <= 1400 for data in sent] == [True, True]  # 40 frames of 63 bytes
+    assert sum(len(station.ear.parse_buffer(data) or []) for data in sent) == 40
+    station.loop.flush()
+    assert len(sent) == 2
+
+
+def test_a_repeated_request_is_answered_again_but_ticks_once(station):
+    station.identify()
+    station.put(*station.telemetry(1000), station.sync(1.0))
+    first = station.turn()
+    station.put(station.sync(1.0))
+    again = station.turn()
+    assert len(first) > 1
+    assert [m.get_type() for m in again] == ["TIMESYNC"]
+
+
+def test_without_timesync_telemetry_itself_ticks_about_ten_times_a_second(station):
+    station.identify()
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event.t_s) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    for ms in range(0, 10_000, 20):
+        station.put(mavlink.MAVLink_attitude_message(ms, 0, 0, 0, 0, 0, 0))
+    station.turn()
+    assert 80 <= len(ticks) <= 101
+    assert ticks == sorted(ticks)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_when_late_it_hears_everything_before_it_decides_and_orders_again(station, asked):
+    # A busy computer: two seconds of telemetry wait. An order given at their beginning would count
+    # its time-outs from there, and be found disobeyed by telemetry older than itself.
+    station.identify()
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    station.wire.tells_waiting = True
+    for k in range(200):
+        station.put(mavlink.MAVLink_attitude_message(10 * k, 0, 0, 0, 0, 0, 0))
+        if asked and k % 10 == 0:
+            station.put(station.sync(0.01 * k))
+    said = station.turn()
+    decided = [tick.t_s for tick in ticks if not tick.late]
+    assert decided[1] >= 1.5  # the first has none before it, and is not put off
+    assert len(decided) <= 6
+    assert len(ticks) >= 19  # the estimators miss nothing
+    if asked:
+        assert sum(m.get_type() == "TIMESYNC" for m in said) == 20
+
+
+def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station):
+    station.identify()
+    station.wire.waiting = lambda: 1_000_000
+    ticks = []
+    take = station.pilot.handle
+    station.pilot.handle = lambda event: (
+        ticks.append(event) if type(event).__name__ == "Tick" else None,
+        take(event),
+    )[1]
+    now = [100.0]
+    station.loop.wall_clock_s = lambda: now[0]
+    for k in range(100):
+        now[0] += 0.1
+        station.put(mavlink.MAVLink_attitude_message(100 * k, 0, 0, 0, 0, 0, 0))
+        station.turn()
+    assert len(ticks) == 100
+    assert 10 <= sum(not tick.late for tick in ticks) <= 21
+
+
+def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehicles_system(
+    tmp_path,
+):
+    station = Station(tmp_path, system=7)
+    station.identify()
+    beats = []
+    for k in range(100):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        beats += [m for m in station.turn() if m.get_type() == "HEARTBEAT"]
+    station.recorder.close()
+    assert 9 <= len(beats) <= 13  # one more at each change of phase
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats} == {(7, 191)}
+    assert {(m.type, m.autopilot) for m in beats} == {(18, 8)}
+
+
+def test_named_values_leave_one_a_tick_so_that_the_autopilots_log_keeps_them_all(station):
+    # PX4's ULog kept LW_ENERGY and LW_PSUCC, the last of each burst, and nothing else (flown).
+    station.identify()
+    wanted = {f"LW_{k}": float(k) for k in range(7)}
+    station.loop.carry_out([Publish(wanted)])
+    heard: list[list[Any]] = []
+    for k in range(1, 10):
+        station.put(station.sync(0.1 * k))
+        heard.append([m for m in station.turn() if m.get_type() == "NAMED_VALUE_FLOAT"])
+    assert max(len(said) for said in heard) == 1
+    told = {m.name: m.value for said in heard for m in said}
+    assert {name: told[name] for name in wanted} == wanted
+
+
+def test_safety_rule_1_beside_another_computer_it_stands_by_and_only_reports(station):
+    other = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+    station.wire.incoming.append(
+        bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(other))
+    )
+    station.identify()
+    said = []
+    for k in range(60):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        said += station.turn()
+    assert station.pilot.phase is Phase.PASSIVE
+    kinds = {m.get_type() for m in said}
+    assert kinds <= {"HEARTBEAT", "TIMESYNC", "NAMED_VALUE_FLOAT", "STATUSTEXT"}
+    assert {m.system_status for m in said if m.get_type() == "HEARTBEAT"} == {3}
+
+
+def test_garbage_foreigners_nan_and_torn_frames_change_nothing_that_it_says(tmp_path):
+    def flight(folder: Path, noisy: bool) -> list[dict[str, Any]]:
+        station, rng = Station(folder), random.Random(3)
+        foreign = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
+        station.identify()
+        said: list[dict[str, Any]] = []
+        for k in range(150):
+            for message in station.telemetry(100 * k):
+                station.put(message)
+                if noisy:
+                    whole = station.wire.incoming[-1]
+                    station.wire.incoming += [
+                        rng.randbytes(rng.randint(1, 300)),
+                        whole[: rng.randint(1, len(whole) - 1)],
+                        whole,  # a duplicate
+                        bytes(
+                            mavlink.MAVLink_attitude_message(999_999, math.nan, 0, 0, 0, 0, 0).pack(
+                                foreign
+                            )
+                        ),
+                        bytes(mavlink.MAVLink_heartbeat_message(2, 3, 128, 5, 4, 3).pack(foreign)),
+                        bytes(
+                            mavlink.MAVLink_attitude_message(100 * k, math.inf, 0, 0, 0, 0, 0).pack(
+                                station.mav
+                            )
+                        ),
+                    ]
+            station.put(station.sync(0.1 * k))
+            said += [m.to_dict() for m in station.turn()]
+        station.recorder.close()
+        return said
+
+    assert flight(tmp_path / "noisy", True) == flight(tmp_path / "quiet", False)
+
+
+def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path):
+    station = Station(tmp_path)
+    station.identify()
+
+    def broken(event: Any) -> list[Any]:
+        raise RuntimeError("boom")
+
+    station.pilot.handle = broken  # type: ignore[method-assign]
+    station.put(*station.telemetry(1000), station.sync(1.0))
+    assert run_module._fly(run_module.Run(station.loop, station.recorder, station.pilot)) == BROKEN
+    log = (tmp_path / "companion.log").read_text()
+    assert "boom" in log
+    assert "Traceback" in log
+    texts = [
+        m.text
+        for data in station.wire.sent
+        for m in station.ear.parse_buffer(data) or []
+        if m.get_type() == "STATUSTEXT"
+    ]
+    assert texts == ["companion broken: mission aboard goes home"]
+    assert json.loads((tmp_path / "result.json").read_text())["phase"] == "configure"
+
+
+def test_nothing_is_ticked_while_the_clock_is_in_doubt(station):
+    station.identify()
+    station.put(*station.telemetry(10_000), station.sync(10.0))
+    station.turn()
+    station.put(mavlink.MAVLink_attitude_message(900_000, 0, 0, 0, 0, 0, 0), station.sync(10.1))
+    said = station.turn()
+    assert [m.get_type() for m in said] == ["TIMESYNC"]
+    station.put(*station.telemetry(10_200), station.sync(10.2))
+    station.turn()
+    assert station.loop.clock.t_s == pytest.approx(10.2)

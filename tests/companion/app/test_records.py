@@ -1,0 +1,382 @@
+"""What a run reads and leaves: files, checkpoint, decision log, stream; whole after any end."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from pymavlink import mavutil
+from typer.testing import CliRunner
+
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.files.checkpoint_file import NAME, read_checkpoint, write_checkpoint
+from companion.adapters.files.params import (
+    digest_of,
+    params_dir,
+    read_airframe,
+    read_flight,
+    read_obstacle_document,
+    read_wind_process,
+)
+from companion.adapters.logs.decision_log import SCHEMAS, DecisionLog, free_name, read_rows
+from companion.adapters.logs.tlog_writer import Tlog
+from companion.app.cli.main import app
+from companion.app.flight.recorder import Recorder
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import LocalFrame
+from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
+from companion.core.pilot.checkpoint import Kept, kept_to_dict
+from companion.core.routing.route_planner import Plan, RallyWay
+
+ROOT = Path(__file__).parents[3]
+PLAN = Plan(
+    depot_ned_m=(0.0, 0.0, 0.0),
+    customer_ned_m=(100.0, 0.0, -3.0),
+    outbound_ned_m=((100.0, 0.0, -40.0),),
+    return_ned_m=((0.0, 0.0, -40.0),),
+    entry=(0,),
+    rally=(RallyWay("quay", (50.0, 50.0, 0.0), (0,), ()),),
+    home_ground_speed_mps=9.0,
+    energy_wh=20.0,
+    time_s=100.0,
+    route_std_wh=1.0,
+)
+KEPT = Kept(
+    flight="abc",
+    t_s=120.5,
+    phase="outbound",
+    authority=True,
+    authorised=True,
+    flying=True,
+    finished=False,
+    delivered=False,
+    gate_closed="",
+    leg=1,
+    took_off_s=30.0,
+    plan=PLAN,
+    frame=LocalFrame(0.968, 0.147, 12.0),
+    rally=None,
+    settings_before={"LOW_ACT": 0.0},
+    judgement={"ledger": {"x": 1.0}},
+)
+
+
+# --- checkpoint ----------------------------------------------------------------------------------
+
+
+def test_a_checkpoint_comes_back_as_it_went(tmp_path):
+    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    assert read_checkpoint(tmp_path, "abc") == KEPT
+    assert read_checkpoint(tmp_path / "nowhere", "abc") is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
+def test_a_torn_checkpoint_is_known_for_one(tmp_path, share):
+    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    path = tmp_path / NAME
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(LeewayError, match=r"checkpoint\.json: not a whole checkpoint"):
+        read_checkpoint(tmp_path, "abc")
+
+
+def test_a_checkpoint_with_one_flipped_digit_is_not_believed(tmp_path):
+    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    path = tmp_path / NAME
+    path.write_text(path.read_text().replace("120.5", "520.5"))
+    with pytest.raises(LeewayError, match="checksum"):
+        read_checkpoint(tmp_path, "abc")
+
+
+def test_a_checkpoint_of_another_flight_is_not_ours(tmp_path):
+    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    with pytest.raises(LeewayError, match="another flight"):
+        read_checkpoint(tmp_path, "xyz")
+
+
+def test_a_write_that_dies_halfway_leaves_the_checkpoint_before(tmp_path):
+    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    (tmp_path / f"{NAME}.new").write_text('{"crc32": 1, "con')
+    assert read_checkpoint(tmp_path, "abc") == KEPT
+
+
+# --- decision log and result ---------------------------------------------------------------------
+
+DECISION = Decision(12.5, "go", "gate open", 0.99, 0.995, 0.9, 14.0)
+
+
+def test_the_decision_log_opens_with_the_librarys_own_reader_and_fits_its_schemas(tmp_path):
+    path = tmp_path / "decisions.mcap"
+    log = DecisionLog(path)
+    row = {"t_s": 1.5, "kind": "go", "reason": "open", "p_home": None, "p_home_now": None,
+           "p_success": None, "margin_wh": 3.0}  # fmt: skip
+    log.write("decision", row)
+    energy = {"t_s": 2.0, "left_wh": 80.0, "std_wh": 2.0, "source": "current", "used_wh": 9.0}
+    log.write("energy", energy)
+    log.close()
+    with path.open("rb") as file:
+        found = [
+            (channel.topic, json.loads(message.data), message.log_time, json.loads(schema.data))
+            for schema, channel, message in make_reader(file).iter_messages()
+            if schema is not None
+        ]
+    assert [(topic, data) for topic, data, _, _ in found] == [
+        ("/decision", row),
+        ("/energy", energy),
+    ]
+    assert found[0][2] == 1_500_000_000
+    for topic, data, _, schema in found:
+        assert set(schema["required"]) == data.keys() == SCHEMAS[topic[1:]].keys()
+
+
+def test_after_kill_9_every_decision_that_was_made_is_in_the_log(tmp_path):
+    path = tmp_path / "decisions.mcap"
+    code = (
+        "import sys, os, signal; from pathlib import Path\n"
+        "from companion.adapters.logs.decision_log import DecisionLog\n"
+        "log = DecisionLog(Path(sys.argv[1]))\n"
+        "for k in range(25):\n"
+        "    log.write('said', {'t_s': float(k), 'severity': 4, 'text': 'x' * k})\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(path)], cwd=ROOT, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    rows = [row for topic, row in read_rows(path) if topic == "said"]
+    assert [row["t_s"] for row in rows] == [float(k) for k in range(25)]
+
+
+@pytest.mark.parametrize("cut", [1, 7, 60, 150])
+def test_a_log_cut_anywhere_gives_what_was_whole(tmp_path, cut):
+    path = tmp_path / "decisions.mcap"
+    log = DecisionLog(path)
+    for k in range(10):
+        log.write("said", {"t_s": float(k), "severity": 4, "text": "hello"})
+    written = path.read_bytes()
+    log.close()
+    path.write_bytes(written[:-cut])
+    rows = [row["t_s"] for _, row in read_rows(path)]
+    assert rows == [float(k) for k in range(len(rows))]
+    assert 7 <= len(rows) < 10
+
+
+def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_path):
+    first = Recorder(tmp_path)
+    first.take(DECISION, 12.5)
+    first.take(WindReport(13.0, 1.0, 2.0, 0.1, 0.0, 0.1), 13.0)
+    # killed here: no result was written
+    second = Recorder(tmp_path, continues=True)
+    second.take(Decision(40.0, "recognised", "our mission"), 40.0)
+    second.take(Finished("SUC", True, "home"), 50.0)
+    second.write_result(delivered=True, flown=None, phase="done")
+    second.close()
+    first.close()
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert [d["kind"] for d in result["decisions"]] == ["go", "recognised"]
+    assert result["wind"] == [{"t_s": 13.0, "n": 1.0, "e": 2.0, "nn": 0.1, "ne": 0.0, "ee": 0.1}]
+    assert (result["outcome"], result["delivered"]) == ("SUC", True)
+    assert {"t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason"} == set(
+        result["decisions"][0]
+    )
+    assert free_name(tmp_path / "decisions.mcap").name == "decisions-3.mcap"
+
+
+def test_the_recorder_puts_checkpoints_on_disk(tmp_path):
+    recorder = Recorder(tmp_path)
+    recorder.take(SaveCheckpoint(kept_to_dict(KEPT)), 1.0)
+    recorder.close()
+    assert read_checkpoint(tmp_path, "abc") == KEPT
+    assert "gate" not in (tmp_path / "companion.log").read_text()
+
+
+def test_the_stream_opens_in_pymavlinks_log_reader(tmp_path):
+    path = tmp_path / "stream.tlog"
+    tlog = Tlog(path)
+    codec = MavlinkCodec(datagrams=True)
+    for k in range(3):
+        message = mavlink.MAVLink_named_value_float_message(1000 * k, b"LW_PHOME", 0.5 + k)
+        tlog.write(codec.pack(message), float(k))
+    tlog.close()
+    log = mavutil.mavlink_connection(str(path))
+    heard = [log.recv_match() for _ in range(3)]
+    log.close()
+    assert [m.value for m in heard] == pytest.approx([0.5, 1.5, 2.5])
+    assert heard[2]._timestamp - heard[0]._timestamp == pytest.approx(2.0, abs=1e-3)
+    (stamp,) = struct.unpack_from(">Q", path.read_bytes())
+    assert stamp > 1.6e15, "microseconds since 1970"
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_every_shipped_flight_and_airframe_loads():
+    flights = sorted((ROOT / "params" / "flights").glob("*.toml"))
+    assert flights
+    for path in flights:
+        flight = read_flight(path)
+        read_airframe(flight.vehicle.airframe)
+        read_obstacle_document(flight, path)
+
+
+def test_a_missing_airframe_names_those_that_there_are():
+    with pytest.raises(LeewayError, match="m100"):
+        read_airframe("zeppelin")
+
+
+def test_an_explicit_params_folder_counts_and_must_exist(tmp_path):
+    assert params_dir(tmp_path) == tmp_path
+    with pytest.raises(LeewayError, match="no such params folder"):
+        params_dir(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("[mission]\nmax_los = 0.1\n", "max_los"),
+        ("[mission]\nmax_loss = 0.9\n", "mission.max_loss"),
+        ("nonsense", "flight.toml"),
+    ],
+)
+def test_a_mistake_in_a_flight_file_names_file_and_key(tmp_path, change, words):
+    path = tmp_path / "flight.toml"
+    path.write_text(
+        'format = "flight/1"\nsite = { customer = { east_m = 1.0, north_m = 2.0 } }\n'
+        'vehicle = { airframe = "m100" }\n' + change
+    )
+    with pytest.raises(LeewayError, match=words) as found:
+        read_flight(path)
+    assert "flight.toml" in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_a_digest_tells_flights_and_airframes_apart(tmp_path):
+    one, two = tmp_path / "one.toml", tmp_path / "two.toml"
+    one.write_text("a")
+    two.write_text("b")
+    m100, octo = read_airframe("m100"), read_airframe("octo8")
+    coast = read_wind_process("coast")
+    calmer = msgspec.structs.replace(coast, variance_m2ps2=(0.1, 0.1, 0.1))
+    digests = {
+        digest_of(one, m100, coast),
+        digest_of(two, m100, coast),
+        digest_of(one, octo, coast),
+        digest_of(one, m100, calmer),
+    }
+    assert len(digests) == 4
+
+
+# --- command line --------------------------------------------------------------------------------
+
+runner = CliRunner()
+
+
+def test_the_command_line_explains_itself():
+    for words in (["run", "--help"], ["check", "--help"], ["--help"]):
+        result = runner.invoke(app, words)
+        assert result.exit_code == 0
+    assert "Exit codes" in runner.invoke(app, ["run", "--help"]).output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--link", "nonsense"], "expected udpin"),
+        (["--link", "udpin:127.0.0.1:0"], "port 0"),
+        (["--airframe", "zeppelin"], "no such airframe"),
+        (["--mission", "/nowhere/flight.toml"], "No such file"),
+        (["--signing-key", "/nowhere/key"], "No such file"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_one_line_and_exit_code_2(tmp_path, arguments, words):
+    usual = {
+        "--link": "udpout:127.0.0.1:9",
+        "--mission": str(ROOT / "params/flights/default.toml"),
+        "--run-dir": str(tmp_path),
+    }
+    given = dict(zip(arguments[::2], arguments[1::2], strict=True))
+    line = [part for pair in (usual | given).items() for part in pair]
+    result = runner.invoke(app, ["run", *line])
+    assert result.exit_code == 2
+    assert words in result.output
+    assert len(result.output.strip().splitlines()) == 1
+
+
+def test_without_an_autopilot_it_gives_up_with_exit_code_4(tmp_path):
+    mission = str(ROOT / "params/flights/default.toml")
+    result = runner.invoke(
+        app,
+        ["run", "--link", "udpout:127.0.0.1:9", "--mission", mission, "--run-dir", str(tmp_path),
+         "--silence-limit", "0.3"],
+    )  # fmt: skip
+    assert result.exit_code == 4
+    result_file = json.loads((tmp_path / "result.json").read_text())
+    assert result_file["phase"] == "identify"
+
+
+def test_the_transition_table_can_be_printed():
+    assert "| ready | authorised | arm |" in runner.invoke(app, ["transitions"]).output
+    assert "stateDiagram" in runner.invoke(app, ["transitions", "--mermaid"]).output
+
+
+def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
+    heavy = (
+        "matplotlib",
+        "torch",
+        "filterpy",
+        "pandas",
+        "pyulog",
+        "sqlalchemy",
+        "zenoh",
+        "scipy.optimize",
+    )
+    imports = "import sys; import companion.app.cli.main"
+    code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
+    seen = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert seen.stdout.strip() == "[]"
+
+
+def test_the_simulators_commands_start_without_the_desks_and_the_planners_libraries():
+    heavy = ("zenoh", "numba", "sqlalchemy", "torch")
+    imports = "import sys; import sim_bridge.app.cli.main"
+    code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
+    seen = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert seen.stdout.strip() == "[]"
+
+
+def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
+    command = [
+        sys.executable, "-c", "from companion.app.cli.main import main; main()", "run",
+        "--link", "udpout:127.0.0.1:9", "--mission", "params/flights/default.toml",
+        "--run-dir", str(tmp_path),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    log = tmp_path / "companion.log"
+    for _ in range(400):
+        if log.exists() and "mission" in log.read_text():
+            break
+        try:
+            process.wait(0.05)
+        except subprocess.TimeoutExpired:
+            continue
+        break
+    os.kill(process.pid, signal.SIGTERM)
+    process.communicate(timeout=20)
+    assert process.returncode == 5
+    assert json.loads((tmp_path / "result.json").read_text())["outcome"] is None
+    assert list(read_rows(tmp_path / "decisions.mcap")) is not None
+    assert "signal" in log.read_text()
+
+
+def test_the_kept_state_is_strict():
+    table = msgspec.to_builtins(KEPT) | {"surprise": 1}
+    with pytest.raises(msgspec.ValidationError, match="surprise"):
+        msgspec.convert(table, Kept)

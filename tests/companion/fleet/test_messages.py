@@ -1,0 +1,209 @@
+"""What vehicle and dispatcher say to one another, and what a vehicle makes of commands."""
+
+import json
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.base.errors import LeewayError
+from companion.fleet.command_log import FRESH_S, KEPT, CommandBook, Verdict, book_from_dict
+from companion.fleet.messages import (
+    LARGEST_BYTES,
+    Answered,
+    Assign,
+    Command,
+    Deed,
+    EventKind,
+    FleetEvent,
+    HandBack,
+    Launch,
+    Recall,
+    Refused,
+    Result,
+    State,
+    decode_command,
+    decode_event,
+    decode_result,
+    decode_state,
+    encode,
+)
+from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
+
+LIFE = "a1b2"
+
+
+def a_command(deed: Deed, id_: str = "c1", life: str = LIFE, as_of_s: float = 100.0) -> Command:
+    return Command(id=id_, vehicle="d1", life=life, as_of_s=as_of_s, by="desk", deed=deed)
+
+
+def a_state(**more: object) -> State:
+    fields: dict[str, object] = {
+        "vehicle": "d1",
+        "life": LIFE,
+        "uptime_s": 1.0,
+        "epoch_us": 5,
+        "airframe": "m100",
+        "max_payload_kg": 1.0,
+        "phase": "standby",
+        "log": "l1",
+        "last_seq": 0,
+    }
+    return State(**{**fields, **more})  # pyright: ignore[reportArgumentType]
+
+
+def test_every_message_comes_back_as_it_went():
+    event = FleetEvent(vehicle="d1", log="l", seq=3, epoch_us=1, kind=EventKind.SAID, text="é\n")
+    result = Result(id="c1", vehicle="d1", life=LIFE, answer=Answered.LATER, reason="busy")
+    command = a_command(Assign(assignment="a1", order="o1", flight={"format": "flight/1"}))
+    assert decode_state(encode(a_state(p_home=0.99))) == a_state(p_home=0.99)
+    assert decode_event(encode(event)) == event
+    assert decode_result(encode(result)) == result
+    assert decode_command(encode(command)) == command
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"v": 2}, "version 2, expected 1"),
+        ({"v": "1"}, "int"),
+        ({"colour": "red"}, "colour"),
+        ({"p_home": 1.5}, "p_home"),
+        ({"vehicle": "../d1"}, "vehicle"),
+        ({"vehicle": "*"}, "vehicle"),
+        ({"uptime_s": -1.0}, "uptime_s"),
+        ({"text": "x" * 501}, "text"),
+    ],
+)
+def test_a_state_that_breaks_the_format_is_refused_in_words(change: dict[str, object], words: str):
+    table = json.loads(encode(a_state())) | change
+    refused = decode_state(json.dumps(table).encode())
+    assert isinstance(refused, Refused)
+    assert words in refused.reason
+
+
+def test_a_message_of_another_version_is_refused_whatever_else_it_holds():
+    refused = decode_command(b'{"v": 7, "new_field": [1, 2], "id": "c"}')
+    assert isinstance(refused, Refused)
+    assert "version 7, expected 1" in refused.reason
+
+
+@pytest.mark.parametrize("decode", [decode_state, decode_event, decode_command, decode_result])
+def test_a_message_too_large_is_refused_before_it_is_read(decode):
+    refused = decode(b'{"v":1' + b" " * (1 << 20) + b"}")
+    assert isinstance(refused, Refused)
+    assert "bytes, expected at most" in refused.reason
+
+
+def test_a_command_too_large_is_not_even_sent():
+    flight = {"name": "x" * LARGEST_BYTES["command"]}
+    with pytest.raises(LeewayError, match="bytes, expected at most"):
+        encode(a_command(Assign(assignment="a", order="o", flight=flight)))
+
+
+def test_numbers_that_are_none_do_not_travel():
+    for text in ("NaN", "Infinity", "1e999"):
+        raw = encode(a_state(margin_wh=7.25)).replace(b"7.25", text.encode())
+        assert isinstance(decode_state(raw), Refused)
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_break_a_decoder(raw: bytes):
+    for decode in (decode_state, decode_event, decode_command, decode_result):
+        decode(raw)
+
+
+def test_nesting_does_not_break_a_decoder():
+    deep = b'{"v":1,"deed":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
+    assert isinstance(decode_command(deep), Refused)
+
+
+@pytest.mark.parametrize("name", ["", "D1", "a/b", "a*", "$x", "-a", "x" * 33, "ä", "a b"])
+def test_a_name_that_zenoh_would_read_otherwise_is_no_name(name: str):
+    with pytest.raises(LeewayError, match="vehicle"):
+        VehicleKeys("depot", name)
+
+
+def test_keys_name_their_vehicle_and_foreign_keys_none():
+    keys = VehicleKeys("depot", "d1")
+    assert vehicle_of(keys.state) == "d1"
+    assert life_of(keys.alive(LIFE)) == ("d1", LIFE)
+    assert life_of(keys.state) is None
+    assert vehicle_of("other/depot/vehicle/d1/state") is None
+
+
+# --- the book of commands ------------------------------------------------------------------------
+
+
+def carry_out(book: CommandBook, command: Command, verdict: Verdict) -> None:
+    assert book.look(command, LIFE, 101.0) is None
+    book.begin(command)
+    book.end(command, verdict)
+
+
+def test_a_command_sent_twice_is_answered_the_same_and_not_done_again():
+    book, command = CommandBook(), a_command(Launch(assignment="a1"))
+    carry_out(book, command, Verdict(Answered.DONE, "authorised"))
+    later = msgspec.structs.replace(command, as_of_s=900.0)
+    assert book.look(later, LIFE, 901.0) == Verdict(Answered.DONE, "authorised")
+
+
+def test_an_id_that_returns_with_another_wish_is_refused():
+    book, command = CommandBook(), a_command(Launch(assignment="a1"))
+    carry_out(book, command, Verdict(Answered.DONE))
+    other = book.look(a_command(Launch(assignment="a2")), LIFE, 101.0)
+    assert other is not None
+    assert other.answer is Answered.REFUSED
+
+
+def test_not_now_may_be_asked_again():
+    book, command = CommandBook(), a_command(Launch(assignment="a1"))
+    carry_out(book, command, Verdict(Answered.LATER, "planning"))
+    assert book.look(command, LIFE, 102.0) is None
+
+
+def test_a_companion_killed_while_doing_it_does_not_do_it_again():
+    book, command = CommandBook(), a_command(Launch(assignment="a1"))
+    book.begin(command)
+    table = msgspec.json.decode(msgspec.json.encode(book.kept()))
+    seen = book_from_dict(table, "book").look(command, "another life", 3.0)
+    assert seen is not None
+    assert seen.answer is Answered.INTERRUPTED
+
+
+def test_a_recall_that_was_cut_off_is_carried_out_after_all():
+    book, command = CommandBook(), a_command(Recall())
+    book.begin(command)
+    assert book_from_dict(msgspec.to_builtins(book.kept()), "book").look(command, "x", 3.0) is None
+
+
+def test_a_command_from_long_ago_or_for_an_earlier_life_is_stale_but_a_recall_never_is():
+    book = CommandBook()
+    for deed in (Launch(assignment="a1"), HandBack()):
+        old = book.look(a_command(deed, as_of_s=100.0), LIFE, 100.1 + FRESH_S)
+        other = book.look(a_command(deed, life="before"), LIFE, 101.0)
+        assert [v.answer for v in (old, other) if v] == [Answered.STALE] * 2
+    assert book.look(a_command(Recall(), life="before"), LIFE, 1e6) is None
+
+
+def test_an_assignment_that_is_over_is_not_launched_again():
+    book = CommandBook()
+    book.close("a1")
+    seen = book.look(a_command(Launch(assignment="a1"), id_="c9"), LIFE, 101.0)
+    assert seen is not None
+    assert seen.answer is Answered.REFUSED
+    assert book.look(a_command(Launch(assignment="a2"), id_="c10"), LIFE, 101.0) is None
+
+
+def test_the_book_stays_bounded_and_forgets_the_oldest():
+    book = CommandBook()
+    for number in range(KEPT + 10):
+        carry_out(book, a_command(Recall(), id_=f"c{number}"), Verdict(Answered.DONE))
+    assert len(book.entries) == KEPT
+    assert book.look(a_command(Recall(), id_=f"c{KEPT + 9}"), LIFE, 101.0) is not None
+
+
+def test_a_broken_book_names_its_file():
+    with pytest.raises(LeewayError, match=r"book\.json"):
+        book_from_dict({"format": "command-book/9"}, "book.json")

@@ -1,0 +1,297 @@
+"""What reaches the estimators: nothing unknown, nothing stale, and no first look at nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
+from companion.core.mission import events as ev
+from companion.core.pilot.estimates import Judgement, Limits
+from companion.core.pilot.release_detection import ReleaseWatch
+from companion.core.pilot.telemetry_state import Situation
+from companion.core.return_budget.budget import Assessment
+from companion.core.return_budget.remaining_from_plan import ahead_outbound
+from companion.core.return_budget.remaining_mission import Ahead, OnTheWay, hurried
+from companion.core.return_budget.value_table.mission_value import Belief, Reading
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.routing.route_planner import Plan
+from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
+from companion.core.wind.estimator import WindBelief
+
+FLIGHT = read_flight(Path(__file__).parents[3] / "params" / "flights" / "default.toml")
+AIRFRAME = read_airframe("m100")
+WIND_PROCESS = read_wind_process("coast")
+
+
+def judgement() -> Judgement:
+    return Judgement(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
+
+
+def standing(t_s: float, *events: ev.Event, now: Situation | None = None) -> Situation:
+    now = now or Situation()
+    now.hear(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
+    for event in events:
+        now.hear(event)
+    now.hear(ev.Tick(t_s))
+    return now
+
+
+def test_the_ledgers_first_look_is_at_a_battery_because_it_only_falls():
+    judge = judgement()
+    now = standing(1.0)
+    judge.observe(now, ev.Flavour.PX4)
+    assert judge.energy is None, "nothing was heard of the battery yet"
+    standing(2.0, ev.Battery(2.0, voltage_v=25.6, current_a=0.5), now=now)
+    judge.observe(now, ev.Flavour.PX4)
+    assert judge.energy is not None
+    assert judge.energy.source.startswith("resting voltage")
+    # 25.6 V on six cells: 4.267 V a cell, above 90 % by the airframe's own curve.
+    assert judge.energy.mean_wh > 0.9 * judge.energy.usable_full_wh
+
+
+def test_the_mass_that_the_wind_estimate_needs_follows_the_parcel():
+    judge = judgement()
+    assert judge.payload_kg == FLIGHT.vehicle.payload_kg
+    kept = judge.snapshot()
+    assert kept["payload_kg"] == FLIGHT.vehicle.payload_kg
+
+
+def test_the_autopilots_wind_is_believed_as_far_as_it_says():
+    vehicle = replace(FLIGHT.vehicle, autopilot_wind=True)
+    flight = replace(FLIGHT, vehicle=vehicle)
+    spread = []
+    for std_mps in (0.5, 3.0):
+        judge = Judgement(flight, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
+        judge.observe(standing(1.0, ev.AutopilotWind(1.0, 5.0, 2.0, std_mps)), ev.Flavour.PX4)
+        assert judge.wind is not None
+        spread.append(float(np.trace(judge.wind.cov_ne_m2ps2)))
+    # Its words repeat for 10 s at 1 Hz: ten times the variance, against a prior of 10 m/s.
+    assert spread[0] < 2.0 * 10.0 * (0.5**2 + 0.3**2) < 2.0 * 10.0 * 1.5**2 < spread[1]
+
+
+def test_two_battery_messages_make_one_picture_and_old_fields_fade():
+    now = Situation()
+    now.hear(ev.Battery(1.0, voltage_v=22.0, current_a=20.0, remaining_frac=0.6))
+    now.hear(ev.Battery(1.5, consumed_ah=1.2, temperature_c=21.0))
+    assert now.battery is not None
+    assert (now.battery.voltage_v, now.battery.consumed_ah) == (22.0, 1.2)
+    now.hear(ev.Battery(9.0, consumed_ah=1.4))
+    assert now.battery.voltage_v is None, "eight seconds old"
+
+
+@pytest.mark.parametrize("kind", ["position", "attitude"])
+def test_late_samples_never_replace_newer_ones(kind):
+    now = Situation()
+    make = {
+        "position": lambda t: ev.Position(t, 55.0, 8.0, t, t, 0.0, 0.0, 0.0),
+        "attitude": lambda t: ev.Attitude(t, t, 0.0, 0.0),
+    }[kind]
+    now.hear(make(5.0))
+    now.hear(make(4.0))
+    assert getattr(now, kind).t_s == 5.0
+
+
+def test_troubles_name_what_is_missing():
+    now = Situation()
+    now.hear(ev.Tick(10.0))
+    assert set(now.troubles()) == {
+        "no fresh position",
+        "nothing heard of the satellite receiver",
+        "no fresh attitude",
+        "no fresh heartbeat",
+        "no fresh mission progress",
+        "no fresh battery reading",
+    }
+
+
+def hover(
+    watch: ReleaseWatch, start_s: float, end_s: float, power_w: float, noise_w: float
+) -> None:
+    steps = round((end_s - start_s) * 4)
+    for k in range(steps):
+        sign = 1.0 if k % 2 else -1.0
+        watch.observe(start_s + 0.25 * k, power_w + sign * noise_w, None)
+
+
+@pytest.mark.parametrize(
+    ("after_w", "delivered"), [(340.0, True), (370.0, True), (450.0, False), (470.0, False)]
+)
+def test_safety_rule_5_two_thirds_of_the_expected_fall_tells_a_release(after_w, delivered):
+    # 470 W loaded and 340 W empty are 28 % apart: 65 % of that is 385 W.
+    watch = ReleaseWatch(power_frac=1.0 - 340.0 / 470.0, thrust_frac=0.2)
+    hover(watch, 0.0, 10.0, 470.0, 20.0)
+    watch.begin(10.0)
+    hover(watch, 10.0, 14.0, after_w, 20.0)
+    assert (watch.evidence(14.0) is not None) == delivered
+
+
+def test_safety_rule_5_without_a_current_sensor_the_thrust_command_tells():
+    watch = ReleaseWatch(power_frac=0.28, thrust_frac=0.2)
+    for k in range(140):
+        watch.observe(0.1 * k, None, 0.52 if k < 100 else 0.44)
+        if k == 100:
+            watch.begin(10.0)
+    evidence = watch.evidence(13.9)
+    assert evidence is not None
+    assert "hover thrust fell by 15 %" in evidence
+
+
+@pytest.mark.parametrize(("after", "delivered"), [(0.49, False), (0.48, True)])
+def test_safety_rule_5_one_step_of_the_throttles_whole_per_cents_is_no_proof(after, delivered):
+    # A parcel of 2 to 4 % of the mass: 0.50 to 0.49 is 2 %, and every hover does that by itself.
+    watch = ReleaseWatch(power_frac=0.03, thrust_frac=0.02 if after == 0.49 else 0.04)
+    for k in range(140):
+        watch.observe(0.1 * k, None, 0.50 if k < 100 else after)
+        if k == 100:
+            watch.begin(10.0)
+    assert (watch.evidence(13.9) is not None) == delivered
+
+
+def test_safety_rule_5_a_fall_within_the_gusts_is_no_proof():
+    watch = ReleaseWatch(power_frac=0.05, thrust_frac=0.0)
+    hover(watch, 0.0, 10.0, 470.0, 60.0)
+    watch.begin(10.0)
+    hover(watch, 10.0, 14.0, 445.0, 60.0)  # 5 % less, in power that swings by 13 %
+    assert watch.evidence(14.0) is None
+
+
+def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_gripper():
+    watch = ReleaseWatch(power_frac=0.28, thrust_frac=0.2)
+    watch.begin(10.0)
+    assert watch.evidence(20.0) is None
+    watch.feedback = True
+    assert watch.evidence(20.0) == "the gripper says so"
+
+
+class ScriptedTable:
+    """A table that says what the test wants, made for the flight's own load and wind."""
+
+    payload_kg, max_loss = FLIGHT.vehicle.payload_kg, FLIGHT.mission.max_loss
+
+    def __init__(self, reading: Reading, *, wind_known: bool = True) -> None:
+        self.reading, self.wind_known, self.reaches = reading, wind_known, True
+
+    def covers(self, wind_en_mps: tuple[float, float]) -> bool:
+        return self.reaches
+
+    def read(self, at: OnTheWay, belief: Belief) -> Reading:
+        return self.reading
+
+
+def in_flight(resting_v: float) -> tuple[Judgement, Ahead]:
+    """A judgement that knows a wind and a battery, over the depot of the default flight."""
+    judge = judgement()
+    battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5)
+    judge.observe(standing(1.0, battery), ev.Flavour.PX4)
+    judge.wind = WindBelief(60.0, np.array([2.0, -3.0]), 0.2 * np.eye(2), ("test",), True)
+    depot, customer, level = (0.0, 0.0, 0.0), (0.0, -400.0, 0.0), -40.0
+    plan = Plan(
+        depot_ned_m=depot, customer_ned_m=customer,
+        outbound_ned_m=((0.0, -200.0, level), (0.0, -400.0, level)),
+        return_ned_m=((0.0, -200.0, level), (0.0, 0.0, level)),
+        entry=(1, 0), rally=(), home_ground_speed_mps=9.0,
+        energy_wh=0.0, time_s=0.0, route_std_wh=0.0,
+    )  # fmt: skip
+    return judge, ahead_outbound(plan, (0.0, 0.0, level), 0, judge.payload_kg, 6.0, 12.0)
+
+
+GOING = Reading(p_home=0.997, p_success=0.95, p_home_turning=1.0, turn_back=False)
+TURNING = Reading(p_home=0.997, p_success=0.01, p_home_turning=1.0, turn_back=True)
+
+
+def test_a_table_that_serves_says_p_home_and_p_success():
+    judge, ahead = in_flight(25.0)
+    plain = judge.assess(ahead)
+    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert plain is not None
+    assert seen is not None
+    assert not plain.by_table
+    assert (seen.by_table, seen.p_home, seen.p_success) == (True, 0.997, 0.95)
+    assert seen.margin_wh == plain.margin_wh
+
+
+def test_the_table_may_close_the_gate_and_says_why():
+    judge, ahead = in_flight(25.0)
+    judge.table = ScriptedTable(TURNING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert seen is not None
+    assert seen.turn_back
+    assert "not worth" in seen.reason
+
+
+def test_the_table_never_opens_a_gate_that_the_return_budget_closes():
+    judge, ahead = in_flight(22.0)
+    plain = judge.assess(ahead)
+    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
+    seen = judge.assess(ahead)
+    assert plain is not None
+    assert plain.turn_back, "the case is one that the budget closes"
+    assert seen == plain
+
+
+@pytest.mark.parametrize("spoilt", ["load", "loss", "lattice", "promise", "prior"])
+def test_a_stale_table_is_not_used(spoilt):
+    judge, ahead = in_flight(25.0)
+    table = ScriptedTable(TURNING if spoilt == "prior" else GOING, wind_known=spoilt != "prior")
+    judge.table = table  # type: ignore[assignment]
+    match spoilt:
+        case "load":
+            judge.payload_kg = 0.2
+        case "loss":
+            judge.limits = Limits(0.05, judge.limits.reserve_frac)
+        case "lattice":
+            table.reaches = False
+        case "promise":
+            table.reading = Reading(0.9, 0.9, 1.0, turn_back=False)
+        case "prior":
+            pass
+    seen = judge.assess(ahead)
+    assert seen is not None
+    assert not seen.by_table
+    assert not seen.turn_back
+
+
+def fastest_in_flight(voltage_v: float) -> tuple[Judgement, Ahead]:
+    """The same mission by an operator who wants the fastest that the budget allows."""
+    judge, ahead = in_flight(voltage_v)
+    hasty = RouteEnergy(AIRFRAME, speed_rule="fastest")
+    judge.route_energy = hasty
+    return judge, ahead
+
+
+def test_the_fastest_that_the_budget_allows_is_less_with_less_in_the_battery():
+    speeds = []
+    for voltage_v in (25.6, 22.94, 22.6):  # plenty, close, too little to come home
+        judge, ahead = fastest_in_flight(voltage_v)
+        seen = judge.assess(ahead)
+        assert seen is not None
+        speeds.append(0.0 if judge.hurry_mps is None else judge.hurry_mps)
+    top = fastest_airspeed_mps(AIRFRAME, FLIGHT.vehicle.payload_kg)
+    assert speeds[0] == pytest.approx(top)
+    assert 14.0 < speeds[1] < top - 1.0
+    assert speeds[2] == 0.0
+
+
+def test_the_fastest_is_commanded_and_keeps_the_promise():
+    judge, ahead = fastest_in_flight(25.6)
+    slow = judge.ground_speed_mps((0.0, 0.0, -40.0), (0.0, -200.0, -40.0))
+    assert judge.assess(ahead) is not None
+    fast = judge.ground_speed_mps((0.0, 0.0, -40.0), (0.0, -200.0, -40.0))
+    assert slow is not None
+    assert fast is not None
+    assert fast > slow + 2.0
+    assert judge.hurry_mps is not None
+    unhurried = judgement_of(ahead, 25.6, None)
+    in_haste = judgement_of(ahead, 25.6, judge.hurry_mps)
+    assert in_haste.p_home >= 1.0 - FLIGHT.mission.max_loss
+    assert in_haste.energy_need_wh > unhurried.energy_need_wh
+
+
+def judgement_of(ahead: Ahead, voltage_v: float, airspeed_mps: float | None) -> Assessment:
+    judge, _ = in_flight(voltage_v)
+    seen = judge.assess(ahead if airspeed_mps is None else hurried(ahead, airspeed_mps))
+    assert seen is not None
+    return seen

@@ -1,0 +1,516 @@
+"""Safety rule 3 flown event by event: home is the stop that the truck promised, and it may move."""
+
+import math
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.core.base.errors import LeewayError
+from companion.core.mission import events as ev
+from companion.core.mission.actions import Answer, Arm, JumpTo, Reply, SaveCheckpoint, SetMode
+from companion.core.mission.flight_file import Flight
+from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
+from companion.core.mission.mission_items import DeadMansMission, ItemKind, Part
+from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.mission_end import home_now
+from companion.core.pilot.transitions import Phase
+from companion.core.return_budget.budget import Ahead, Assessment
+from companion.core.return_budget.remaining_from_plan import (
+    ahead_away,
+    ahead_delivering,
+    ahead_outbound,
+    ahead_returning,
+)
+from companion.core.return_budget.value_table.decision_graph import build_mission_graph
+from companion.core.routing.leg_energy import LegKind, RouteEnergy
+from companion.core.routing.route_planner import BerPlanner, NoRoute
+from tests.companion.pilot.test_flight import AIRFRAME, ScriptedJudge, World, start, world
+
+TABLE: dict[str, Any] = tomllib.loads(
+    """
+    format = "flight/1"
+    [site]
+    depot = { lat_deg = 55.47, lon_deg = 8.45, alt_amsl_m = 12.0 }
+    customer = { name = "customer", north_m = 300.0, east_m = 0.0, up_m = 3.0 }
+    rally = [{ name = "quay", north_m = 150.0, east_m = 120.0 }]
+    stops = [
+        { name = "stop-1", north_m = 0.0, east_m = 0.0 },
+        { name = "stop-2", north_m = 60.0, east_m = 90.0, up_m = 2.0 },
+        { name = "stop-3", north_m = 40.0, east_m = -110.0, up_m = 1.0 },
+    ]
+    home = "stop-2"
+    [vehicle]
+    airframe = "m100"
+    payload_kg = 0.6
+    [mission]
+    leg_length_m = 100.0
+    cruise_height_m = 30.0
+    return_height_m = 42.0
+    wind_settle_s = 4.0
+    """
+)
+PADS = {"stop-1": (0.0, 0.0), "stop-2": (60.0, 90.0), "stop-3": (40.0, -110.0)}  # north, east
+ENERGY = RouteEnergy(AIRFRAME)
+
+
+def flight(site: dict[str, Any] | None = None, **mission: Any) -> Flight:
+    table = TABLE | {"site": TABLE["site"] | (site or {})}
+    return msgspec.convert(table | {"mission": TABLE["mission"] | mission}, Flight)
+
+
+def planned(of: Flight, obstacles: dict[str, Any] | None = None) -> FlightPlan:
+    assert of.site.depot is not None
+    found = make_plan(
+        of, site_map(of, frame_at(of.site.depot), obstacles), BerPlanner(ENERGY), None, 0.15
+    )
+    assert isinstance(found, FlightPlan), found
+    return found
+
+
+@dataclass
+class StopsJudge(ScriptedJudge):
+    """P(home) by the landing that is asked about, where only one is."""
+
+    p_home_by: dict[str, float] = field(default_factory=dict)
+    best_landing: str = "stop-2"
+
+    def assess(self, ahead: Ahead) -> Assessment | None:
+        seen = super().assess(ahead)
+        ways = [s.ways_home for s in ahead.stages] or [ahead.ways_home_now]
+        landings = {way.landing for way in ways[-1]}
+        if seen is None or len(landings) > 1:
+            return seen
+        p_home = self.p_home_by.get(landings.pop(), 0.999)
+        return replace(seen, p_home=p_home, turn_back=seen.turn_back or p_home < 0.99)
+
+
+def truck_world(kept: Kept | None = None, *, armed: bool = False) -> World:
+    made = world(flight=flight(), kept=kept, armed=armed)
+    judge = StopsJudge(made.pilot.judge.route_energy)
+    made.judge = made.pilot.judge = judge  # type: ignore[assignment]
+    return made
+
+
+def reach(phase: Phase) -> World:
+    return truck_world().until(phase)
+
+
+def flown_of(w: World) -> FlightPlan:
+    assert w.pilot.flown is not None
+    return w.pilot.flown
+
+
+def wish(w: World, stop: str) -> Answer:
+    """The truck asks; what it is told."""
+    actions = w.tell(ev.HomeMoved(w.t_s, "desk", stop))
+    (answer,) = (a for a in actions if isinstance(a, Answer))
+    return answer
+
+
+def ended_at(w: World) -> str:
+    return min(PADS, key=lambda stop: math.dist(PADS[stop], (w.north, w.east)))
+
+
+def asked_landings(w: World) -> set[str]:
+    """Every landing site that the gate was offered since the list was cleared."""
+    judged = w.judge.asked
+    ways = [
+        w for a in judged for w in (*a.ways_home_now, *(x for s in a.stages for x in s.ways_home))
+    ]
+    return {way.landing for way in ways}
+
+
+def end_of(mission: DeadMansMission, index: int) -> int:
+    """Which LAND item the autopilot comes to by itself: items in order, jumps taken."""
+    for _ in range(2 * len(mission.items)):
+        item = mission.items[index]
+        if item.kind is ItemKind.LAND:
+            return index
+        index = int(item.value) if item.kind is ItemKind.JUMP else index + 1
+    raise AssertionError("it never lands")
+
+
+# --- the mission aboard --------------------------------------------------------------------------
+
+
+def test_safety_rule_3_whatever_item_is_flown_without_us_the_flight_ends_at_the_promised_stop():
+    flown = planned(flight())
+    mission = flown.mission
+    others = {i for over, down in mission.rally for i in range(over, down + 2)}
+    ours = [i for i in range(mission.land + 1) if i not in others]
+    assert {end_of(mission, i) for i in ours} == {mission.land}
+    spot = mission.items[mission.land].spot
+    assert spot is not None
+    assert flown.spot_ned(spot) == pytest.approx((60.0, 90.0, -2.0), abs=0.05)
+
+
+def test_each_other_stop_and_rally_point_is_aboard_with_a_landing_of_its_own():
+    flown = planned(flight())
+    grounds = {}
+    for site in flown.plan.sites:
+        over, down = flown.site_items(site.name)
+        assert end_of(flown.mission, over) == down
+        spot = flown.mission.items[down].spot
+        assert spot is not None
+        grounds[site.name] = tuple(round(x) for x in flown.spot_ned(spot))
+    assert grounds == {"quay": (150, 120, 0), "stop-1": (0, 0, 0), "stop-3": (40, -110, -1)}
+
+
+def test_the_way_out_and_the_way_back_are_flown_at_their_own_heights():
+    mission = planned(flight()).mission
+    height: dict[Part, set[float]] = {}
+    for item in mission.items:
+        if item.spot is not None and item.kind is not ItemKind.LAND:
+            height.setdefault(item.part, set()).add(item.spot.height_rel_m)
+    assert height[Part.TAKEOFF] == height[Part.SETTLE] == height[Part.OUTBOUND] == {30.0}
+    assert height[Part.RETURN] == height[Part.RALLY] == {42.0}
+
+
+@pytest.mark.parametrize("heights", [(30.0, 42.0), (42.0, 30.0)])
+def test_what_stands_between_the_two_layers_is_flown_round_in_both(heights):
+    ring = [(-40.0, 140.0), (40.0, 140.0), (40.0, 160.0), (-40.0, 160.0), (-40.0, 140.0)]
+    per_deg = 111_194.93
+    lon = per_deg * math.cos(math.radians(55.47))
+    tower = {
+        "type": "Feature",
+        "properties": {"height_m": 28.0},  # over 30 m less the 8 m of clearance, under 42 m
+        "geometry": {
+            "type": "Polygon",
+            "coordinates": [[[8.45 + e / lon, 55.47 + n / per_deg] for e, n in ring]],
+        },
+    }
+    of = flight(cruise_height_m=heights[0], return_height_m=heights[1])
+    flown = planned(of, {"type": "FeatureCollection", "features": [tower]})
+    plan, low = flown.plan, -30.0
+    out = [(0.0, 0.0, low), *plan.outbound_ned_m]
+    back = [plan.outbound_ned_m[-1], *plan.return_ned_m]
+    joins = [(plan.outbound_ned_m[i], plan.return_ned_m[e]) for i, e in enumerate(plan.entry)]
+    for a, b in [*pairwise(out), *pairwise(back), *joins]:
+        assert flown.site.obstacles.blocking((a[0], a[1], low), (b[0], b[1], low)) is None
+
+
+def test_without_a_home_stops_change_nothing_and_the_launch_pad_promised_is_as_without():
+    plain = planned(flight({"stops": [], "home": None}, return_height_m=None)).mission
+    unpromised = planned(flight({"home": None}, return_height_m=None)).mission
+    assert unpromised == plain
+    only = [TABLE["site"]["stops"][0]]
+    at_launch = planned(flight({"stops": only, "home": "stop-1"}, return_height_m=None)).mission
+    assert at_launch == plain
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"return_height_m": 8.0}, "mission.return_height_m = 8: 5 m above the ground at customer"),
+        ({"cruise_height_m": 9.0, "drop_height_m": 1.0}, ""),
+    ],
+)
+def test_a_layer_too_low_for_a_place_is_refused_in_words(changes, words):
+    of = flight(**changes)
+    assert of.site.depot is not None
+    found = make_plan(
+        of, site_map(of, frame_at(of.site.depot), None), BerPlanner(ENERGY), None, 0.1
+    )
+    reason = found.reason if isinstance(found, NoRoute) else ""
+    assert reason[: len(words)] == words
+    assert bool(reason) == bool(words)
+
+
+def test_a_stop_that_bears_a_rally_points_name_is_refused():
+    with pytest.raises((LeewayError, msgspec.ValidationError), match="'quay' is a rally point's"):
+        flight(
+            {"stops": [*TABLE["site"]["stops"], {"name": "quay", "north_m": 1.0, "east_m": 1.0}]}
+        )
+
+
+# --- energy --------------------------------------------------------------------------------------
+
+
+def climbed_m(legs: Any) -> float:
+    return sum(max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in legs)
+
+
+def test_safety_rule_4_every_way_home_counts_its_change_of_height_to_the_ground():
+    plan = planned(flight()).plan
+    plan = plan.promised("stop-3")
+    out, high = plan.outbound_ned_m[1], (plan.return_ned_m[1][0], plan.return_ned_m[1][1], -42.0)
+    up_from = {
+        ahead_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 4.0): 42.0,
+        ahead_outbound(plan, out, 2, 0.6, 6.0, 6.0): 12.0,
+        ahead_delivering(plan, (300.0, 0.0, -9.0), 0.6, 6.0, 6.0): 33.0,
+        ahead_returning(plan, high, 1, 0.0, True): 0.0,
+        ahead_returning(plan, high, 1, 0.0, True, "stop-3"): 0.0,
+        ahead_away(plan, (0.0, 0.0, -30.0), 0, 0.6, False): 12.0,
+    }
+    grounds = {
+        "stop-2": (60.0, 90.0, -2.0),
+        "stop-3": (40.0, -110.0, -1.0),
+        "quay": (150.0, 120.0, 0.0),
+    }
+    for ahead, up_m in up_from.items():
+        for way in ahead.ways_home_now:
+            assert climbed_m(way.legs) == pytest.approx(up_m, abs=0.01)
+            assert way.legs[-1].kind is LegKind.LAND
+            assert way.legs[-1].from_ned_m[2] == pytest.approx(-42.0)
+            assert way.legs[-1].to_ned_m == pytest.approx(grounds[way.landing])
+            assert all(a.to_ned_m == b.from_ned_m for a, b in pairwise(way.legs))
+        for stage in ahead.stages:
+            wanted = 33.0 if stage.delivers else 12.0
+            assert {round(climbed_m(way.legs)) for way in stage.ways_home} == {wanted}
+
+
+def test_the_value_table_prices_the_same_ways_home_as_the_gate():
+    plan = planned(flight()).plan
+    graph = build_mission_graph(plan, 0.6, 6.0, 6.0)
+    not_gone = next(e for e in graph.edges if e.tail == 2 and e.head == 1)
+    (way,) = ahead_outbound(plan, (0.0, 0.0, -30.0), 0, 0.6, 6.0, 6.0).ways_home_now
+    flown = [(leg.kind, leg.to_ned_m) for leg in way.legs]
+    points = [(leg.kind, leg.to_ned_m) for leg in not_gone.legs]
+    assert points == flown
+
+
+def test_a_way_back_in_the_lower_layer_sinks_first_and_is_not_cheaper_than_one_without_layers():
+    lower, level = (
+        planned(flight(return_height_m=22.0)).plan,
+        planned(flight(return_height_m=30.0)).plan,
+    )
+    here = lower.outbound_ned_m[1]
+    (way, *_), (flat, *_) = (
+        ahead_outbound(plan, here, 2, 0.6, 6.0, 6.0).ways_home_now for plan in (lower, level)
+    )
+    assert way.legs[0].kind is LegKind.DESCEND
+    assert way.legs[0].to_ned_m == (here[0], here[1], -22.0)
+    assert flat.legs[0].kind is LegKind.CRUISE
+
+
+# --- flights between stops -----------------------------------------------------------------------
+
+
+def test_safety_rule_3_a_flight_ends_at_the_promised_stop_and_never_asks_for_another():
+    w = truck_world()
+    assert home_now(w.pilot) == "stop-2"
+    done = w.to_the_end()
+    assert (done.outcome, done.home) == ("SUC", True)
+    assert math.dist((w.north, w.east), PADS["stop-2"]) < 3.0
+    assert asked_landings(w) == {"stop-2", "quay"}
+
+
+@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER])
+def test_safety_rule_3_dead_from_any_phase_on_it_comes_down_at_the_promised_stop(phase):
+    w = reach(phase)
+    for _ in range(4000):
+        w.t_s = round(w.t_s + 0.1, 3)
+        w.fly(0.1)  # nobody hears it any more
+    assert not w.armed
+    assert math.dist((w.north, w.east), PADS["stop-2"]) < 3.0
+
+
+@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND])
+def test_an_abort_comes_home_to_the_promised_stop_and_climbs_before_it_flies_there(phase):
+    w = reach(phase)
+    w.tell(ev.AbortOrdered(w.t_s, "desk"))
+    low = []
+    while w.armed:
+        w.step()
+        away_m = math.hypot(w.north, w.east)
+        if 5.0 < away_m < 50.0:
+            low.append(w.height)
+    assert math.dist((w.north, w.east), PADS["stop-2"]) < 3.0
+    assert min(low) > 25.0
+
+
+def test_landed_on_the_launch_pad_it_is_not_home():
+    w = reach(Phase.RETURN)
+    w.run(lambda w: w.height > 41.0)
+    w.tell(ev.VehicleState(w.t_s, ev.Mode.OTHER, "POSCTL", True))  # a pilot brings it there
+    w.mode = ev.Mode.OTHER
+    w.north = w.east = w.height = 0.0
+    w.armed = False
+    done = w.to_the_end()
+    assert (done.outcome, done.home) == ("DEL", False)
+
+
+# --- home moves ----------------------------------------------------------------------------------
+
+
+def test_safety_rule_3_moved_on_the_way_out_home_stays_until_the_autopilot_flies_elsewhere():
+    w = reach(Phase.OUTBOUND)
+    assert wish(w, "stop-3").reply is Reply.ACCEPTED
+    w.judge.asked.clear()
+    homes = [home_now(w.pilot)]
+    while w.pilot.phase is not Phase.RETURN:
+        w.step()
+        homes.append(home_now(w.pilot))
+    assert set(homes) == {"stop-2"}  # the old promise binds the truck until the jump is seen
+    assert asked_landings(w) == {"stop-2", "stop-3", "quay"}
+    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    over, _ = flown_of(w).site_items("stop-3")
+    assert w.index == over
+    w.judge.asked.clear()
+    done = w.to_the_end()
+    assert asked_landings(w) == {"stop-3"}
+    assert (done.outcome, done.home, ended_at(w)) == ("SUC", True, "stop-3")
+
+
+def test_moved_on_the_way_home_it_turns_at_once_and_may_be_moved_again():
+    w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
+    assert wish(w, "stop-3").reply is Reply.ACCEPTED
+    w.run(lambda w: home_now(w.pilot) == "stop-3", 3.0)
+    assert wish(w, "stop-1").reply is Reply.ACCEPTED
+    w.run(lambda w: home_now(w.pilot) == "stop-1", 3.0)
+    assert wish(w, "stop-2").reply is Reply.ACCEPTED  # and back to the end of the way home
+    w.run(lambda w: home_now(w.pilot) == "stop-2", 3.0)
+    assert w.pilot.phase is Phase.RETURN
+    done = w.to_the_end()
+    assert (done.outcome, ended_at(w)) == ("SUC", "stop-2")
+    assert w.kinds.count("home_moved") == 3
+
+
+def test_low_over_the_customer_it_climbs_out_before_it_turns_to_another_stop():
+    w = reach(Phase.RETURN)
+    assert w.height < 20.0
+    assert wish(w, "stop-3").reply is Reply.ACCEPTED
+    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    assert w.height > 42.0 - 5.5
+    assert math.dist((w.north, w.east), (300.0, 0.0)) < 5.0
+
+
+def test_a_wish_taken_back_before_it_was_flown_leaves_everything_as_it_was():
+    w = reach(Phase.OUTBOUND)
+    wish(w, "stop-3")
+    assert wish(w, "stop-2").reply is Reply.ACCEPTED
+    w.to_the_end()
+    assert ended_at(w) == "stop-2"
+    assert "home_moved" not in w.kinds
+
+
+def test_a_stop_that_is_wished_for_no_more_is_no_landing_place_any_more():
+    w = reach(Phase.OUTBOUND)
+    wish(w, "stop-3")
+    assert wish(w, "stop-1").reply is Reply.ACCEPTED
+    w.judge.asked.clear()
+    for _ in range(20):
+        w.step()
+    assert asked_landings(w) == {"stop-2", "stop-1", "quay"}
+
+
+def test_while_it_turns_to_one_stop_it_takes_no_other_wish():
+    w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    w.mute.add(ev.MissionProgress)  # the jump is on its way, and not yet seen
+    w.run(lambda w: "move_home" in w.kinds, 3.0)
+    assert wish(w, "stop-2") == Answer(Reply.LATER, "turning to another landing site just now")
+    w.mute.clear()
+    w.run(lambda w: home_now(w.pilot) == "stop-3", 3.0)
+    assert wish(w, "stop-2").reply is Reply.ACCEPTED
+
+
+REFUSALS: list[tuple[str, Phase, str, Callable[[World], None], Reply, str]] = [
+    ("no such stop", Phase.OUTBOUND, "stop-9", lambda w: None, Reply.DENIED, "no such stop aboard"),
+    ("a rally point", Phase.OUTBOUND, "quay", lambda w: None, Reply.DENIED, "no such stop aboard"),
+    ("on the ground", Phase.READY, "stop-3", lambda w: None, Reply.DENIED, "in phase ready"),
+    ("landing", Phase.LAND, "stop-3", lambda w: None, Reply.DENIED, "in phase land"),
+    (
+        "the gate, on the way out", Phase.OUTBOUND, "stop-3",
+        lambda w: w.judge.p_home_by.update({"stop-3": 0.95}),  # type: ignore[attr-defined]
+        Reply.DENIED, "P(home) 0.950 by way of stop-3",
+    ),
+    (
+        "the gate, on the way home", Phase.RETURN, "stop-3",
+        lambda w: w.judge.p_home_by.update({"stop-3": 0.95}),  # type: ignore[attr-defined]
+        Reply.DENIED, "P(home) 0.950 by way of stop-3 is under 0.990",
+    ),
+    (
+        "no wind known", Phase.OUTBOUND, "stop-3",
+        lambda w: setattr(w.judge, "known", False), Reply.LATER, "wind or energy unknown",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSALS, ids=[case[0] for case in REFUSALS])
+def test_a_move_that_cannot_be_is_refused_with_its_reason_and_changes_nothing(case):
+    _, phase, stop, change, reply, words = case
+    w = truck_world()
+    if phase is Phase.READY:
+        w.pilot.options = replace(w.pilot.options, authorise=False)
+    w.until(phase)
+    change(w)
+    plan = flown_of(w).plan
+    answer = wish(w, stop)
+    assert answer.reply is reply
+    assert answer.reason.startswith(words)
+    assert home_now(w.pilot) == "stop-2"
+    assert flown_of(w).plan == plan
+
+
+def test_a_flight_without_stops_refuses_to_move_its_home():
+    w = world().until(Phase.OUTBOUND)
+    assert wish(w, "stop-3") == Answer(Reply.DENIED, "this flight is not to a truck's stop")
+
+
+def test_a_promise_that_fails_on_the_way_is_not_flown_and_the_old_home_is():
+    w = reach(Phase.OUTBOUND)
+    assert wish(w, "stop-3").reply is Reply.ACCEPTED
+    w.judge.p_home_by["stop-3"] = 0.9  # type: ignore[attr-defined]
+    done = w.to_the_end()
+    assert (done.home, ended_at(w)) == (True, "stop-2")
+    assert "not yet to stop-3" in w.said
+
+
+def test_an_autopilot_that_does_not_jump_to_the_new_stop_goes_to_the_old_one_and_no_rtl_is_asked():
+    w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    w.obeys_jumps = False
+    done = w.to_the_end()
+    assert (done.home, ended_at(w), home_now(w.pilot)) == (True, "stop-2", "stop-2")
+    assert "home_stays" in w.kinds
+    assert not any(isinstance(a, SetMode) and a.mode is ev.Mode.RTL for _, a in w.log)
+
+
+def test_an_operator_without_a_desk_names_the_stop_by_where_its_pad_is():
+    w = reach(Phase.OUTBOUND)
+    lat = 55.47 + 41.0 / 111_194.93
+    lon = 8.45 - 111.0 / (111_194.93 * math.cos(math.radians(55.47)))
+    w.tell(ev.HomeMoved(w.t_s, "255/190", None, lat, lon))
+    assert w.pilot.air.wanted == "stop-3"
+    (answer,) = (
+        a
+        for a in w.tell(ev.HomeMoved(w.t_s, "255/190", None, 55.48, 8.45))
+        if isinstance(a, Answer)
+    )
+    assert answer.reply is Reply.DENIED
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_safety_rule_3_a_wish_and_a_moved_home_outlive_a_restart_of_the_companion(seen):
+    w = reach(Phase.OUTBOUND if not seen else Phase.RETURN)
+    if seen:
+        w.run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    if seen:
+        w.run(lambda w: home_now(w.pilot) == "stop-3")
+    kept = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)][-1]
+    again = truck_world(msgspec.convert(kept, Kept), armed=True)
+    for name in ("t_s", "north", "east", "height", "items", "index", "waited", "loaded", "values"):
+        setattr(again, name, getattr(w, name))
+    again.mode = w.mode
+    assert home_now(again.pilot) == ("stop-3" if seen else "stop-2")
+    start(again)
+    done = again.to_the_end()
+    assert (done.outcome, ended_at(again)) == ("SUC", "stop-3")
+    assert not any(isinstance(a, Arm) for _, a in again.log)
+
+
+def test_a_stop_that_no_longer_keeps_the_promise_is_left_for_a_rally_point_that_does():
+    w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    w.judge.p_home_by["stop-3"] = 0.9  # type: ignore[attr-defined]
+    w.run(lambda w: home_now(w.pilot) == "quay", 5.0)
+    jumps = [a.index for _, a in w.log if isinstance(a, JumpTo)]
+    assert jumps[-1] == flown_of(w).site_items("quay")[0]

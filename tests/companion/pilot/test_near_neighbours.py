@@ -1,0 +1,351 @@
+"""The pilot beside neighbours, event by event: who takes over when, and what ends it.
+
+The vehicle is test_pilot_flight's, and obeys velocity set-points as each flavour does.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from companion.core.mission import events as ev
+from companion.core.mission.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
+from companion.core.mission.events import Flavour, Mode
+from companion.core.mission.mission_items import ItemKind, Part
+from companion.core.pilot import setpoint_takeover as keeping_apart
+from companion.core.pilot.jump_confirmation import Purpose
+from companion.core.pilot.mission_progress import jump
+from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.transitions import Phase
+from companion.core.separation.setpoint_motion import FLEET, backing_off
+from companion.core.separation.track import Track
+from companion.core.separation.traffic_tracks import NeighbourTracks, Report
+from tests.companion.pilot.test_flight import DEPOT, M_PER_DEG, World, world
+
+UNIX_S = 1.8e9
+OPTIONS = PilotOptions(configure=True, authorise=True, keep_apart=True, name="d1")
+BOTH = pytest.mark.parametrize("flavour", list(Flavour))
+
+
+@dataclass
+class Beside(World):
+    """The vehicle, and one neighbour that flies a straight line (NED m about the depot, m/s)."""
+
+    flavour: Flavour = Flavour.PX4
+    neighbour: tuple[float, float, float] | None = None
+    neighbour_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    neighbour_goal: tuple[float, float] | None = None
+    told_velocity: tuple[float, float, float] | None = None
+    tells: bool = True
+    deaf_to_jumps: bool = False
+
+    @property
+    def guided(self) -> bool:
+        """Whether it obeys set-points now."""
+        if self.flavour is Flavour.PX4:
+            return self.mode is Mode.GUIDED
+        item = self.items[self.index] if self.index < len(self.items) else None
+        return item is not None and item.kind in (ItemKind.ASIDE, ItemKind.ASIDE_LIMIT)
+
+    def obey(self, order: Order) -> None:
+        if isinstance(order, FlyVelocity):
+            self.told_velocity = order.vel_ned_mps
+        if not (self.deaf_to_jumps and isinstance(order, JumpTo)):
+            super().obey(order)
+
+    def fly(self, dt_s: float) -> None:
+        if self.neighbour is not None:
+            moved = zip(self.neighbour, self.neighbour_vel, strict=True)
+            north, east, down = (x + v * dt_s for x, v in moved)
+            self.neighbour = (north, east, down)
+        if not (self.armed and self.guided):
+            super().fly(dt_s)
+            return
+        self.velocity = self.told_velocity or (0.0, 0.0, 0.0)
+        self.north += self.velocity[0] * dt_s
+        self.east += self.velocity[1] * dt_s
+        self.height -= self.velocity[2] * dt_s
+
+    def telemetry(self) -> list[ev.Event]:
+        found = super().telemetry()
+        found.append(ev.GnssTime(self.t_s, UNIX_S + self.t_s))
+        if self.neighbour is not None and self.tells and round(self.t_s * 10) % 2 == 0:
+            found.append(ev.NeighbourHeard(self.t_s, self.track()))
+        return found
+
+    def track(self) -> Track:
+        assert self.neighbour is not None
+        north, east, down = self.neighbour
+        to = self.neighbour_goal
+        return Track(
+            vehicle="d2",
+            gnss_s=UNIX_S + self.t_s,
+            lat_deg=DEPOT[0] + north / M_PER_DEG,
+            lon_deg=DEPOT[1] + east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
+            alt_amsl_m=DEPOT[2] - down,
+            vel_n_mps=self.neighbour_vel[0],
+            vel_e_mps=self.neighbour_vel[1],
+            vel_d_mps=self.neighbour_vel[2],
+            pos_std_m=2.0,
+            alt_std_m=0.5,
+            vel_std_mps=0.1,
+            to_lat_deg=to and DEPOT[0] + to[0] / M_PER_DEG,
+            to_lon_deg=to and DEPOT[1] + to[1] / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
+        )
+
+    @property
+    def above_m(self) -> float:
+        assert self.neighbour is not None
+        return abs(self.height + self.neighbour[2])
+
+    @property
+    def away_m(self) -> float:
+        assert self.neighbour is not None
+        return math.dist((self.north, self.east), self.neighbour[:2])
+
+
+def beside(flavour: Flavour, options: PilotOptions = OPTIONS) -> Beside:
+    """On its way out, with nobody near yet."""
+    plain = world(options=options, armed=True)
+    plain.armed = False
+    made = Beside(plain.pilot, plain.judge, flavour=flavour)
+    made.tell(ev.VehicleState(0.0, made.mode, made.mode.value, False))
+    made.tell(ev.Identified(0.0, flavour, 1))
+    made.run(lambda w: w.pilot.phase is Phase.OUTBOUND and w.north > 20.0)
+    return made
+
+
+def coming(w: Beside, ahead_m: float = 90.0) -> Beside:
+    """Somebody comes towards us in our own layer."""
+    w.neighbour, w.neighbour_vel = (w.north + ahead_m, w.east, -w.height), (-8.0, 0.0, 0.0)
+    w.run(lambda _: w.guided, 5.0)
+    return w
+
+
+@BOTH
+def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
+    """One that stands in the way: all keep what they promise, so it would brake as well."""
+    w = coming(beside(flavour))
+    assert w.away_m > 40.0
+    w.neighbour_vel = (0.0, 0.0, 0.0)
+    nearest = math.inf
+    while w.pilot.apart.wanted:
+        w.step()
+        nearest = min(nearest, max(w.away_m / 6.0, w.above_m / 5.0))
+        assert w.t_s < 120.0
+    assert nearest >= 1.0
+    assert "back" in w.kinds
+    w.run(lambda _: not w.guided, 3.0)
+    assert (w.mode, w.pilot.phase) == (Mode.MISSION, Phase.OUTBOUND)
+    assert w.index == w.pilot.air.index
+
+
+@BOTH
+@pytest.mark.parametrize("goal_east_m", [None, 300.0, -300.0])
+def test_who_hovers_with_its_goal_across_our_way_is_taken_for_one_that_goes_there(
+    flavour, goal_east_m
+):
+    """Two that had just left their customers met: each looked at the speed of that moment."""
+    w = beside(flavour)
+    w.neighbour = (w.north + 50.0, w.east + 40.0, -w.height)
+    if goal_east_m is not None:
+        w.neighbour_goal = (w.north + 50.0, w.east + goal_east_m)
+    w.step()
+    w.step()
+    across = goal_east_m == -300.0
+    assert w.pilot.apart.wanted == across
+
+
+def test_backing_off_leads_level_away_from_the_nearest():
+    heard = NeighbourTracks(FLEET)
+    for name, north in (("d2", 20.0), ("d3", -50.0)):
+        report = Report(name, 0.0, (north, 0.0, -30.0), (0.0, 0.0, 0.0), 2.0, 0.5, 0.1)
+        heard = heard.heard(report, 0.0)
+    here, wish = np.array([0.0, 0.0, -30.0]), np.array([8.0, 0.0, 1.0])
+    assert backing_off(here, wish, heard.at(0.0), 2.0) == pytest.approx([-2.0, 0.0, 0.0])
+    nobody = NeighbourTracks(FLEET).at(0.0)
+    assert backing_off(here, wish, nobody, 2.0) == pytest.approx(wish)
+
+
+@BOTH
+def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mission(flavour):
+    w = coming(beside(flavour))
+    told = [a for _, a in w.log if isinstance(a, FlyVelocity | SetMode | JumpTo)]
+    first = next(k for k, a in enumerate(told) if isinstance(a, FlyVelocity))
+    if flavour is Flavour.PX4:
+        assert SetMode(Mode.GUIDED) not in told[: first + 3]
+        assert SetMode(Mode.GUIDED) in told
+    else:
+        assert w.mode is Mode.MISSION
+        assert w.items[w.index].kind is ItemKind.ASIDE_LIMIT
+
+
+@BOTH
+def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(flavour):
+    w = coming(beside(flavour))
+    w.mode = Mode.HOLD
+    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 2.0)
+    since_s = w.t_s
+    for _ in range(100):
+        w.step()
+    assert w.orders_after(since_s) == []
+    assert w.mode is Mode.HOLD
+
+
+@BOTH
+def test_the_gate_stands_above_the_detour(flavour):
+    w = coming(beside(flavour))
+    w.judge.turn_back = lambda judge: True
+    w.run(lambda w: w.pilot.phase is Phase.RETURN, 5.0)
+    assert w.guided  # still near: home, by set-points
+    w.neighbour_vel = (8.0, 0.0, 0.0)  # it turns away
+    w.run(lambda _: not w.guided, 30.0)
+    assert w.pilot.phase is Phase.RETURN
+    assert w.items[w.index].part is Part.RETURN
+
+
+def homeward(flavour: Flavour) -> Beside:
+    """Turned back 20 m before a waypoint of the way out, with somebody in the way."""
+    w = beside(flavour)
+    w.run(lambda w: w.north > 80.0)
+    coming(w)
+    w.judge.turn_back = lambda judge: True
+    w.run(lambda w: w.pilot.phase is Phase.RETURN and w.pilot.air.jump is None, 5.0)
+    return w
+
+
+@BOTH
+def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_hand_back(flavour):
+    """The autopilot counts no waypoint then: two stood over two that were 3 m apart, for good."""
+    w = homeward(flavour)
+    flown, first = w.pilot.flown, w.pilot.air.index
+    assert flown is not None
+    assert first == flown.mission.returning[-1]
+    # somebody waits over the pad, too near to its height for it to hand back there
+    w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
+    while w.pilot.air.index == first:
+        w.step()
+        assert max(w.away_m / 6.0, w.above_m / 5.0) >= 1.0
+        assert w.t_s < 120.0
+    assert w.guided
+    assert math.hypot(w.north, w.east) < 5.0
+    assert w.height > 10.0
+    assert w.pilot.air.index == flown.mission.land
+    assert w.pilot.phase is Phase.LAND
+    assert flown.mission.stands_for(w.index) == flown.mission.land
+    w.neighbour = None
+    w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
+
+
+@BOTH
+def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour, monkeypatch):
+    """Leave to go on was given as the way became free, and the item before was ordered again: the
+    pilot then took the one for somebody else's hand, and let the vehicle go home undelivered."""
+    w = coming(beside(flavour))
+    flown = w.pilot.flown
+    assert flown is not None
+    onward = flown.mission.outbound[w.pilot.air.leg + 1]
+    w.neighbour = None
+    w.pilot.apart.tracks = NeighbourTracks(FLEET)
+
+    def both(pilot, *_):
+        jump(pilot, onward, Purpose.ONWARD)
+        keeping_apart._hand_back(pilot, "the way is free")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(keeping_apart, "_decide", both)
+        w.run(lambda _: not w.pilot.apart.wanted, 1.0)
+    w.run(lambda _: not w.guided, 3.0)
+    for _ in range(20):
+        w.step()
+    assert w.pilot.phase is Phase.OUTBOUND
+    assert w.pilot.air.index == onward
+
+
+@BOTH
+def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(flavour):
+    w = homeward(flavour)
+    first = w.pilot.air.index
+    w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
+    w.run(lambda _: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
+    w.deaf_to_jumps = True
+    for _ in range(100):
+        w.step()
+    asked = [a for t, a in w.log if isinstance(a, JumpTo) and t > w.t_s - 10.0]
+    flown = w.pilot.flown
+    assert flown is not None
+    led = {flown.mission.land, flown.mission.aside_of(flown.mission.land)}
+    assert len([a for a in asked if a.index in led]) == 3
+    assert w.pilot.air.index == first
+    w.deaf_to_jumps, w.neighbour_vel = False, (0.0, 8.0, 0.0)  # the other one goes
+    w.run(lambda _: not w.guided, 30.0)
+    assert w.pilot.air.index == first
+    w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
+
+
+@BOTH
+def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(flavour):
+    """One that always stands 14 m before us lets us neither pass nor climb."""
+    w = coming(beside(flavour))
+    height = w.height
+
+    def stand_before(w: Beside) -> None:
+        w.neighbour, w.neighbour_vel = (w.north + 14.0, w.east, -w.height), (0.0, 0.0, 0.0)
+
+    rank = w.pilot.apart.rank
+    while w.pilot.apart.rank == rank:
+        stand_before(w)
+        w.step()
+        assert w.t_s < 120.0
+    held_at, held_s = (w.north, w.east, w.height), w.t_s
+    assert abs(w.height - height) < 6.0
+    w.neighbour_vel = (0.0, 0.0, 0.0)  # it stays where it is
+    while w.t_s < held_s + 4.0:
+        w.step()
+    assert w.north < held_at[0] - 3.0
+    assert abs(w.east - held_at[1]) < 3.0
+    climbed = 0.0
+    while w.t_s < held_s + 20.0:
+        w.step()
+        climbed = max(climbed, abs(w.height - held_at[2]))
+        assert max(w.away_m / 6.0, w.above_m / 5.0) >= 1.0
+    assert climbed > 6.0
+
+
+@BOTH
+def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flavour):
+    w = coming(beside(flavour), 120.0)
+    w.tells = False
+    north = w.north
+    for _ in range(250):
+        w.step()
+    assert w.guided
+    assert w.north < north + 60.0  # it does not press on to where the silent one may be
+    w.run(lambda w: not w.pilot.apart.tracks.tracks, 20.0)
+    assert "neighbour lost: d2" in w.said
+    w.neighbour = None
+    w.run(lambda _: not w.guided, 10.0)
+
+
+@BOTH
+def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(flavour):
+    w = beside(flavour)
+    w.neighbour, w.neighbour_vel = (w.north + 60.0, 400.0, -30.0), (0.0, 8.0, 0.0)
+    w.log.clear()
+    for _ in range(50):
+        w.step()
+    assert not w.pilot.apart.wanted
+    times = [a.gnss_s for _, a in w.log if isinstance(a, TellPlace)]
+    assert len(times) == 25
+    assert all(abs(t / 0.2 - round(t / 0.2)) < 1e-3 for t in times)
+
+
+def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_companion_is_back():
+    """A companion that begins anew finds the vehicle at an item of set-points: on, at once."""
+    w = coming(beside(Flavour.ARDUPILOT))
+    w.neighbour = None
+    w.pilot.apart.stop()
+    w.pilot.apart.tracks = type(w.pilot.apart.tracks)()
+    w.run(lambda _: not w.guided, 3.0)
+    assert w.pilot.phase is Phase.OUTBOUND

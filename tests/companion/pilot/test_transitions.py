@@ -1,0 +1,104 @@
+"""The transition table is whole: every phase has an answer to what may happen in any phase."""
+
+from pathlib import Path
+
+import pytest
+
+from companion.core.pilot.transitions import (
+    ANYTIME,
+    BEFORE,
+    COMMANDING_PHASES,
+    END_PHASES,
+    FLIGHT_PHASES,
+    GROUND_PHASES,
+    OUTWARD_PHASES,
+    TABLE,
+    Phase,
+    Trigger,
+    as_markdown,
+    as_mermaid,
+    next_phase,
+)
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+@pytest.mark.parametrize("trigger", ANYTIME)
+def test_every_phase_has_a_row_for_what_may_happen_in_any_phase(phase, trigger):
+    assert (phase, trigger) in TABLE
+
+
+@pytest.mark.parametrize("phase", [*GROUND_PHASES, *FLIGHT_PHASES, Phase.RECOGNISE])
+def test_safety_rule_1_another_hand_suspends_every_phase_that_commands(phase):
+    assert next_phase(phase, Trigger.TAKEN_OVER) is Phase.SUSPENDED
+    assert Phase.SUSPENDED not in COMMANDING_PHASES
+    assert Phase.PASSIVE not in COMMANDING_PHASES
+    assert Phase.LINK_LOST not in COMMANDING_PHASES
+
+
+def test_safety_rule_1_only_a_hand_back_or_the_landing_leaves_suspended_for_the_flight():
+    left = {
+        trigger: next_phase(Phase.SUSPENDED, trigger)
+        for trigger in Trigger
+        if next_phase(Phase.SUSPENDED, trigger) is not Phase.SUSPENDED
+    }
+    assert left == {
+        Trigger.HANDED_BACK: Phase.RECOGNISE,
+        Trigger.LANDED: Phase.DONE,
+        Trigger.OTHER_COMPUTER: Phase.PASSIVE,
+    }
+
+
+def test_passive_and_ended_missions_never_move_again():
+    for phase in (Phase.PASSIVE, *END_PHASES):
+        assert all(next_phase(phase, trigger) is phase for trigger in Trigger)
+
+
+def test_only_an_authorisation_leads_to_arming():
+    leads = {key for key, to in TABLE.items() if to is Phase.ARM and key[0] is not Phase.ARM}
+    assert leads == {(Phase.READY, Trigger.AUTHORISED)}
+
+
+def test_safety_rule_2_arming_lies_behind_the_read_back():
+    to_ready = {key for key, to in TABLE.items() if to is Phase.READY and key[0] is not to}
+    assert to_ready == {(Phase.READ_BACK, Trigger.READ_BACK_MATCHES)}
+
+
+def test_every_phase_can_be_reached():
+    reached, frontier = {Phase.IDENTIFY}, [Phase.IDENTIFY]
+    while frontier:
+        phase = frontier.pop()
+        for trigger in Trigger:
+            to = next_phase(phase, trigger, before=phase)
+            if to not in reached:
+                reached.add(to)
+                frontier.append(to)
+    assert reached == set(Phase)
+
+
+@pytest.mark.parametrize("phase", OUTWARD_PHASES)
+def test_every_outward_phase_can_turn_home_divert_and_abort(phase):
+    assert next_phase(phase, Trigger.HOMEWARD) is Phase.RETURN
+    assert next_phase(phase, Trigger.RALLY_BOUND) is Phase.DIVERT
+    assert next_phase(phase, Trigger.ABORT) is Phase.RETURN
+
+
+@pytest.mark.parametrize("phase", [*GROUND_PHASES, *FLIGHT_PHASES])
+def test_a_lull_of_the_link_gives_back_the_very_phase_it_took(phase):
+    assert next_phase(phase, Trigger.LINK_SILENT) is Phase.LINK_LOST
+    assert TABLE[Phase.LINK_LOST, Trigger.LULL_OVER] == BEFORE
+    assert next_phase(Phase.LINK_LOST, Trigger.LULL_OVER, before=phase) is phase
+
+
+def test_the_drawn_tables_name_every_phase_and_every_changing_row():
+    table, diagram = as_markdown(), as_mermaid()
+    changing = [key for key, to in TABLE.items() if to is not key[0]]
+    assert table.count("\n") + 1 == 2 + len(changing)
+    assert all(phase.value in table for phase in Phase)
+    assert diagram.startswith("stateDiagram-v2")
+    assert "READY --> ARM: authorised" in diagram
+
+
+def test_the_page_in_the_docs_is_drawn_from_the_table():
+    page = (Path(__file__).parents[3] / "docs" / "mission.md").read_text()
+    assert as_mermaid() in page
+    assert as_markdown() in page

@@ -1,0 +1,203 @@
+"""Row 3: the paper's power model and the multirotor's, against closed forms."""
+
+import math
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.core.vehicle.airframe import Airframe, airframe_from_dict
+from companion.core.vehicle.power import (
+    GRAVITY_MPS2,
+    air_density_kgpm3,
+    drag_n,
+    induced_velocity_mps,
+    max_airspeed_mps,
+    multirotor_power_w,
+    paper_power_w,
+    paper_thrust_n,
+)
+
+ROOT = Path(__file__).parents[3]
+
+
+def airframe(name: str) -> Airframe:
+    return airframe_from_dict(
+        tomllib.loads((ROOT / "params" / "airframes" / f"{name}.toml").read_text())
+    )
+
+
+M100, OCTO8 = airframe("m100"), airframe("octo8")
+MASS = M100.mass.empty_kg
+
+
+def test_the_papers_power_is_its_equations_by_hand() -> None:
+    # Equations 12 and 13 at 10 m/s, 5 degrees up.
+    mass, drag, paper = M100.mass.empty_kg, M100.drag, M100.power_paper
+    force = drag.linear_forward_n_per_mps * 10.0 + drag.quadratic_forward_n_per_mps2 * 100.0
+    thrust = force + mass * 9.80665 * math.sin(math.radians(5.0))
+    power = paper_power_w(M100, mass, 10.0, math.radians(5.0))
+    assert power == pytest.approx(paper.constant_w + thrust * 10.0 / paper.thrust_power_coefficient)
+
+
+def test_the_papers_thrust_is_never_negative() -> None:
+    assert paper_thrust_n(M100, MASS, 5.0, math.radians(-60.0)) == 0.0
+    assert paper_power_w(M100, MASS, 5.0, math.radians(-60.0)) == M100.power_paper.constant_w
+
+
+def test_the_papers_level_power_hardly_feels_payload_and_the_multirotors_does() -> None:
+    paper = [float(paper_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
+    rotor = [float(multirotor_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
+    # The paper's feels no more than the parcel's own drag.
+    assert paper[1] / paper[0] < 1.25
+    assert rotor[1] / rotor[0] > 1.6
+
+
+def test_induced_velocity_in_hover_is_the_momentum_theorys() -> None:
+    assert induced_velocity_mps(5.3, 0.0, 0.0) == pytest.approx(5.3)
+
+
+def test_induced_velocity_in_climb_is_the_closed_form() -> None:
+    # Leishman 2.86: v / v_h = -V_c / 2 v_h + sqrt((V_c / 2 v_h)^2 + 1).
+    climb = np.array([1.0, 3.0, 8.0])
+    expected = -climb / 2.0 + np.sqrt((climb / 2.0) ** 2 + 5.0**2)
+    np.testing.assert_allclose(induced_velocity_mps(5.0, 0.0, climb), expected, rtol=1e-9)
+
+
+def test_induced_velocity_edgewise_is_the_closed_form() -> None:
+    # Leishman 2.131 for a level disc: v^2 = -V^2 / 2 + sqrt(V^4 / 4 + v_h^4).
+    speed = np.array([0.5, 5.0, 15.0, 40.0])
+    expected = np.sqrt(-(speed**2) / 2.0 + np.sqrt(speed**4 / 4.0 + 5.0**4))
+    np.testing.assert_allclose(induced_velocity_mps(5.0, speed, 0.0), expected, rtol=1e-7)
+
+
+def test_hover_power_is_ideal_power_over_its_losses() -> None:
+    # T^1.5 / sqrt(2 rho A) is the ideal; the induced factor, profile and drive come on top.
+    weight = MASS * GRAVITY_MPS2
+    ideal = weight**1.5 / math.sqrt(2.0 * 1.225 * M100.power_rotor.disc_area_m2)
+    power = float(multirotor_power_w(M100, MASS, 0.0))
+    rotor = M100.power_rotor
+    profile = rotor.solidity * rotor.blade_drag_coefficient / 8.0
+    tip = math.sqrt(weight / (rotor.thrust_coefficient * 1.225 * rotor.disc_area_m2))
+    shaft = rotor.induced_factor * ideal + profile * 1.225 * rotor.disc_area_m2 * tip**3
+    assert power == pytest.approx(shaft / rotor.drive_efficiency + rotor.avionics_w, rel=1e-9)
+
+
+def test_climbing_costs_at_least_the_potential_energy_less_the_inflow_it_saves() -> None:
+    level = float(multirotor_power_w(M100, MASS, 0.0))
+    climb = float(multirotor_power_w(M100, MASS, 0.0, 3.0))
+    potential = MASS * GRAVITY_MPS2 * 3.0 / M100.power_rotor.drive_efficiency
+    assert 0.3 * potential < climb - level < potential
+    assert float(multirotor_power_w(M100, MASS, 0.0, -3.0)) == level
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 8.0])
+def test_energy_per_km_of_the_octocopter_is_u_shaped(payload_kg: float) -> None:
+    speed = np.arange(2.0, 30.0, 0.5)
+    per_km = multirotor_power_w(OCTO8, OCTO8.mass_kg(payload_kg), speed) / (3.6 * speed)
+    best = int(np.argmin(per_km))
+    assert 0 < best < speed.size - 1
+    assert np.all(np.diff(per_km[: best + 1]) < 0.0)
+    assert np.all(np.diff(per_km[best:]) > 0.0)
+
+
+def test_the_best_speed_rises_with_payload_and_in_headwind_falls_over_ground() -> None:
+    # evaluation.md 5: "U-shaped; the best speed rises with payload and with headwind falls in
+    # ground terms".
+    speed = np.arange(2.0, 30.0, 0.1)
+
+    def best_airspeed(payload_kg: float, headwind: float) -> float:
+        power = multirotor_power_w(OCTO8, OCTO8.mass_kg(payload_kg), speed)
+        ground = speed - headwind
+        per_m = np.where(ground > 0.1, power / np.maximum(ground, 0.1), np.inf)
+        return float(speed[np.argmin(per_m)])
+
+    assert best_airspeed(8.0, 0.0) > best_airspeed(0.0, 0.0) + 2.0
+    assert best_airspeed(0.0, 6.0) > best_airspeed(0.0, 0.0)
+    assert best_airspeed(0.0, 6.0) - 6.0 < best_airspeed(0.0, 0.0)
+
+
+def along_the_bodys_axes(vertical: float | None, **drag: float) -> Airframe:
+    """An octocopter of round numbers: 10 kg empty, rotors of 1.3 m^2, blades without drag."""
+    changed = msgspec.structs.replace
+    none = {"linear_forward_n_per_mps": 0.0, "quadratic_forward_n_per_mps2": 0.0}
+    own = changed(OCTO8.drag, **(none | drag), vertical_quadratic_n_per_mps2=vertical)
+    rotor = changed(
+        OCTO8.power_rotor, blade_drag_coefficient=0.0, drive_efficiency=1.0, avionics_w=0.0
+    )
+    return changed(OCTO8, drag=own, power_rotor=rotor)
+
+
+def induced_w(airframe: Airframe, thrust_n: float, edgewise: float, through: float) -> float:
+    area = 1.225 * airframe.power_rotor.disc_area_m2
+    velocity = induced_velocity_mps(math.sqrt(thrust_n / (2.0 * area)), edgewise, through)
+    return airframe.power_rotor.induced_factor * thrust_n * float(velocity)
+
+
+def test_a_climb_against_drag_from_above_pays_it_in_thrust_and_in_work() -> None:
+    # Straight up at 5 m/s: T = m g + k V^2, and T V beside the induced power.
+    vehicle = along_the_bodys_axes(0.2, quadratic_forward_n_per_mps2=0.1)
+    thrust = 10.0 * GRAVITY_MPS2 + 0.2 * 25.0
+    expected = induced_w(vehicle, thrust, 0.0, 5.0) + thrust * 5.0
+    assert float(multirotor_power_w(vehicle, 10.0, 0.0, 5.0)) == pytest.approx(expected)
+
+
+def test_rotors_own_drag_leans_the_vehicle_and_does_no_work_of_its_own() -> None:
+    # 2 N per m/s at 10 m/s: tan(tilt) = 20 N / m g, T = m g cos(tilt), nothing but induced power.
+    vehicle = along_the_bodys_axes(0.0, linear_forward_n_per_mps=2.0)
+    mass = OCTO8.mass.empty_kg
+    weight = mass * GRAVITY_MPS2
+    tilt = math.atan(20.0 / weight)
+    expected = induced_w(
+        vehicle, weight * math.cos(tilt), 10.0 * math.cos(tilt), 10.0 * math.sin(tilt)
+    )
+    assert float(multirotor_power_w(vehicle, mass, 10.0)) == pytest.approx(expected)
+
+
+def test_parasite_power_along_the_bodys_axes_is_thrust_times_the_way_through_the_air() -> None:
+    # Level at 15 m/s, two drags, solved here by bisection on the balance of forces along the
+    # horizontal and the vertical; the work is that of thrust, all of it parasite.
+    vehicle = along_the_bodys_axes(0.25, quadratic_forward_n_per_mps2=0.1)
+    mass, speed = OCTO8.mass.empty_kg, 15.0
+    low, high = 0.0, 1.5
+    thrust = 0.0
+    for _ in range(60):
+        tilt = 0.5 * (low + high)
+        front = 0.1 * speed * speed * math.cos(tilt)  # backward along the body
+        top = 0.25 * speed * speed * math.sin(tilt)  # downward along the body
+        thrust = (mass * GRAVITY_MPS2 - front * math.sin(tilt) + top * math.cos(tilt)) / math.cos(
+            tilt
+        )
+        pulled = (thrust - top) * math.sin(tilt) - front * math.cos(tilt)
+        low, high = (tilt, high) if pulled < 0.0 else (low, tilt)
+    work = thrust * math.sin(tilt) * speed
+    expected = work + induced_w(vehicle, thrust, speed * math.cos(tilt), speed * math.sin(tilt))
+    assert float(multirotor_power_w(vehicle, mass, speed)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_hover_in_still_air_does_not_feel_drag_from_above() -> None:
+    drag = msgspec.structs.replace(M100.drag, vertical_quadratic_n_per_mps2=0.1)
+    vehicle = msgspec.structs.replace(M100, drag=drag)
+    assert multirotor_power_w(vehicle, MASS, 0.0) == multirotor_power_w(M100, MASS, 0.0)
+
+
+def test_top_speed_balances_drag_and_tilt() -> None:
+    for payload in (0.0, 1.0):
+        mass = M100.mass_kg(payload)
+        speed = max_airspeed_mps(M100, mass)
+        force = mass * GRAVITY_MPS2 * math.tan(math.radians(35.0))
+        assert float(drag_n(M100, mass, speed)) == pytest.approx(force)
+
+
+def test_air_density_is_the_standard_atmospheres() -> None:
+    # ISO 2533: 1.225 kg/m^3 at sea level and 15 degrees; 1.112 at 1,000 m and 8.5 degrees.
+    assert air_density_kgpm3(0.0, 15.0) == pytest.approx(1.225, abs=0.001)
+    assert air_density_kgpm3(1000.0, 8.5) == pytest.approx(1.112, abs=0.001)
+
+
+def test_thin_air_costs_more() -> None:
+    assert float(multirotor_power_w(M100, MASS, 0.0, 0.0, 1.0)) > float(
+        multirotor_power_w(M100, MASS, 0.0, 0.0, 1.225)
+    )

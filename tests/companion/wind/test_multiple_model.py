@@ -1,0 +1,95 @@
+"""Usual air or calm: Bayes' rule by scipy's own densities, the mixture's moments by sampling."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from companion.core.vehicle.airframe import airframe_from_dict
+from companion.core.wind.drag_update import TiltTold
+from companion.core.wind.ekf import STATES, At, WindEstimatorParams
+from companion.core.wind.multiple_model import Airs
+
+ROOT = Path(__file__).parents[3]
+M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+AT_ONCE_S = 1e-6  # nothing else changes meanwhile
+SIGMAS = 4.0
+
+
+def airs() -> Airs:
+    return Airs.unseen(M100, WindEstimatorParams())
+
+
+def told(innovation: np.ndarray, cov: np.ndarray) -> TiltTold:
+    """What a filter whose innovations have this covariance makes of one of them."""
+    root = np.linalg.cholesky(cov)
+    return TiltTold(
+        innovations=(float(innovation[0]), float(innovation[1])),
+        variances=(float(cov[0, 0]), float(cov[1, 1])),
+        gain=np.zeros((STATES, 2)),
+        white=np.linalg.solve(root, innovation),
+        area=float(np.prod(np.diag(root))),
+    )
+
+
+USUAL = np.array([[0.5, 0.1], [0.1, 0.4]])
+CALM = np.array([[0.3, 0.05], [0.05, 0.2]])
+
+
+@pytest.mark.parametrize("innovation", [(0.1, -0.2), (0.9, 0.4), (-0.6, 1.0)])
+def test_the_chance_of_calm_is_bayes(innovation: tuple[float, float]) -> None:
+    seen = np.array(innovation)
+    air = airs()
+    air.chance_calm = 0.3
+    air.weigh([told(seen, USUAL), told(seen, CALM)], SIGMAS, AT_ONCE_S)
+    usual, calm = (multivariate_normal([0.0, 0.0], c).pdf(seen) for c in (USUAL, CALM))
+    assert air.chance_calm == pytest.approx(0.3 * calm / (0.3 * calm + 0.7 * usual), abs=1e-6)
+
+
+@pytest.mark.parametrize(("so", "is_calm"), [(USUAL, False), (CALM, True)])
+def test_who_foretells_better_is_believed_within_seconds(so: np.ndarray, is_calm: bool) -> None:
+    rng = np.random.default_rng(3)
+    air = airs()
+    for seen in rng.multivariate_normal([0.0, 0.0], so, size=100):
+        air.weigh([told(seen, USUAL), told(seen, CALM)], SIGMAS, 0.1)
+    assert (air.likelier is air.states[1]) == is_calm
+    assert (air.chance_calm > 0.9) == is_calm
+    assert (air.chance_calm < 0.1) == (not is_calm)
+
+
+def test_a_better_sensor_than_stated_is_no_calm() -> None:
+    """Both filters expect three times the variance that there is: nothing is learned of gusts."""
+    rng = np.random.default_rng(4)
+    air = airs()
+    for seen in rng.multivariate_normal([0.0, 0.0], USUAL / 3.0, size=600):
+        air.weigh([told(seen, USUAL), told(seen, 0.8 * USUAL)], SIGMAS, 0.1)
+    assert air.chance_calm < 0.5
+
+
+def test_the_air_may_change_after_long_calm() -> None:
+    rng = np.random.default_rng(5)
+    air = airs()
+    for so, count in ((CALM, 3_000), (USUAL, 200)):
+        for seen in rng.multivariate_normal([0.0, 0.0], so, size=count):
+            air.weigh([told(seen, USUAL), told(seen, CALM)], SIGMAS, 0.1)
+    assert air.chance_calm < 0.1
+
+
+def test_the_mixture_has_the_moments_of_what_is_drawn_from_it() -> None:
+    rng = np.random.default_rng(6)
+    air = airs()
+    air.chance_calm = 0.35
+    for state, wind in zip(air.states, ((3.0, -1.0), (5.0, 2.0)), strict=True):
+        for first in (At.MEAN, At.LATELY):
+            state.x[first : first + 2] = wind
+        state.cov = 0.04 * np.eye(STATES)
+    mean, cov = air.ten_second_mean(0.0)
+    counts = (13_000, 7_000)
+    each = [s.ten_second_mean(0.0) for s in air.states]
+    drawn = np.vstack(
+        [rng.multivariate_normal(*e, size=n) for e, n in zip(each, counts, strict=True)]
+    )
+    np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.05)
+    np.testing.assert_allclose(cov, np.cov(drawn.T), atol=0.08)

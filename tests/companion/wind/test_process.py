@@ -1,0 +1,253 @@
+"""The fitted wind process: its file, its fit, its score, and the chains made of it."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
+from scipy.stats import t as student_t
+
+from companion.adapters.files.params import read_wind_process
+from companion.core.base.errors import LeewayError
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind.forecast import LEG_S, WindForecast, WindOutlook
+from companion.core.wind.forecast_chain import HORIZONS_S, nearest_process, prior_wind
+from companion.core.wind.markov_chain import lattice_belief
+from companion.core.wind.process import (
+    WindProcessParams,
+    averaged_share,
+    wind_process_from_dict,
+)
+from companion.core.wind_fit.fit import WindMeans, fit_process, log_likelihood, ten_second_means
+from companion.core.wind_fit.holdout import FITTED, LONG_MEAN, PERSISTENCE, judge_held_out
+from companion.core.wind_fit.score import Judged, fitted_tail_dof, outlook_forecasts, score
+
+ROOT = Path(__file__).parents[3]
+COAST = read_wind_process("coast")
+KNOWN = replace(
+    COAST,
+    memory_s=(20.0, 600.0),
+    variance_m2ps2=(1.0, 1.5),
+    reference_wind_mps=8.0,
+    tail_dof=None,
+)
+
+
+def simulated(process: WindProcessParams, count: int, seed: int, dof: float | None = None):
+    """10 s means of the process by exact steps about a wind of 8 m/s from the west."""
+    random = np.random.default_rng(seed)
+    wind = np.tile([0.0, 8.0], (count, 1))
+    for memory, variance in zip(process.memory_s, process.variance_m2ps2, strict=True):
+        part = np.sqrt(variance) * random.standard_normal(2)
+        keep = np.exp(-10.0 / memory)
+        for i in range(count):
+            push = random.standard_normal(2)
+            if dof is not None:
+                push *= np.sqrt((dof - 2.0) / random.chisquare(dof))
+            part = keep * part + np.sqrt(variance * (1.0 - keep**2)) * push
+            wind[i] += part
+    return WindMeans(10.0 * np.arange(count), wind)
+
+
+def means_of_seconds(process: WindProcessParams, count: int, seed: int) -> WindMeans:
+    """10 s means of the process itself, made second by second: tenths of a second hardly matter."""
+    random = np.random.default_rng(seed)
+    wind = np.tile([0.0, 8.0], (10 * count, 1))
+    for memory, variance in zip(process.memory_s, process.variance_m2ps2, strict=True):
+        keep = np.exp(-1.0 / memory)
+        pushes = np.sqrt(variance * (1.0 - keep**2)) * random.standard_normal((10 * count, 2))
+        pushes[0] = np.sqrt(variance) * random.standard_normal(2)
+        wind += lfilter([1.0], [1.0, -keep], pushes, axis=0)
+    return WindMeans(10.0 * np.arange(count) + 5.0, wind.reshape(count, 10, 2).mean(axis=1))
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+
+def test_every_shipped_process_loads_and_says_where_it_is_from() -> None:
+    files = sorted((ROOT / "params" / "wind").glob("*.toml"))
+    assert files
+    for path in files:
+        assert read_wind_process(path.stem).name == path.stem
+        assert path.read_text().startswith("# How wind changes, fitted to ")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("memory_s", [60.0, 15.0, 1500.0], "memory_s: expected rising numbers"),
+        ("variance_m2ps2", [1.0], "variance_m2ps2: 1 numbers: expected 3"),
+        ("variance_m2ps2", [1.0, float("nan"), 1.0], "variance_m2ps2"),
+        ("reference_wind_mps", 0.0, "reference_wind_mps = 0.0: expected"),
+        ("tail_dof", 2.0, "tail_dof = 2.0: expected"),
+        ("memory", [1.0], "unknown field `memory`"),
+        ("format", "wind-process/2", "format"),
+    ],
+)
+def test_a_wrong_process_file_is_refused_by_name(key: str, value: object, words: str) -> None:
+    table = tomllib.loads((ROOT / "params" / "wind" / "coast.toml").read_text())
+    table[key] = value
+    with pytest.raises(LeewayError, match=r"site\.toml") as refused:
+        wind_process_from_dict(table, "site.toml")
+    assert words in str(refused.value)
+
+
+def test_an_unknown_process_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(LeewayError, match="no such wind process; there are: coast"):
+        read_wind_process("moon")
+
+
+def test_a_mean_over_a_time_keeps_the_share_of_variance_that_brute_force_finds() -> None:
+    """Var of the mean by the double integral of exp(-|a - b| / T), midpoint rule."""
+    at = (np.arange(2000) + 0.5) * 60.0 / 2000
+    for memory in (5.0, 15.0, 300.0):
+        expected = np.exp(-np.abs(np.subtract.outer(at, at)) / memory).mean()
+        assert averaged_share(np.array([memory]), 60.0)[0] == pytest.approx(expected, rel=1e-4)
+
+
+# --- the fit -------------------------------------------------------------------------------------
+
+
+def test_the_likelihood_is_that_of_the_joint_normal_law() -> None:
+    """Oracle: scipy's multivariate normal, covariance written out here, a gap included."""
+    whole = simulated(KNOWN, 60, seed=1)
+    keep = np.r_[0:20, 35:60]
+    gappy = WindMeans(whole.t_s[keep], whole.wind_to_ne_mps[keep])
+    # Covariance of two means: that of their moments, averaged over both by the midpoint rule.
+    inside = (np.arange(400) + 0.5) / 40.0
+    apart = np.subtract.outer(inside, inside)
+
+    def of_means(lag_s: float) -> float:
+        return float(
+            np.exp(-np.abs(apart + lag_s) / 20.0).mean()
+            + 1.5 * np.exp(-np.abs(apart + lag_s) / 600.0).mean()
+        )
+
+    lag = np.abs(np.subtract.outer(gappy.t_s, gappy.t_s))
+    each = {x: of_means(x) for x in np.unique(lag)}
+    moved = gappy.wind_to_ne_mps - gappy.wind_to_ne_mps.mean(axis=0)
+    scale = (np.hypot(*gappy.wind_to_ne_mps.mean(axis=0)) / 8.0) ** 2
+    cov = scale * np.vectorize(each.__getitem__)(lag)
+    cov += 100.0 + 0.01 * np.eye(keep.size)
+    law = multivariate_normal(np.zeros(keep.size), cov)
+    expected = law.logpdf(moved[:, 0]) + law.logpdf(moved[:, 1])
+    assert log_likelihood(KNOWN, [gappy]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_fit_recovers_the_process_that_made_the_wind() -> None:
+    made = [means_of_seconds(KNOWN, 360, seed) for seed in (2, 3, 4)]
+    fit = fit_process(made, "made", parts=2)
+    found = np.log([*fit.process.memory_s, *fit.process.variance_m2ps2])
+    true = np.log([*KNOWN.memory_s, *KNOWN.variance_m2ps2])
+    assert np.all(np.abs(found - true) < 3.0 * fit.log_std)
+    assert fit.log_std[0] < 0.2  # the fast memory is well known from three hours
+    assert fit.process.reference_wind_mps == pytest.approx(8.0, abs=1.0)
+
+
+def test_too_little_wind_is_refused() -> None:
+    with pytest.raises(LeewayError, match="600 s of usable wind: expected 1200"):
+        fit_process([simulated(KNOWN, 60, seed=4)], "short")
+
+
+def test_ten_second_means_leave_out_what_is_half_empty() -> None:
+    t_s = np.array([t for t in range(60) if not 23 <= t < 38], float)
+    wind = np.stack([t_s, -t_s], axis=1)
+    runs = ten_second_means(t_s, wind)
+    assert [r.t_s.tolist() for r in runs] == [[5.0, 15.0], [45.0, 55.0]]
+    np.testing.assert_allclose(runs[0].wind_to_ne_mps[:, 0], [4.5, 14.5])
+
+
+# --- tails and scores ----------------------------------------------------------------------------
+
+
+def test_samples_with_a_tail_have_the_stated_variance_and_students_quantiles() -> None:
+    forecast = WindForecast(np.array([60.0]), np.zeros((1, 2)), np.eye(1), np.zeros((2, 2)), 6.0)
+    drawn = forecast.sample(200_000, np.random.default_rng(5))[:, 0, 0]
+    assert drawn.var() == pytest.approx(1.0, abs=0.03)
+    expected = student_t.ppf(0.995, 6.0) * np.sqrt(4.0 / 6.0)
+    assert np.quantile(drawn, 0.995) == pytest.approx(expected, rel=0.03)
+
+
+def test_the_tail_that_is_fitted_is_that_of_the_errors() -> None:
+    random = np.random.default_rng(6)
+    heavy = random.standard_t(5.0, (6000, 4)) * np.sqrt(3.0 / 5.0)
+    normal = random.standard_normal((6000, 4))
+    ones, moments = np.ones((6000, 4)), np.zeros(6000)
+    assert fitted_tail_dof({60.0: (heavy, ones, moments)}) in (5.0, 6.0)
+    assert fitted_tail_dof({60.0: (normal, ones, moments)}) in (None, 30.0)
+
+
+def test_what_the_process_says_of_its_own_wind_is_calibrated() -> None:
+    judged = [simulated(KNOWN, 260, seed) for seed in range(10, 15)]
+    random = np.random.default_rng(7)
+    for horizon_s in (60.0, 600.0):
+        z, inside = [], []
+        for means in judged:
+            said = outlook_forecasts(KNOWN, Judged(means, 800.0, 2600.0), 0.4, random)
+            error, std = said[horizon_s]
+            z.append(error / std)
+            inside.append(score("own", horizon_s, said[horizon_s]).coverage[0])
+        assert np.sqrt(np.mean(np.concatenate(z) ** 2)) == pytest.approx(1.0, abs=0.15)
+        assert np.mean(inside) == pytest.approx(0.90, abs=0.05)
+
+
+def test_held_out_the_fit_beats_running_means_where_wind_reverts() -> None:
+    found = judge_held_out([simulated(KNOWN, 480, seed=20)], parts=2)
+    assert found is not None
+    assert len(found.folds) == 2
+    by = {(s.method, s.horizon_s): s for s in found.scores}
+    for horizon_s in (150.0, 300.0):
+        ours = by[FITTED, horizon_s]
+        assert ours.error_rms_mps < by[PERSISTENCE, horizon_s].error_rms_mps
+        assert ours.nll < by[PERSISTENCE, horizon_s].nll
+        assert ours.error_rms_mps < 1.05 * by[LONG_MEAN, horizon_s].error_rms_mps
+
+
+def test_a_recording_that_cannot_be_divided_has_no_held_out_score() -> None:
+    assert judge_held_out([simulated(KNOWN, 150, seed=21)], parts=2) is None
+
+
+# --- the planner's chains ------------------------------------------------------------------------
+
+
+def test_the_prior_chain_changes_within_minutes_as_the_process_does() -> None:
+    wind = prior_wind(COAST)
+    chain = wind.chain()
+    start = lattice_belief(chain, np.zeros((1, 2)), wind.spacing_mps)[0]
+    row = start @ chain.transition(300.0)
+    squared = float(row @ chain.states_en_mps[:, 0] ** 2)
+    expected = float(COAST.mean_squared_change_m2ps2(np.array([300.0]), LEG_S)[0])
+    # Of the process, from a wind w: variance(lag) + (w (1 - exp(-lag/T)))^2, w^2 = variance(inf).
+    gone = -np.expm1(-300.0 / wind.time_constant_s)
+    closed = float(wind.predictive_cov_m2ps2(300.0)[0, 0]) + (wind.std_mps * gone) ** 2
+    assert closed == pytest.approx(expected, rel=1e-6)
+    # Its lattice of 0.75 standard deviations spreads by a seventh slower.
+    assert 0.8 * expected < squared < expected
+
+
+def test_the_tables_chain_has_the_forecasts_mean_and_variance_over_a_mission() -> None:
+    """From three to thirteen minutes; sooner, one process has no room for gusts, and errs low."""
+    outlook = WindOutlook(COAST)
+    for t in range(0, 301, 5):
+        outlook.observe(belief(float(t), 2.0, -8.0))
+    forecast = outlook.forecast(belief(301.0, 2.0, -9.0), HORIZONS_S)
+    process = nearest_process(forecast)
+    chain = process.chain()
+    seen = forecast.mean_to_ne_mps[:1, ::-1]
+    start = lattice_belief(chain, seen, process.spacing_mps)[0]
+    for i, horizon_s in enumerate(HORIZONS_S):
+        if horizon_s < 240.0:
+            continue
+        row = start @ chain.transition(float(horizon_s))
+        mean = row @ chain.states_en_mps
+        variance = row @ (chain.states_en_mps - mean) ** 2
+        stated = forecast.walk_cov_m2ps2[i, i]
+        np.testing.assert_allclose(mean, forecast.mean_to_ne_mps[i, ::-1], atol=0.4)
+        np.testing.assert_allclose(variance, stated, rtol=0.25)
+
+
+def belief(t_s: float, north: float, east: float) -> WindBelief:
+    return WindBelief(t_s, np.array([north, east]), 0.25 * np.eye(2), ("tilt",), True)

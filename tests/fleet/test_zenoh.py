@@ -1,0 +1,235 @@
+"""Vehicle and desk over real zenoh on loopback."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.core.mission.actions import TellPlace
+from companion.fleet.command_log import Verdict
+from companion.fleet.messages import Answered, Command, Deed, EventKind, Launch, Recall
+from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
+from ground_station.core.fleet.fleet_link import (
+    Alive,
+    CommandAnswered,
+    EventsHeard,
+    Heard,
+    Nonsense,
+    StateHeard,
+)
+from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
+
+PATIENCE_S = 20.0
+
+
+class Desk:
+    """A ZenohFleet whose every word is kept."""
+
+    def __init__(self, config: Path) -> None:
+        self.fleet = ZenohFleet(FLEET, config)
+        self.heard: list[Heard] = []
+
+    def until(self, wanted: Callable[[Heard], Any]) -> Any:
+        """Wait for the first thing heard that is wanted."""
+        seen, limit_s = 0, monotonic_s() + PATIENCE_S
+        while monotonic_s() < limit_s:
+            self.heard += self.fleet.heard(0.05)
+            for heard in self.heard[seen:]:
+                found = wanted(heard)
+                if found is not None:
+                    return found
+            seen = len(self.heard)
+        raise AssertionError(f"not heard within {PATIENCE_S} s; last: {self.heard[-3:]}")
+
+    def state(self, **fields: object) -> StateHeard:
+        return self.until(
+            lambda h: (
+                h
+                if isinstance(h, StateHeard)
+                and all(getattr(h.state, k) == v for k, v in fields.items())
+                else None
+            )
+        )
+
+    def answer(self, command: Command) -> CommandAnswered:
+        self.heard.clear()
+        self.fleet.send(command, 2.0)
+        return self.until(
+            lambda h: h if isinstance(h, CommandAnswered) and h.command_id == command.id else None
+        )
+
+
+@pytest.fixture
+def net(tmp_path: Path) -> Iterator[tuple[Callable[..., Vehicle], Callable[[], Desk]]]:
+    """Makes vehicles and desks of one network; the desk listens."""
+    port = free_port()
+    ours = config_file(tmp_path / "desk.json5", listen=port)
+    theirs = config_file(tmp_path / "vehicle.json5", connect=port)
+    made: list[Any] = []
+
+    def vehicle(name: str = "d1", folder: str | None = None) -> Vehicle:
+        made.append(Vehicle(name, tmp_path / (folder or name), theirs))
+        return made[-1]
+
+    def desk() -> Desk:
+        made.append(Desk(ours))
+        return made[-1]
+
+    yield vehicle, desk
+    for thing in made:
+        (thing.fleet if isinstance(thing, Desk) else thing).close()
+
+
+def a_command(vehicle: Vehicle, deed: Deed, id_: str = "c1") -> Command:
+    port = vehicle.port
+    return Command(
+        id=id_, vehicle=port.vehicle, life=port.life, as_of_s=port.uptime_s, by="desk", deed=deed
+    )
+
+
+def alive(life: str, up: bool) -> Callable[[Heard], Any]:
+    return lambda h: h if h == Alive("d1", life, up) else None
+
+
+def test_a_vehicle_comes_tells_its_state_and_goes(net):
+    make_vehicle, make_desk = net
+    desk = make_desk()
+    vehicle = make_vehicle()
+    desk.until(alive(vehicle.port.life, True))
+    assert desk.state(phase="standby").state.airframe == "m100"
+    desk.state(life=vehicle.port.life)
+    assert Alive("d1", vehicle.port.life, up=False) not in desk.heard
+    vehicle.close()
+    desk.until(alive(vehicle.port.life, False))
+
+
+def test_a_desk_that_comes_late_gets_picture_and_past_at_once(net):
+    make_vehicle, make_desk = net
+    vehicle = make_vehicle()
+    for n in range(5):
+        vehicle.port.tell(EventKind.SAID, f"words {n}")
+    desk = make_desk()
+    desk.until(alive(vehicle.port.life, True))
+    desk.fleet.ask_states(2.0)
+    state = desk.state(last_seq=5).state
+    desk.fleet.ask_events("d1", 2, 2.0)
+    replay = desk.until(lambda h: h if isinstance(h, EventsHeard) and h.replayed else None)
+    assert [(e.seq, e.text) for e in replay.events] == [(n, f"words {n - 1}") for n in (3, 4, 5)]
+    assert replay.events[0].log == state.log
+
+
+def test_a_command_sent_again_is_carried_out_once_and_answered_the_same(net):
+    make_vehicle, make_desk = net
+    desk, vehicle = make_desk(), make_vehicle()
+    desk.state()
+    command = a_command(vehicle, Launch(assignment="o1.1"))
+    answers = [desk.answer(command).result for _ in range(3)]
+    assert [(a.answer, a.reason) for a in answers] == [(Answered.DONE, "done")] * 3
+    assert len(vehicle.done) == 1
+
+
+def test_a_companion_that_restarts_still_knows_what_it_was_told(net):
+    make_vehicle, make_desk = net
+    desk, first = make_desk(), make_vehicle()
+    desk.state()
+    command = a_command(first, Launch(assignment="o1.1"))
+    assert desk.answer(command).result.answer is Answered.DONE
+    first.close()
+    second = make_vehicle()
+    desk.state(life=second.port.life)
+    again = desk.answer(command).result
+    assert (again.answer, again.reason, again.life) == (Answered.DONE, "done", second.port.life)
+    assert second.done == []
+    new = desk.answer(a_command(first, Launch(assignment="o2.1"), "c2")).result
+    assert new.answer is Answered.STALE
+
+
+def test_nobody_there_is_an_answer_too(net):
+    make_vehicle, make_desk = net
+    desk, vehicle = make_desk(), make_vehicle()
+    desk.state()
+    command = a_command(vehicle, Recall())
+    vehicle.close()
+    desk.until(alive(vehicle.port.life, False))
+    assert desk.answer(command).result is None
+
+
+def test_not_now_is_carried_out_when_asked_again(net):
+    make_vehicle, make_desk = net
+    desk, vehicle = make_desk(), make_vehicle()
+    desk.state()
+    command = a_command(vehicle, Launch(assignment="o1.1"))
+    vehicle.answer = Verdict(Answered.LATER, "planning")
+    assert desk.answer(command).result.answer is Answered.LATER
+    vehicle.answer = Verdict(Answered.DONE)
+    assert desk.answer(command).result.answer is Answered.DONE
+    assert len(vehicle.done) == 2
+
+
+def test_a_ground_that_was_away_hears_what_happened_meanwhile(net):
+    make_vehicle, make_desk = net
+    desk, vehicle = make_desk(), make_vehicle()
+    desk.state()
+    desk.fleet.close()
+    vehicle.port.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    back = make_desk()
+    back.state(last_seq=1)
+    back.fleet.ask_events("d1", 0, 2.0)
+    replay = back.until(lambda h: h if isinstance(h, EventsHeard) and h.replayed else None)
+    assert [e.outcome for e in replay.events] == ["SUC"]
+
+
+def test_two_companions_of_one_name_are_both_seen_and_say_so(net):
+    make_vehicle, make_desk = net
+    desk, one = make_desk(), make_vehicle()
+    two = make_vehicle(folder="impostor")
+    for life in (one.port.life, two.port.life):
+        desk.until(alive(life, True))
+    desk.until(
+        lambda h: (
+            h if isinstance(h, EventsHeard) and "another life of d1" in h.events[0].text else None
+        )
+    )
+
+
+def test_bytes_that_are_no_message_are_said_and_break_neither_end(net):
+    make_vehicle, make_desk = net
+    desk, vehicle = make_desk(), make_vehicle()
+    desk.state()
+    vehicle.port.link.publish_state(b'{"v": 9}')
+    said = desk.until(lambda h: h if isinstance(h, Nonsense) else None)
+    assert "version 9, expected 1" in said.reason
+    session = desk.fleet._session
+    replies = list(session.get(f"leeway/{FLEET}/vehicle/d1/command", payload=b"\xff" * 100))
+    assert b'"refused"' in replies[0].ok.payload.to_bytes()
+    assert desk.answer(a_command(vehicle, Recall())).result.answer is Answered.DONE
+
+
+def test_a_companion_without_a_network_waits_for_nobody(tmp_path):
+    nowhere = config_file(tmp_path / "v.json5", connect=free_port())
+    vehicle = Vehicle("d1", tmp_path / "d1", nowhere)
+    for n in range(50):
+        vehicle.port.tell(EventKind.SAID, f"words {n}")
+    assert vehicle.port.log.last_seq == 50
+    vehicle.close()
+
+
+def test_vehicles_hear_where_their_neighbours_are_and_nothing_of_themselves(tmp_path):
+    port = free_port()
+    one = Vehicle("d1", tmp_path / "1", config_file(tmp_path / "1.json5", listen=port))
+    two = Vehicle("d2", tmp_path / "2", config_file(tmp_path / "2.json5", connect=port))
+    place = TellPlace(1.8e9, 55.0, 8.0, 50.0, (1.0, 2.0, 0.0), aside=True)
+    heard: list[Any] = []
+    limit_s = monotonic_s() + PATIENCE_S
+    try:
+        while not heard and monotonic_s() < limit_s:
+            two.port.take(place)
+            one.woken.wait(0.05)
+            heard = one.port.neighbours(5.0)
+        first = heard[0]
+        assert (first.t_s, first.track.vehicle, first.track.vel_e_mps) == (5.0, "d2", 2.0)
+        assert two.port.neighbours(5.0) == []
+    finally:
+        one.close()
+        two.close()

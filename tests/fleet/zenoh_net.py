@@ -1,0 +1,82 @@
+"""zenoh on loopback for tests: explicit endpoints, no multicast, and vehicles that only answer."""
+
+import json
+import socket
+import threading
+from pathlib import Path
+from typing import Any
+
+from companion.adapters.files.params import read_airframe
+from companion.app.flight.fleet_port import FleetPort
+from companion.core.pilot.telemetry_state import Situation
+from companion.fleet.command_log import Verdict
+from companion.fleet.messages import Answered, Command
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.zenoh_link import ZenohLink, read_config
+
+FLEET = "harbour"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def config_file(
+    path: Path, *, listen: int | None = None, connect: int | None = None, **more: Any
+) -> Path:
+    """A peer that listens at, or calls, a port of loopback."""
+    table: dict[str, Any] = {
+        "mode": "peer",
+        "scouting": {"multicast": {"enabled": False}},
+        "listen": {"endpoints": [f"tcp/127.0.0.1:{listen or 0}"]},
+        "connect": {
+            "endpoints": [f"tcp/127.0.0.1:{connect}"] if connect else [],
+            "retry": {"period_init_ms": 50, "period_max_ms": 200},
+        },
+    }
+    path.write_text(json.dumps(table | more))
+    return path
+
+
+class Vehicle:
+    """A FleetPort in a thread of its own that carries every command out, and counts."""
+
+    def __init__(self, name: str, folder: Path, config: Path) -> None:
+        self.done: list[Command] = []
+        self.answer = Verdict(Answered.DONE, "done")
+        self.woken = threading.Event()
+        keys, loaded = VehicleKeys(FLEET, name), read_config(config)
+        self.port = FleetPort.open(
+            name,
+            "m100",
+            read_airframe("m100"),
+            folder,
+            lambda life: ZenohLink(loaded, keys, life, self.woken.set),
+        )
+        self.situation = Situation()
+        self.phase = "standby"
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self.port.turn(self._carry_out)
+            self.port.publish(self.phase, self.situation)
+            self.woken.wait(0.05)
+            self.woken.clear()
+
+    def _carry_out(self, command: Command) -> Verdict:
+        self.done.append(command)
+        return self.answer
+
+    def stop(self) -> None:
+        """End the thread; the port stays."""
+        self._stop.set()
+        self._thread.join()
+
+    def close(self) -> None:
+        self.stop()
+        self.port.close()

@@ -1,0 +1,315 @@
+"""The day's data: read whole, or refused with everything that is wrong at once."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from companion.core.base.geo import Ned
+from companion.core.mission.flight_file import Mission
+from companion.core.vehicle.airframe import Airframe
+from ground_station.adapters.files.day_files import DayData, read_day, read_orders
+from ground_station.app.cli.order import app as order_app
+from ground_station.core.feasibility.reach import CanBring, CannotBring, Reach
+from ground_station.core.schema.day import DataProblems, Drone, Forecast
+from ground_station.core.schema.orders import Service
+
+HARBOUR = Path(__file__).parents[2] / "params" / "days" / "harbour.toml"
+
+
+@pytest.fixture(scope="module")
+def harbour() -> DayData:
+    return read_day(HARBOUR)
+
+
+@pytest.fixture(scope="module")
+def m100(harbour: DayData) -> Airframe:
+    return harbour.airframes["m100"]
+
+
+def problems_of(path: Path) -> list[str]:
+    with pytest.raises(DataProblems) as caught:
+        read_orders(path, None) if path.suffix != ".toml" else read_day(path)
+    return [str(p).removeprefix(f"{path.parent}/") for p in caught.value.problems]
+
+
+def test_the_shipped_day_is_read_and_its_empty_heights_follow_the_terrain(harbour):
+    assert [order.id for order in harbour.orders] == [f"H-{n}" for n in range(101, 109)]
+    first, second = harbour.orders[0], harbour.orders[1]
+    # 0.01 degrees of longitude at 55.468 N on the WGS84 ellipsoid are 632 m: 3.16 m at 0.5 %.
+    assert first.alt_amsl_m == pytest.approx(12.0 + 0.005 * 632.0, abs=0.02)
+    assert (second.alt_amsl_m, second.service) == (11.0, Service.DRONE)
+    assert harbour.no_fly is not None
+    assert harbour.roads_s is None
+
+
+def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
+    path = tmp_path / "orders.csv"
+    path.write_text(
+        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg,service,note\n"
+        "a,95,8.0,3,0.5,any,\n"
+        "b,55.0,eight,3,0.5,ship,\n"
+        "\n"
+        'c,55.0,8.0,3,nan,any,"two\nlines"\n'
+        "d,55.0,8.0,,0.5,any,\n"
+        "e,55.0,8.0\n"
+        "f g,55.0,8.0,3,-1,any,\n"
+    )
+    assert problems_of(path) == [
+        "orders.csv, row 8: 3 cells, expected 7 as in the header",
+        "orders.csv, row 2, column lat_deg: '95': expected a number from -85 to 85",
+        "orders.csv, row 3, column lon_deg: 'eight': expected a number from -180 to 180",
+        "orders.csv, row 3, column service: 'ship': expected any, drone or truck",
+        "orders.csv, row 5, column mass_kg: 'nan': expected a number from 0 to 500",
+        "orders.csv, row 7, column alt_amsl_m: empty, and the day's depot states no terrain",
+        "orders.csv, row 9, column mass_kg: '-1': expected a number from 0 to 500",
+        "orders.csv, row 9, column id: 'f g': expected 1 to 40 letters, digits, '.', '_' or '-'",
+    ]
+
+
+def test_a_header_that_is_wrong_is_named_whole(tmp_path):
+    path = tmp_path / "orders.csv"
+    path.write_text("id,lat_deg,lat_deg,weight\na,1,2,3\n")
+    said = problems_of(path)
+    assert any("column weight: unknown column" in line for line in said)
+    assert any("column lon_deg: column missing" in line for line in said)
+    assert any("column mass_kg: column missing" in line for line in said)
+    assert any("column lat_deg: column more than once" in line for line in said)
+
+
+def test_duplicates_are_named_with_the_row_that_they_repeat(tmp_path):
+    path = tmp_path / "orders.csv"
+    path.write_text(
+        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg,note\n"
+        "a,55,8,3,0.5,\n"
+        "b,56,8,3,0.5,\n"
+        "a,57,8,3,0.5,\n"
+        "c,56,8,3,0.5,\n"
+        "d,56,8,3,0.5,second parcel\n"
+    )
+    said = problems_of(path)
+    assert len(said) == 2
+    assert said[0].startswith("orders.csv, row 4, column id: 'a' stands in")
+    assert said[0].endswith("row 2 already")
+    assert "row 5: the same parcel to the same place as" in said[1]
+
+
+@pytest.mark.parametrize(("apart_m", "named"), [(1.0, 60), (3.0, 0)])
+def test_the_same_parcel_within_two_metres_is_named_wherever_it_lies(tmp_path, apart_m, named):
+    rng, lines = np.random.default_rng(5), ["id,lat_deg,lon_deg,alt_amsl_m,mass_kg"]
+    for n in range(60):
+        lat, lon, turn = rng.uniform(-80, 80), rng.uniform(-180, 180), rng.uniform(0, 6.28)
+        # WGS84 at any latitude is within 0.7 % of a sphere of 6371 km
+        north, east = np.cos(turn) / 111_195.0, np.sin(turn) / 111_195.0 / np.cos(np.radians(lat))
+        for id_, along_m in ((f"a{n}", 0.0), (f"b{n}", apart_m)):
+            place = f"{lat + along_m * north:.9f},{lon + along_m * east:.9f}"
+            lines.append(f"{id_},{place},0,0.5")
+    path = tmp_path / "orders.csv"
+    path.write_text("\n".join(lines))
+    if named == 0:
+        assert len(read_orders(path, None)) == 120
+    else:
+        said = problems_of(path)
+        assert len(said) == named
+        assert all("the same parcel to the same place" in words for words in said)
+
+
+def test_geojson_points_are_orders_and_what_is_wrong_names_its_feature(tmp_path):
+    def point(coordinates: list[float], **properties: object) -> dict[str, object]:
+        geometry = {"type": "Point", "coordinates": coordinates}
+        return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+    path = tmp_path / "orders.geojson"
+    good = point([8.0, 55.0, 4.0], id="a", mass_kg=0.5, note="x")
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [good]}))
+    (order,) = read_orders(path, None)
+    assert (order.lat_deg, order.lon_deg, order.alt_amsl_m) == (55.0, 8.0, 4.0)
+    bad = [good, point([8.0, 55.0], id="b", mass_kg="heavy"), {"geometry": None}]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": bad}))
+    said = "\n".join(problems_of(path))
+    assert "row 2, column mass_kg: 'heavy'" in said
+    assert "row 3, column geometry: expected a Point" in said
+
+
+def test_a_day_names_the_problems_of_all_its_files(tmp_path):
+    (tmp_path / "orders.csv").write_text("id,lat_deg,lon_deg,alt_amsl_m,mass_kg\na,x,8,3,1\n")
+    (tmp_path / "roads.csv").write_text("from,depot,a\ndepot,0,-5\n")
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    text = text.replace("../sites/harbour.geojson", "nowhere.geojson")
+    text = text.replace('fleet = "harbour"', 'fleet = "harbour"\nroads = "roads.csv"')
+    (tmp_path / "day.toml").write_text(text.replace('"m100"', '"m999"', 1))
+    said = "\n".join(problems_of(tmp_path / "day.toml"))
+    for words in (
+        "orders.csv, row 2, column lat_deg: 'x'",
+        "nowhere.geojson: No such file",
+        "m999.toml: No such file",
+        "roads.csv, row 2, column a: '-5'",
+    ):
+        assert words in said
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("[truck]", "[lorry]"), "lorry"),
+        (("speed_mps = 8.0", "speed_mps = 0.0"), "truck.speed_mps"),
+        (('id = "d2"', 'id = "d1"'), "d1 more than once"),
+        (('id = "d2"', 'id = "D 2"'), "drones.id"),
+        (("max_loss = 0.01", "max_loss = 2.0"), "mission.max_loss"),
+        (('format = "day/1"', 'format = "day/2"'), "format"),
+    ],
+)
+def test_a_day_that_breaks_the_format_names_the_key(tmp_path, change, words):
+    (tmp_path / "day.toml").write_text(HARBOUR.read_text().replace(*change, 1))
+    assert words in "\n".join(problems_of(tmp_path / "day.toml"))
+
+
+def test_everything_wrong_in_a_day_itself_is_listed_at_once(tmp_path):
+    (tmp_path / "day.toml").write_text(
+        'format = "day/1"\nlorry = 1\norders = "o.csv"\n'
+        "[depot]\nlat_deg = 95.0\nlon_deg = 200.0\nalt_amsl_m = 1.0\n"
+        "[truck]\nspeed_mps = 0.0\ncapacity_kg = -1.0\n"
+        '[mission]\nmax_loss = "small"\nreserve_frac = 0.2\n'
+        '[[drones]]\nid = "d1"\n'
+        '[[drones]]\nid = "D 2"\nairframe = "m100"\ncharge_frac = 7.0\n'
+    )
+    said = "\n".join(problems_of(tmp_path / "day.toml"))
+    for words in (
+        "lorry: unknown key",
+        "orders: Expected `array`, got `str`",
+        "depot.lat_deg = 95.0: expected a number from -85 to 85",
+        "depot.lon_deg = 200.0: expected a number from -180 to 180",
+        "truck.speed_mps = 0.0",
+        "truck.capacity_kg = -1.0",
+        "mission.max_loss: Expected `float`, got `str`",
+        "drones[0].airframe: missing",
+        "drones.id",
+        "drones.D 2.charge_frac = 7.0",
+    ):
+        assert words in said
+    assert len(said.splitlines()) == 10
+
+
+def test_a_road_matrix_names_what_stands_in_it_twice_and_what_is_missing(tmp_path):
+    (tmp_path / "orders.csv").write_text(
+        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg\na,55,8,3,1\nb,55.1,8,3,1\n"
+    )
+    (tmp_path / "roads.csv").write_text(
+        "from,depot,a,a\ndepot,0,60,61\na,75,0,x\na,75,0,0\nz,1,1,1\n"
+    )
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    text = text.replace("no_fly =", "roads = 'roads.csv' #")
+    (tmp_path / "day.toml").write_text(text)
+    assert sorted(problems_of(tmp_path / "day.toml")) == [
+        "roads.csv, row 1, column a: column more than once",
+        "roads.csv, row 1, column b: column missing",
+        "roads.csv, row 3, column a: 'x': expected seconds, 0 or more",
+        "roads.csv, row 4: row a more than once",
+        "roads.csv, row 5: expected a name of the header and 3 numbers",
+        "roads.csv: row b missing",
+    ]
+
+
+def test_no_fly_areas_name_every_feature_that_is_wrong(tmp_path):
+    ring = [[8.0, 55.0], [8.1, 55.0], [8.1, 55.1], [8.0, 55.0]]
+    features = [
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring[:3]]},
+         "properties": {"height_m": 10}},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": None},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": {"height_m": 10}},
+        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
+         "properties": {"height_m": -3}},
+    ]  # fmt: skip
+    document = {"type": "FeatureCollection", "features": features}
+    (tmp_path / "areas.geojson").write_text(json.dumps(document))
+    text = HARBOUR.read_text().replace("../sites/harbour.geojson", "areas.geojson")
+    orders = HARBOUR.parent / "harbour_orders.csv"
+    (tmp_path / "day.toml").write_text(text.replace("harbour_orders.csv", str(orders)))
+    said = problems_of(tmp_path / "day.toml")
+    assert [words.partition(":")[0] for words in said] == [
+        f"areas.geojson, row {row}, column geometry" for row in (1, 2, 4)
+    ]
+
+
+def test_a_file_nested_without_end_is_refused_in_a_line(tmp_path):
+    path = tmp_path / "orders.geojson"
+    path.write_text("[" * 200_000)
+    (words,) = problems_of(path)
+    assert "nested too deeply" in words
+
+
+def test_taking_a_days_orders_lists_what_no_drone_can_bring_and_what_would_help(tmp_path):
+    orders = (HARBOUR.parent / "harbour_orders.csv").read_text()
+    (tmp_path / "orders.csv").write_text(orders + "H-900,55.60,8.45,12,0.5,drone,\n")
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    (tmp_path / "day.toml").write_text(text.replace("no_fly =", "# no_fly ="))
+    taking = ["import", str(tmp_path / "day.toml"), "--store", f"sqlite:///{tmp_path}/d.db"]
+    runner = CliRunner(env={"COLUMNS": "160"})
+    done = runner.invoke(order_app, taking)
+    assert done.exit_code == 0, done.output
+    assert "9 orders taken" in done.output
+    far, heavy = (next(x for x in done.output.splitlines() if n in x) for n in ("H-900", "H-105"))
+    assert "Wh short" in far
+    assert "within" in far
+    assert "the truck" in heavy
+    assert "H-101" not in done.output
+    again = runner.invoke(order_app, taking)
+    assert "0 orders taken, 9 known before" in again.output
+
+
+def test_a_road_matrix_gives_seconds_each_way(tmp_path):
+    (tmp_path / "orders.csv").write_text("id,lat_deg,lon_deg,alt_amsl_m,mass_kg\na,55,8,3,1\n")
+    (tmp_path / "roads.csv").write_text("from,depot,a\ndepot,0,60\na,75,0\n")
+    text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
+    text = text.replace("no_fly =", "roads = 'roads.csv' #")
+    (tmp_path / "day.toml").write_text(text)
+    roads = read_day(tmp_path / "day.toml").roads_s
+    assert roads is not None
+    assert (roads["depot", "a"], roads["a", "depot"]) == (60.0, 75.0)
+
+
+# --- reach ---------------------------------------------------------------------------------------
+
+
+def a_reach(m100: Airframe, charge: float = 1.0, **wind: float) -> Reach:
+    drone = Drone(id="d1", airframe="m100", charge_frac=charge)
+    return Reach(drone, m100, Mission(), Forecast(**wind))
+
+
+def at(north_m: float, east_m: float = 0.0) -> Ned:
+    return (north_m, east_m, 0.0)
+
+
+def test_reach_shrinks_with_wind_load_and_an_emptier_battery(m100):
+    def spare(reach: Reach, payload_kg: float = 0.5) -> float:
+        found = reach.can_bring(payload_kg, at(800.0))
+        assert isinstance(found, CanBring)
+        return found.spare_wh
+
+    calm = spare(a_reach(m100))
+    assert spare(a_reach(m100, speed_mps=7.0)) < calm
+    assert spare(a_reach(m100), payload_kg=1.0) < calm
+    assert spare(a_reach(m100, charge=0.8)) < calm
+
+
+def test_an_order_out_of_reach_says_what_would_make_it_possible(m100):
+    far = a_reach(m100).can_bring(0.5, at(20_000.0))
+    assert isinstance(far, CannotBring)
+    assert "Wh short" in far.why
+    radius_m = float(far.remedy.split("within ")[1].split(" m")[0])
+    stop = at(20_000.0 - radius_m + 1.0)
+    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), stop, stop), CanBring)
+    beyond = at(20_000.0 - radius_m - 50.0)
+    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), beyond, beyond), CannotBring)
+    heavy = a_reach(m100).can_bring(50.0, at(100.0))
+    assert isinstance(heavy, CannotBring)
+    assert "the truck" in heavy.remedy
+    low = a_reach(m100, charge=0.25).can_bring(0.5, at(1000.0))
+    assert isinstance(low, CannotBring)
+    assert low.remedy == "a full battery"
+    storm = a_reach(m100, speed_mps=35.0).can_bring(0.5, at(500.0))
+    assert isinstance(storm, CannotBring)

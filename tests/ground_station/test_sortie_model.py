@@ -1,0 +1,123 @@
+"""The planner's tables of sorties against `Reach`, and ways around obstacles against a graph."""
+
+import math
+from itertools import pairwise, product
+
+import msgspec
+import networkx as nx
+import numpy as np
+import pytest
+
+from companion.core.base.geo import Obstacle, ObstacleMap
+from companion.core.base.place import Place
+from companion.core.mission.flight_file import Mission
+from companion.core.mission.flight_plan import frame_at
+from companion.core.routing.waypoint_graph import SiteMap, build_graph
+from companion.core.vehicle.airframe import Airframe
+from ground_station.adapters.files.params import read_airframe
+from ground_station.core.feasibility.obstacle_routes import Price, Ways
+from ground_station.core.feasibility.reach import Reach
+from ground_station.core.feasibility.sortie_model import WindSorties
+from ground_station.core.schema.day import Drone, Forecast
+
+NOTHING = ObstacleMap((), 15.0, 8.0)
+
+
+@pytest.fixture(scope="module")
+def m100() -> Airframe:
+    return read_airframe("m100")
+
+
+def reach_of(airframe: Airframe, wind_mps: float, charge_frac: float) -> Reach:
+    drone = Drone(id="d1", airframe="m100", charge_frac=charge_frac)
+    forecast = Forecast(speed_mps=wind_mps, from_deg=215.0, std_mps=2.0)
+    return Reach(drone, airframe, Mission(max_loss=0.01), forecast)
+
+
+@pytest.mark.parametrize(("wind_mps", "charge_frac"), [(0.0, 1.0), (6.0, 0.8), (11.0, 1.0)])
+def test_what_the_tables_allow_reach_allows_at_the_same_wind_and_stops(m100, wind_mps, charge_frac):
+    rng = np.random.default_rng(int(wind_mps))
+    count = 7
+    ned_m = np.column_stack(
+        [rng.uniform(-2500.0, 2500.0, (count, 2)), rng.uniform(-15.0, 15.0, count)]
+    )
+    payload_kg = rng.uniform(0.0, 1.0, count)
+    height_m = rng.choice([40.0, 64.0, 100.0], count)
+    reach = reach_of(m100, wind_mps, charge_frac)
+    ways = Ways(NOTHING, ned_m[:, :2], 40.0)
+    legs = WindSorties(ned_m, payload_kg, height_m, [reach], ways).legs(0)
+    places = [tuple(row) for row in ned_m.tolist()]
+    allowed = agreed = 0
+    for i, j, k in product(range(count), repeat=3):
+        if j in (i, k):
+            continue
+        asked = (float(payload_kg[j]), places[i], places[j], places[k], float(height_m[j]))
+        truly = reach.affordable(*asked) is not None
+        table = legs.out_hover_s[i, j] + legs.back_hover_s[j, k] <= legs.endurance_hover_s
+        assert truly or not table, (i, j, k)
+        allowed += truly
+        agreed += table
+        need = reach.need(*asked)
+        if need.flyable:
+            # A mean of two courses half a degree apart, the slower of both.
+            assert legs.out_s[i, j] + legs.back_s[j, k] == pytest.approx(need.time_s, rel=0.02)
+    # Both verdicts occur. What the bound gives away is that a wind error which costs one way gains
+    # the other: up to a third of what Reach allows is refused near the edge of the reach.
+    assert 0 < allowed < count * (count - 1) ** 2
+    assert agreed >= 0.65 * allowed
+
+
+def test_more_deviation_of_the_power_model_or_the_pack_shortens_the_reach(m100):
+    change = msgspec.structs.replace
+    rotor = change(m100.power_rotor, model_std_frac=0.15)
+    pack = change(m100.battery, usable_std_frac=0.15)
+    ned_m = np.array([[0.0, 0.0, 0.0], [1500.0, 0.0, 0.0]])
+    spare_s = []
+    for airframe in (m100, change(m100, power_rotor=rotor), change(m100, battery=pack)):
+        reach = reach_of(airframe, 5.0, 1.0)
+        tables = WindSorties(
+            ned_m, np.zeros(2), np.full(2, 40.0), [reach], Ways(NOTHING, ned_m[:, :2], 40.0)
+        ).legs(0)
+        sortie_s = tables.out_hover_s[0, 1] + tables.back_hover_s[1, 0]
+        spare_s.append(tables.endurance_hover_s - sortie_s)
+    assert spare_s[1] < spare_s[0]
+    assert spare_s[2] < spare_s[0]
+
+
+def box(name: str, north: float, east: float, half_m: float, height_m: float) -> Obstacle:
+    corners = [(-1, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)]
+    ring = tuple((north + half_m * a, east + half_m * b) for a, b in corners)
+    return Obstacle(name, ring, height_m)
+
+
+def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
+    obstacles = ObstacleMap(
+        (box("a", 300.0, 0.0, 60.0, 90.0), box("b", 520.0, 90.0, 50.0, 90.0)), 15.0, 8.0
+    )
+    customer = (800.0, 60.0, 0.0)
+    ways = Ways(obstacles, np.array([[0.0, 0.0], customer[:2]]), 40.0)
+    assert ways.blocked[0, 1]
+    points = [(0.0, 0.0), *ways.via(0, 1), customer[:2]]
+    length_m = sum(math.dist(a, b) for a, b in pairwise(points))
+    frame = frame_at(Place(lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0))
+    graph = build_graph(SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0, 5000.0)
+    shortest_m = nx.shortest_path_length(
+        graph.to_networkx(), graph.depot, graph.customer, weight="length_m"
+    )
+    assert length_m == pytest.approx(shortest_m, abs=0.01)
+    assert length_m > math.dist(points[0], points[-1]) + 1.0
+
+
+def test_what_is_lower_than_the_flight_is_flown_over_and_what_is_built_in_has_no_way():
+    low = ObstacleMap((box("shed", 300.0, 0.0, 60.0, 20.0),), 15.0, 8.0)
+    places = np.array([[0.0, 0.0], [600.0, 0.0]])
+    assert not Ways(low, places, 40.0).blocked.any()
+    high = ObstacleMap((box("tower", 600.0, 0.0, 60.0, 90.0),), 15.0, 8.0)
+    ways = Ways(high, places, 40.0)
+    assert ways.buried.tolist() == [False, True]
+
+    def metres(a_ne_m, b_ne_m):
+        away_m = np.hypot(*np.moveaxis(b_ne_m[None] - a_ne_m[:, None], 2, 0))
+        return Price(away_m, away_m, away_m)
+
+    assert np.isinf(ways.priced(metres).wh[0, 1])

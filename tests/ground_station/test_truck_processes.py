@@ -1,0 +1,92 @@
+"""Desk and driver's terminal as the processes that people start, over real zenoh; desk killed."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from ground_station.adapters.files.plan_files import write_day_plan
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.core.schema.orders import OrderState
+from tests.fleet.zenoh_net import config_file, free_port
+from tests.ground_station.test_day_with_a_truck import PLAN, stop
+
+pytestmark = pytest.mark.timeout(240)
+
+HARBOUR = Path(__file__).parents[2] / "params" / "days" / "harbour.toml"
+PATIENCE_S = 120.0
+
+
+def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
+    with (folder / f"{arguments[0]}.out").open("a") as out:
+        return subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                "from ground_station.app.cli.main import main; main()",
+                *arguments,
+            ],
+            stdin=subprocess.PIPE if arguments[0] == "truck" else subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            cwd=folder,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            text=True,
+        )
+
+
+def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_home(tmp_path):
+    text = HARBOUR.read_text().replace('no_fly = "../sites/harbour.geojson"\n', "")
+    (tmp_path / "day.toml").write_text(text)
+    rows = "H-1,55.4702,8.4460,13.0,4.0\nH-2,55.4712,8.4460,13.0,5.0\n"
+    (tmp_path / "harbour_orders.csv").write_text("id,lat_deg,lon_deg,alt_amsl_m,mass_kg\n" + rows)
+    stops = [
+        stop("depot", 0.0, 0.0, 0.0),
+        stop("stop-1", 300.0, 60.0, 200.0, ("H-1", "H-2")),
+        stop("depot-end", 0.0, 300.0, 300.0),
+    ]
+    plan = msgspec.structs.replace(PLAN, stops=stops, sorties=[], makespan_s=300.0)
+    write_day_plan(tmp_path / "plan.json", plan)
+    port = free_port()
+    config_file(tmp_path / "desk.json5", listen=port)
+    config_file(tmp_path / "truck.json5", connect=port)
+    url = f"sqlite:///{tmp_path}/desk.db"
+    dispatch = (
+        "dispatch", "day.toml", "--plan=plan.json", f"--store={url}", "--zenoh=desk.json5",
+        "--until-done",
+    )  # fmt: skip
+    truck = start(tmp_path, "truck", "day.toml", "--zenoh=truck.json5")
+    desk = start(tmp_path, *dispatch)
+    store = Store(Database(url), lambda: 1)
+    day = DayStore(store.database, lambda: 1)
+    killed = False
+    try:
+        until_s = time.monotonic() + PATIENCE_S
+        while desk.poll() is None:
+            assert time.monotonic() < until_s, (tmp_path / "dispatch.out").read_text()[-3000:]
+            assert truck.stdin is not None
+            truck.stdin.write("\n")
+            truck.stdin.flush()
+            time.sleep(0.3)
+            if not killed and day.told() == "stop-1":
+                desk.kill()
+                desk.wait()
+                killed = True
+                desk = start(tmp_path, *dispatch)
+        assert killed
+        assert desk.returncode == 0, (tmp_path / "dispatch.out").read_text()[-3000:]
+        assert {row.state for row in store.orders()} == {OrderState.DELIVERED}
+        assert [visit.stop for visit in day.visits()] == ["depot", "stop-1", "depot-end"]
+    finally:
+        for process in (truck, desk):
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                process.stdin.close()
+        store.close()

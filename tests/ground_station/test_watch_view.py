@@ -1,0 +1,84 @@
+"""What a dispatcher sees of a day with a truck, on a terminal of 80 columns."""
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+from rich.console import Console
+
+from companion.fleet.messages import State
+from ground_station.app.cli.watch_view import DayShown, watch_view
+from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.orders import AssignmentState, Order, OrderRow, OrderState
+from ground_station.core.schema.sortie_rows import SortieRow
+from tests.ground_station.test_day_moves_home import STOPS, flight
+
+NOW_S = 100.0
+
+
+def seen() -> Picture:
+    """The truck at its depot, d1 outbound, d2 switched off; d3 launched and silent for 40 s."""
+    picture = Picture()
+    for name, heard_s, more in (
+        ("truck", NOW_S, {"airframe": "truck", "phase": "at_stop", "stop": "depot"}),
+        ("d1", NOW_S, {"phase": "outbound", "armed": True, "assignment": "O-d1.1",
+                       "margin_wh": 69.3, "p_home": 0.9987, "text": "gate open: going"}),
+        ("d3", NOW_S - 40.0, {"phase": "return", "armed": True, "assignment": "O-d3.1"}),
+    ):  # fmt: skip
+        fields: dict[str, Any] = {"airframe": "m100", "max_payload_kg": 1.0} | more
+        state = State(
+            vehicle=name, life=name, uptime_s=1.0, epoch_us=0, log=name, last_seq=0, **fields
+        )
+        picture.alive(name, name, up=True)
+        picture.hear(state, heard_s, 0)
+    return picture
+
+
+def shown(rows: list[SortieRow]) -> list[str]:
+    later = msgspec.structs.replace(flight("d2", "stop-1", 0.0, 700.0).sortie, launch_s=700.0)
+    plan = DayPlan(
+        format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0, makespan_s=1800.0,
+        stops=STOPS, sorties=[*(row.sortie for row in rows), later],
+    )  # fmt: skip
+    day = DayShown(plan, rows, 0, round(NOW_S * 1e6))
+    order = Order(id="O-d2", lat_deg=55.47, lon_deg=8.45, alt_amsl_m=12.0, mass_kg=0.5)
+    out = io.StringIO()
+    console = Console(width=80, file=out, color_system=None)
+    console.print(
+        watch_view(
+            seen(), [row.row for row in rows], [OrderRow(order, OrderState.OPEN, 0, "")], NOW_S, day
+        )
+    )
+    return out.getvalue().splitlines()
+
+
+def line_of(lines: list[str], name: str) -> str:
+    (line,) = (line for line in lines if line.startswith(f"{name} "))
+    return line
+
+
+def test_every_figure_of_a_flight_is_read_in_full():
+    line = line_of(shown([flight("d1", "stop-1", 60.0, 60.0)]), "d1")
+    assert line.split()[:6] == ["d1", "outbound", "O-d1", "stop-1", "69.3", "0.9987"]
+
+
+def test_a_drone_that_is_rightly_silent_is_no_alarm_and_one_in_the_air_is():
+    put_out = flight("d2", "depot", 0.0, 60.0)
+    waiting = replace(
+        put_out,
+        row=replace(put_out.row, state=AssignmentState.ORDERED),
+        placed=False,
+        launched_us=None,
+    )
+    lines = shown([flight("d3", "depot", 0.0, 0.0), waiting])
+    assert "to be put out" in line_of(lines, "d2")
+    assert [line for line in lines if line.startswith("LOOK")] == ["LOOK: d3: not heard for 40 s"]
+
+
+def test_it_says_why_the_truck_waits_and_what_comes_next():
+    lines = shown([flight("d1", "depot", 60.0, 60.0)])
+    waits = lines.index("the truck waits at depot for:")
+    assert lines[waits + 1] == "  d1 (O-d1.1) is promised this stop"
+    assert lines[waits + 2] == "next: 11:40  O-d2 by d2 from depot to stop-1"

@@ -1,0 +1,367 @@
+"""A truck and its drones as plain state machines on a bus in memory, for tests of the desk.
+
+The world knows what is true (who is where, who lands where) and keeps the rules: `wrong` lists
+every breach. It shares the commands' book and the truck's terminal with the product, nothing else.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from companion.fleet.command_log import CommandBook, Verdict
+from companion.fleet.messages import (
+    Answered,
+    Assign,
+    Command,
+    EventKind,
+    FleetEvent,
+    Launch,
+    MoveHome,
+    Result,
+    State,
+    Withdraw,
+)
+from ground_station.core.fleet.fleet_link import (
+    Alive,
+    CommandAnswered,
+    EventsHeard,
+    Heard,
+    StateHeard,
+)
+from ground_station.core.fleet.truck import TaskKind, Truck, confirmed, impossible, taken
+
+FULL_V = 25.2
+SWITCHED_ON_S, READY_S, TASK_S, DRIVE_S = 8.0, 20.0, 10.0, 90.0
+
+
+@dataclass
+class WorldClock:
+    t_s: float = 0.0
+    off_s: float = 0.0
+
+    def monotonic_s(self) -> float:
+        return self.t_s
+
+    def epoch_us(self) -> int:
+        return 1_000_000_000_000_000 + round((self.t_s + self.off_s) * 1e6)
+
+
+@dataclass
+class Member:
+    """Anybody on the bus: a book of commands, a log of events."""
+
+    name: str
+    clock: WorldClock
+    on: bool = True
+    book: CommandBook = field(default_factory=CommandBook)
+    events: list[FleetEvent] = field(default_factory=list)
+
+    def tell(self, kind: EventKind, text: str, **more: object) -> None:
+        self.events.append(
+            FleetEvent(
+                vehicle=self.name,
+                log=self.name,
+                seq=len(self.events) + 1,
+                epoch_us=self.clock.epoch_us(),
+                kind=kind,
+                text=text,
+                **more,
+            )
+        )
+
+    def answer(self, command: Command) -> Result:
+        verdict = self.book.look(command, self.name, self.clock.t_s)
+        if verdict is None:
+            self.book.begin(command)
+            verdict = self.carry_out(command)
+            self.book.end(command, verdict)
+        return Result(
+            id=command.id, vehicle=self.name, life=self.name, answer=verdict.answer,
+            reason=verdict.reason,
+        )  # fmt: skip
+
+    def carry_out(self, command: Command) -> Verdict:
+        raise NotImplementedError
+
+    def state(self) -> State:
+        raise NotImplementedError
+
+
+@dataclass
+class Drone(Member):
+    """On the truck (`on` False), on a pad, or in the air; `place`: (lat, lon) where it is."""
+
+    on: bool = False
+    place: tuple[float, float] = (0.0, 0.0)
+    flight: Assign | None = None
+    assigned_s: float = 0.0
+    launched_s: float | None = None
+    home: str | None = None
+    asked: tuple[str, float] | None = None
+    lost: bool = False
+    flies_s: float = 200.0
+    mood: str = "good"
+    loaded: bool = False
+    wind_ne_mps: tuple[float, float] | None = None
+
+    @property
+    def in_air(self) -> bool:
+        return self.launched_s is not None
+
+    def carry_out(self, command: Command) -> Verdict:
+        match command.deed:
+            case Assign() if self.flight is None:
+                if self.mood == "refuses":
+                    self.mood = "good"
+                    return Verdict(Answered.REFUSED, "the gate says stay")
+                self.flight, self.assigned_s = command.deed, self.clock.t_s
+                self.home = command.deed.flight["site"]["home"]
+            case Launch() if self.flight and self.flight.assignment == command.deed.assignment:
+                if self.clock.t_s - self.assigned_s < READY_S:
+                    return Verdict(Answered.LATER, "not ready")
+                self.launched_s = self.clock.t_s
+            case MoveHome() if self.in_air:
+                self.asked = (command.deed.home, self.clock.t_s + 3.0)
+            case Withdraw() if not self.in_air:
+                self.end("ABRT", False)
+            case _:
+                return Verdict(Answered.REFUSED, "not now")
+        return Verdict(Answered.DONE)
+
+    def end(self, outcome: str, delivered: bool, *, unproven: bool = False) -> None:
+        if self.flight is not None:
+            self.tell(
+                EventKind.OUTCOME, "down", assignment=self.flight.assignment,
+                order=self.flight.order, outcome=outcome, delivered=delivered,
+                home=outcome != "FAIL", drop_unproven=unproven or None,
+            )  # fmt: skip
+            self.book.close(self.flight.assignment)
+        self.flight = self.launched_s = self.home = self.asked = None
+
+    def state(self) -> State:
+        phase = "standby"
+        north, east = (self.in_air and self.wind_ne_mps) or (None, None)
+        if self.in_air:
+            phase = "outbound"
+        elif self.flight is not None:
+            ready = self.clock.t_s - self.assigned_s >= READY_S
+            phase = "ready" if ready else "checks"
+        return State(
+            vehicle=self.name, life=self.name, uptime_s=self.clock.t_s,
+            epoch_us=self.clock.epoch_us(), airframe="m100", max_payload_kg=1.0, phase=phase,
+            log=self.name, last_seq=len(self.events), armed=self.in_air, voltage_v=FULL_V,
+            assignment=self.flight.assignment if self.flight else None,
+            lat_deg=self.place[0], lon_deg=self.place[1],
+            height_rel_m=40.0 if self.in_air else 0.0, home=self.home,
+            wind_to_n_mps=north, wind_to_e_mps=east,
+        )  # fmt: skip
+
+
+@dataclass
+class Driver(Member):
+    """The truck with its driver: one thing at a time, each takes its time."""
+
+    truck: Truck = field(default_factory=lambda: Truck(stop="depot"))
+    begun_s: float | None = None
+    late_s: float = 0.0
+
+    def carry_out(self, command: Command) -> Verdict:
+        self.truck, verdict = taken(self.truck, command.deed)
+        return verdict
+
+    def state(self) -> State:
+        return State(
+            vehicle=self.name, life=self.name, uptime_s=self.clock.t_s,
+            epoch_us=self.clock.epoch_us(), airframe="truck", max_payload_kg=0.0,
+            phase=self.truck.phase, log=self.name, last_seq=len(self.events),
+            stop=self.truck.stop,
+        )  # fmt: skip
+
+
+class World:
+    """Everything that is true; a `Fleet` to the desk."""
+
+    def __init__(self, drones: list[str], rng: np.random.Generator, loss: float = 0.0) -> None:
+        self.clock = WorldClock(1.0)
+        self.rng, self.loss = rng, loss
+        self.drones = {name: Drone(name, self.clock) for name in drones}
+        self.driver = Driver("truck", self.clock)
+        self.on_truck = set(drones)
+        self.switch_on_s: dict[str, float] = {}
+        self.delivered: list[str] = []
+        self.flown: list[str] = []
+        self.wrong: list[str] = []
+        self.waiting: list[Heard] = []
+        self.told_seq: dict[str, int] = {}
+        self.quits: set[str] = set()
+        self.slow_s: dict[str, float] = {}
+
+    # --- Fleet ---------------------------------------------------------------------------------
+
+    def heard(self, wait_s: float) -> list[Heard]:
+        del wait_s
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def ask_states(self, wait_s: float) -> None:
+        del wait_s
+        self.waiting += [StateHeard(member.state()) for member in self.members()]
+
+    def join(self) -> None:
+        """A desk starts: it hears who is there, and nothing of before."""
+        self.waiting = [Alive(member.name, member.name, True) for member in self.members()]
+
+    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
+        del wait_s
+        member = next(m for m in self.everybody() if m.name == vehicle)
+        if member.on and not self.lost():
+            self.waiting.append(EventsHeard(vehicle, member.events[after:], replayed=True))
+
+    def send(self, command: Command, wait_s: float) -> None:
+        del wait_s
+        member = next(m for m in self.everybody() if m.name == command.vehicle)
+        result = None
+        if member.on and not self.lost():
+            before = self.driver.truck
+            answer = member.answer(command)
+            result = None if self.lost() else answer
+            if isinstance(command.deed, Launch) and answer.answer is Answered.DONE:
+                self.note_launch(command.vehicle)
+            if self.driver.truck.driving and not before.driving:
+                self.check_departure(before.stop)
+        self.waiting.append(CommandAnswered(command.id, result))
+
+    def close(self) -> None:
+        pass
+
+    def lost(self) -> bool:
+        return bool(self.rng.random() < self.loss)
+
+    # --- rules that the world keeps ------------------------------------------------------------
+
+    def note_launch(self, name: str) -> None:
+        drone = self.drones[name]
+        if drone.flight is None or drone.launched_s != self.clock.t_s:
+            return
+        order = drone.flight.order
+        if order in self.delivered:
+            self.wrong.append(f"{order} flown again")
+        if any(task.vehicle == name for task in self.driver.truck.tasks):
+            self.wrong.append(f"{name} launched while the driver is at it")
+        self.flown.append(drone.flight.assignment)
+        if self.driver.truck.driving:
+            self.wrong.append(f"{name} launched from a truck that has gone")
+
+    def check_departure(self, stop: str) -> None:
+        for drone in self.drones.values():
+            if drone.lost:
+                continue
+            if drone.in_air and stop in (drone.home, drone.asked and drone.asked[0]):
+                self.wrong.append(f"the truck leaves {stop}, promised to {drone.name}")
+            if not drone.in_air and drone.name not in self.on_truck:
+                self.wrong.append(f"the truck leaves {drone.name} behind at {stop}")
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def everybody(self) -> list[Member]:
+        return [self.driver, *self.drones.values()]
+
+    def members(self) -> list[Member]:
+        return [m for m in self.everybody() if m.on]
+
+    def step(self) -> None:
+        """A second passes."""
+        self.clock.t_s += 1.0
+        for drone in self.drones.values():
+            self.fly(drone)
+        self.drive()
+        for member in self.members():
+            if isinstance(member, Drone) and member.mood == "unheard":
+                continue
+            if not self.lost():
+                self.waiting.append(StateHeard(member.state()))
+            seq = self.told_seq.get(member.name, 0)
+            if seq < len(member.events):
+                self.told_seq[member.name] = len(member.events)
+                if not self.lost():
+                    self.waiting.append(EventsHeard(member.name, member.events[seq:]))
+
+    def fly(self, drone: Drone) -> None:
+        t_s = self.clock.t_s
+        if self.switch_on_s.get(drone.name, math.inf) <= t_s:
+            del self.switch_on_s[drone.name]
+            drone.on = True
+            self.waiting.append(Alive(drone.name, drone.name, True))
+        if drone.asked is not None and drone.asked[1] <= t_s:
+            drone.home, drone.asked = drone.asked[0], None
+        if drone.launched_s is None or drone.flight is None:
+            return
+        up_s = t_s - drone.launched_s
+        drone.place = (56.0, 9.0)
+        if drone.mood == "lost" and up_s > drone.flies_s / 2.0:
+            drone.lost, drone.on = True, False
+            drone.launched_s = None
+            self.waiting.append(Alive(drone.name, drone.name, False))
+        elif up_s >= drone.flies_s:
+            self.land(drone, drone.flight)
+
+    def land(self, drone: Drone, flight: Assign) -> None:
+        stops = {stop["name"]: stop for stop in flight.flight["site"]["stops"]}
+        pad = stops[drone.home or ""]
+        drone.place = (pad["lat_deg"], pad["lon_deg"])
+        kept = drone.mood in ("turns", "holds on")
+        unproven = drone.mood in ("holds on", "drops unseen")
+        drone.mood, drone.loaded = "good", kept
+        if not kept:
+            if flight.order in self.delivered:
+                self.wrong.append(f"{flight.order} delivered twice")
+            self.delivered.append(flight.order)
+        seen = not (kept or unproven)
+        drone.end("SUC" if seen else "ABRT", seen, unproven=unproven)
+
+    def drive(self) -> None:
+        driver, t_s = self.driver, self.clock.t_s
+        if not driver.truck.tasks:
+            driver.begun_s = None
+            return
+        if driver.begun_s is None:
+            driver.begun_s = t_s
+        task = driver.truck.tasks[0]
+        takes_s = self.slow_s.get(task.order or task.vehicle or "", TASK_S)
+        if task.kind is TaskKind.ARRIVE:
+            takes_s = DRIVE_S + driver.late_s
+        if t_s - driver.begun_s < takes_s:
+            return
+        driver.begun_s = None
+        if task.kind is TaskKind.ARRIVE:
+            driver.late_s = 0.0
+        drone = self.drones.get(task.vehicle or "")
+        if task.kind is TaskKind.RECOVER and drone is not None and drone.in_air:
+            self.wrong.append(f"the driver is told to take {drone.name} aboard from the air")
+        if task.kind is TaskKind.SERVE and task.order in self.quits:
+            self.end_task(impossible(driver.truck, task, "nobody at home"))
+            return
+        if task.kind is TaskKind.SERVE:
+            if task.order in self.delivered:
+                self.wrong.append(f"{task.order} delivered twice")
+            self.delivered.append(task.order or "")
+        gone = drone is None or not drone.loaded if task.parcel else None
+        self.end_task(confirmed(driver.truck, task, gone=gone))
+        if task.kind is TaskKind.PUT_OUT and drone is not None:
+            self.on_truck.discard(drone.name)
+            drone.place = (task.lat_deg or 0.0, task.lon_deg or 0.0)
+            self.switch_on_s[drone.name] = t_s + SWITCHED_ON_S
+        if task.kind is TaskKind.RECOVER and drone is not None:
+            self.on_truck.add(drone.name)
+            self.switch_on_s.pop(drone.name, None)
+            drone.end("ABRT", False)
+            drone.on = False
+            self.waiting.append(Alive(drone.name, drone.name, False))
+
+    def end_task(self, after: tuple[Truck, object]) -> None:
+        self.driver.truck, told = after
+        fields = msgspec.structs.asdict(told)  # type: ignore[arg-type]
+        kind, text = fields.pop("kind"), fields.pop("text")
+        self.driver.tell(kind, text, **fields)

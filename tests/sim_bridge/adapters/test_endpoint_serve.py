@@ -1,0 +1,114 @@
+"""The host of served vehicles, over real sockets, without anybody's ground station."""
+
+import socket
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from sim_bridge.app.serve.server import Host, Served, stand_up
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
+from sim_bridge.autopilot.mavlink.parameters import read_parameters
+from sim_bridge.truth.params import load_airframe
+
+PARAMS = Path(__file__).parents[3] / "params"
+WAIT_S = 5.0
+SPEEDUP = 20.0
+
+
+def stood(flavour: Flavour, system_id: int = 1) -> Served:
+    parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
+    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
+    return stand_up(flavour, airframe, parameters, system_id=system_id)
+
+
+def address(url: str) -> tuple[str, int]:
+    return "127.0.0.1", int(url.rsplit(":", 1)[1])
+
+
+class Client:
+    """A MAVLink client on a connected socket."""
+
+    def __init__(self, sock: socket.socket, component: int) -> None:
+        self._socket = sock
+        self._encoder = Encoder(1, component)
+        self._decoder = Decoder(stream=True)
+        sock.settimeout(WAIT_S)
+
+    def beat(self) -> None:
+        self.send("HEARTBEAT", type=18, autopilot=8, base_mode=0, custom_mode=0, system_status=4)
+
+    def send(self, name: str, **fields: object) -> None:
+        self._socket.send(self._encoder.encode(Message(name, **fields)))
+
+    def hear(self, name: str, component: int = 1) -> Message:
+        deadline_s = time.monotonic() + WAIT_S
+        while time.monotonic() < deadline_s:
+            for message in self._decoder.feed(self._socket.recv(65536)):
+                if message.msg_name == name and message.src_component == component:
+                    return message
+        raise AssertionError(f"no {name} from component {component}")
+
+
+def udp(url: str) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.connect(address(url))
+    return made
+
+
+@pytest.mark.parametrize("flavour", Flavour)
+def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
+    flavour: Flavour,
+) -> None:
+    with Host(SPEEDUP) as host:
+        onboard, gcs = host.add(stood(flavour), onboard=["udpin::0"], gcs=["tcpin::0"])
+        with (
+            host.running(),
+            closing(udp(onboard)) as udp_socket,
+            closing(socket.create_connection(address(gcs), timeout=WAIT_S)) as tcp_socket,
+        ):
+            companion, station = Client(udp_socket, 191), Client(tcp_socket, 190)
+            companion.beat()
+            station.beat()
+            assert companion.hear("HEARTBEAT").autopilot in (3, 12)
+            assert station.hear("HEARTBEAT").autopilot in (3, 12)
+            station.send("PING", time_usec=7, seq=7, target_system=1, target_component=191)
+            assert companion.hear("PING", component=190).seq == 7
+
+
+def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
+    with Host(SPEEDUP) as host:
+        urls = [
+            host.add(stood(flavour, system), onboard=["udpin::0"])[0]
+            for system, flavour in ((1, Flavour.PX4), (2, Flavour.ARDUPILOT))
+        ]
+        with host.running():
+            for system, url in enumerate(urls, 1):
+                with closing(udp(url)) as client_socket:
+                    client = Client(client_socket, 191)
+                    client.beat()
+                    assert client.hear("HEARTBEAT").src_system == system
+
+
+def test_simulated_time_runs_no_faster_than_the_speed_up() -> None:
+    with Host(SPEEDUP) as host:
+        host.add(stood(Flavour.PX4), onboard=["udpin::0"])
+        start_s = time.monotonic()
+        while host.t_s < 10.0:
+            host.turn()
+        assert time.monotonic() - start_s >= 0.99 * 10.0 / SPEEDUP - 0.01  # the first turn is free
+
+
+def test_what_goes_wrong_in_the_serving_thread_is_not_lost() -> None:
+    served = stood(Flavour.PX4)
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("out of cheese")
+
+    served.autopilot.step = broken  # type: ignore[method-assign]
+    with Host(SPEEDUP) as host:
+        host.add(served)
+        with pytest.raises(RuntimeError, match="out of cheese"), host.running():
+            time.sleep(0.1)

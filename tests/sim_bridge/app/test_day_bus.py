@@ -1,0 +1,109 @@
+"""The fleet's network in one process behaves as zenoh does where the desk can tell."""
+
+import numpy as np
+
+from companion.fleet.messages import (
+    Answered,
+    Command,
+    Recall,
+    Result,
+    State,
+    encode,
+)
+from companion.fleet.network import Ask
+from ground_station.core.fleet.fleet_link import Alive, CommandAnswered, Nonsense, StateHeard
+from sim_bridge.app.day.bus import Bus, BusLink
+
+RECALL = Command(id="c1", vehicle="d1", life="l1", as_of_s=0.0, by="desk", deed=Recall())
+
+
+def bus(loss: float = 0.0) -> Bus:
+    return Bus(np.random.default_rng(1), loss)
+
+
+def state(vehicle: str = "d1") -> bytes:
+    told = State(
+        vehicle=vehicle, life="l1", uptime_s=1.0, epoch_us=0, airframe="m100",
+        max_payload_kg=1.0, phase="standby", log="a", last_seq=0,
+    )  # fmt: skip
+    return encode(told)
+
+
+def answer(link: BusLink) -> None:
+    result = encode(Result(id="c1", vehicle="d1", life="l1", answer=Answered.DONE))
+    for asked in link.asked():
+        assert asked.ask is Ask.COMMAND
+        asked.answer([result])
+        asked.answer([result])
+
+
+def test_a_desk_that_joins_late_sees_who_lives_and_gets_the_newest_states_on_asking():
+    net = bus()
+    net.join("d1", "l1").publish_state(state())
+    desk = net.desk()
+    net.deliver(1.0)
+    assert desk.heard(0.0) == [Alive("d1", "l1", up=True)]
+    desk.ask_states(5.0)
+    net.deliver(2.0)
+    (heard,) = desk.heard(0.0)
+    assert isinstance(heard, StateHeard)
+
+
+def test_a_command_is_answered_once_though_the_vehicle_answers_twice():
+    net = bus()
+    link, desk = net.join("d1", "l1"), net.desk()
+    desk.send(RECALL, 5.0)
+    net.deliver(1.0)
+    answer(link)
+    net.deliver(20.0)
+    answers = [h for h in desk.heard(0.0) if isinstance(h, CommandAnswered)]
+    assert [h.result is not None for h in answers] == [True]
+
+
+def test_a_command_to_nobody_is_visibly_not_answered_in_its_time():
+    net = bus()
+    desk = net.desk()
+    desk.send(RECALL, 5.0)
+    net.deliver(4.9)
+    assert desk.heard(0.0) == []
+    net.deliver(5.1)
+    assert desk.heard(0.0) == [CommandAnswered("c1", None)]
+
+
+def test_a_killed_member_is_seen_to_go_and_its_second_life_is_a_twin_to_none():
+    net = bus()
+    desk, link = net.desk(), net.join("d1", "l1")
+    link.close()
+    second = net.join("d1", "l2")
+    net.deliver(1.0)
+    lives = [(h.life, h.up) for h in desk.heard(0.0) if isinstance(h, Alive)]
+    assert lives == [("l1", True), ("l1", False), ("l2", True)]
+    assert second.asked() == []
+
+
+def test_two_lives_at_once_hear_of_each_other():
+    net = bus()
+    one, two = net.join("d1", "l1"), net.join("d1", "l2")
+    net.deliver(1.0)
+    assert [a.ask for a in one.asked()] == [a.ask for a in two.asked()] == [Ask.TWIN]
+
+
+def test_who_speaks_for_another_is_not_believed():
+    net = bus()
+    desk = net.desk()
+    net.join("d1", "l1").publish_state(state("d2"))
+    net.deliver(1.0)
+    assert any(isinstance(h, Nonsense) for h in desk.heard(0.0))
+    assert not any(isinstance(h, StateHeard) for h in desk.heard(0.0))
+
+
+def test_of_many_messages_the_stated_share_is_lost():
+    """Binomial: 2000 messages at 0.2 lose 400 with a standard deviation of 18."""
+    net = bus(0.2)
+    desk, link = net.desk(), net.join("d1", "l1")
+    for _ in range(2000):
+        link.publish_state(state())
+    net.deliver(1.0)
+    arrived = sum(isinstance(h, StateHeard) for h in desk.heard(0.0))
+    assert arrived == 2000 - net.lost
+    assert abs(net.lost - 400) < 4 * 18

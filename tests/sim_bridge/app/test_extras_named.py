@@ -1,0 +1,33 @@
+"""Commands that need what the plain install lacks say which extra has it, in one line."""
+
+import sys
+
+import pytest
+
+from sim_bridge.app.cli import main as cli
+
+
+@pytest.mark.parametrize(
+    ("lacking", "command", "extra"),
+    [
+        ("torch", ["train-avoid", "--steps", "1"], "leeway[train]"),
+        ("torchrl", ["train-compare", "--steps", "100"], "leeway[compare]"),
+        ("torch", ["train-compare", "--steps", "100"], "leeway[compare]"),
+        ("pyrvo", ["avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"], "[train]"),
+    ],
+)
+def test_a_missing_library_is_named_with_its_extra(
+    lacking, command, extra, tmp_path, monkeypatch, capsys
+):
+    for loaded in [m for m in sys.modules if m.startswith("sim_bridge.research.avoidance.maddpg")]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, lacking, None)  # as if it were not installed
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["sim-bridge", *command])
+    with pytest.raises(SystemExit) as ended:
+        cli._run()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1
+    assert extra in said
+    assert list(tmp_path.iterdir()) == []

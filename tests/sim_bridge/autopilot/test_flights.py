@@ -1,0 +1,354 @@
+"""Whole flights in both flavours: a mission, and the dead man's mission of ARCHITECTURE.md."""
+
+import math
+
+import pytest
+
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.flight.modes import Mode
+
+AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+SETTINGS = {
+    AP: {"AUTO_OPTIONS": 3, "GRIP_ENABLE": 1},
+    PX4: {},
+}
+TAKEOFF, WAYPOINT, LOITER_TIME, LAND, JUMP, SPEED, DELAY, GRIPPER = (
+    22,
+    16,
+    19,
+    21,
+    177,
+    178,
+    93,
+    211,
+)
+
+
+def begin(rig, items):
+    """Upload and start, the way that each autopilot starts a mission on the ground."""
+    rig.step(0.2)
+    assert rig.upload(items) == 0
+    assert rig.set_mode(Mode.AUTO) == 0
+    assert rig.command(400, 1) == 0
+
+
+def fly_on(rig, limit_s=400.0, watch=lambda: None):
+    """Until disarmed, or the limit."""
+    for _ in range(round(limit_s / 0.5)):
+        rig.step(0.5)
+        watch()
+        if not rig.ap.is_armed:
+            return
+    raise AssertionError(f"still armed: {rig.ap.mode} item {rig.ap.executor.index} {rig.ne_m}")
+
+
+@BOTH
+def test_a_mission_from_takeoff_to_landing_with_a_jump(make_rig, flavour):
+    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
+    shift = 1.0 if flavour is AP else 0.0
+    begin(
+        rig,
+        [
+            rig.place(TAKEOFF, 0, 0, 15),
+            {"command": SPEED, "frame": 2, "param1": 1.0, "param2": 7.0},
+            rig.place(WAYPOINT, 50, 0, 15),
+            rig.place(WAYPOINT, 50, 50, 15),
+            {"command": JUMP, "frame": 2, "param1": 2.0 + shift, "param2": 1.0},
+            rig.place(WAYPOINT, 0, 50, 20),
+            {"command": GRIPPER, "frame": 2, "param1": 1.0},
+            {"command": DELAY, "frame": 2, "param1": 2.0},
+            rig.place(LAND, 0, 0, 0),
+        ],
+    )
+    fly_on(rig)
+    truth = rig.vehicle.truth
+    assert math.hypot(*rig.ne_m) < 3.0
+    assert not truth.motors_failed
+    assert not truth.parcel_aboard
+    seqs = list(dict.fromkeys(m.seq for m in rig.all("MISSION_ITEM_REACHED")))
+    corners = [2 + int(shift), 3 + int(shift), 5 + int(shift)]
+    assert [seq for seq in seqs if seq in corners] == corners
+    second = [m.seq for m in rig.all("MISSION_ITEM_REACHED") if m.seq == 3 + int(shift)]
+    assert len(second) >= 2
+
+
+class DeadMan:
+    """The layout of ARCHITECTURE.md, "The mission aboard": item numbers as uploaded.
+
+    Two outbound waypoints at 60 and 120 m east, the customer at 180 m, back by a lane 40 m north.
+    """
+
+    def __init__(self, rig, flavour, *, goes_on=False):
+        shift = 1.0 if flavour is AP else 0.0
+        home = {"command": SPEED, "frame": 2, "param1": 1.0, "param2": 6.0}
+
+        def jump(to):
+            return {"command": JUMP, "frame": 2, "param1": to + shift, "param2": 100.0}
+
+        ret = 15
+        # a LAND that another item with a place could follow is led to the end, an item without
+        self.items = [
+            rig.place(TAKEOFF, 0, 0, 15),  # 0
+            rig.place(LOITER_TIME, 0, 0, 15, param1=3.0),  # 1
+            home,  # 2
+            jump(ret + 3),  # 3: nobody says go
+            rig.place(WAYPOINT, 0, 60, 15),  # 4: out 0
+            home,  # 5
+            jump(ret + 2),  # 6
+            rig.place(WAYPOINT, 0, 120, 15),  # 7: out 1
+            home,  # 8
+            jump(ret + 1),  # 9
+            rig.place(WAYPOINT, 0, 180, 15),  # 10: target at cruise height
+            home,  # 11
+            jump(ret),  # 12
+            rig.place(WAYPOINT, 0, 180, 6, param1=1.0),  # 13: drop height
+            {"command": GRIPPER, "frame": 2, "param1": 1.0},  # 14
+            rig.place(WAYPOINT, 0, 180, 15),  # 15: ret 0, climb-out
+            rig.place(WAYPOINT, 40, 120, 15),  # 16: ret 1
+            rig.place(WAYPOINT, 40, 60, 15),  # 17: ret 2
+            rig.place(WAYPOINT, 0, 0, 15),  # 18: over the depot
+            rig.place(LAND, 0, 0, 0),  # 19
+            home if goes_on else jump(23),  # 20
+            rig.place(WAYPOINT, 40, 120, 15),  # 21: rally
+            rig.place(LAND, 40, 120, 0),  # 22
+            home,  # 23: the end
+        ]
+        self.first = int(shift)
+
+    def go(self, rig, to):
+        """What a companion that is alive does: jump onward."""
+        if rig.flavour is AP:
+            assert rig.command(224, to + self.first) == 0
+        else:
+            rig.send("MISSION_SET_CURRENT", seq=to)
+        assert rig.ap.executor.index == to + self.first
+
+    def at(self, rig):
+        return rig.ap.executor.index - self.first
+
+
+def farthest(rig):
+    seen = [0.0]
+
+    def watch():
+        seen[0] = max(seen[0], rig.ne_m[1])
+
+    return seen, watch
+
+
+@BOTH
+def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, flavour):
+    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
+    mission = DeadMan(rig, flavour)
+    begin(rig, mission.items)
+    seen, watch = farthest(rig)
+    fly_on(rig, 200.0, watch)
+    assert math.hypot(*rig.ne_m) < 3.0
+    assert seen[0] < 5.0
+    assert rig.vehicle.truth.parcel_aboard
+
+
+@BOTH
+def test_a_dead_mans_mission_turns_home_after_the_last_waypoint_that_was_allowed(make_rig, flavour):
+    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
+    mission = DeadMan(rig, flavour)
+    begin(rig, mission.items)
+    assert rig.until(lambda: mission.at(rig) == 1, 60.0)
+    mission.go(rig, 4)
+    seen, watch = farthest(rig)
+    fly_on(rig, 300.0, watch)
+    assert 50.0 < seen[0] < 70.0
+    assert math.hypot(*rig.ne_m) < 3.0
+    assert rig.vehicle.truth.parcel_aboard
+
+
+@BOTH
+def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_rig, flavour):
+    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
+    mission = DeadMan(rig, flavour)
+    begin(rig, mission.items)
+    assert rig.until(lambda: mission.at(rig) == 1, 60.0)
+    mission.go(rig, 4)
+    slowest = []
+    for at, to, onward_m in ((4, 7, 45.0), (7, 10, 105.0)):
+        assert rig.until(lambda e=onward_m: rig.ne_m[1] > e, 60.0)
+        assert mission.at(rig) == at
+        mission.go(rig, to)
+        for _ in range(40):
+            rig.step(0.1)
+            slowest.append(rig.speed_mps)
+    # straight ahead: PX4 flies on at 5 m/s, ArduCopter brakes to 0.29 of its 10 m/s, or of less
+    assert min(slowest) > (4.5 if flavour is PX4 else 1.5)
+    assert rig.until(lambda: rig.ne_m[1] > 172.0, 60.0)
+    mission.go(rig, 13)
+    fly_on(rig, 300.0)
+    assert not rig.vehicle.truth.parcel_aboard
+    assert math.hypot(*rig.ne_m) < 3.0
+
+
+@BOTH
+def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, flavour):
+    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
+    mission = DeadMan(rig, flavour)
+    begin(rig, mission.items)
+    assert rig.until(lambda: mission.at(rig) == 1, 60.0)
+    mission.go(rig, 7)
+    assert rig.until(lambda: rig.ne_m[1] > 80.0, 60.0)
+    mission.go(rig, 17)
+    seen, watch = farthest(rig)
+    fly_on(rig, 300.0, watch)
+    assert seen[0] < 115.0  # 80 m and the way that 10 m/s take to turn round
+    assert math.hypot(*rig.ne_m) < 3.0
+
+
+def watched(rig, step_s=0.1, limit_s=120.0):
+    """Fly on; times of landed, of the next lift-off or of disarming, whichever is first."""
+    assert rig.until(lambda: not rig.ap.is_landed, limit_s)
+    while not rig.ap.is_landed:
+        rig.step(step_s)
+    landed_s = rig.ap.t_s
+    while rig.ap.is_armed and rig.ap.is_landed and rig.ap.t_s - landed_s < 20.0:
+        rig.step(step_s)
+    return landed_s, rig.ap.t_s
+
+
+def test_px4_takes_off_again_after_a_landing_that_the_mission_goes_on_from(make_rig):
+    # flown on PX4 1.18 SIH: no disarming, off the ground again 0.9 s after it has landed
+    rig = make_rig(PX4, SETTINGS[PX4], payload_kg=0.5)
+    mission = DeadMan(rig, PX4, goes_on=True)
+    begin(rig, mission.items)
+    landed_s, off_s = watched(rig, 0.02)
+    assert mission.at(rig) == 21
+    assert rig.ap.is_armed
+    assert off_s - landed_s == pytest.approx(0.9, abs=0.25)
+    rig.step(4.0)
+    assert rig.height_m > 2.0
+
+
+@BOTH
+def test_the_last_landing_disarms_at_once(make_rig, flavour):
+    # flown: ArduCopter 0.4 s after landed; PX4 0.1 s, and 0.02 to 0.04 s in its own log
+    rig = make_rig(flavour, SETTINGS[flavour])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(LAND, 0, 0, 0)])
+    landed_s, disarmed_s = watched(rig, 0.02)
+    assert not rig.ap.is_armed
+    assert disarmed_s - landed_s == pytest.approx(0.1 if flavour is PX4 else 0.4, abs=0.11)
+
+
+def test_px4_goes_round_a_landing_that_jumps_back_to_itself_and_stays_armed(make_rig):
+    # flown on PX4 1.18 SIH: about 20 jumps a second until the repeats are used up, then on
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(
+        rig,
+        [
+            rig.place(TAKEOFF, 0, 0, 5),
+            rig.place(LAND, 0, 0, 0),
+            {"command": JUMP, "frame": 2, "param1": 1.0, "param2": 100.0},
+            rig.place(WAYPOINT, 0, 0, 6),
+        ],
+    )
+    rig.DT_S = 0.01
+    landed_s, off_s = watched(rig, 0.01)
+    assert rig.ap.executor.plan.jumps_done[2] == 100
+    assert off_s - landed_s == pytest.approx(100 / 20.0 + 0.9, abs=0.4)
+    assert rig.ap.is_armed
+    assert rig.until(lambda: rig.height_m > 5.0, 30.0)
+
+
+def test_px4_never_disarms_at_a_landing_that_it_may_not_go_on_from(make_rig):
+    # mission_base.cpp, on_active: without autocontinue the mission is never finished
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(LAND, 0, 0, 0, autocontinue=0)])
+    landed_s, later_s = watched(rig)
+    assert later_s - landed_s == pytest.approx(20.0, abs=0.2)
+    assert rig.ap.is_armed
+    assert rig.ap.is_landed
+
+
+def test_px4_that_was_in_another_mode_waits_its_two_seconds_before_it_disarms(make_rig):
+    # Commander.cpp, handleAutoDisarm: COM_DISARM_LAND, its clock started anew in that mode's flight
+    rig = make_rig(PX4, SETTINGS[PX4])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 8), rig.place(LAND, 0, 0, 0)])
+    assert rig.until(lambda: rig.height_m > 4.0, 30.0)
+    rig.set_mode(Mode.HOLD)
+    rig.step(1.0)
+    rig.set_mode(Mode.AUTO)
+    landed_s, disarmed_s = watched(rig)
+    assert not rig.ap.is_armed
+    assert disarmed_s - landed_s == pytest.approx(2.0, abs=0.3)
+
+
+def test_ardupilot_stays_down_after_landing_whatever_follows(make_rig):
+    # mode_auto.cpp, verify_land: landing disarms, disarming resets the mission
+    rig = make_rig(AP, SETTINGS[AP], payload_kg=0.5)
+    mission = DeadMan(rig, AP, goes_on=True)
+    begin(rig, mission.items)
+    fly_on(rig, 200.0)
+    rig.step(5.0)
+    assert rig.height_m < 0.2
+
+
+@BOTH
+def test_headwind_near_the_limit_saturates_the_tilt_and_slows_the_flight(make_rig, flavour):
+    rig = make_rig(flavour, {**SETTINGS[flavour]}, wind_to_ne_mps=(-14.0, 0.0))
+    rig.ap.params.set(*(("ANGLE_MAX", 1500) if flavour is AP else ("MPC_TILTMAX_AIR", 15.0)))
+    rig.take_off(10.0)
+    rig.upload([rig.place(WAYPOINT, 300, 0, 10), rig.place(WAYPOINT, 400, 0, 10)])
+    rig.set_mode(Mode.AUTO)
+    rig.step(20.0)
+    assert rig.vehicle.truth.vel_ned_mps[0] < 0.75 * rig.ap.cruise_mps()
+
+
+def test_set_points_in_a_mission_end_by_themselves_as_arducopters_do(make_rig):
+    """ArduCopter 4.7-dev, its own SITL: entered by a jump at speed it stays in AUTO and obeys; ten
+    seconds (DO_GUIDED_LIMITS) after it was last sent there the mission goes on at what follows;
+    set-points at another item change nothing."""
+    rig = make_rig(AP, SETTINGS[AP], payload_kg=0.0)
+    begin(
+        rig,
+        [
+            rig.place(TAKEOFF, 0, 0, 15),
+            rig.place(WAYPOINT, 200, 0, 15),
+            {"command": 222, "frame": 2, "param1": 10.0},
+            {"command": 92, "frame": 2, "param1": 1.0},
+            {"command": JUMP, "frame": 2, "param1": 2.0, "param2": 9.0},
+            rig.place(LAND, 0, 0, 0),
+        ],
+    )
+    ap = rig.ap
+    assert rig.until(lambda: ap.executor.index == 2 and rig.ne_m[0] > 30.0, 60.0)
+
+    names = ("time_boot_ms", "x", "y", "z", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
+    unsaid = dict.fromkeys(names, 0)
+
+    def fly(north_mps, east_mps, for_s):
+        for _ in range(round(for_s / 0.2)):
+            rig.send(
+                "SET_POSITION_TARGET_LOCAL_NED",
+                **unsaid,
+                target_system=1,
+                target_component=1,
+                coordinate_frame=1,
+                type_mask=0b110000000111,
+                vx=north_mps,
+                vy=east_mps,
+            )
+            rig.step(0.2)
+
+    fly(0.0, 4.0, 1.0)
+    assert abs(ap.vel_ned_mps[1]) < 0.5
+    assert rig.command(224, 3.0) == 0
+    fly(0.0, 4.0, 6.0)
+    assert ap.mode is Mode.AUTO
+    assert ap.vel_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.6)
+    assert rig.command(224, 3.0) == 0  # asked again: ten seconds more
+    renewed_s = ap.t_s
+    fly(0.0, 4.0, 8.0)
+    assert ap.executor.index == 4  # the item of set-points
+    assert rig.until(lambda: ap.executor.index == 2, 6.0)
+    assert ap.t_s - renewed_s == pytest.approx(10.0, abs=0.3)
+    east_m = rig.ne_m[1]
+    rig.step(5.0)
+    assert ap.vel_ned_mps[0] > 2.0
+    assert rig.ne_m[1] < east_m + 10.0

@@ -1,0 +1,618 @@
+"""The mission protocol as each autopilot has it (autopilot_facts.md, Missions and commands)."""
+
+import math
+
+import pytest
+
+from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.mission.mission import NO_COORDINATE
+
+AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+WAYPOINT, LAND, TAKEOFF, JUMP, SPEED, DELAY, GRIPPER = 16, 21, 22, 177, 178, 93, 211
+MISSION_FRAME = 2
+ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
+INVALID_SEQUENCE = 13
+
+
+def simple(rig, height_m=20.0):
+    """Take off, three waypoints, land."""
+    return [
+        rig.place(TAKEOFF, 0, 0, height_m),
+        rig.place(WAYPOINT, 60, 0, height_m),
+        rig.place(WAYPOINT, 120, 0, height_m),
+        rig.place(WAYPOINT, 180, 0, height_m),
+        rig.place(LAND, 180, 0, 0),
+    ]
+
+
+def started(rig):
+    rig.step(0.2)
+    return rig
+
+
+@pytest.mark.parametrize(
+    ("flavour", "name"), [(AP, "MISSION_REQUEST"), (PX4, "MISSION_REQUEST_INT")]
+)
+def test_an_upload_asks_with_each_autopilots_own_message(make_rig, flavour, name):
+    rig = started(make_rig(flavour))
+    rig.forget()
+    rig.send("MISSION_COUNT", count=2)
+    asked = [m.msg_name for m in rig.hear() if "REQUEST" in m.msg_name]
+    assert asked == [name]
+
+
+def test_ardupilots_item_0_is_home_whatever_was_uploaded(make_rig):
+    rig = started(make_rig(AP))
+    assert rig.upload(simple(rig)) == ACCEPTED
+    home = rig.download()[0]
+    assert (home.x, home.y) == pytest.approx((554_700_000, 84_500_000), abs=500)
+    assert home.z == pytest.approx(12.0, abs=4.0)
+    assert home.frame == 0
+
+
+def test_px4s_item_0_is_the_first_real_one(make_rig):
+    rig = started(make_rig(PX4))
+    items = simple(rig)
+    assert rig.upload(items) == ACCEPTED
+    assert rig.download()[0].command == TAKEOFF
+
+
+def test_ardupilot_reads_back_frame_3_yaw_0_and_no_radius(make_rig):
+    rig = started(make_rig(AP))
+    rig.upload([rig.place(WAYPOINT, 10, 0, 5, param1=2.0, param2=7.0, param4=math.nan)])
+    item = rig.download()[1]
+    assert (item.frame, item.param1, item.param2, item.param4) == (3, 2.0, 0.0, 0.0)
+
+
+def test_px4_reads_back_its_frame_and_nan(make_rig):
+    rig = started(make_rig(PX4))
+    rig.upload(
+        [
+            rig.place(WAYPOINT, 10, 0, 5, param2=7.0, param4=math.nan),
+            {**rig.place(WAYPOINT, 10, 0, 50), "frame": 0},
+        ]
+    )
+    first, second = rig.download()
+    assert (first.frame, first.param2) == (6, 7.0)
+    assert math.isnan(first.param4)
+    assert second.frame == 5
+
+
+@pytest.mark.parametrize(("flavour", "empty"), [(AP, 0), (PX4, 65535)])
+def test_mission_current_counts_without_home_and_an_empty_mission_its_own_way(
+    make_rig, flavour, empty
+):
+    rig = started(make_rig(flavour))
+    rig.command(512, 42)
+    assert rig.last("MISSION_CURRENT").total == empty
+    rig.upload(simple(rig))
+    rig.command(512, 42)
+    assert rig.last("MISSION_CURRENT").total == 5
+
+
+@BOTH
+@pytest.mark.parametrize("kind", [1, 2])
+def test_fences_and_rally_points_are_stored_and_read_back(make_rig, flavour, kind):
+    rig = started(make_rig(flavour))
+    command = {1: 5003, 2: 5100}[kind]
+    items = [rig.place(command, 30, 40, 25, param1=100.0)]
+    assert rig.upload(items, kind) == ACCEPTED
+    (item,) = rig.download(kind)
+    assert (item.command, item.x, item.y) == (command, items[0]["x"], items[0]["y"])
+    rig.send("MISSION_CLEAR_ALL", mission_type=kind)
+    assert rig.download(kind) == []
+
+
+@pytest.mark.parametrize(
+    ("flavour", "item", "result"),
+    [
+        (AP, {"command": 9999}, UNSUPPORTED),
+        (AP, {"command": WAYPOINT, "frame": 1}, UNSUPPORTED_FRAME),
+        (AP, {"command": WAYPOINT, "param1": math.nan}, 6),
+        (AP, {"command": WAYPOINT, "x": 950_000_000}, 10),
+        (AP, {"command": WAYPOINT, "y": 1_900_000_000}, 11),
+        (AP, {"command": WAYPOINT, "z": 1e9}, 12),
+        (AP, {"command": 113}, UNSUPPORTED),
+        (PX4, {"command": 9999}, UNSUPPORTED),
+        (PX4, {"command": WAYPOINT, "frame": 10}, UNSUPPORTED_FRAME),
+        (PX4, {"command": SPEED, "frame": 6}, UNSUPPORTED),
+        (PX4, {"command": JUMP, "frame": 3}, UNSUPPORTED),
+        (PX4, {"command": 183, "frame": 2}, UNSUPPORTED),
+        (PX4, {"command": 115, "frame": 2}, UNSUPPORTED),
+    ],
+)
+def test_what_an_autopilot_cannot_fly_it_refuses_by_number(make_rig, flavour, item, result):
+    rig = started(make_rig(flavour))
+    assert rig.upload([item]) == result
+
+
+@BOTH
+def test_an_item_out_of_turn_does_not_end_an_upload(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    items = simple(rig)
+    if flavour is AP:
+        items = [{}, *items]
+    rig.send("MISSION_COUNT", count=len(items))
+    rig.send_item(0, items[0])
+    rig.forget()
+    rig.send_item(3, items[3])
+    acks = [m.type for m in rig.hear() if m.msg_name == "MISSION_ACK"]
+    assert acks == ([INVALID_SEQUENCE] if flavour is AP else [])
+    for seq in range(1, len(items)):
+        rig.send_item(seq, items[seq])
+    assert rig.last("MISSION_ACK").type == ACCEPTED
+
+
+@BOTH
+def test_an_item_that_got_lost_is_asked_for_again(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    rig.send("MISSION_COUNT", count=3)
+    rig.forget()
+    rig.step(1.3)
+    assert any("REQUEST" in m.msg_name and m.seq == 0 for m in rig.hear())
+
+
+@BOTH
+def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    rig.send("MISSION_COUNT", count=3)
+    for _ in range(9):
+        rig.gcs_heartbeat()
+        rig.step(1.0)
+    assert any("time" in text for text in rig.texts())
+    assert rig.upload(simple(rig)) == ACCEPTED
+
+
+@BOTH
+def test_another_partner_cannot_break_into_an_upload(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    rig.send("MISSION_COUNT", count=3)
+    rig.forget()
+    rig.send("MISSION_COUNT", sender=(1, 191), count=1)
+    assert rig.last("MISSION_ACK").type == ERROR
+
+
+@BOTH
+def test_too_many_items_are_refused_at_once(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    rig.send("MISSION_COUNT", count=60000)
+    assert rig.last("MISSION_ACK").type == NO_SPACE
+
+
+def test_px4_abandoned_half_an_upload_and_kept_the_old_mission(make_rig):
+    rig = started(make_rig(PX4))
+    rig.upload(simple(rig))
+    rig.send("MISSION_COUNT", count=2)
+    rig.send_item(0, rig.place(WAYPOINT, 1, 1, 9))
+    rig.step(6.0)
+    assert len(rig.download()) == 5
+
+
+def test_ardupilots_upload_is_not_atomic(make_rig):
+    rig = started(make_rig(AP))
+    rig.upload(simple(rig))
+    rig.send("MISSION_COUNT", count=4)
+    rig.send_item(0, {})
+    rig.send_item(1, rig.place(TAKEOFF, 0, 0, 33))
+    rig.step(9.0)
+    items = rig.download()
+    assert len(items) == 4
+    assert items[1].z == 33.0
+    assert items[2].command == WAYPOINT
+
+
+def test_ardupilot_takes_a_partial_write(make_rig):
+    rig = started(make_rig(AP))
+    rig.upload(simple(rig))
+    rig.forget()
+    rig.send("MISSION_WRITE_PARTIAL_LIST", start_index=2, end_index=2)
+    assert rig.last("MISSION_REQUEST").seq == 2
+    rig.send_item(2, rig.place(WAYPOINT, 60, 0, 44))
+    assert rig.last("MISSION_ACK").type == ACCEPTED
+    assert [item.z for item in rig.download()][2:4] == [44.0, 20.0]
+
+
+def test_px4_does_not_answer_a_partial_write(make_rig):
+    rig = started(make_rig(PX4))
+    rig.upload(simple(rig))
+    rig.forget()
+    rig.send("MISSION_WRITE_PARTIAL_LIST", start_index=1, end_index=1)
+    rig.step(1.0)
+    assert not [m for m in rig.hear() if m.msg_name.startswith("MISSION_REQ")]
+
+
+@pytest.mark.parametrize(("flavour", "result"), [(AP, ERROR), (PX4, ACCEPTED)])
+def test_clearing_in_flight(airborne, flavour, result):
+    rig = airborne(flavour)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    rig.step(3.0)
+    rig.send("MISSION_CLEAR_ALL")
+    assert rig.last("MISSION_ACK").type == result
+    rig.step(0.5)
+    assert rig.ap.mode is (Mode.AUTO if flavour is AP else Mode.HOLD)
+
+
+def test_replacing_ardupilots_mission_in_flight_restarts_the_command_item_by_item(airborne):
+    rig = airborne(AP)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ap.executor.index == 3, 60.0)
+    items = [
+        rig.place(TAKEOFF, 0, 0, 20),
+        *(rig.place(WAYPOINT, 60 * i, 30, 20) for i in (1, 2, 3)),
+    ]
+    assert rig.upload(items) == ACCEPTED
+    assert sum("restarted command" in text for text in rig.texts()) >= 4
+    assert rig.ap.executor.index == 3
+    assert rig.ap.executor.leg.target[1] == pytest.approx(30.0, abs=0.1)
+
+
+def test_px4_switches_to_a_new_mission_a_second_or_two_later_at_the_same_index(airborne):
+    rig = airborne(PX4)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ap.executor.index == 2, 60.0)
+    items = [
+        rig.place(TAKEOFF, 0, 0, 20),
+        *(rig.place(WAYPOINT, 60 * i, 30, 20) for i in (1, 2, 3)),
+    ]
+    assert rig.upload(items) == ACCEPTED
+    rig.step(0.9)
+    assert rig.ap.executor.leg.target[1] == pytest.approx(0.0, abs=0.1)
+    rig.step(1.2)
+    assert rig.ap.executor.leg.target[1] == pytest.approx(30.0, abs=0.1)
+    assert rig.ap.executor.index == 2
+
+
+def test_ardupilot_jumps_by_command(airborne):
+    rig = airborne(AP)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    rig.step(1.0)
+    assert rig.command(224, 4) == ACCEPTED
+    assert rig.last("MISSION_CURRENT").seq == 4
+    assert rig.command(224, 40) == 4  # FAILED
+
+
+def test_px4_jumps_by_message_only(airborne):
+    rig = airborne(PX4)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    rig.step(1.0)
+    assert rig.command(224, 3) == UNSUPPORTED
+    rig.forget()
+    rig.send("MISSION_SET_CURRENT", seq=3)
+    assert rig.ap.executor.index == 3
+    assert not rig.all("MISSION_CURRENT")  # flown: only that of the second confirms it
+    assert rig.until(lambda: bool(rig.all("MISSION_CURRENT")), 1.1)
+    assert [m.seq for m in rig.all("MISSION_CURRENT")] == [3]
+    rig.gcs_heartbeat()
+    rig.send("MISSION_SET_CURRENT", seq=30)
+    assert "Not in list" in rig.texts()[-1]
+
+
+def test_px4_set_current_on_a_jump_resolves_it_without_counting(airborne):
+    rig = airborne(PX4)
+    items = simple(rig)
+    items.insert(2, {"command": JUMP, "frame": MISSION_FRAME, "param1": 4.0, "param2": 1.0})
+    rig.upload(items)
+    rig.set_mode(Mode.AUTO)
+    rig.step(1.0)
+    for _ in range(2):
+        rig.send("MISSION_SET_CURRENT", seq=2)
+        assert rig.ap.executor.index == 4
+
+
+@BOTH
+def test_after_a_detour_the_mission_resumes_at_the_same_item(airborne, flavour):
+    rig = airborne(flavour)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    second = 3 if flavour is AP else 2
+    assert rig.until(lambda: rig.ap.executor.index == second, 60.0)
+    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+    rig.step(10.0)
+    assert rig.speed_mps < 0.8
+    rig.set_mode(Mode.AUTO)
+    rig.step(0.5)
+    assert rig.ap.executor.index == second
+    assert rig.until(lambda: rig.ap.executor.index == second + 1, 60.0)
+
+
+@pytest.mark.parametrize(("flavour", "result"), [(AP, ACCEPTED), (PX4, UNSUPPORTED)])
+def test_pausing_by_command(airborne, flavour, result):
+    rig = airborne(flavour)
+    rig.upload(simple(rig))
+    rig.set_mode(Mode.AUTO)
+    rig.step(8.0)
+    assert rig.command(193, 0) == result
+    if flavour is AP:
+        rig.step(10.0)
+        assert rig.speed_mps < 0.8
+        assert rig.command(193, 1) == ACCEPTED
+        rig.step(5.0)
+        assert rig.speed_mps > 3.0
+
+
+@BOTH
+def test_straight_legs_are_flown_through_at_speed_and_corners_are_not(airborne, flavour):
+    rig = airborne(flavour)
+    items = simple(rig)[:3]
+    items.append(rig.place(WAYPOINT, 120, 80, 20))
+    rig.upload(items)
+    rig.set_mode(Mode.AUTO)
+    speeds = {}
+    index = rig.ap.executor.index
+    for _ in range(800):
+        rig.step(0.1)
+        if rig.ap.executor.index != index:
+            index = rig.ap.executor.index
+            speeds[index] = rig.speed_mps
+        if rig.ap.executor.leg is None or index == len(items) - (flavour is PX4):
+            break
+    straight, corner = (3, 4) if flavour is AP else (2, 3)
+    cruise = rig.ap.cruise_mps()
+    assert speeds[straight] > 0.85 * cruise
+    if flavour is AP:
+        assert speeds[corner] < 0.6 * cruise
+
+
+@BOTH
+def test_a_hold_at_a_waypoint_lasts_as_long_as_it_says(airborne, flavour):
+    rig = airborne(flavour)
+    rig.upload([rig.place(WAYPOINT, 30, 0, 20, param1=5.0), rig.place(WAYPOINT, 60, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    first = 1 if flavour is AP else 0
+    arrived = None
+    while rig.ap.executor.index == first:
+        rig.step(0.1)
+        if arrived is None and rig.ap.executor.leg.phase.name == "STAY":
+            arrived = rig.ap.t_s
+    assert rig.ap.t_s - arrived == pytest.approx(5.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("speed_mps", "slowest_mps"), [(9.5, 2.9), (10.9, 3.1), (11.3, 3.3)])
+def test_ardupilot_sent_on_before_it_is_there_brakes_and_begins_anew(
+    make_rig, speed_mps, slowest_mps
+):
+    # flown on ArduCopter 4.7 SITL: these speeds, and about 3 s lost at each waypoint
+    rig = make_rig(AP, {"WPNAV_SPEED": 100.0 * speed_mps})
+    rig.take_off()
+    rig.upload([rig.place(WAYPOINT, 200, 0, 20), rig.place(WAYPOINT, 500, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ne_m[0] > 120.0, 60.0)
+    north_m, began_s, slowest = rig.ne_m[0], rig.ap.t_s, math.inf
+    assert rig.command(224, 2) == ACCEPTED
+    for _ in range(100):
+        rig.step(0.1)
+        slowest = min(slowest, rig.speed_mps)
+    assert slowest == pytest.approx(slowest_mps, abs=0.2)
+    assert rig.speed_mps == pytest.approx(speed_mps, abs=0.5)
+    lost_s = rig.ap.t_s - began_s - (rig.ne_m[0] - north_m) / speed_mps
+    assert lost_s == pytest.approx(3.0, abs=0.75)
+
+
+def test_px4_sent_on_before_it_is_there_does_not_slow(airborne):
+    rig = airborne(PX4, {"MPC_XY_CRUISE": 10.0})
+    rig.upload([rig.place(WAYPOINT, 200, 0, 20), rig.place(WAYPOINT, 500, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ne_m[0] > 120.0, 60.0)
+    rig.send("MISSION_SET_CURRENT", seq=1)
+    for _ in range(50):
+        rig.step(0.1)
+        assert rig.speed_mps > 9.5
+
+
+@BOTH
+def test_reached_items_are_announced_in_order(airborne, flavour):
+    rig = airborne(flavour)
+    rig.upload([rig.place(WAYPOINT, 20, 0, 20), rig.place(WAYPOINT, 40, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    rig.step(20.0)
+    first = 1 if flavour is AP else 0
+    seqs = list(dict.fromkeys(m.seq for m in rig.all("MISSION_ITEM_REACHED")))
+    assert seqs == [first, first + 1]
+
+
+def test_px4_says_a_landing_is_reached_while_it_still_flies(airborne):
+    # flown on PX4 1.18 SIH: when it is over the place, then at 1 Hz, and no more when it has landed
+    rig = airborne(PX4)
+    rig.upload([rig.place(LAND, 30, 0, 0)])
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: bool(rig.all("MISSION_ITEM_REACHED")), 40.0)
+    assert rig.height_m > 15.0
+    rig.step(5.6)
+    assert rig.height_m > 5.0
+    assert len(rig.all("MISSION_ITEM_REACHED")) == 6
+    assert rig.until(lambda: not rig.ap.is_armed, 60.0)
+    assert len(rig.all("MISSION_ITEM_REACHED")) == 11
+
+
+def test_ardupilot_is_back_at_its_first_item_before_its_heartbeat_says_disarmed(airborne):
+    # flown on ArduCopter 4.7 SITL: up to 0.8 s before
+    rig = airborne(AP)
+    rig.upload([rig.place(WAYPOINT, 5, 0, 10), rig.place(LAND, 5, 0, 0)])
+    rig.command(511, 42, 100_000)
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ap.executor.index == 2, 40.0)
+    rig.forget()
+    current_s = disarmed_s = None
+    for _ in range(1000):
+        rig.step(0.1)
+        heard = {message.msg_name: message for message in rig.hear()}
+        if current_s is None and "MISSION_CURRENT" in heard and heard["MISSION_CURRENT"].seq == 1:
+            current_s = rig.ap.t_s
+        if "HEARTBEAT" in heard and not heard["HEARTBEAT"].base_mode & 128:
+            disarmed_s = rig.ap.t_s
+            break
+    assert current_s is not None
+    assert disarmed_s is not None
+    assert 0.0 <= disarmed_s - current_s <= 1.0
+
+
+def test_px4_repeats_mission_item_reached_ten_times(airborne):
+    rig = airborne(PX4)
+    rig.upload([rig.place(WAYPOINT, 20, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    rig.step(25.0)
+    assert len(rig.all("MISSION_ITEM_REACHED")) == 11
+
+
+@BOTH
+def test_a_jump_is_taken_as_often_as_it_says(airborne, flavour):
+    rig = airborne(flavour)
+    shift = 1.0 if flavour is AP else 0.0
+    rig.upload(
+        [
+            rig.place(WAYPOINT, 20, 0, 20),
+            rig.place(WAYPOINT, 40, 0, 20),
+            {"command": JUMP, "frame": MISSION_FRAME, "param1": shift, "param2": 2.0},
+            rig.place(WAYPOINT, 40, 20, 20),
+        ]
+    )
+    rig.set_mode(Mode.AUTO)
+    rig.step(90.0)
+    seqs = []
+    for message in rig.all("MISSION_ITEM_REACHED"):
+        if not seqs or seqs[-1] != message.seq:
+            seqs.append(message.seq)
+    a, b, c = (1, 2, 4) if flavour is AP else (0, 1, 3)
+    assert seqs == [a, b, a, b, a, b, c]
+
+
+def test_ardupilot_repeats_minus_one_for_ever_and_px4_65535_times(make_rig):
+    rig = started(make_rig(PX4))
+    items = [rig.place(WAYPOINT, 20, 0, 20), {"command": JUMP, "frame": 2, "param2": -1.0}]
+    rig.upload(items)
+    assert rig.download()[1].param2 == 65535.0
+    rig = started(make_rig(AP))
+    items[1]["param1"] = 1.0
+    rig.upload(items)
+    assert rig.download()[2].param2 == -1.0
+    assert rig.ap.executor.plan.landing_at(2, consume=True) == 1
+
+
+@BOTH
+def test_a_mission_that_only_jumps_ends_instead_of_hanging(make_rig, flavour):
+    rig = started(make_rig(flavour))
+    shift = 1.0 if flavour is AP else 0.0
+    jump = {"command": JUMP, "frame": MISSION_FRAME, "param2": 5000.0}
+    rig.upload([{**jump, "param1": shift + 1.0}, {**jump, "param1": shift}])
+    assert rig.ap.executor.plan.landing_at(int(shift), consume=False) is None
+
+
+@BOTH
+def test_a_delay_holds_and_a_speed_change_lasts(airborne, flavour):
+    rig = airborne(flavour)
+    rig.upload(
+        [
+            rig.place(WAYPOINT, 20, 0, 20),
+            {"command": DELAY, "frame": MISSION_FRAME, "param1": 4.0},
+            {"command": SPEED, "frame": MISSION_FRAME, "param1": 1.0, "param2": 3.0},
+            rig.place(WAYPOINT, 80, 0, 20),
+        ]
+    )
+    rig.set_mode(Mode.AUTO)
+    shift = 1 if flavour is AP else 0
+    assert rig.until(lambda: rig.ap.executor.index == 1 + shift, 30.0)
+    began = rig.ap.t_s
+    assert rig.until(lambda: rig.ap.executor.index == 3 + shift, 30.0)
+    assert rig.ap.t_s - began == pytest.approx(4.0, abs=0.5)
+    rig.step(6.0)
+    assert rig.speed_mps == pytest.approx(3.0, abs=0.5)
+
+
+@BOTH
+def test_a_gripper_item_opens_the_gripper(airborne, flavour):
+    setting = {"GRIP_ENABLE": 1} if flavour is AP else {}
+    rig = airborne(flavour, setting)
+    assert rig.vehicle.truth.parcel_aboard
+    rig.upload(
+        [
+            rig.place(WAYPOINT, 5, 0, 20),
+            {"command": GRIPPER, "frame": MISSION_FRAME, "param1": 1.0, "param2": 0.0},
+            rig.place(WAYPOINT, 30, 0, 20),
+        ]
+    )
+    rig.set_mode(Mode.AUTO)
+    rig.step(12.0)
+    assert not rig.vehicle.truth.parcel_aboard
+
+
+@pytest.mark.parametrize(("kind", "timeout_s"), [(0, 0.0), (-1, 0.0), (0, 5.0)])
+def test_px4_waits_its_command_timeout_for_a_gripper_and_goes_on(airborne, kind, timeout_s):
+    # flown on PX4 1.18: it passes at once; mission_block.cpp: MIS_COMMAND_TOUT, 0 by default
+    rig = airborne(PX4, {"PD_GRIPPER_TYPE": kind, "MIS_COMMAND_TOUT": timeout_s})
+    rig.upload(
+        [
+            rig.place(WAYPOINT, 5, 0, 20),
+            {"command": GRIPPER, "frame": MISSION_FRAME, "param1": 1.0, "param2": 0.0},
+            rig.place(WAYPOINT, 30, 0, 20),
+        ]
+    )
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ap.executor.index >= 1, 30.0)
+    began = rig.ap.t_s
+    assert rig.until(lambda: rig.ap.executor.index == 2, 30.0)
+    assert rig.ap.t_s - began == pytest.approx(timeout_s, abs=0.4)
+    assert rig.vehicle.truth.parcel_aboard is (kind < 0)
+
+
+def test_px4_takes_missing_coordinates_and_heights_for_here(airborne):
+    rig = airborne(PX4)
+    item = {"command": WAYPOINT, "frame": 6, "x": NO_COORDINATE, "y": NO_COORDINATE, "z": math.nan}
+    rig.upload([rig.place(WAYPOINT, 0, 0, 20), item])
+    rig.set_mode(Mode.AUTO)
+    rig.step(5.0)
+    assert math.hypot(*rig.ne_m) < 4.0
+    assert rig.height_m == pytest.approx(20.0, abs=2.5)
+
+
+@BOTH
+def test_loiter_unlimited_stays(airborne, flavour):
+    rig = airborne(flavour)
+    rig.upload([rig.place(17, 25, 0, 20), rig.place(WAYPOINT, 80, 0, 20)])
+    rig.set_mode(Mode.AUTO)
+    rig.step(40.0)
+    assert math.dist(rig.ne_m, (25, 0)) < 4.0
+
+
+def test_px4_will_not_fly_a_mission_that_begins_far_away(make_rig):
+    rig = started(make_rig(PX4))
+    rig.gcs_heartbeat()
+    assert rig.upload([rig.place(WAYPOINT, 20_000, 0, 20)]) == ACCEPTED
+    assert any("far away" in text for text in rig.texts())
+    rig.set_mode(Mode.AUTO)
+    assert rig.command(400, 1) != ACCEPTED
+
+
+def test_terrain_items_keep_ardupilot_from_arming(make_rig):
+    rig = started(make_rig(AP))
+    rig.upload([{**rig.place(TAKEOFF, 0, 0, 20), "frame": 10}])
+    rig.set_mode(Mode.GUIDED)
+    assert rig.command(400, 1) == 4
+    assert any("waiting for terrain data" in text for text in rig.texts())
+
+
+def test_items_of_the_old_float_kind_are_understood(make_rig):
+    rig = started(make_rig(PX4))
+    rig.send("MISSION_COUNT", count=1)
+    fields = dict.fromkeys(("param1", "param2", "param3", "param4"), 0.0)
+    rig.send(
+        "MISSION_ITEM",
+        seq=0,
+        frame=3,
+        command=WAYPOINT,
+        current=0,
+        autocontinue=1,
+        **fields,
+        x=55.4705,
+        y=8.4507,
+        z=20.0,
+    )
+    assert rig.last("MISSION_ACK").type == ACCEPTED
+    (item,) = rig.download()
+    assert (item.x, item.y) == pytest.approx((554_705_000, 84_507_000), abs=40)  # float32
