@@ -167,7 +167,7 @@ def test_the_record_holds_what_its_page_says(make, world, tmp_path):
     done = run(path, "--airframe", "m100", "--json", tmp_path / "r.json", "--every", "10")
     assert done.exit_code == 0, done.output
     record = json.loads((tmp_path / "r.json").read_text())
-    page = (ROOT / "docs/replay.md").read_text()
+    page = (ROOT / "docs/reference/replay-json.md").read_text()
     assert record["format"] == "replay/1"
     for key in record:
         assert f"`{key}`" in page, key

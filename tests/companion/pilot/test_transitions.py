@@ -99,6 +99,6 @@ def test_the_drawn_tables_name_every_phase_and_every_changing_row():
 
 
 def test_the_page_in_the_docs_is_drawn_from_the_table():
-    page = (Path(__file__).parents[3] / "docs" / "mission.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "mission-table.md").read_text()
     assert as_mermaid() in page
     assert as_markdown() in page
