@@ -9,7 +9,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.cli.campaign import INTERRUPTED
-from sim_bridge.research.cli.experiments import finish
 
 if TYPE_CHECKING:
     from sim_bridge.research.avoidance.train_avoid import CurvePoint
@@ -89,44 +88,3 @@ def train_avoid(
         except ValueError as error:
             raise LeewayError(str(error)) from error
     console.print(f"wrote {folder}/checkpoint.pt and curve.csv")
-
-
-@app.command("train-compare")
-def train_compare(
-    steps: Annotated[int, typer.Option(min=100, help="of 32 worlds; one update each")] = 6000,
-    seeds: Annotated[int, typer.Option(min=1, help="runs of each, seeds 1, 2, ...")] = 2,
-    out: Annotated[
-        Path, typer.Option(help="curves, table and picture; finished runs there are not repeated")
-    ] = Path("logs/avoid/peer"),
-) -> None:
-    """Our MADDPG beside TorchRL's on a standard task, VMAS navigation: the same steps and updates.
-
-    Example: OMP_NUM_THREADS=1 sim-bridge train-compare --steps 6000 --seeds 2
-    """
-    try:
-        from sim_bridge.research.avoidance import maddpg_peer as experiment
-    except ImportError as error:
-        raise LeewayError(f"train-compare needs leeway[compare]: {error}") from error
-    runs = [(who, seed) for seed in range(1, seeds + 1) for who in experiment.STUDENTS]
-    points: list[experiment.Point] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bar:
-        shown = bar.add_task("learning", total=steps * len(runs))
-        for number, (who, seed) in enumerate(runs):
-
-            def progress(step: int, point: "experiment.Point | None", before: int = number) -> None:
-                bar.update(shown, completed=before * steps + step)
-                if point is not None:
-                    bar.console.print(
-                        f"{point.who}, seed {point.seed}, step {point.step}: reward"
-                        f" {point.reward:.2f}, at the goal {point.at_goal_frac:.1%}",
-                        highlight=False,
-                    )
-
-            try:
-                points += experiment.kept_or_learned(out, who, seed, steps, progress)
-            except KeyboardInterrupt:
-                bar.console.print("stopped; the same command goes on with the run that was cut off")
-                raise typer.Exit(INTERRUPTED) from None
-    experiment.draw(points, out / "maddpg_peer.png")
-    finish(experiment.sheet(points, steps), out, "maddpg_peer")

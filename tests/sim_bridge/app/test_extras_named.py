@@ -11,8 +11,6 @@ from sim_bridge.app.cli import main as cli
     ("lacking", "command", "extra"),
     [
         ("torch", ["train-avoid", "--steps", "1"], "leeway[train]"),
-        ("torchrl", ["train-compare", "--steps", "100"], "leeway[compare]"),
-        ("torch", ["train-compare", "--steps", "100"], "leeway[compare]"),
         ("pyrvo", ["avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"], "[train]"),
     ],
 )
