@@ -199,7 +199,7 @@ def test_without_matplotlib_a_picture_is_refused_before_the_work(monkeypatch, tm
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     done = run(tmp_path / "none.csv", "--picture", tmp_path / "p.png")
     assert done.exit_code == 2
-    assert "pip install 'leeway[replay]'" in done.output
+    assert "pip install 'leeway-uas[replay]'" in done.output
 
 
 def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp_path):
@@ -207,7 +207,7 @@ def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp
     monkeypatch.setitem(sys.modules, "pyulog", None)
     done = run(path)
     assert done.exit_code == 2
-    assert "pip install 'leeway[replay]'" in done.output
+    assert "pip install 'leeway-uas[replay]'" in done.output
 
 
 def test_flying_imports_nothing_that_draws_or_reads_logs_of_others():

@@ -88,7 +88,7 @@ def day(
         keep_compiled_code()  # before the planner's first import
         from sim_bridge.app.day import fly as day_fly
     except ImportError as error:
-        raise LeewayError(f"day needs leeway[ground]: {error}") from error
+        raise LeewayError(f"day needs leeway-uas[ground]: {error}") from error
     from ground_station.adapters.files.day_files import read_day
     from sim_bridge.app.day.build import DayWish
     from sim_bridge.app.day.report import print_day, print_days

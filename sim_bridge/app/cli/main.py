@@ -291,7 +291,7 @@ def bench_dispatch(
     try:
         from sim_bridge.research.benchmarks.dispatch_bench import bench as bench_now
     except ImportError as error:
-        raise LeewayError(f"bench-dispatch needs leeway[ground]: {error}") from error
+        raise LeewayError(f"bench-dispatch needs leeway-uas[ground]: {error}") from error
     bench_now(vehicles, orders, seed, json_file)
 
 

@@ -1,4 +1,4 @@
-"""From a checkpoint to what flies: weights, card and curve (needs leeway[train])."""
+"""From a checkpoint to what flies: weights, card and curve (needs leeway-uas[train])."""
 
 import shutil
 from pathlib import Path

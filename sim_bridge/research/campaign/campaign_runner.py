@@ -112,7 +112,7 @@ class RayCluster:
         try:
             import ray  # pyright: ignore[reportMissingImports]
         except ImportError:
-            raise LeewayError("ray is not installed: pip install 'leeway[ray]'") from None
+            raise LeewayError("ray is not installed: pip install 'leeway-uas[ray]'") from None
         self._ray = ray
         if not ray.is_initialized():
             ray.init(address=address, log_to_driver=False, include_dashboard=False)

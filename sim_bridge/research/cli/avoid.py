@@ -112,7 +112,7 @@ def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
         try:
             import pyrvo  # noqa: F401 # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            raise LeewayError(f"--policy {policy} needs leeway[train] (pyrvo): {error}") from error
+            raise LeewayError(f"--policy {policy} needs leeway-uas[train] (pyrvo): {error}") from error
         return yardsticks.Orca(), ""
     from companion.adapters.files.policy_file import read_policy
     from sim_bridge.research.avoidance.environment import Frame
@@ -227,14 +227,14 @@ def export_avoid(
     name: Annotated[str, typer.Option(help="of the policy")] = FLOWN_POLICY,
     commit: Annotated[str, typer.Option(help="of the code that trained it")] = "unknown",
 ) -> None:
-    """Write a trained actor as plain weights with its card and curve; needs leeway[train].
+    """Write a trained actor as plain weights with its card and curve; needs leeway-uas[train].
 
     Example: sim-bridge export-avoid logs/avoid/swift-1/checkpoint.pt --out params/policies
     """
     try:
         from sim_bridge.research.avoidance.export import export
     except ImportError as error:
-        raise LeewayError(f"export-avoid needs leeway[train]: {error}") from error
+        raise LeewayError(f"export-avoid needs leeway-uas[train]: {error}") from error
     if not checkpoint.exists():
         raise LeewayError(f"{checkpoint}: no such checkpoint; sim-bridge train-avoid writes it")
     for path in export(checkpoint, out, name, commit):

@@ -1,4 +1,4 @@
-"""`sim-bridge train-avoid`: MADDPG from scratch, resumable; needs leeway[train]."""
+"""`sim-bridge train-avoid`: MADDPG from scratch, resumable; needs leeway-uas[train]."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -42,7 +42,7 @@ def train_avoid(
         from sim_bridge.research.avoidance.maddpg import TrainParams
         from sim_bridge.research.avoidance.train_avoid import train
     except ImportError as error:
-        raise LeewayError(f"train-avoid needs leeway[train]: {error}") from error
+        raise LeewayError(f"train-avoid needs leeway-uas[train]: {error}") from error
     from sim_bridge.research.avoidance.environment import REWARDS
     from sim_bridge.research.avoidance.flight_power import power_of
 

@@ -10,7 +10,7 @@ from sim_bridge.app.cli import main as cli
 @pytest.mark.parametrize(
     ("lacking", "command", "extra"),
     [
-        ("torch", ["train-avoid", "--steps", "1"], "leeway[train]"),
+        ("torch", ["train-avoid", "--steps", "1"], "leeway-uas[train]"),
         ("pyrvo", ["avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"], "[train]"),
     ],
 )
