@@ -212,7 +212,7 @@ def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp
 
 def test_flying_imports_nothing_that_draws_or_reads_logs_of_others():
     code = (
-        "import sys, companion.app.cli.main\n"
+        "import sys, companion.app.cli.flying\n"
         "print([n for n in ('matplotlib', 'pyulog', 'pymavlink.DFReader') if n in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

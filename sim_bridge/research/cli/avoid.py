@@ -112,7 +112,9 @@ def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
         try:
             import pyrvo  # noqa: F401 # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            raise LeewayError(f"--policy {policy} needs leeway-uas[train] (pyrvo): {error}") from error
+            raise LeewayError(
+                f"--policy {policy} needs leeway-uas[train] (pyrvo): {error}"
+            ) from error
         return yardsticks.Orca(), ""
     from companion.adapters.files.policy_file import read_policy
     from sim_bridge.research.avoidance.environment import Frame
