@@ -24,7 +24,7 @@ from sim_bridge.research.campaign.campaign import (
     run_task,
     tasks_of,
 )
-from sim_bridge.research.campaign.journal import Journal, leave_ctrl_c_to_the_parent
+from sim_bridge.research.results.journal import Journal, leave_ctrl_c_to_the_parent
 
 PER_WORKER = 2  # tasks handed out ahead of each worker
 

@@ -234,7 +234,7 @@ def export_avoid(
     Example: sim-bridge export-avoid logs/avoid/swift-1/checkpoint.pt --out params/policies
     """
     try:
-        from sim_bridge.research.avoidance.export import export
+        from sim_bridge.research.avoidance.train_avoid import export
     except ImportError as error:
         raise LeewayError(f"export-avoid needs leeway-uas[train]: {error}") from error
     if not checkpoint.exists():

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.campaign.journal import Journal, Result, Work, digest_of, journaled_map
-from sim_bridge.research.campaign.report import Sheet
 from sim_bridge.research.cli.campaign import INTERRUPTED
+from sim_bridge.research.results.journal import Journal, Result, Work, digest_of, journaled_map
+from sim_bridge.research.results.sheet import Sheet
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
@@ -81,13 +81,13 @@ def table1(
         draw,
         fly,
         jobs_of,
+        recorded_wind,
         sheet,
     )
-    from sim_bridge.research.wind.wind_logs import read_wind_log
 
     params = GUSTY_PARAMS if gusty else Table1Params()
     params = replace(params, rounds=rounds, graphs=graphs, seed=seed)
-    wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
+    wind = recorded_wind(wind_log, longest_mission_s=300.0) if wind_log else None
     title = "Table 1" + (", gusty set (ours)" if gusty else "")
     title += f", recording {wind_log.stem}" if wind_log else ""
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")

@@ -8,9 +8,9 @@ import typer
 
 from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.campaign.journal import Journal, digest_of
 from sim_bridge.research.cli.campaign import write_whole
 from sim_bridge.research.cli.experiments import run_journaled
+from sim_bridge.research.results.journal import Journal, digest_of
 
 app = typer.Typer(add_completion=False)
 

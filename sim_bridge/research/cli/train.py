@@ -44,7 +44,7 @@ def train_avoid(
     except ImportError as error:
         raise LeewayError(f"train-avoid needs leeway-uas[train]: {error}") from error
     from sim_bridge.research.avoidance.environment import REWARDS
-    from sim_bridge.research.avoidance.flight_power import power_of
+    from sim_bridge.research.avoidance.evaluation import power_of
 
     if reward not in REWARDS:
         raise LeewayError(f"--reward {reward}: expected one of {', '.join(REWARDS)}")
