@@ -257,8 +257,8 @@ def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
         agents=params["agents"],
         agent_steps=run["agent_steps"],
         commit=commit,
-        command=f"sim-bridge research train-avoid --reward {params['reward']} --seed {params['seed']}"
-        f" --steps {params['steps']}{filtered}{taught}{begun}",
+        command=f"sim-bridge research train-avoid --reward {params['reward']}"
+        f" --seed {params['seed']} --steps {params['steps']}{filtered}{taught}{begun}",
     )
     written = [archive, out / f"{name}.toml", out / f"{name}_curve.csv"]
     written[1].write_text(card, encoding="utf-8")

@@ -1,7 +1,7 @@
-"""The paper's baselines SER, RER and GER (arXiv 2604.13441, section V), on the same graphs and costs.
+"""The paper's baselines SER, RER and GER, on the same graphs and costs as BER.
 
-SER, static energy-optimal routing, plans once. RER re-plans online at each vertex. GER, greedy
-energy-minimising routing, looks one edge ahead.
+Source: arXiv 2604.13441, section V. SER, static energy-optimal routing, plans once. RER re-plans
+online at each vertex. GER, greedy energy-minimising routing, looks one edge ahead.
 """
 
 import numpy as np
