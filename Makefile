@@ -33,12 +33,12 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo "installing leeway[sim,ground] into $(VENV) ..."
+	@echo "installing leeway-uas[sim,ground] into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e '.[sim,ground]'
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@echo "installing leeway[sim,ground,test] into $(VENV) ..."
+	@echo "installing leeway-uas[sim,ground,test] into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e '.[sim,ground,test]'
 	@touch $@ $(VENV)/.sim
 

@@ -30,7 +30,7 @@ async def _return_to_launch(url: str) -> Returned:
         from mavsdk.asyncio.plugins.action import ActionAsync
         from mavsdk.exceptions import MavsdkError
     except ImportError as error:
-        raise LeewayError(f"the direct line needs leeway[ground]: {error}") from error
+        raise LeewayError(f"the direct line needs leeway-uas[ground]: {error}") from error
     config = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
     try:
         async with Mavsdk(config) as mavsdk:

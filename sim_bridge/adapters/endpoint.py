@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
+from sim_bridge.adapters.errors import EndpointError
 from sim_bridge.autopilot.mavlink.codec import Decoder
 
 _LARGEST_DATAGRAM = 65535
@@ -25,10 +26,6 @@ _RECEIVE_BUFFER_BYTES = 1 << 20
 _PEER_FORGOTTEN_AFTER_S = 30.0
 _MOST_PEERS = 16
 _TCP_BACKLOG_BYTES = 1 << 18
-
-
-class EndpointError(ValueError):
-    """A URL that cannot be opened: names it and says why."""
 
 
 class Endpoint(Protocol):

@@ -199,7 +199,7 @@ def test_without_matplotlib_a_picture_is_refused_before_the_work(monkeypatch, tm
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     done = run(tmp_path / "none.csv", "--picture", tmp_path / "p.png")
     assert done.exit_code == 2
-    assert "pip install 'leeway[replay]'" in done.output
+    assert "pip install 'leeway-uas[replay]'" in done.output
 
 
 def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp_path):
@@ -207,12 +207,12 @@ def test_without_pyulog_a_ulog_is_refused_in_words(monkeypatch, make, world, tmp
     monkeypatch.setitem(sys.modules, "pyulog", None)
     done = run(path)
     assert done.exit_code == 2
-    assert "pip install 'leeway[replay]'" in done.output
+    assert "pip install 'leeway-uas[replay]'" in done.output
 
 
 def test_flying_imports_nothing_that_draws_or_reads_logs_of_others():
     code = (
-        "import sys, companion.app.cli.main\n"
+        "import sys, companion.app.cli.flying\n"
         "print([n for n in ('matplotlib', 'pyulog', 'pymavlink.DFReader') if n in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -16,7 +16,7 @@ from companion.adapters.logs.calibration_logs import read_calibration_log
 from companion.app.cli.main import app as companion
 from companion.core.calibration.airframe_fit import predict
 from companion.core.calibration.records import prepare
-from sim_bridge.app.cli.main import app as bridge
+from sim_bridge.main import app as bridge
 
 RUN = CliRunner()
 FLIGHTS = {  # name: (autopilot, load kg, wind m/s, from deg, nose held)

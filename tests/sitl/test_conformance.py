@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sim_bridge.app.cli import conform as conform_cli
-from sim_bridge.app.cli.main import app
+from sim_bridge.app.cli import conforming
 from sim_bridge.app.serve.server import Home, Host, Served
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.flavour import BatterySensing, Flavour
@@ -24,6 +23,7 @@ from sim_bridge.conform.behaviour import Behaviour
 from sim_bridge.conform.client import Client
 from sim_bridge.conform.reference import Verdict
 from sim_bridge.conform.suite import CATALOGUE, Row, select
+from sim_bridge.main import app
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
@@ -101,7 +101,7 @@ def stood(flavour: Flavour) -> Served:
 
 def ask(served: Served, behaviours: Sequence[Behaviour]) -> reference.Result:
     """What a vehicle answers; it is left as it was found."""
-    return conform_cli.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
+    return conforming.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 
 
 def recorded(flavour: Flavour) -> reference.Result:
@@ -163,7 +163,7 @@ def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: Flavour) 
     chosen = select(("guided/velocity_stops", "speed/ground", "speed/air"), reboots=False)
     client = Client(InProcess(served))
     with pytest.raises(KeyboardInterrupt):
-        conform_cli.ask(client, chosen, Impatient("speed/air"), may_force=True)
+        conforming.ask(client, chosen, Impatient("speed/air"), may_force=True)
     autopilot = served.autopilot
     assert not autopilot.is_armed
     assert not served.truth.airborne

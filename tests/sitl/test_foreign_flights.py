@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.cli import main as cli
+from sim_bridge import main as cli
 from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
 from sim_bridge.app.flight.report import grounded_words, results_table
 from sim_bridge.app.serve.server import Home, Host, Served, stand_up

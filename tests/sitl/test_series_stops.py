@@ -15,7 +15,7 @@ import pytest
 
 pytestmark = pytest.mark.sitl
 
-ENTRY = "from sim_bridge.app.cli.main import main; main()"
+ENTRY = "from sim_bridge.main import main; main()"
 PATIENCE_S = 280.0  # of a loaded machine
 
 

@@ -10,7 +10,7 @@ from pymavlink import mavutil
 
 pytestmark = pytest.mark.sitl
 
-ENTRY = "from sim_bridge.app.cli.main import main; main()"
+ENTRY = "from sim_bridge.main import main; main()"
 PATIENCE_S = 120.0  # of a loaded machine
 
 

@@ -57,7 +57,8 @@ class Day:
         (self.folder / name).write_text(json.dumps(table))
 
     def start(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
-        code = f"from {program}.app.cli import main; main()"
+        module = "sim_bridge.main" if program == "sim_bridge" else f"{program}.app.cli.main"
+        code = f"from {module} import main; main()"
         environment = os.environ | {"OMP_NUM_THREADS": "1"}
         with (self.folder / f"{program}.out").open("ab") as out:
             process = subprocess.Popen(

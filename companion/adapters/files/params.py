@@ -42,6 +42,26 @@ def read_wind_process(name: str, params: Path | None = None) -> WindProcessParam
     return wind_process_from_dict(_read_toml(path), str(path))
 
 
+def flight_path(name: Path | str, params: Path | None = None) -> Path:
+    """Find a flight file: by its name in params/flights, or the path as it is given."""
+    return bundled_path(name, "flights", "flight", params)
+
+
+def bundled_path(name: Path | str, folder: str, noun: str, params: Path | None = None) -> Path:
+    """FOLDER/NAME.toml of the params folder for a bare name; any other path as it is.
+
+    A bare name has neither a folder nor a suffix, and is no file here. LeewayError lists the names.
+    """
+    path = Path(name)
+    if path.suffix or len(path.parts) != 1 or path.is_file():
+        return path
+    bundled = params_dir(params) / folder / f"{path}.toml"
+    if not bundled.is_file():
+        known = ", ".join(sorted(p.stem for p in bundled.parent.glob("*.toml"))) or "none"
+        raise LeewayError(f"{path}: no such {noun}; names: {known}; or give a file's path")
+    return bundled
+
+
 def read_flight(path: Path) -> Flight:
     """Read a `flight/1` file: TOML as people write it, or JSON as a dispatcher sends it."""
     json_file = path.suffix == ".json"

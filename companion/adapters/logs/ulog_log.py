@@ -146,7 +146,7 @@ def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
         from pyulog import ULog
     except ImportError as error:
         raise LeewayError(
-            f"{path}: reading ULog needs pyulog: pip install 'leeway[replay]'"
+            f"{path}: reading ULog needs pyulog: pip install 'leeway-uas[replay]'"
         ) from error
     said = io.StringIO()
     try:

@@ -1,41 +1,15 @@
-"""`companion replay`: what Leeway would have said over a recorded flight, and when."""
+"""The command line of `companion replay`; what it does is imported when it runs."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from companion.adapters.clock import cpu_s, wall_s
-from companion.adapters.files.params import (
-    read_airframe,
-    read_flight,
-    read_obstacle_document,
-    read_wind_process,
-)
-from companion.adapters.files.replay_files import replay_record, write_record, write_wind
-from companion.adapters.logs.open_log import open_log
-from companion.app.flight.run import USAGE
-from companion.app.tools.replay_picture import draw, require_matplotlib
-from companion.app.tools.replay_report import report
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
-from companion.core.mission.events import Airspeed
-from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
-from companion.core.replay.flight_replay import ReplayTerms, replay
-from companion.core.replay.recorded_flight import RecordedFlight
-from companion.core.replay.summary import wind_score, wind_summary
-from companion.core.vehicle.airframe import Airframe
-from companion.core.wind.process import WindProcessParams
 
-UNKNOWN_AIRFRAME = "generic"
+app = typer.Typer()
+
 STOPPED_BY_HAND = 130
-SHOW_AFTER_S = 1.0
 
 EPILOG = """Example: companion replay flight.ulg --airframe m100 --out wind.csv --picture flight.png
 
@@ -43,21 +17,7 @@ Formats, columns and the JSON record: docs/replay.md. Exit codes: 0 replayed (wh
 with the log is listed); 2 a mistake in the input, or a file that is no log; 130 stopped."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """The command line."""
-
-    log: Path
-    airframe: str | None
-    flight: Path | None
-    payload_kg: float
-    max_loss: float | None
-    reserve_frac: float | None
-    every_s: float
-    wind_process: str | None
-    params: Path | None
-
-
+@app.command(name="replay", epilog=EPILOG)
 def replay_command(
     log: Annotated[
         Path,
@@ -84,8 +44,8 @@ def replay_command(
     flight: Annotated[
         Path | None,
         typer.Option(
-            help="The flight/1 TOML that was flown: its route, limits and parcel. Without it home"
-            " is the take-off point, straight."
+            help="The flight that was flown, a flight/1 TOML file or a name in params/flights: its"
+            " route, limits and parcel. Without it home is the take-off point, straight."
         ),
     ] = None,
     payload: Annotated[
@@ -119,108 +79,18 @@ def replay_command(
     changed. What is wrong with a log (cut off, gaps, jumps in time, NaN, units, another vehicle)
     is said with its place, and the log is used as far as it goes.
     """
-    asked = _Asked(log, airframe, flight, payload, max_loss, reserve, every, wind_process, params)
+    from companion.app.cli.replay_log import ReplayRequest, replay_log
+
+    asked = ReplayRequest(
+        log, airframe, flight, payload, max_loss, reserve, every, wind_process, params
+    )
     try:
-        _run(asked, out, json_out, picture)
+        replay_log(asked, out, json_out, picture)
     except LeewayError as error:
+        from companion.app.flight.run import USAGE
+
         typer.echo(f"companion replay: {error}", err=True)
         raise typer.Exit(USAGE) from error
     except KeyboardInterrupt:
         typer.echo("companion replay: stopped; nothing half-written is left", err=True)
         raise typer.Exit(STOPPED_BY_HAND) from None
-
-
-def _run(asked: _Asked, out: Path | None, json_out: Path | None, picture: Path | None) -> None:
-    if picture is not None:
-        require_matplotlib()  # before the work, not after it
-    begun_s = cpu_s()
-    log = open_log(asked.log)
-    terms = _terms(asked, log)
-    with _progress(asked.log.name) as progress:
-        result = replay(log, terms, progress)
-    used_s = cpu_s() - begun_s
-    wind = wind_summary(result)
-    score = None if log.reference is None else wind_score(result, log.reference)
-    name = terms.airframe.name
-    typer.echo("\n".join(report(asked.log, log, name, result, wind, score, used_s)))
-    if out is not None:
-        write_wind(out, result)
-        typer.echo(f"wind: {out} ({result.wind_t_s.size} rows)")
-    if json_out is not None:
-        record = replay_record(asked.log, log, name, result, wind, score, used_s)
-        write_record(json_out, record)
-        typer.echo(f"record: {json_out}")
-    if picture is not None:
-        draw(picture, asked.log.name, log, result)
-        typer.echo(f"picture: {picture}")
-
-
-def _terms(asked: _Asked, log: RecordedFlight) -> ReplayTerms:
-    if asked.flight is not None:
-        flight = read_flight(asked.flight)
-        airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
-        obstacles = read_obstacle_document(flight, asked.flight)
-        flight = _with_limits(asked, flight)
-        return ReplayTerms(
-            airframe, flight, _process(asked, flight), True, True, obstacles, asked.every_s
-        )
-    airframe = read_airframe(asked.airframe or UNKNOWN_AIRFRAME, asked.params)
-    flight = _with_limits(asked, _unplanned(asked, airframe, log))
-    known = asked.airframe is not None
-    process = _process(asked, flight)
-    return ReplayTerms(airframe, flight, process, False, known, None, asked.every_s)
-
-
-def _process(asked: _Asked, flight: Flight) -> WindProcessParams:
-    return read_wind_process(asked.wind_process or flight.mission.wind_process, asked.params)
-
-
-def _unplanned(asked: _Asked, airframe: Airframe, log: RecordedFlight) -> Flight:
-    """A flight of which only the log is known: any charge, whatever sensors the log has."""
-    vehicle = Vehicle(
-        airframe=airframe.name,
-        payload_kg=asked.payload_kg,
-        charge_frac=[0.05, 1.0],
-        pitot=log.has(Airspeed),
-        autopilot_wind=True,  # readers pass on only winds that are real estimates
-    )
-    nowhere = Site(customer=Place(east_m=0.0, north_m=0.0))
-    return Flight(format="flight/1", site=nowhere, vehicle=vehicle, mission=Mission())
-
-
-def _with_limits(asked: _Asked, flight: Flight) -> Flight:
-    changed = {"max_loss": asked.max_loss, "reserve_frac": asked.reserve_frac}
-    told = {name: value for name, value in changed.items() if value is not None}
-    mission = Mission(**{**msgspec.structs.asdict(flight.mission), **told})
-    return msgspec.structs.replace(flight, mission=mission)
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[Callable[[float], None]]:
-    """A bar on the terminal once the work takes longer than a moment."""
-    console = Console(stderr=True)
-    bar = Progress(
-        TextColumn("replaying {task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )
-    task = bar.add_task(name, total=1.0)
-    begun_s = wall_s()
-    shown = 0.0
-
-    def heard(share: float) -> None:
-        nonlocal shown
-        if share - shown < 0.01:
-            return
-        shown = share
-        bar.update(task, completed=share)
-        if not bar.live.is_started and wall_s() - begun_s > SHOW_AFTER_S:
-            bar.start()
-
-    try:
-        yield heard
-    finally:
-        bar.stop()

@@ -275,7 +275,7 @@ def _plot(folder: Path, done: Calibration, flights: list[Blocks]) -> None:
     try:
         from companion.app.tools.calibration_plots import plot_residuals
     except ImportError as error:
-        raise LeewayError("--plots: needs matplotlib: pip install 'leeway[sim]'") from error
+        raise LeewayError("--plots: needs matplotlib: pip install 'leeway-uas[sim]'") from error
     plot_residuals(folder, done, flights)
 
 

@@ -36,7 +36,7 @@ SHOWN = {
 def require_matplotlib() -> None:
     """Raise LeewayError that names what to install where matplotlib is missing."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise LeewayError("--picture needs matplotlib: pip install 'leeway[replay]'")
+        raise LeewayError("--picture needs matplotlib: pip install 'leeway-uas[replay]'")
 
 
 def draw(path: Path, name: str, log: RecordedFlight, result: ReplayResult) -> None:

@@ -164,7 +164,7 @@ def main() -> None:
         from ground_station.app.cli.benchmark import benchmark
         from ground_station.app.cli.truck import truck
     except ImportError as error:  # the vehicle's install carries this script, but not the desk
-        print(f"ground-station: pip install 'leeway[ground]' ({error})", file=sys.stderr)
+        print(f"ground-station: pip install 'leeway-uas[ground]' ({error})", file=sys.stderr)
         sys.exit(2)
     app.add_typer(order_cli.app, name="order")
     app.add_typer(dispatch_cli.app)

@@ -1,42 +1,14 @@
-"""`sim-bridge conform`: what a vehicle does, and whether it does as a real autopilot does."""
+"""The command line of `sim-bridge conform`: does a vehicle behave as a real autopilot does?"""
 
-import sys
-from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.status import Status
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.conform.behaviour import Behaviour
-from sim_bridge.conform.client import Client
-from sim_bridge.conform.errors import CannotSee, ConformError
-from sim_bridge.conform.link import is_on_loopback, open_link
-from sim_bridge.conform.reference import (
-    Result,
-    Verdict,
-    as_result,
-    judge,
-    judge_all,
-    matrix,
-    read_differences,
-    read_result,
-    reference_folder,
-    tally,
-    write_result,
-)
-from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.suite import Observer, Row, Vehicle, identify, run_suite, select
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-
-_FLIES = (
-    "the suite arms, flies and lands what is behind it; it is meant for simulators on this"
-    " machine (127.0.0.1). To run it elsewhere give --not-a-simulator and --yes-it-may-fly"
-)
 
 
 class As(StrEnum):
@@ -44,61 +16,6 @@ class As(StrEnum):
 
     px4 = "px4"
     ardupilot = "ardupilot"
-
-
-class _View:
-    """One line for each behaviour as it ends; the one under way on the last line."""
-
-    def __init__(self, console: Console, total: int, reference: "_Reference | None") -> None:
-        self._console = console
-        self._total = total
-        self._reference = reference
-        self._number = 0
-        self._status = Status("", console=console)
-
-    def __enter__(self) -> "_View":
-        self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._status.stop()
-
-    def begins(self, behaviour: Behaviour) -> None:
-        """Show what is looked at."""
-        self._number += 1
-        self._status.update(f"{self._number} of {self._total}: {behaviour.name}")
-
-    def ended(self, row: Row) -> None:
-        """Print what was seen, and the verdict where there is one."""
-        verdict = "" if self._reference is None else self._reference.word(row)
-        seen = row.problem and f"not seen: {row.problem}"
-        value = seen or f"{row.value} {row.behaviour.unit}".strip()
-        note = f"  ({row.note})" if row.note else ""
-        line = f"{verdict}{row.behaviour.name}: {row.behaviour.says} {value}{note}"
-        self._console.print(line, highlight=False, markup=False)
-
-    def says(self, words: str) -> None:
-        """Show a state."""
-        self._status.update(words)
-
-
-class _Reference:
-    """Recorded answers to judge by."""
-
-    def __init__(self, flavour: str, path: Path | None) -> None:
-        folder = reference_folder() if path is None else path.parent
-        self.result = read_result(path or folder / f"{flavour}.json")
-        self.reasons = read_differences(folder, flavour)
-
-    def word(self, row: Row) -> str:
-        """The verdict on one row, as a mark in front of its line."""
-        answer = as_result(self.result.vehicle, [row]).answers[row.behaviour.name]
-        reference = self.result.answers.get(row.behaviour.name)
-        verdict = judge(row.behaviour, answer, reference, self.reasons)
-        if verdict in (Verdict.SAME, Verdict.NO_REFERENCE):
-            return "= " if verdict is Verdict.SAME else "? "
-        expected = None if reference is None else reference.value
-        return f"{verdict.value.upper()} from {expected!r}: "
 
 
 @app.command()
@@ -155,92 +72,23 @@ def conform(
 
         sim-bridge conform --compare tests/reference/px4.json mine.json
     """
+    from sim_bridge.app.cli import conforming
+    from sim_bridge.conform.errors import ConformError
+    from sim_bridge.conform.suite import select
+
     try:
         if compare is not None:
-            _compare(*compare, flavour=as_)
+            conforming.compare_results(*compare, autopilot=as_)
         elif list_them:
-            _list(select(only or (), reboots=True))
+            conforming.print_names(select(only or (), reboots=True))
         elif link is None:
             raise ConformError("give --link URL, --compare A.json B.json or --list")
         else:
-            _refuse_far(link, told=not_a_simulator, told_twice=yes_it_may_fly)
+            conforming.refuse_far(link, told=not_a_simulator, told_twice=yes_it_may_fly)
             chosen = select(only or (), reboots=reboots)
             judge_by = None
             if as_ is not None or reference is not None:
-                judge_by = _Reference(as_.value if as_ else "", reference)
-            _run(link, chosen, judge_by, json_out, may_force=is_on_loopback(link))
+                judge_by = conforming.Reference(as_.value if as_ else "", reference)
+            conforming.conform_vehicle(link, chosen, judge_by, json_out)
     except ConformError as error:
         raise LeewayError(str(error)) from error
-
-
-def _refuse_far(link: str, *, told: bool, told_twice: bool) -> None:
-    if not is_on_loopback(link) and not (told and told_twice):
-        raise ConformError(f"--link {link} leaves this machine: {_FLIES}")
-
-
-def _list(behaviours: list[Behaviour]) -> None:
-    for behaviour in behaviours:
-        print(f"{behaviour.name:36} {behaviour.says} ... ({behaviour.where.value})")
-
-
-def _compare(a: Path, b: Path, flavour: As | None) -> None:
-    left, right = read_result(a), read_result(b)
-    reasons = read_differences(reference_folder(), (flavour or left.vehicle.autopilot))
-    names = (f"{a.stem} ({_name(left.vehicle)})", f"{b.stem} ({_name(right.vehicle)})")
-    print(matrix(left, right, reasons, names), end="")
-    print(tally(judge_all(right, left, reasons).values()), file=sys.stderr)
-
-
-def _run(
-    url: str,
-    behaviours: list[Behaviour],
-    reference: _Reference | None,
-    json_out: Path | None,
-    *,
-    may_force: bool,
-) -> None:
-    console = Console(stderr=True, soft_wrap=True)
-    client = Client(open_link(url))
-    try:
-        with _View(console, len(behaviours), reference) as view:
-            result = ask(client, behaviours, view, may_force=may_force)
-    finally:
-        client.close()
-    if json_out is not None:
-        write_result(json_out, result)
-    if reference is None:
-        console.print(f"{len(result.answers)} behaviours of {_name(result.vehicle)}")
-        return
-    verdicts = judge_all(result, reference.result, reference.reasons).values()
-    console.print(f"{tally(verdicts)}; judged by {_name(reference.result.vehicle)}")
-    if Verdict.DIFFERENT in verdicts or Verdict.NOT_SEEN in verdicts:
-        raise typer.Exit(1)
-
-
-def _name(vehicle: Vehicle) -> str:
-    return f"{vehicle.autopilot} {vehicle.firmware} {vehicle.hash}".strip()
-
-
-class View(Observer, Protocol):
-    """Whoever watches, and is told what is under way besides."""
-
-    def says(self, words: str) -> None: ...
-
-
-def ask(client: Client, behaviours: Sequence[Behaviour], view: View, *, may_force: bool) -> Result:
-    """Run the behaviours and leave the vehicle as it was found, whatever happens."""
-    view.says("waiting for a HEARTBEAT")
-    try:
-        subject = Subject(client, may_force=may_force)
-        vehicle = identify(subject)
-    except CannotSee as error:
-        raise ConformError(str(error)) from error
-    try:
-        rows = run_suite(subject, behaviours, view)
-    finally:
-        view.says("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
-        try:
-            subject.clean_up()
-        except CannotSee as error:
-            print(f"sim-bridge: NOT left as found: {error}", file=sys.stderr)
-    return as_result(vehicle, rows)

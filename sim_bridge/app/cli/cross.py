@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from companion.core.base.errors import LeewayError
 
@@ -48,6 +47,8 @@ def cross(
     Example: sim-bridge cross --vehicles 8 --seeds 1:20 --json cross.json. Separation is judged by
     truth: 5 m sideways or 4 m of height, plus the airframe's span. Exit code 0 whatever came of it.
     """
+    from rich.console import Console
+
     from sim_bridge.app.crossing.crossing import CrossOptions
     from sim_bridge.app.crossing.report import cross_seeds, flights_table, verdict_words
     from sim_bridge.app.day.build import AUTOPILOTS

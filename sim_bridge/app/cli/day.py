@@ -1,17 +1,12 @@
 """`sim-bridge day`: from a day's orders to its report, with everything that flies and drives."""
 
-import hashlib
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.flight.series import PROGRAM
 
 app = typer.Typer(add_completion=False)
 
@@ -20,7 +15,10 @@ app = typer.Typer(add_completion=False)
 def day(
     day_file: Annotated[
         Path | None,
-        typer.Argument(metavar="[DAY.toml]", help="A day/1 file. Default: params/days/town.toml"),
+        typer.Argument(
+            metavar="[DAY]",
+            help="A day/1 TOML file, or a name in params/days: town, harbour. Default: town.",
+        ),
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, help="Winds, gusts, packs, drivers, faults follow it.")
@@ -73,14 +71,14 @@ def day(
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw day.png into each run folder.")] = True,
 ) -> None:
-    """Fly a whole day: plan, desk, truck with its driver, drones of both flavours with companions.
+    """Fly a whole day: plan, desk, truck with its driver, drones with their companions.
 
     One process, simulated time, the very code that flies: each companion's loop, the desk on its
     store, the truck's port; the network is in memory. Judged by truth: who came home, what was
     brought, how near any two came. Ctrl-C keeps what is finished: the same command flies what is
     missing (a day that was cut is flown again from its start; the same seed is the same day).
 
-    sim-bridge day params/days/harbour.toml --seed 1 --json day.json
+    sim-bridge day harbour --seed 1 --json day.json
     """
     try:
         from ground_station.adapters.files.compiled_code import keep_compiled_code
@@ -88,12 +86,15 @@ def day(
         keep_compiled_code()  # before the planner's first import
         from sim_bridge.app.day import fly as day_fly
     except ImportError as error:
-        raise LeewayError(f"day needs leeway[ground]: {error}") from error
+        raise LeewayError(f"day needs leeway-uas[ground]: {error}") from error
+    from rich.console import Console
+
+    from companion.adapters.files.params import bundled_path
     from ground_station.adapters.files.day_files import read_day
     from sim_bridge.app.day.build import DayWish
     from sim_bridge.app.day.report import print_day, print_days
 
-    path = day_file or params_dir() / "days" / "town.toml"
+    path = bundled_path(day_file or "town", "days", "day")
     wish = DayWish(
         wind_log=wind_log,
         wind_table=wind_table,
@@ -104,7 +105,7 @@ def day(
     )
     data = read_day(path)
     console = Console()
-    settings = settings_of(path, wish, trials)
+    settings = day_fly.settings_of(path, wish, trials)
     flyer = day_fly.Flyer(console, path, data, wish, trials, runs, settings, processes)
     rows = [flyer.row(number, picture=picture) for number in _numbers(seed, seeds)]
     if len(rows) == 1:
@@ -127,16 +128,3 @@ def _numbers(seed: int, seeds: str | None) -> list[int]:
     if not (first.isdecimal() and (last or first).isdecimal() and int(last or first) >= int(first)):
         raise LeewayError(f"--seeds {seeds}: expected first:last, as 1:10")
     return list(range(int(first), int(last or first) + 1))
-
-
-def settings_of(path: Path, wish: Any, trials: int | None) -> str:
-    """A digest of all that decides a day but its seed: its files, the options, the program."""
-    options = {k: str(v) for k, v in asdict(wish).items()} | {"trials": str(trials)}
-    digest = hashlib.sha256(json.dumps(options, sort_keys=True).encode())
-    named = [wish.wind_log, wish.wind_table]
-    files = [*path.parent.glob("*"), *params_dir().rglob("*"), *(p for p in named if p is not None)]
-    for package in ("companion", "ground_station", "sim_bridge"):
-        files += (PROGRAM / package).rglob("*.py")
-    for file in sorted(p for p in files if p.is_file()):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:12]

@@ -1,32 +1,19 @@
-"""`sim-bridge fly-plan`: a simulated vehicle flies a QGroundControl plan, recorded as .tlog."""
+"""The command line of `sim-bridge fly-plan`: a QGroundControl plan, flown and recorded."""
 
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from rich.console import Console
 
-from companion.adapters.files.params import params_dir
-from companion.adapters.files.qgc_plan import read_plan
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.serve.plan_flight import fly_plan
-from sim_bridge.app.serve.server import Home, stand_up
-from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
-from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
 
 app = typer.Typer()
 
 _SETTINGS = {  # what lets each fly a plan without sticks, at the plan's own speeds
-    Flavour.PX4: {"MPC_XY_VEL_MAX": 20.0, "MPC_TILTMAX_AIR": 35.0},
-    Flavour.ARDUPILOT: {"AUTO_OPTIONS": 3, "ANGLE_MAX": 3500},
+    "px4": {"MPC_XY_VEL_MAX": 20.0, "MPC_TILTMAX_AIR": 35.0},
+    "ardupilot": {"AUTO_OPTIONS": 3, "ANGLE_MAX": 3500},
 }
-_NOSE_HELD = {
-    Flavour.PX4: {"MPC_YAW_MODE": 5},
-    Flavour.ARDUPILOT: {"WP_YAW_BEHAVIOR": 0},
-}
+_NOSE_HELD = {"px4": {"MPC_YAW_MODE": 5}, "ardupilot": {"WP_YAW_BEHAVIOR": 0}}
 
 
 @app.command(name="fly-plan")
@@ -60,18 +47,30 @@ def fly_plan_command(
 
     Example: sim-bridge fly-plan square.plan --out 1.tlog --payload-kg 0.8 --wind-speed-mps 6
     """
-    try:
-        flavour = Flavour(autopilot)
-    except ValueError as error:
-        raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected") from error
+    if autopilot not in _SETTINGS:
+        raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
+
+    import numpy as np
+    from rich.console import Console
+
+    from companion.adapters.files.params import params_dir
+    from companion.adapters.files.qgc_plan import read_plan
+    from sim_bridge.app.serve.plan_flight import fly_plan
+    from sim_bridge.app.serve.server import Home, stand_up
+    from sim_bridge.autopilot.flavour import Flavour
+    from sim_bridge.autopilot.mavlink.parameters import read_parameters
+    from sim_bridge.truth.params import load_airframe
+    from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
+
     table = {"kind": "steady", "speed_mps": wind_speed_mps, "from_deg": wind_from_deg}
     if wind_log is not None:
         table = {"kind": "log", "log": str(wind_log.absolute()), "start_s": wind_start_s}
     wind = parse_wind({**table, "turbulence": "dryden" if wind_log is None else "none"})
     mean = mean_wind(wind, Path())
     home, items = read_plan(plan)
-    settings = _SETTINGS[flavour] | (_NOSE_HELD[flavour] if nose_held else {})
+    settings = _SETTINGS[autopilot] | (_NOSE_HELD[autopilot] if nose_held else {})
     settings |= dict(map(_setting, param or []))
+    flavour = Flavour(autopilot)
     served = stand_up(
         flavour,
         load_airframe(params_dir() / "truth" / f"{airframe}.toml"),

@@ -2,23 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.console import Console
 
-from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.serve.server import Home, Host, stand_up
-from sim_bridge.autopilot.flavour import Flavour
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
-from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
+
+if TYPE_CHECKING:
+    from sim_bridge.app.serve.server import Home
 
 app = typer.Typer()
 
-FLAVOURS = (Flavour.PX4, Flavour.ARDUPILOT)
+AUTOPILOTS = ("px4", "ardupilot")
 TCP_STRIDE = 10
 """ArduPilot's SITL gives instance N the port 5760 + 10 N."""
 
@@ -57,16 +52,17 @@ def _wind_table(
     return log | {"turbulence": gusts}
 
 
-def _flavour_of(autopilot: str, index: int) -> Flavour:
+def _autopilot_of(autopilot: str, index: int) -> str:
     if autopilot == "mixed":
-        return FLAVOURS[index % 2]
-    try:
-        return Flavour(autopilot)
-    except ValueError as error:
-        raise LeewayError(f"--autopilot {autopilot}: expected px4, ardupilot or mixed") from error
+        return AUTOPILOTS[index % 2]
+    if autopilot not in AUTOPILOTS:
+        raise LeewayError(f"--autopilot {autopilot}: expected px4, ardupilot or mixed")
+    return autopilot
 
 
-def _home(words: str) -> Home:
+def _home(words: str) -> "Home":
+    from sim_bridge.app.serve.server import Home
+
     try:
         lat_deg, lon_deg, alt_amsl_m = map(float, words.split(","))
     except ValueError as error:
@@ -76,9 +72,9 @@ def _home(words: str) -> Home:
     return Home(lat_deg, lon_deg, alt_amsl_m)
 
 
-def how_to_connect(index: int, flavour: Flavour, ports: Ports) -> list[str]:
+def how_to_connect(index: int, autopilot: str, ports: Ports) -> list[str]:
     """The lines that tell how other programs reach a vehicle."""
-    lines = [f"vehicle {index + 1}, {flavour.value}, MAVLink system {index + 1}"]
+    lines = [f"vehicle {index + 1}, {autopilot}, MAVLink system {index + 1}"]
     if ports.ground:
         lines.append(f"  QGroundControl  finds it by itself (UDP {ports.ground})")
     if ports.onboard:
@@ -122,6 +118,16 @@ def serve(
     The ports are those of PX4's and ArduPilot's own simulators, so other programs find the
     vehicles where they look for them.
     """
+    import numpy as np
+    from rich.console import Console
+
+    from companion.adapters.files.params import params_dir
+    from sim_bridge.app.serve.server import Home, Host, stand_up
+    from sim_bridge.autopilot.flavour import Flavour
+    from sim_bridge.autopilot.mavlink.parameters import read_parameters
+    from sim_bridge.truth.params import load_airframe
+    from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
+
     ports = Ports(host, onboard_port, ground_port, tcp_port)
     console = Console(highlight=False)
     place = _home(home)
@@ -132,12 +138,12 @@ def serve(
     mean = mean_wind(params, Path())
     with Host(speedup) as bridge:
         for index, seeds in enumerate(np.random.SeedSequence(seed).spawn(vehicles)):
-            flavour = _flavour_of(autopilot, index)
+            name = _autopilot_of(autopilot, index)
             gusts, sensors = seeds.spawn(2)
             served = stand_up(
-                flavour,
+                Flavour(name),
                 body,
-                read_parameters(params_dir() / "autopilots" / f"{flavour.value}.toml"),
+                read_parameters(params_dir() / "autopilots" / f"{name}.toml"),
                 home=Home(
                     place.lat_deg + SPACING_M * index / METRES_PER_DEGREE,
                     place.lon_deg,
@@ -150,7 +156,7 @@ def serve(
                 seed=sensors,
             )
             bridge.add(served, onboard=ports.onboard_urls(index), gcs=ports.ground_urls(index))
-            for line in how_to_connect(index, flavour, ports):
+            for line in how_to_connect(index, name, ports):
                 console.print(line)
         console.print("serving; Ctrl-C ends it")
         try:

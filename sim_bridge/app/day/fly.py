@@ -1,13 +1,15 @@
 """Day after day: planned, flown, kept in its folder; what is finished is not flown again."""
 
+import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from companion.adapters.files.params import params_dir
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -17,6 +19,7 @@ from sim_bridge.app.day.desk import DeskHere
 from sim_bridge.app.day.processes import DeskProcess, apart
 from sim_bridge.app.day.report import watched
 from sim_bridge.app.day.run import RESULT, DayOptions, DeskSeat, fly_day
+from sim_bridge.app.flight.series import PROGRAM
 
 LONGEST_S = 5400.0
 """A day is meant to take an hour at most; one that takes half as long again is broken off."""
@@ -91,3 +94,16 @@ def finished(folder: Path, settings: str) -> dict[str, Any] | None:
         return None
     same = isinstance(row, dict) and row.get(SETTINGS) == settings
     return row if same else None
+
+
+def settings_of(path: Path, wish: DayWish, trials: int | None) -> str:
+    """A digest of all that decides a day but its seed: its files, the options, the program."""
+    options = {k: str(v) for k, v in asdict(wish).items()} | {"trials": str(trials)}
+    digest = hashlib.sha256(json.dumps(options, sort_keys=True).encode())
+    named = [wish.wind_log, wish.wind_table]
+    files = [*path.parent.glob("*"), *params_dir().rglob("*"), *(p for p in named if p is not None)]
+    for package in ("companion", "ground_station", "sim_bridge"):
+        files += (PROGRAM / package).rglob("*.py")
+    for file in sorted(p for p in files if p.is_file()):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:12]

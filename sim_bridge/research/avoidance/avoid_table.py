@@ -8,7 +8,7 @@ from pathlib import Path
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.avoidance.evaluation import Flights, by_episode, upper95
 from sim_bridge.research.avoidance.kept_flights import read_flights
-from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.results.sheet import Sheet
 
 POLICIES = ("none", "none_filtered", "orca", "orca_filtered", "maddpg_bare", "maddpg")
 LEARNED, AGAINST = "maddpg", ("orca_filtered", "none_filtered")

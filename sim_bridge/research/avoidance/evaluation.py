@@ -1,4 +1,4 @@
-"""Flying a policy over episodes and counting what came of it (evaluation.md, 12)."""
+"""Flying a policy over episodes and counting what came of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from companion.adapters.files.params import read_airframe
 from companion.core.separation.separation_filter import SeparationFilter
-from sim_bridge.research.avoidance.flight_power import climb_cost_j_per_m, power_of
+from companion.core.vehicle.power import multirotor_power_w
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.avoidance.world import GOAL_M, MAX_SPEED_MPS, TICK_S, TICKS, World
 from sim_bridge.research.avoidance.yardsticks import Pilot
@@ -19,6 +20,8 @@ EVALUATION_SCENES = 16  # drawn from another stream than the 24 of training
 LONGEST_S = 150.0
 TIMED_TICKS = 100
 AIRFRAME = "m100"
+GRAVITY_MPS2 = 9.80665
+FASTEST_MPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -163,3 +166,17 @@ def by_episode(values: Floats, agents: int) -> tuple[float | None, float | None]
         return float(mean), None
     spread = ((total - mean * count) ** 2).sum() * len(of) / (len(of) - 1)
     return float(mean), float(1.96 * np.sqrt(spread) / count.sum())
+
+
+def power_of(airframe: str) -> Callable[[Floats], Floats]:
+    """Electrical power in level flight, empty, W, for any array of airspeeds."""
+    believed = read_airframe(airframe)
+    speeds = np.linspace(0.0, FASTEST_MPS, 121)
+    power = multirotor_power_w(believed, believed.mass_kg(0.0), speeds)
+    return lambda airspeed_mps: np.interp(airspeed_mps, speeds, power)
+
+
+def climb_cost_j_per_m(airframe: str) -> float:
+    """What a metre of height costs: its weight over the drive's efficiency, J."""
+    believed = read_airframe(airframe)
+    return believed.mass_kg(0.0) * GRAVITY_MPS2 / believed.power_rotor.drive_efficiency

@@ -1,4 +1,4 @@
-"""One episode as a PettingZoo ParallelEnv (needs leeway[train])."""
+"""One episode as a PettingZoo ParallelEnv (needs leeway-uas[train])."""
 
 from typing import Any
 

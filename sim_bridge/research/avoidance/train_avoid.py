@@ -1,6 +1,6 @@
-"""Flying and learning to avoid: experience, checks on fixed episodes, checkpoints and the curve.
+"""Learning to avoid: experience, checks on fixed episodes, checkpoints, the curve, and the export.
 
-sim-bridge train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
+sim-bridge research train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
 """
 
 import csv
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch  # pyright: ignore[reportMissingImports]
 
-from companion.core.separation.learned_policy import pooled
+from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, pooled
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.environment import REWARDS, AvoidEnvironment, Frame, Observation
 from sim_bridge.research.avoidance.maddpg import Learner, Replay, TrainParams
@@ -25,6 +25,22 @@ from sim_bridge.research.avoidance.world import World
 TRAIN_SCENES, TRAIN_SEEDS = 24, 1_000_000  # `avoid` flies other towns and other seeds
 CHECK_SEEDS = 900_000
 CHECK_AGENTS = 8
+
+CARD = """\
+# What this policy is and where it comes from; `sim-bridge avoid` and the companion check it.
+format = "policy/1"
+weights = "{name}.npz"
+sha256 = "{sha256}"
+frame = "{frame}"         # what is up in its view, and heading 0
+reward = "{reward}"
+behind_filter = {behind_filter}
+seed = {seed}
+steps = {steps}            # decisions of each of {episodes} episodes with {agents} drones
+agent_steps = {agent_steps}
+commit = "{commit}"
+command = "{command}"
+curve = "{name}_curve.csv"
+"""
 
 
 @dataclass(frozen=True)
@@ -218,7 +234,39 @@ def _save(path: Path, learner: Learner, step: int, seen: int, began: int) -> Non
     partial.replace(path)
 
 
-def weights_of(checkpoint: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
+    """Writes name.npz, name.toml and name_curve.csv; returns their paths."""
+    weights, run = _weights_of(checkpoint)
+    AvoidancePolicy(weights)
+    out.mkdir(parents=True, exist_ok=True)
+    archive = out / f"{name}.npz"
+    np.savez(archive, **{key: weights[key] for key in SHAPES})  # pyright: ignore[reportArgumentType]
+    params = run["params"]
+    filtered = " --filtered" if params["filtered"] else ""
+    taught = f" --taught {params['taught']}" if params["taught"] else ""
+    begun = f" --begin-with {params['begin_with']}" if params["begin_with"] else ""
+    card = CARD.format(
+        name=name,
+        sha256=_sha256_of(archive),
+        frame=Frame.GOAL.value,
+        reward=params["reward"],
+        behind_filter=str(params["filtered"]).lower(),
+        seed=params["seed"],
+        steps=run["step"],
+        episodes=params["episodes"],
+        agents=params["agents"],
+        agent_steps=run["agent_steps"],
+        commit=commit,
+        command=f"sim-bridge research train-avoid --reward {params['reward']}"
+        f" --seed {params['seed']} --steps {params['steps']}{filtered}{taught}{begun}",
+    )
+    written = [archive, out / f"{name}.toml", out / f"{name}_curve.csv"]
+    written[1].write_text(card, encoding="utf-8")
+    shutil.copyfile(checkpoint.parent / "curve.csv", written[2])
+    return written
+
+
+def _weights_of(checkpoint: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The actor's weights as plain float32 arrays, and what is known of the run."""
     state = torch.load(checkpoint, weights_only=True)
     actor = state["nets"]["actor"]
@@ -230,5 +278,5 @@ def weights_of(checkpoint: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     }
 
 
-def sha256_of(path: Path) -> str:
+def _sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()

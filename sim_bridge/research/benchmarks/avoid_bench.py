@@ -21,7 +21,7 @@ from companion.core.separation.policy_view import Around, wish_of
 from companion.core.separation.separation_filter import SeparationFilter, Verdict
 from companion.core.separation.stopping_paths import Neighbours
 from sim_bridge.research.avoidance.scenes import make_scene
-from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.results.sheet import Sheet
 
 Floats = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.research.campaign.report import Sheet
 from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.results.sheet import Sheet
 
 Floats = NDArray[np.float64]
 

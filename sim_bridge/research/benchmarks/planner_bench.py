@@ -20,7 +20,6 @@ from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.markov_chain import WindChain, sight_of
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench, run_campaign
 from sim_bridge.research.campaign.campaign_runner import InProcess, Pool, run
-from sim_bridge.research.campaign.report import Sheet
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
     WindRose,
@@ -28,6 +27,7 @@ from sim_bridge.research.campaign.scenario_generator import (
 )
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.mission_model import fly_missions
+from sim_bridge.research.results.sheet import Sheet
 
 BENCH_SEED = 6
 REPEATS = 3  # of which the best counts, for the plain and for the fast alike

@@ -29,11 +29,11 @@ from companion.core.wind.markov_chain import (
     chain_from_scenario,
     sight_of,
 )
+from sim_bridge.research.planners.baselines import Ger, Rer, Ser
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, solve_log_policy
 from sim_bridge.research.planners.ber_paper import BerPaper, BerPaperParams
 from sim_bridge.research.planners.clairvoyant import Clairvoyant
-from sim_bridge.research.planners.ger import Ger
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     Flown,
@@ -43,8 +43,6 @@ from sim_bridge.research.planners.mission_model import (
     fly_missions,
 )
 from sim_bridge.research.planners.online import OnlineModel
-from sim_bridge.research.planners.rer import Rer
-from sim_bridge.research.planners.ser import Ser
 from sim_bridge.research.planners.tuning import PolicyTuner, TuningParams
 from sim_bridge.research.planners.uncertainty import ChainUncertainty, DriftUncertainty, RiskCost
 

@@ -24,7 +24,7 @@ from sim_bridge.research.campaign.campaign import (
     run_task,
     tasks_of,
 )
-from sim_bridge.research.campaign.journal import Journal, leave_ctrl_c_to_the_parent
+from sim_bridge.research.results.journal import Journal, leave_ctrl_c_to_the_parent
 
 PER_WORKER = 2  # tasks handed out ahead of each worker
 
@@ -112,7 +112,7 @@ class RayCluster:
         try:
             import ray  # pyright: ignore[reportMissingImports]
         except ImportError:
-            raise LeewayError("ray is not installed: pip install 'leeway[ray]'") from None
+            raise LeewayError("ray is not installed: pip install 'leeway-uas[ray]'") from None
         self._ray = ray
         if not ray.is_initialized():
             ray.init(address=address, log_to_driver=False, include_dashboard=False)

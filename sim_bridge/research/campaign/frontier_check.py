@@ -13,12 +13,12 @@ import numpy as np
 from companion.core.routing.scenario import Scenario
 from sim_bridge.research.campaign.campaign import CampaignParams, Row, run_campaign
 from sim_bridge.research.campaign.frontier import LOSS_WEIGHTS, Frontier, frontier
-from sim_bridge.research.campaign.report import Sheet
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
     WindRose,
     random_scenario,
 )
+from sim_bridge.research.results.sheet import Sheet
 
 BOUNDS = ((0.001, 200_000), (0.01, 20_000), (0.05, 20_000))  # max loss, missions
 RIVALS = ("ser", "rer", "ber-paper")

@@ -1,4 +1,4 @@
-"""`sim-bridge avoid`: drones among drones and buildings, by one policy or another."""
+"""`sim-bridge research avoid`, `train-avoid` and what goes with them: drones among drones."""
 
 import json
 from enum import StrEnum
@@ -6,19 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.adapters.wall_clock import cpu_s
-from sim_bridge.research.cli.campaign import INTERRUPTED
-from sim_bridge.research.cli.experiments import OUT, finish, progress_bar
+from sim_bridge.research.cli.running import INTERRUPTED, OUT, finish, progress_bar
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from sim_bridge.research.avoidance.train_avoid import CurvePoint
     from sim_bridge.research.avoidance.yardsticks import Pilot
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer()
 
 TIMED_EPISODES = 5
 FLOWN_POLICY = "avoid"
@@ -63,9 +61,12 @@ def avoid(
     200 ms late and 2 m off. Ctrl-C shows what has been flown. A folder of --keep belongs to one
     state of the code: what it holds is not flown again.
 
-    Example: sim-bridge avoid --policy orca_filtered --agents 8 --episodes 100 --wind
+    Example: sim-bridge research avoid --policy orca_filtered --agents 8 --episodes 100 --wind
     """
+    from rich.console import Console
+
     from companion.core.separation.separation_filter import SeparationFilter
+    from sim_bridge.adapters.wall_clock import cpu_s
     from sim_bridge.research.avoidance import evaluation
     from sim_bridge.research.avoidance.kept_flights import Evaluation, flights_of
 
@@ -76,8 +77,7 @@ def avoid(
     seeds = asked.seeds(0, min(episodes, TIMED_EPISODES))
     found, timed, stopped = None, None, False
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+    with progress_bar() as bar:
         shown = bar.add_task(f"{policy}, {agents} drones", total=episodes)
         try:
             timed = evaluation.decision_us(world, pilot, separation, seeds, cpu_s)
@@ -112,7 +112,9 @@ def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
         try:
             import pyrvo  # noqa: F401 # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            raise LeewayError(f"--policy {policy} needs leeway[train] (pyrvo): {error}") from error
+            raise LeewayError(
+                f"--policy {policy} needs leeway-uas[train] (pyrvo): {error}"
+            ) from error
         return yardsticks.Orca(), ""
     from companion.adapters.files.policy_file import read_policy
     from sim_bridge.research.avoidance.environment import Frame
@@ -121,7 +123,9 @@ def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
     return yardsticks.Learned(actor, Frame(said.frame)), said.sha256
 
 
-def _table(figures: dict[str, Any], wind: bool) -> Table:
+def _table(figures: dict[str, Any], wind: bool) -> "Table":
+    from rich.table import Table
+
     title = f"{figures['policy']}, {figures['agents']} drones, {figures['episodes']} episodes"
     table = Table("", "", title=title + (", wind" if wind else ", no wind"), show_header=False)
     flights = figures["flights"]
@@ -162,44 +166,18 @@ def _draw(
 
 @app.command("avoid-table")
 def avoid_table(
-    folder: Annotated[Path, typer.Argument(help="of `sim-bridge avoid --keep`")],
+    folder: Annotated[Path, typer.Argument(help="of `sim-bridge research avoid --keep`")],
     out: Annotated[Path, typer.Option(help="folder for the tables")] = OUT,
 ) -> None:
     """Tables of all flights kept in a folder: each policy, and the learned one against the others.
 
-    Example: sim-bridge avoid-table logs/avoid/kept
+    Example: sim-bridge research avoid-table logs/avoid/kept
     """
     from sim_bridge.research.avoidance import avoid_table as experiment
 
     rows = experiment.rows_of(folder)
     finish(experiment.results(rows), out, "avoid")
     finish(experiment.compared(rows), out, "avoid_against")
-
-
-@app.command("avoid-bench")
-def avoid_bench(
-    scenes: Annotated[int, typer.Option(min=1, help="decisions of each kind")] = 400,
-    neighbours: Annotated[int, typer.Option(min=0, max=200, help="about the drone")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="of the scenes")] = 1,
-    card: Annotated[
-        str, typer.Option(help="the actor: a name in params/policies, or a card's path")
-    ] = FLOWN_POLICY,
-    out: Annotated[Path, typer.Option(help="folder for the table")] = OUT,
-) -> None:
-    """Time one decision on board: the safety filter among neighbours, and the actor with its view.
-
-    CPU time, so that other work on the machine matters less; the least is what a quiet one takes.
-
-    Example: OMP_NUM_THREADS=1 sim-bridge avoid-bench --neighbours 20
-    """
-    from companion.adapters.files.policy_file import read_policy
-    from sim_bridge.research.benchmarks import avoid_bench as experiment
-
-    policy, _ = read_policy(card)
-    with progress_bar() as bar:
-        shown = bar.add_task("decisions", total=2 * scenes)
-        costs = experiment.measured(policy, scenes, neighbours, seed, lambda: bar.advance(shown))
-    finish(experiment.sheet(costs, neighbours), out, "avoid_bench")
 
 
 @app.command("avoid-curve")
@@ -209,13 +187,13 @@ def avoid_curve(
 ) -> None:
     """Draw learning curves: reward, goals and collisions over the steps that agents flew.
 
-    Example: sim-bridge avoid-curve logs/avoid/swift-1/curve.csv logs/avoid/paper-1/curve.csv
+    Example: sim-bridge research avoid-curve logs/avoid/swift-1/curve.csv
     """
     from sim_bridge.research.avoidance.avoid_picture import draw_curves
 
     for path in curves:
         if not path.exists():
-            raise LeewayError(f"{path}: no such curve; sim-bridge train-avoid writes it")
+            raise LeewayError(f"{path}: no such curve; sim-bridge research train-avoid writes it")
     draw_curves(curves, out)
     typer.echo(f"wrote {out}", err=True)
 
@@ -227,15 +205,89 @@ def export_avoid(
     name: Annotated[str, typer.Option(help="of the policy")] = FLOWN_POLICY,
     commit: Annotated[str, typer.Option(help="of the code that trained it")] = "unknown",
 ) -> None:
-    """Write a trained actor as plain weights with its card and curve; needs leeway[train].
+    """Write a trained actor as plain weights with its card and curve; needs the extra `train`.
 
-    Example: sim-bridge export-avoid logs/avoid/swift-1/checkpoint.pt --out params/policies
+    Example: sim-bridge research export-avoid logs/avoid/swift-1/checkpoint.pt --out params/policies
     """
     try:
-        from sim_bridge.research.avoidance.export import export
+        from sim_bridge.research.avoidance.train_avoid import export
     except ImportError as error:
-        raise LeewayError(f"export-avoid needs leeway[train]: {error}") from error
+        raise LeewayError(f"export-avoid needs leeway-uas[train]: {error}") from error
     if not checkpoint.exists():
-        raise LeewayError(f"{checkpoint}: no such checkpoint; sim-bridge train-avoid writes it")
+        raise LeewayError(
+            f"{checkpoint}: no such checkpoint; sim-bridge research train-avoid writes it"
+        )
     for path in export(checkpoint, out, name, commit):
         typer.echo(f"wrote {path}", err=True)
+
+
+@app.command("train-avoid")
+def train_avoid(
+    reward: Annotated[str, typer.Option(help="paper, or ours: sharper, swift")] = "swift",
+    seed: Annotated[int, typer.Option(min=0, help="of networks, noise and episodes")] = 1,
+    steps: Annotated[int, typer.Option(min=1, help="decisions of each of 8 episodes")] = 2500,
+    filtered: Annotated[
+        bool, typer.Option("--filtered", help="learn behind the safety filter")
+    ] = False,
+    taught: Annotated[
+        int, typer.Option(min=0, help="updates (2 a step) that imitate the shortest way first")
+    ] = 0,
+    begin_with: Annotated[
+        Path | None, typer.Option(help="checkpoint.pt whose networks to start from")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="checkpoint.pt and curve.csv; default: by reward and seed")
+    ] = None,
+) -> None:
+    """Learn to avoid (MADDPG); Ctrl-C keeps the checkpoint, the same command goes on from it.
+
+    Example: OMP_NUM_THREADS=1 sim-bridge research train-avoid --reward swift --filtered --seed 1
+    """
+    try:
+        from sim_bridge.research.avoidance.maddpg import TrainParams
+        from sim_bridge.research.avoidance.train_avoid import train
+    except ImportError as error:
+        raise LeewayError(f"train-avoid needs leeway-uas[train]: {error}") from error
+    from sim_bridge.research.avoidance.environment import REWARDS
+    from sim_bridge.research.avoidance.evaluation import power_of
+
+    if reward not in REWARDS:
+        raise LeewayError(f"--reward {reward}: expected one of {', '.join(REWARDS)}")
+    folder = (
+        out
+        or Path("logs")
+        / "avoid"
+        / f"{reward}-{seed}{'-filtered' * filtered}{'-taught' * (taught > 0)}"
+    )
+    if begin_with is not None and not begin_with.exists():
+        raise LeewayError(f"--begin-with {begin_with}: no such checkpoint")
+    params = TrainParams(
+        reward=reward,
+        seed=seed,
+        filtered=filtered,
+        taught=taught,
+        begin_with=str(begin_with or ""),
+        steps=steps,
+    )
+    with progress_bar(transient=False) as bar:
+        shown = bar.add_task(f"{reward} reward", total=steps)
+
+        def progress(step: int, point: "CurvePoint | None") -> None:
+            bar.update(shown, completed=step)
+            if point is not None:
+                bar.console.print(
+                    f"step {point.step}: reward {point.reward_mean:.2f}, goals"
+                    f" {point.goals_frac:.1%}, flights that met a drone"
+                    f" {point.drone_collision_frac:.1%}, a building"
+                    f" {point.building_collision_frac:.1%}",
+                    highlight=False,
+                )
+
+        try:
+            train(params, folder, power_of("m100"), progress)
+        except KeyboardInterrupt:
+            bar.console.print(f"stopped; {folder}/checkpoint.pt keeps the last check, run it again")
+            raise typer.Exit(INTERRUPTED) from None
+        except ValueError as error:
+            raise LeewayError(str(error)) from error
+    typer.echo(f"wrote {folder}/checkpoint.pt and curve.csv", err=True)

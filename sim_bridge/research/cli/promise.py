@@ -1,18 +1,14 @@
-"""`sim-bridge promise`: is what the gate says true? (`evaluation.md`, 10; docs/promise.md)."""
+"""`sim-bridge research promise`: is the P(home) that the return budget states calibrated?"""
 
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
-from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.campaign.journal import Journal, digest_of
-from sim_bridge.research.cli.campaign import write_whole
-from sim_bridge.research.cli.experiments import run_journaled
+from sim_bridge.research.cli.running import run_journaled, write_whole
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer()
 
 
 @app.command()
@@ -65,10 +61,14 @@ def promise(
     a clairvoyant fly the same missions. The gate learns its spread and its risk only from blocks
     that are not judged. Ctrl-C prints what was flown so far and keeps it: the same command goes on.
 
-    Example: sim-bridge promise --wind-log site.csv --tier hard --missions 1000 --json promise.json
+    Example: sim-bridge research promise --wind-log site.csv --tier hard --json promise.json
     """
+    import msgspec
+
+    from companion.adapters.files.params import params_dir
     from sim_bridge.research.promise import flying, sheets
     from sim_bridge.research.promise.world import Setting, digest
+    from sim_bridge.research.results.journal import Journal, digest_of
 
     logs = tuple(wind_log or ())
     if json is not None and not json.parent.is_dir():

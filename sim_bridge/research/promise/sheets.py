@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.research.campaign.report import Sheet
 from sim_bridge.research.promise.bound import most_success
 from sim_bridge.research.promise.flying import Fitted, GateFlight
 from sim_bridge.research.promise.rules import Ends, ends_of
@@ -23,6 +22,7 @@ from sim_bridge.research.promise.verdict import (
     statements_of,
 )
 from sim_bridge.research.promise.world import World, block_words
+from sim_bridge.research.results.sheet import Sheet
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w, paper_power_w
-from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.results.sheet import Sheet
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
-from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.steady_flight import SteadyFlight
 

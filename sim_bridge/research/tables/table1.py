@@ -12,18 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_wind_process
+from companion.core.base.errors import LeewayError
 from companion.core.return_budget.value_table.bounded_loss_policy import PolicySearch
 from companion.core.return_budget.value_table.edge_transitions import build_step_model
 from companion.core.routing.planner_interface import Planner
 from companion.core.routing.scenario import LogWind, Scenario
 from companion.core.wind.forecast_chain import prior_wind
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
-from sim_bridge.research.campaign.report import Sheet, interval95_text, mean_std
 from sim_bridge.research.campaign.scenario_generator import GUSTY, GeneratorParams, scenario_set
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, LogPolicy, solve_log_policy
 from sim_bridge.research.planners.mission_model import ChainWinds, Winds, fly_missions
 from sim_bridge.research.planners.tuning import PolicyTuner, TuningParams
+from sim_bridge.research.results.sheet import Sheet, interval95_text, mean_std
+from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.wind_log import load_wind_log
 
 Shares = NDArray[np.float64]  # SUC, DEL, FAIL, ABRT in percent
 
@@ -289,3 +292,20 @@ def draw(cells: dict[Cell, Shares], title: str, path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path, dpi=80)
     plt.close(figure)
+
+
+def recorded_wind(path: Path, longest_mission_s: float) -> LogWind:
+    """A CSV of `t_s, wind_speed_mps, wind_from_deg` as a scenario's wind (to east, to north).
+
+    Missions start early enough to end within the recording.
+    """
+    try:
+        log = load_wind_log(path)
+    except TruthError as error:
+        raise LeewayError(str(error)) from error
+    first, last = log.t_s[0], log.t_s[-1]
+    return LogWind(
+        t_s=list(log.t_s),
+        wind_en_mps=list(zip(log.to_east_mps, log.to_north_mps, strict=True)),
+        start_s=(first, max(first, last - longest_mission_s)),
+    )

@@ -30,7 +30,6 @@ from companion.core.routing.scenario import Scenario
 from companion.core.wind.markov_chain import Sight, WindChain
 from ground_station.adapters.llm import LlmParams
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
-from sim_bridge.research.campaign.report import Sheet, mean_std
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
     WindRose,
@@ -39,6 +38,7 @@ from sim_bridge.research.campaign.scenario_generator import (
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.planners.mission_model import ChainWinds, Flown, Outcome, fly_missions
 from sim_bridge.research.planners.tuning import TuningParams
+from sim_bridge.research.results.sheet import Sheet, mean_std
 from sim_bridge.research.tables.table2_day import (
     DRONES,
     STOPS,

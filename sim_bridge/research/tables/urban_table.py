@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
-from sim_bridge.research.campaign.report import Sheet, interval95_text, mean_std
 from sim_bridge.research.planners.mission_model import ChainWinds, fly_missions
 from sim_bridge.research.planners.tuning import TuningParams
+from sim_bridge.research.results.sheet import Sheet, interval95_text, mean_std
 from sim_bridge.research.tables.table1 import PAPER
 from sim_bridge.research.tables.urban_scene import Town, TownParams, generate_town
 

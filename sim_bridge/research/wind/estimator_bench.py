@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
-from sim_bridge.research.campaign.report import Sheet
+from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.research.wind.anemometer_flight import (
     AirspeedError,
     Recording,

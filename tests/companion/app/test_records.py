@@ -334,7 +334,7 @@ def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
         "zenoh",
         "scipy.optimize",
     )
-    imports = "import sys; import companion.app.cli.main"
+    imports = "import sys; import companion.app.cli.main, companion.app.cli.flying"
     code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
     seen = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
@@ -344,7 +344,7 @@ def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
 
 def test_the_simulators_commands_start_without_the_desks_and_the_planners_libraries():
     heavy = ("zenoh", "numba", "sqlalchemy", "torch")
-    imports = "import sys; import sim_bridge.app.cli.main"
+    imports = "import sys; import sim_bridge.main"
     code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
     seen = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

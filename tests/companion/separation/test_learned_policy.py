@@ -51,7 +51,7 @@ def test_the_actor_computes_what_its_definition_says() -> None:
 
 
 def test_torch_and_numpy_agree() -> None:
-    torch = pytest.importorskip("torch", reason="needs leeway[train]")
+    torch = pytest.importorskip("torch", reason="needs leeway-uas[train]")
     from sim_bridge.research.avoidance.maddpg import Actor
 
     actor = Actor()

@@ -6,7 +6,8 @@ from contextlib import closing
 
 import pytest
 
-from sim_bridge.adapters.endpoint import EndpointError, EndpointSet, bundled, open_endpoint
+from sim_bridge.adapters.endpoint import EndpointSet, bundled, open_endpoint
+from sim_bridge.adapters.errors import EndpointError
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 WAIT_S = 2.0

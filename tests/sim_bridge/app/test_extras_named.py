@@ -4,16 +4,18 @@ import sys
 
 import pytest
 
-from sim_bridge.app.cli import main as cli
+from sim_bridge import main as cli
 
 
 @pytest.mark.parametrize(
     ("lacking", "command", "extra"),
     [
-        ("torch", ["train-avoid", "--steps", "1"], "leeway[train]"),
-        ("torchrl", ["train-compare", "--steps", "100"], "leeway[compare]"),
-        ("torch", ["train-compare", "--steps", "100"], "leeway[compare]"),
-        ("pyrvo", ["avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"], "[train]"),
+        ("torch", ["research", "train-avoid", "--steps", "1"], "leeway-uas[train]"),
+        (
+            "pyrvo",
+            ["research", "avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"],
+            "leeway-uas[train]",
+        ),
     ],
 )
 def test_a_missing_library_is_named_with_its_extra(

@@ -160,7 +160,7 @@ def test_the_table_joins_kept_episodes_up_to_the_first_gap(tmp_path: Path) -> No
 
 
 def test_it_is_a_parallel_environment_by_pettingzoos_own_test() -> None:
-    pytest.importorskip("pettingzoo", reason="needs leeway[train]")
+    pytest.importorskip("pettingzoo", reason="needs leeway-uas[train]")
     from pettingzoo.test import parallel_api_test
 
     from sim_bridge.research.avoidance.parallel_env import AvoidParallelEnv

@@ -13,12 +13,12 @@ from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.benchmarks import planner_bench
 from sim_bridge.research.campaign import frontier_check
-from sim_bridge.research.campaign.journal import Journal, digest_of, journaled_map
-from sim_bridge.research.campaign.report import Sheet, interval95, mean_std
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
+from sim_bridge.research.results.journal import Journal, digest_of, journaled_map
+from sim_bridge.research.results.sheet import Sheet, interval95, mean_std
 from sim_bridge.research.tables import energy_speed, lambda_sweep, table1
+from sim_bridge.research.tables.table1 import recorded_wind
 from sim_bridge.research.tables.urban_scene import SECTORS, TownParams, generate_town
-from sim_bridge.research.wind.wind_logs import read_wind_log
 
 
 def test_scenario_sets_are_the_same_for_the_same_seed_and_connected():
@@ -110,20 +110,20 @@ def test_the_sweep_over_lambda_has_every_cell_and_shares_that_sum_up():
 def test_a_wind_log_points_to_where_the_air_moves(tmp_path):
     path = tmp_path / "w.csv"
     path.write_text("t_s,wind_speed_mps,wind_from_deg\n0,5,90\n1,5,0\n400,5,0\n")
-    log = read_wind_log(path, longest_mission_s=300.0)
+    log = recorded_wind(path, longest_mission_s=300.0)
     assert log.wind_en_mps[0] == pytest.approx((-5.0, 0.0), abs=1e-9)  # from the east: to the west
     assert log.wind_en_mps[1] == pytest.approx((0.0, -5.0), abs=1e-9)
     assert log.start_s == (0.0, 100.0)
     path.write_text("t_s,speed,dir\n0,5,90\n")
     with pytest.raises(LeewayError, match="speed"):
-        read_wind_log(path, 300.0)
+        recorded_wind(path, 300.0)
 
 
 def test_the_coast_recording_can_be_read():
     path = Path("../shared/data/wind/coast_2023_1hz.csv")
     if not path.exists():
         pytest.skip("the shared recordings are not here")
-    log = read_wind_log(path, 300.0)
+    log = recorded_wind(path, 300.0)
     assert len(log.t_s) > 6000
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_airframe
 from companion.core.routing.leg_energy import RouteEnergy
-from sim_bridge.research.cli.experiments import app
+from sim_bridge.research.cli.tables import app
 from sim_bridge.research.tables.speed_to_fly import GOAL, Cell, TrueCosts, cell_at, envelope
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.params import load_airframe

@@ -1,62 +1,14 @@
-"""The paper's experiments as commands: each writes Markdown, CSV and a picture, and prints."""
+"""The paper's tables and figures as commands: each prints, and writes Markdown, CSV, a picture."""
 
-import os
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.campaign.journal import Journal, Result, Work, digest_of, journaled_map
-from sim_bridge.research.campaign.report import Sheet
-from sim_bridge.research.cli.campaign import INTERRUPTED
+from sim_bridge.research.cli.running import OUT, Jobs, Out, finish, progress_bar, run_journaled
 
-app = typer.Typer(add_completion=False, no_args_is_help=True)
-
-Out = Annotated[Path, typer.Option(help="folder for the tables and pictures")]
-Jobs = Annotated[int, typer.Option(help="processes; 0: all cores")]
-OUT = Path("logs/experiments")
-ANEMOMETER = Path("estimator") / "anemometer_uav_5hz.csv"
-
-
-def _cores(jobs: int) -> int:
-    return jobs or len(os.sched_getaffinity(0))
-
-
-def finish(sheet: Sheet, out: Path, stem: str) -> None:
-    written = sheet.write(out, stem)
-    typer.echo(sheet.markdown())
-    typer.echo("wrote " + ", ".join(str(path) for path in written), err=True)
-
-
-def progress_bar() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-
-
-def run_journaled(
-    title: str, work: Sequence[Work], do: Callable[[Work], Result], jobs: int, kept: Journal[Result]
-) -> list[Result]:
-    """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
-    with progress_bar() as bar:
-        shown = bar.add_task(title, total=len(work))
-        try:
-            return journaled_map(
-                work, do, _cores(jobs), kept, lambda done, _: bar.update(shown, completed=done)
-            )
-        except KeyboardInterrupt:
-            typer.echo(f"stopped; {kept.path} keeps what is done, the same command goes on")
-            raise typer.Exit(INTERRUPTED) from None
+app = typer.Typer()
 
 
 @app.command()
@@ -72,6 +24,7 @@ def table1(
     """Table 1: SER, RER, GER and BER on random graphs, 4 and 8 wind classes."""
     from dataclasses import replace
 
+    from sim_bridge.research.results.journal import Journal, digest_of
     from sim_bridge.research.tables.table1 import (
         GUSTY_PARAMS,
         NOTE,
@@ -81,13 +34,13 @@ def table1(
         draw,
         fly,
         jobs_of,
+        recorded_wind,
         sheet,
     )
-    from sim_bridge.research.wind.wind_logs import read_wind_log
 
     params = GUSTY_PARAMS if gusty else Table1Params()
     params = replace(params, rounds=rounds, graphs=graphs, seed=seed)
-    wind = read_wind_log(wind_log, longest_mission_s=300.0) if wind_log else None
+    wind = recorded_wind(wind_log, longest_mission_s=300.0) if wind_log else None
     title = "Table 1" + (", gusty set (ours)" if gusty else "")
     title += f", recording {wind_log.stem}" if wind_log else ""
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
@@ -115,9 +68,10 @@ def table2(
 ) -> None:
     """Table 2: what each part is worth, over days of 20 customers, 4 drones and one truck.
 
-    Example: sim-bridge table2 --trials 2 --jobs 2
+    Example: sim-bridge research table2 --trials 2 --jobs 2
     """
     from ground_station.adapters.llm import LlmParams
+    from sim_bridge.research.results.journal import Journal, digest_of
     from sim_bridge.research.tables import table2 as experiment
 
     if (llm_url is None) != (llm_model is None):
@@ -145,6 +99,7 @@ def lambda_sweep(
     graphs: Annotated[int, typer.Option(help="graphs")] = 100,
 ) -> None:
     """Outcomes against the risk weight lambda and the battery."""
+    from sim_bridge.research.results.journal import Journal, digest_of
     from sim_bridge.research.tables import lambda_sweep as experiment
 
     work = experiment.jobs_of(graphs)
@@ -178,7 +133,7 @@ def speed_to_fly(
 ) -> None:
     """The speed to fly against the least true Wh/km by brute force, and the saving over cruise.
 
-    Example: sim-bridge speed-to-fly --airframe m100 --airframe octo8
+    Example: sim-bridge research speed-to-fly --airframe m100 --airframe octo8
     """
     from companion.adapters.files.params import params_dir, read_airframe
     from sim_bridge.research.tables import speed_to_fly as experiment
@@ -206,6 +161,9 @@ def towns(
     max_loss: Annotated[float, typer.Option(help="BER's bound in every town")] = 0.01,
 ) -> None:
     """Outcomes over generated towns whose wind differs from edge to edge."""
+    import numpy as np
+
+    from sim_bridge.research.results.journal import Journal, digest_of
     from sim_bridge.research.tables import urban_table
     from sim_bridge.research.tables.urban_scene import TownParams, generate_town
 
@@ -228,6 +186,7 @@ def frontier(
 ) -> None:
     """How far BER is below the frontier on random chains; goes on where it was stopped."""
     from sim_bridge.research.campaign import frontier_check as check
+    from sim_bridge.research.results.journal import Journal, digest_of
 
     cases = check.cases(graphs, seed)
     kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
@@ -237,73 +196,17 @@ def frontier(
 
 
 @app.command()
-def planner_bench(
-    out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False
-) -> None:
-    """Speed and size of planners and campaigns beside their plain alternatives."""
-    from sim_bridge.research.benchmarks import planner_bench as bench
-
-    finish(bench.sheet(large), out, "planner_bench")
-
-
-@app.command()
-def estimator_bench(
+def paths(
     out: Out = OUT,
-    jobs: Jobs = 0,
-    flights: Annotated[
-        int, typer.Option(min=2, help="flights for each place in the envelope")
-    ] = 20,
-    bounds: Annotated[
-        int | None,
-        typer.Option(min=2, help="flights of these whose bound is computed; left out: all"),
-    ] = None,
-    only: Annotated[
-        str, typer.Option(help='conditions with this in their name, say "step" or "hover"')
-    ] = "",
-    seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
-    anemometer: Annotated[
-        Path | None, typer.Option(help="the real flight's CSV; left out: where it is usually found")
-    ] = None,
-    airframe: Annotated[str, typer.Option(help="of the real flight: name or file")] = "generic",
-    draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,
-    pitot: Annotated[bool, typer.Option(help="a pitot aboard in the envelope")] = False,
-    envelope: Annotated[bool, typer.Option(help="fly the envelope, too (minutes)")] = True,
+    airspeed: Annotated[float, typer.Option(help="m/s")] = 15.0,
+    bank: Annotated[float, typer.Option(help="bank limit, degrees")] = 25.0,
+    wind: Annotated[float, typer.Option(help="m/s")] = 7.0,
+    wind_from: Annotated[float, typer.Option(help="degrees, where it blows from")] = 270.0,
 ) -> None:
-    """The wind estimator on a real flight with an anemometer, and beside the bound.
+    """Draw a path between two poses in calm air and in wind, around buildings, and as items.
 
-    For example: sim-bridge estimator-bench --no-envelope, which takes half a minute.
+    Example: sim-bridge research paths --wind 10 --wind-from 180
     """
-    from companion.adapters.files.params import params_dir, read_airframe
-    from sim_bridge.research.wind import estimator_bench as bench
-    from sim_bridge.research.wind.anemometer_flight import read_recording
-    from sim_bridge.truth.params import load_airframe
+    from sim_bridge.research.dubins.picture import draw
 
-    names = [condition.name for condition in bench.CONDITIONS]
-    if not any(only in name for name in names):
-        raise typer.BadParameter(f"--only: {only!r} is in no condition's name: {'; '.join(names)}")
-    believed = read_airframe(airframe)
-    path = anemometer or params_dir().parent.parent / "shared" / "data" / ANEMOMETER
-    if anemometer is None and not path.exists():
-        typer.echo(f"{path}: not here, so no real flight (--anemometer FILE)", err=True)
-    else:
-        recording = read_recording(path, believed.mass_kg(0.0))
-        with progress_bar() as bar:
-            bar.add_task("real flight", total=None)
-            rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
-        out.mkdir(parents=True, exist_ok=True)
-        finish(bench.flight_sheet(rows), out, "estimator_flight")
-        bench.draw_flight(recording, rows, out / "estimator_flight.png")
-        for name, airspeed in (("tilt only", False), ("with airspeed", True)):
-            median, most = bench.update_us(recording, believed, airspeed=airspeed)
-            typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
-    if not envelope:
-        return
-    truth = load_airframe(params_dir() / "truth" / "m100.toml")
-    bounded = min(flights, bounds or flights)
-    work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
-    work = [job for job in work if only in job.condition.name]
-    stem = "estimator_envelope" + ("_pitot" if pitot else "")
-    kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
-    found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
-    finish(bench.envelope_sheet(found, seed, pitot), out, stem)
-    kept.remove()
+    typer.echo(f"wrote {draw(out / 'paths.png', airspeed, bank, wind, wind_from)}")

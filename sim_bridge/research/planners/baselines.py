@@ -1,17 +1,24 @@
-"""SER: static energy-optimal routing. Plans once, then flies its plan blindly (paper V)."""
+"""The paper's baselines SER, RER and GER, on the same graphs and costs as BER.
+
+Source: arXiv 2604.13441, section V. SER, static energy-optimal routing, plans once. RER re-plans
+online at each vertex. GER, greedy energy-minimising routing, looks one edge ahead.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.routing.planner_interface import STAY, Decider, Look
+from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
 from companion.core.routing.shortest_paths import Routes
-from sim_bridge.research.planners.online import OnlineModel, Viewpoints
+from sim_bridge.research.planners.online import OnlineModel, Remembered, Viewpoints
 
 Ints = NDArray[np.int64]
 
 
 class Ser:
-    """Plans out and back with the wind seen at departure; stays if that needs more than B."""
+    """SER: plans out and back with the wind seen at departure, and then keeps to that plan.
+
+    It stays on the ground if the plan needs more energy than the budget.
+    """
 
     name = "ser"
 
@@ -80,3 +87,67 @@ def _route_wh(next_edge: Ints, edge_wh: NDArray, head: Ints, origin: int, goal: 
         total = np.where(flying, total + step, total)
         at = np.where(flying & (edge >= 0), head[edge], at)
     return np.where(at == goal, total, np.inf)
+
+
+class Rer:
+    """RER: plans again at each vertex with the wind seen there; to the target, then to the depot.
+
+    It never aborts.
+    """
+
+    name = "rer"
+
+    def __init__(self, model: OnlineModel) -> None:
+        self._model = model
+        self._next = (
+            Remembered(model, 1, lambda views: self._plan(views, False)),
+            Remembered(model, 1, lambda views: self._plan(views, True)),
+        )
+
+    def begin(self, coin: NDArray[np.float64]) -> Decider:
+        return self
+
+    def decide(self, look: Look) -> Ints:
+        empty = np.count_nonzero(look.delivered)
+        if empty in (0, look.count):
+            plan = self._next[int(empty > 0)]
+            return plan.of(look.vertex, look.seen, look.wind_en_mps)[:, 0].astype(np.int64)
+        edge = np.empty(look.count, dtype=np.int64)
+        for delivered in (False, True):
+            rows = np.flatnonzero(look.delivered == delivered)
+            edge[rows] = self._next[int(delivered)].get(look, rows)[:, 0]
+        return edge
+
+    def _plan(self, views: Viewpoints, delivered: bool) -> NDArray:
+        graph = self._model.finder.graph
+        duration, column = self._model.duration_s(views)
+        goal = graph.depot if delivered else graph.target
+        routes = self._model.finder.to(goal, self._model.energy_wh(duration, delivered))
+        return routes.next_edge[views.origin, column][:, None]
+
+
+class Ger:
+    """GER: takes the cheapest edge out of each vertex, wherever it leads.
+
+    Ties go to the lowest head vertex. It never aborts. The load scales all edges alike, so it does
+    not matter here.
+    """
+
+    name = "ger"
+
+    def __init__(self, model: OnlineModel) -> None:
+        self._model = model
+        self._next = Remembered(model, 1, self._cheapest)
+
+    def begin(self, coin: NDArray[np.float64]) -> Decider:
+        return self
+
+    def decide(self, look: Look) -> Ints:
+        return self._next.get(look, np.arange(look.count))[:, 0].astype(np.int64)
+
+    def _cheapest(self, views: Viewpoints) -> NDArray:
+        slots = self._model.finder.graph.out_edges[views.origin]
+        duration, column = self._model.duration_s(views)
+        cost = np.where(slots >= 0, duration[slots, column[:, None]], np.inf)
+        place = np.argmin(cost, axis=1)[:, None]
+        return np.where(slots[:, :1] >= 0, np.take_along_axis(slots, place, axis=1), NOWHERE)

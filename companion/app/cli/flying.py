@@ -1,0 +1,114 @@
+"""What `companion run` and `companion check` do; imported when they run, not for `--help`."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from companion.adapters.files.params import flight_path, read_flight
+from companion.app.cli.check_report import report
+from companion.app.flight.run import DONE, GROUNDED, NO_LINK, RunOptions, run
+from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
+from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.transitions import Phase
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLine:
+    """The options that `run` and `check` share: which vehicle, which flight, which folders."""
+
+    link: str
+    mission: Path | None
+    airframe: str | None
+    wind_process: str | None
+    run_dir: Path
+    params: Path | None
+    signing_key: Path | None
+    system: int | None
+    silence_limit_s: float
+
+    def options(
+        self, pilot: PilotOptions, *, lockstep: bool = False, policy: str | None = None
+    ) -> RunOptions:
+        """The run's options; the airframe comes from the flight file where none is named."""
+        mission = None if self.mission is None else flight_path(self.mission, self.params)
+        airframe = self.airframe
+        if airframe is None and mission is not None:
+            airframe = read_flight(mission).vehicle.airframe
+        return RunOptions(
+            link=self.link,
+            airframe=airframe or "",
+            wind_process=self.wind_process,
+            mission=mission or Path(),
+            run_dir=self.run_dir,
+            params=self.params,
+            signing_key=self.signing_key,
+            system_id=self.system,
+            silence_limit_s=self.silence_limit_s,
+            lockstep=lockstep,
+            policy=policy,
+            pilot=pilot,
+        )
+
+
+def fly(options: RunOptions) -> int:
+    """Fly the mission; the exit code."""
+    code, _ = run(options, on_action=_show)
+    return code
+
+
+def fly_in_fleet(
+    name: str, vehicle: str, zenoh: Path | None, options: RunOptions, *, one_mission: bool
+) -> int:
+    """Fly one mission that the desk watches, or serve the desk until the process ends.
+
+    Zenoh is loaded only here. Its threads can keep an interpreter from ending: leave the process
+    with `companion.fleet.zenoh_link.leave_process`.
+    """
+    from companion.app.flight.fleet_run import FleetOptions, fly_one, serve
+
+    fleet = FleetOptions(name, vehicle, zenoh)
+    if one_mission:
+        return fly_one(fleet, options, _show)
+    return serve(fleet, options, say=typer.echo, on_action=_show)
+
+
+def check(options: RunOptions) -> int:
+    """Ask the vehicle, print what is missing for this mission; the exit code."""
+    code, pilot = run(options, on_action=_show_check)
+    if pilot.phase is not Phase.GROUNDED:
+        silent = f"no answer from an autopilot on {options.link}"
+        typer.echo(silent if code == NO_LINK else "the check was cut short")
+        return code
+    lines, ready = report(pilot)
+    typer.echo("\n".join(lines))
+    return DONE if ready else GROUNDED
+
+
+def _show(action: Action) -> None:
+    match action:
+        case Say():
+            typer.echo(f"  {action.text}")
+        case PhaseChanged():
+            typer.echo(f"{action.t_s:9.1f} s  {action.before} -> {action.now}")
+        case Decision():
+            promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
+            typer.echo(f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}")
+        case Note() if action.text.startswith(("pre-flight", "not granted")):
+            typer.echo(f"  {action.text}")
+        case _:
+            return
+    sys.stdout.flush()
+
+
+def _show_check(action: Action) -> None:
+    """Only what the check waits for: its findings come as one list at the end."""
+    match action:
+        case Say():
+            typer.echo(f"waiting: {action.text}")
+        case Note() if action.text.startswith(("autopilot: ", "not granted")):
+            typer.echo(action.text)
+        case _:
+            return
+    sys.stdout.flush()

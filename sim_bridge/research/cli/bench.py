@@ -1,0 +1,176 @@
+"""`sim-bridge research bench NAME`: what speed and size the parts have, each by one command."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.research.cli.running import OUT, Jobs, Out, finish, progress_bar, run_journaled
+
+if TYPE_CHECKING:
+    from sim_bridge.research.benchmarks.paths_bench import Compared
+
+app = typer.Typer(no_args_is_help=True, help="Measure speed and size of a part.")
+
+
+@app.command("flight")
+def flight(
+    rounds: Annotated[int, typer.Option(min=1, help="Runs of each benchmark.")] = 3,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every value here as JSON.")
+    ] = None,
+    fresh_clone: Annotated[
+        bool, typer.Option(help="Time `make fly` on a clone, install included (needs network).")
+    ] = True,
+) -> None:
+    """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
+    from rich.console import Console
+
+    from sim_bridge.research.benchmarks.flight_bench import bench as bench_now
+
+    result = bench_now(rounds, Console(), fresh_clone=fresh_clone)
+    if json_out is not None:
+        json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command("dispatch")
+def dispatch(
+    vehicles: Annotated[int, typer.Option(min=1, max=500, help="Connected vehicles.")] = 100,
+    orders: Annotated[int, typer.Option(min=10, help="Orders dispatched, one at a time.")] = 500,
+    seed: Annotated[int, typer.Option(min=0, help="Which vehicle gets which order.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """Time the dispatch of one order, command to acknowledgement, with many vehicles connected.
+
+    sim-bridge research bench dispatch --vehicles 100 --orders 500
+    """
+    try:
+        from sim_bridge.research.benchmarks.dispatch_bench import bench as bench_now
+    except ImportError as error:
+        raise LeewayError(f"bench dispatch needs leeway-uas[ground]: {error}") from error
+    bench_now(vehicles, orders, seed, json_file)
+
+
+@app.command("planner")
+def planner(
+    out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False
+) -> None:
+    """Speed and size of planners and campaigns beside their plain alternatives."""
+    from sim_bridge.research.benchmarks import planner_bench as bench
+
+    finish(bench.sheet(large), out, "planner_bench")
+
+
+@app.command("estimator")
+def estimator(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    flights: Annotated[
+        int, typer.Option(min=2, help="flights for each place in the envelope")
+    ] = 20,
+    bounds: Annotated[
+        int | None,
+        typer.Option(min=2, help="flights of these whose bound is computed; left out: all"),
+    ] = None,
+    only: Annotated[
+        str, typer.Option(help='conditions with this in their name, say "step" or "hover"')
+    ] = "",
+    seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
+    anemometer: Annotated[
+        Path | None,
+        typer.Option(help="a real flight with an anemometer, CSV at 5 Hz; left out: none"),
+    ] = None,
+    airframe: Annotated[str, typer.Option(help="of the real flight: name or file")] = "generic",
+    draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,
+    pitot: Annotated[bool, typer.Option(help="a pitot aboard in the envelope")] = False,
+    envelope: Annotated[bool, typer.Option(help="fly the envelope, too (minutes)")] = True,
+) -> None:
+    """The wind estimator on a real flight with an anemometer, and beside the bound.
+
+    For example: sim-bridge research bench estimator --no-envelope, which takes half a minute.
+    """
+    from companion.adapters.files.params import params_dir, read_airframe
+    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.research.wind import estimator_bench as bench
+    from sim_bridge.research.wind.anemometer_flight import read_recording
+    from sim_bridge.truth.params import load_airframe
+
+    names = [condition.name for condition in bench.CONDITIONS]
+    if not any(only in name for name in names):
+        raise typer.BadParameter(f"--only: {only!r} is in no condition's name: {'; '.join(names)}")
+    believed = read_airframe(airframe)
+    if anemometer is None:
+        typer.echo("no real flight: --anemometer FILE names one", err=True)
+    else:
+        recording = read_recording(anemometer, believed.mass_kg(0.0))
+        with progress_bar() as bar:
+            bar.add_task("real flight", total=None)
+            rows = bench.flight_rows(recording, believed, bench.airspeed_draws(draws, seed))
+        out.mkdir(parents=True, exist_ok=True)
+        finish(bench.flight_sheet(rows), out, "estimator_flight")
+        bench.draw_flight(recording, rows, out / "estimator_flight.png")
+        for name, airspeed in (("tilt only", False), ("with airspeed", True)):
+            median, most = bench.update_us(recording, believed, airspeed=airspeed)
+            typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
+    if not envelope:
+        return
+    truth = load_airframe(params_dir() / "truth" / "m100.toml")
+    bounded = min(flights, bounds or flights)
+    work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
+    work = [job for job in work if only in job.condition.name]
+    stem = "estimator_envelope" + ("_pitot" if pitot else "")
+    kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
+    found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
+    finish(bench.envelope_sheet(found, seed, pitot), out, stem)
+    kept.remove()
+
+
+@app.command("paths")
+def paths(
+    out: Out = OUT,
+    pairs: Annotated[
+        int, typer.Option("--paths", help="pairs of poses in each wind", min=1)
+    ] = 20_000,
+    seed: Annotated[int, typer.Option(help="of the poses", min=0)] = 1,
+) -> None:
+    """Paths a second and their lengths, beside OMPL's Dubins and trochoids (pip install ompl).
+
+    Example: sim-bridge research bench paths --paths 5000
+    """
+    from sim_bridge.research.benchmarks import paths_bench as experiment
+
+    rows: list[Compared] = []
+    with progress_bar() as shown:
+        task = shown.add_task("paths", total=len(experiment.WINDS_MPS))
+        for wind_mps in experiment.WINDS_MPS:
+            rows.append(experiment.compare(wind_mps, pairs, seed))
+            shown.advance(task)
+    finish(experiment.sheet(rows), out, "paths_bench")
+
+
+@app.command("avoid")
+def avoid(
+    scenes: Annotated[int, typer.Option(min=1, help="decisions of each kind")] = 400,
+    neighbours: Annotated[int, typer.Option(min=0, max=200, help="about the drone")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="of the scenes")] = 1,
+    card: Annotated[
+        str, typer.Option(help="the actor: a name in params/policies, or a card's path")
+    ] = "avoid",
+    out: Annotated[Path, typer.Option(help="folder for the table")] = OUT,
+) -> None:
+    """Time one decision on board: the safety filter among neighbours, and the actor with its view.
+
+    CPU time, so that other work on the machine matters less; the least is what a quiet one takes.
+
+    Example: OMP_NUM_THREADS=1 sim-bridge research bench avoid --neighbours 20
+    """
+    from companion.adapters.files.policy_file import read_policy
+    from sim_bridge.research.benchmarks import avoid_bench as experiment
+
+    policy, _ = read_policy(card)
+    with progress_bar() as bar:
+        shown = bar.add_task("decisions", total=2 * scenes)
+        costs = experiment.measured(policy, scenes, neighbours, seed, lambda: bar.advance(shown))
+    finish(experiment.sheet(costs, neighbours), out, "avoid_bench")
