@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
-from companion.core.mission.flight_file import Mission
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.vehicle.speed_to_fly import (
@@ -107,6 +107,20 @@ class CompiledLegs:
     groups: tuple[_Group, ...]
 
 
+class SpeedChoice(Protocol):
+    """The speeds that an operator asks for; a flight file's `[mission]` table has them."""
+
+    @property
+    def cruise_airspeed_mps(self) -> float | None:
+        """The cruise airspeed; None: the airframe's."""
+        ...
+
+    @property
+    def speed_rule(self) -> SpeedRule:
+        """How the airspeed of each leg is chosen."""
+        ...
+
+
 class RouteEnergy:
     """The airframe's leg costs from tables built once per payload; the one model that planner,
     gate and dispatcher share.
@@ -132,7 +146,7 @@ class RouteEnergy:
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
     @classmethod
-    def for_mission(cls, airframe: Airframe, mission: Mission) -> "RouteEnergy":
+    def for_mission(cls, airframe: Airframe, mission: SpeedChoice) -> "RouteEnergy":
         """With the speeds that the operator asks for."""
         cruise = mission.cruise_airspeed_mps
         return cls(airframe, cruise_airspeed_mps=cruise, speed_rule=mission.speed_rule)
