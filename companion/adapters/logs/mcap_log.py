@@ -7,7 +7,8 @@ import msgspec
 from companion.adapters.logs.decision_log import KINDS, read_rows
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event, Identified
-from companion.core.replay.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
+from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
+from companion.core.vehicle.airframe import MULTIROTOR
 
 
 def read_mcap_log(path: Path) -> RecordedFlight:

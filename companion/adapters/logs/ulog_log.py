@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.adapters.autopilots.vehicle_types import vehicle_of
+from companion.adapters.autopilots.telemetry import vehicle_kind
 from companion.adapters.logs.ulog_filter import wanted_part
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
@@ -30,7 +30,8 @@ from companion.core.mission.events import (
     Position,
     VehicleState,
 )
-from companion.core.replay.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
+from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
+from companion.core.vehicle.airframe import MULTIROTOR
 
 FloatArray = NDArray[np.float64]
 Rows = dict[str, NDArray[Any]]
@@ -101,7 +102,9 @@ def read_ulog(path: Path) -> RecordedFlight:
     values: dict[str, Any] = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         values[name] = value
-    vehicle = vehicle_of(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(values.get("CA_AIRFRAME", -1))
+    vehicle = vehicle_kind(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(
+        values.get("CA_AIRFRAME", -1)
+    )
     events: list[Event] = []
     for rows in topics.get("vehicle_attitude", [])[:1]:
         events += _attitudes(rows)

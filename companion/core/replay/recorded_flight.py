@@ -20,10 +20,9 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     Situation,
 )
+from companion.core.vehicle.airframe import MULTIROTOR
 
 FloatArray = NDArray[np.float64]
-
-MULTIROTOR = "multirotor"
 
 LARGEST_GAP_S = 60.0
 """Silences up to this are filled with ticks: belief and energy go on as they would in flight."""

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError, check_range
 
+MULTIROTOR = "multirotor"
+"""The kind of vehicle that the models in this room describe, in the words of the log readers."""
+
 LOW_ABOVE_CUTOFF_V = 0.05
 """A cell's voltage at the autopilot's low-battery action, above the cut-off."""
 
