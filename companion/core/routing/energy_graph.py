@@ -9,12 +9,11 @@ from functools import cached_property
 
 import networkx as nx
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.scenario import Scenario
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 WH_PER_J = 1.0 / 3600.0
 LEAST_SHARE = 0.25
 

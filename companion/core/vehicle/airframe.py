@@ -9,8 +9,8 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError, check_range
 
 MULTIROTOR = "multirotor"
@@ -268,6 +268,6 @@ def _check_table(
         raise LeewayError(f"{table}.{key}: expected at least two numbers")
     for value in values:
         check_range(f"{table}.{key}", value, low, high)
-    steps: NDArray[np.float64] = np.diff(np.asarray(values, float))
+    steps: Floats = np.diff(np.asarray(values, float))
     if rising and not bool(np.all(steps > 0.0)):
         raise LeewayError(f"{table}.{key}: expected rising numbers")

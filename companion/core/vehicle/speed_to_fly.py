@@ -9,13 +9,12 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
 
-FloatArray = NDArray[np.float64]
-Flown = tuple[FloatArray, FloatArray]
+Flown = tuple[Floats, Floats]
 
 SpeedRule = Literal["least_energy", "cruise", "fastest"]
 """Which airspeed is flown: of least energy per metre; the cruise airspeed, faster only where a
@@ -51,16 +50,16 @@ class SteadyPower:
         climb = airframe.speeds.climb_mps
         self._climb = multirotor_power_w(airframe, mass_kg, self._speeds, climb, density_kgpm3)
 
-    def level_w(self, airspeed_mps: FloatArray) -> FloatArray:
+    def level_w(self, airspeed_mps: Floats) -> Floats:
         """Electrical power in level flight (the table's last entry beyond its end)."""
         return np.interp(airspeed_mps, self._speeds, self._level)
 
-    def climb_w(self, airspeed_mps: FloatArray) -> FloatArray:
+    def climb_w(self, airspeed_mps: Floats) -> Floats:
         """Electrical power while climbing at the airframe's climb speed."""
         return np.interp(airspeed_mps, self._speeds, self._climb)
 
     def fly_ground_speed(
-        self, ground_mps: FloatArray | float, along_mps: FloatArray, across_mps: FloatArray
+        self, ground_mps: Floats | float, along_mps: Floats, across_mps: Floats
     ) -> Flown:
         """(ground speed made, airspeed) when told a ground speed; tilt saturates.
 
@@ -73,16 +72,14 @@ class SteadyPower:
         made = np.where(np.abs(across_mps) > self.max_airspeed_mps, 0.0, made)
         return made, np.minimum(airspeed, self.max_airspeed_mps)
 
-    def fly_airspeed(
-        self, airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
-    ) -> Flown:
+    def fly_airspeed(self, airspeed_mps: float, along_mps: Floats, across_mps: Floats) -> Flown:
         """(ground speed made, airspeed) at one airspeed, by the wind triangle alone."""
         left = np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
         command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
         return self.fly_ground_speed(command, along_mps, across_mps)
 
     def fly_least_energy(
-        self, least_airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
+        self, least_airspeed_mps: float, along_mps: Floats, across_mps: Floats
     ) -> Flown:
         """(ground speed, airspeed) at the speed to fly: least Wh/m at `least_airspeed_mps` or over.
 
@@ -108,7 +105,7 @@ class CruiseTable:
     and takes the same time however the speed is chosen.
     """
 
-    def __init__(self, power: SteadyPower, fly: Callable[[FloatArray, FloatArray], Flown]) -> None:
+    def __init__(self, power: SteadyPower, fly: Callable[[Floats, Floats], Flown]) -> None:
         self._reach_mps = float(np.ceil(power.max_airspeed_mps) + _WIND_BEYOND_MPS)
         steps = round(self._reach_mps / _WIND_STEP_MPS)
         self._rows, self._columns = 2 * steps + 1, steps + 1
@@ -119,7 +116,7 @@ class CruiseTable:
         self._ground = ground.ravel()
         self._power_w = power.level_w(airspeed).ravel()
 
-    def look_up(self, along_mps: FloatArray, across_mps: FloatArray) -> Flown:
+    def look_up(self, along_mps: Floats, across_mps: Floats) -> Flown:
         """(ground speed m/s, power W) for winds of any shape; held at the table's ends."""
         x = np.clip((along_mps + self._reach_mps) / _WIND_STEP_MPS, 0.0, self._rows - 1.001)
         y = np.clip(np.abs(across_mps) / _WIND_STEP_MPS, 0.0, self._columns - 1.001)
@@ -133,9 +130,7 @@ class CruiseTable:
         )
 
 
-def _bilinear(
-    table: FloatArray, at: NDArray[np.int64], columns: int, x: FloatArray, y: FloatArray
-) -> FloatArray:
+def _bilinear(table: Floats, at: Ints, columns: int, x: Floats, y: Floats) -> Floats:
     low = table.take(at)
     low += (table.take(at + columns) - low) * x
     high = table.take(at + 1)

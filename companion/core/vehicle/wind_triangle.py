@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ def fly_course(
 
 
 def fly_path(
-    direction_ned: FloatArray,
+    direction_ned: Floats,
     airspeed_mps: float,
-    wind_to_ned_mps: FloatArray,
+    wind_to_ned_mps: Floats,
     air_path_angle_min_rad: float = -np.pi / 2,
     air_path_angle_max_rad: float = np.pi / 2,
 ) -> Track | Infeasible:
@@ -73,7 +73,7 @@ def fly_path(
 
 def ground_speeds_mps(
     airspeed_mps: ArrayLike, along_mps: ArrayLike, across_mps: ArrayLike
-) -> FloatArray:
+) -> Floats:
     """`sqrt(V_A^2 - W_perp^2) + W_par`; NaN where |W_perp| > V_A or the result is not positive."""
     squared = np.square(np.asarray(airspeed_mps, float)) - np.square(np.asarray(across_mps, float))
     ground = np.sqrt(np.where(squared >= 0.0, squared, np.nan)) + np.asarray(along_mps, float)
@@ -82,7 +82,7 @@ def ground_speeds_mps(
 
 def airspeeds_needed_mps(
     ground_speed_mps: ArrayLike, along_mps: ArrayLike, across_mps: ArrayLike
-) -> FloatArray:
+) -> Floats:
     """Airspeed that makes this ground speed along a path with this wind along and across it."""
     headway = np.asarray(ground_speed_mps, float) - np.asarray(along_mps, float)
     return np.hypot(headway, np.asarray(across_mps, float))

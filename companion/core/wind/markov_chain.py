@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CONDITION_LIMIT = 1e6  # of the eigenvectors; beyond it the spectral formula loses digits
 
