@@ -13,6 +13,11 @@ import numpy as np
 from companion.core.base.arrays import Floats, Ints
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
+from companion.core.vehicle.wind_triangle import (
+    airspeeds_along_mps,
+    airspeeds_needed_mps,
+    ground_speeds_mps,
+)
 
 Flown = tuple[Floats, Floats]
 
@@ -66,16 +71,18 @@ class SteadyPower:
         The autopilot holds the line and gives up speed; where even the cross-wind is too much the
         ground speed made is 0.
         """
-        airspeed = np.hypot(ground_mps - along_mps, across_mps)
-        left = np.sqrt(np.maximum(self.max_airspeed_mps**2 - across_mps**2, 0.0))
-        made = np.clip(left + along_mps, 0.0, ground_mps)
+        airspeed = airspeeds_needed_mps(ground_mps, along_mps, across_mps)
+        most = airspeeds_along_mps(self.max_airspeed_mps, across_mps) + along_mps
+        made = np.clip(most, 0.0, ground_mps)
         made = np.where(np.abs(across_mps) > self.max_airspeed_mps, 0.0, made)
         return made, np.minimum(airspeed, self.max_airspeed_mps)
 
-    def fly_airspeed(self, airspeed_mps: float, along_mps: Floats, across_mps: Floats) -> Flown:
+    def fly_airspeed(
+        self, airspeed_mps: Floats | float, along_mps: Floats, across_mps: Floats
+    ) -> Flown:
         """(ground speed made, airspeed) at one airspeed, by the wind triangle alone."""
-        left = np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
-        command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
+        wanted = airspeeds_along_mps(airspeed_mps, across_mps) + along_mps
+        command = np.clip(wanted, 0.0, self.max_ground_mps)
         return self.fly_ground_speed(command, along_mps, across_mps)
 
     def fly_least_energy(
@@ -88,14 +95,11 @@ class SteadyPower:
         top = max(self.max_airspeed_mps * _TILT_AUTHORITY, 1.0)
         least = min(least_airspeed_mps, top)
         candidates = np.append(np.arange(least, top, _SPEED_STEP_MPS), top)
-        squared = candidates**2 - np.square(across_mps)[..., None]
-        ground = np.sqrt(np.maximum(squared, 0.0)) + along_mps[..., None]
-        metres_per_j = np.where(squared >= 0.0, ground, -1.0) / self.level_w(candidates)
+        ground = ground_speeds_mps(candidates, along_mps[..., None], across_mps[..., None])
+        metres_per_j = np.nan_to_num(ground, nan=-1.0) / self.level_w(candidates)
         best = candidates[np.argmax(metres_per_j, axis=-1)]
         wanted = np.where(metres_per_j.max(axis=-1) > 0.0, best, top)
-        left = np.sqrt(np.maximum(wanted**2 - across_mps**2, 0.0))
-        command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
-        return self.fly_ground_speed(command, along_mps, across_mps)
+        return self.fly_airspeed(wanted, along_mps, across_mps)
 
 
 class CruiseTable:
