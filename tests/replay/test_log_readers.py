@@ -9,8 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from companion.adapters.logs.decision_log import DecisionLog
-from companion.adapters.logs.mcap_log import HEARD, HeardRows
+from companion.adapters.logs.decision_log import HEARD, DecisionLog, HeardRows
 from companion.adapters.logs.open_log import open_log
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (

@@ -27,6 +27,7 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values
+from companion.core.vehicle.airframe import MULTIROTOR
 
 READY_STATES = (
     mavlink.MAV_STATE_STANDBY,
@@ -40,6 +41,16 @@ GROUND = {
     mavlink.MAV_LANDED_STATE_TAKEOFF: Ground.TAKING_OFF,
     mavlink.MAV_LANDED_STATE_LANDING: Ground.LANDING,
 }
+MULTIROTORS = (
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_DECAROTOR,
+    mavlink.MAV_TYPE_DODECAROTOR,
+)
+PLAIN_NAMES = {"surface boat": "boat", "ground rover": "rover"}
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 LEAST_UNIX_S = 1.0e9  # 2001: before that a clock counts from its own start
 UNKNOWN_U16 = 65535
@@ -64,6 +75,17 @@ class FlavourWords(Protocol):
     def wind(self, message: Any, values: Values, t_s: float) -> list[Event]: ...
     def position_ok(self, flags: int) -> bool: ...
     def requirements(self, facts: RouteFacts) -> tuple[Requirement, ...]: ...
+
+
+def vehicle_kind(mav_type: int) -> str | None:
+    """What kind of vehicle a MAV_TYPE is; `None` where it does not say (generic, or unknown)."""
+    if mav_type in MULTIROTORS:
+        return MULTIROTOR
+    entry = mavlink.enums["MAV_TYPE"].get(mav_type)
+    if entry is None or mav_type == mavlink.MAV_TYPE_GENERIC:
+        return None
+    name = entry.name.removeprefix("MAV_TYPE_").lower().replace("_", " ")
+    return "VTOL" if name.startswith("vtol") else PLAIN_NAMES.get(name, name)
 
 
 def boot_s(message: Any) -> float | None:

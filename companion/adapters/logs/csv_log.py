@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.adapters.logs.log_time import running_time, told
 from companion.adapters.logs.log_units import Columns, mend_units
+from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
     Airspeed,
@@ -29,8 +29,6 @@ from companion.core.mission.events import (
 )
 from companion.core.replay.airborne import airborne, summed_height_m
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight, WindReference
-
-FloatArray = NDArray[np.float64]
 
 REQUIRED = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps")
 ATTITUDE = ("roll_deg", "pitch_deg", "yaw_deg")
@@ -233,7 +231,7 @@ def _battery(t_s: float, values: list[float]) -> Battery:
     )
 
 
-def _places(rows: Columns) -> tuple[FloatArray, bool]:
+def _places(rows: Columns) -> tuple[Floats, bool]:
     """Latitude, longitude (degrees) and height of each row (3, n); whether the log has them."""
     if all(name in rows and np.isfinite(rows[name]).any() for name in POSITION):
         return np.stack([rows[name] for name in POSITION]), True
@@ -245,8 +243,8 @@ def _places(rows: Columns) -> tuple[FloatArray, bool]:
 
 
 def _ground_level_m(
-    height_m: FloatArray, flying: NDArray[np.bool_], *, drifts: bool, findings: list[LogFinding]
-) -> FloatArray:
+    height_m: Floats, flying: Bools, *, drifts: bool, findings: list[LogFinding]
+) -> Floats:
     """Height of the ground at each row, in terms of `height_m`.
 
     A height summed up from velocities drifts: it is laid on the ground before and after a flight.
@@ -264,7 +262,7 @@ def _ground_level_m(
     return np.full(height_m.size, height_m[rests[0]])
 
 
-def _flying(rows: Columns, findings: list[LogFinding]) -> NDArray[np.bool_]:
+def _flying(rows: Columns, findings: list[LogFinding]) -> Bools:
     if _known(rows, "armed"):
         return np.nan_to_num(rows["armed"]) > 0.5
     t_s = rows["t_s"]
@@ -285,7 +283,7 @@ def _reference(rows: Columns) -> WindReference | None:
     return WindReference(rows["t_s"][known], wind[known]) if known.any() else None
 
 
-def _column(rows: Columns, name: str) -> FloatArray:
+def _column(rows: Columns, name: str) -> Floats:
     return rows.get(name, np.full(rows["t_s"].size, np.nan))
 
 

@@ -24,7 +24,8 @@ from companion.core.mission.events import (
     Position,
     VehicleState,
 )
-from companion.core.replay.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
+from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
+from companion.core.vehicle.airframe import MULTIROTOR
 
 WANTED = (
     "ATT", "XKF1", "XKF2", "XKF4", "NKF1", "POS", "GPS", "BAT", "CURR", "ARSP", "MODE", "ARM",

@@ -10,10 +10,28 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
+
+from companion.core.mission.events import (
+    Airspeed,
+    Attitude,
+    AutopilotWind,
+    Battery,
+    Event,
+    GnssFix,
+    GroundState,
+    Home,
+    Identified,
+    MissionProgress,
+    Position,
+    Throttle,
+    VehicleState,
+)
+from companion.core.pilot.telemetry_state import Situation
 
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
@@ -100,6 +118,41 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "in_mission": {"type": ["boolean", "null"]},
     },
 }
+
+HEARD: dict[str, tuple[str, type[Event]]] = {
+    "state": ("heard_state", VehicleState),
+    "ground": ("heard_ground", GroundState),
+    "attitude": ("heard_attitude", Attitude),
+    "position": ("heard_position", Position),
+    "gnss": ("heard_gnss", GnssFix),
+    "home": ("heard_home", Home),
+    "battery": ("heard_battery", Battery),
+    "throttle": ("heard_throttle", Throttle),
+    "airspeed": ("heard_airspeed", Airspeed),
+    "wind": ("heard_wind", AutopilotWind),
+    "progress": ("heard_progress", MissionProgress),
+}
+"""Part of the situation: the topic that it is recorded on, and its event."""
+
+IDENTIFIED = "heard_autopilot"
+KINDS = dict(HEARD.values()) | {IDENTIFIED: Identified}
+
+
+class HeardRows:
+    """Tells what is new in the situation since the last time, as rows for the decision log."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, Event] = {}
+
+    def new(self, now: Situation) -> list[tuple[str, dict[str, Any]]]:
+        """Return (topic, row) of every sample that came since the last call."""
+        rows: list[tuple[str, dict[str, Any]]] = []
+        for name, (topic, _) in HEARD.items():
+            sample: Event | None = getattr(now, name)
+            if sample is not None and sample is not self._last.get(name):
+                self._last[name] = sample
+                rows.append((topic, msgspec.to_builtins(sample)))
+        return rows
 
 
 class DecisionLog:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.replay.recorded_flight import LogFinding
-
-FloatArray = NDArray[np.float64]
 
 LEAP_S = 2.0
 """A step of more than this (or of twenty usual ones) between two stamps is a gap or a jump."""
@@ -24,12 +23,12 @@ WITNESSES = 3
 class RunningTime:
     """`t_s` (k,) rising, of the rows `kept` (k,); what was wrong is in `findings`."""
 
-    t_s: FloatArray
+    t_s: Floats
     kept: NDArray[np.intp]
     findings: tuple[LogFinding, ...]
 
 
-def running_time(stamps_s: FloatArray, where: Callable[[int], str]) -> RunningTime:
+def running_time(stamps_s: Floats, where: Callable[[int], str]) -> RunningTime:
     """Return the stamps as a time that only grows.
 
     A clock that goes back and stays back is laid on from where it was; a leap ahead is a gap.
@@ -47,7 +46,7 @@ class _Watch:
     """Goes through the stamps once."""
 
     def __init__(
-        self, stamps_s: FloatArray, usual_s: float, leap_s: float, where: Callable[[int], str]
+        self, stamps_s: Floats, usual_s: float, leap_s: float, where: Callable[[int], str]
     ) -> None:
         self._stamps = stamps_s.tolist()
         self._usual_s, self._leap_s, self._where = usual_s, leap_s, where

@@ -10,13 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.replay.recorded_flight import LogFinding
 from companion.core.vehicle.power import GRAVITY_MPS2
 
-FloatArray = NDArray[np.float64]
-Columns = dict[str, FloatArray]
+Columns = dict[str, Floats]
 
 _BASE_S = 1.0
 _WRONG_RATIO = 10.0
@@ -34,9 +33,9 @@ TIME_UNITS = ((5e6, 1e-9, "nanoseconds"), (5e3, 1e-6, "microseconds"), (10.0, 1e
 class _Motion:
     """Accelerations (n, 2: north, east) and tilts as logged (n, 2: roll, pitch), smoothed."""
 
-    accel_mps2: FloatArray
-    tilt: FloatArray
-    yaw: FloatArray
+    accel_mps2: Floats
+    tilt: Floats
+    yaw: Floats
 
 
 def mend_units(columns: Columns) -> list[LogFinding]:
@@ -50,7 +49,7 @@ def mend_units(columns: Columns) -> list[LogFinding]:
     return found
 
 
-def _mend_time(t_s: FloatArray) -> list[LogFinding]:
+def _mend_time(t_s: Floats) -> list[LogFinding]:
     steps = np.diff(t_s[np.isfinite(t_s)])
     rising = steps[steps > 0.0]
     usual = float(np.median(rising)) if rising.size else 0.0
@@ -95,7 +94,7 @@ def _mend_motion(columns: Columns, motion: _Motion) -> list[LogFinding]:
 
 
 def _convert(
-    columns: Columns, names: tuple[str, ...], convert: Callable[[FloatArray], FloatArray], unit: str
+    columns: Columns, names: tuple[str, ...], convert: Callable[[Floats], Floats], unit: str
 ) -> LogFinding:
     for name in names:
         columns[name] = convert(columns[name])
@@ -103,7 +102,7 @@ def _convert(
     return LogFinding(f"columns {', '.join(names)}", what, "converted")
 
 
-def _agreement(accel_mps2: FloatArray, tilt: FloatArray, yaw_rad: FloatArray) -> float:
+def _agreement(accel_mps2: Floats, tilt: Floats, yaw_rad: Floats) -> float:
     """Correlation of the acceleration with what the tilt (any unit) says on this heading."""
     forward, right = -tilt[:, 1], tilt[:, 0]
     north = forward * np.cos(yaw_rad) - right * np.sin(yaw_rad)

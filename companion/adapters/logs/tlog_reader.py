@@ -15,8 +15,7 @@ from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.parameters import decode_bytewise
 from companion.adapters.autopilots.px4 import Px4
-from companion.adapters.autopilots.telemetry import FlavourWords, boot_s, translate
-from companion.adapters.autopilots.vehicle_types import vehicle_of
+from companion.adapters.autopilots.telemetry import FlavourWords, boot_s, translate, vehicle_kind
 from companion.adapters.clock import AutopilotClock
 from companion.adapters.logs.log_time import told
 from companion.core.base.errors import LeewayError
@@ -97,7 +96,7 @@ def read_tlog(path: Path) -> RecordedFlight:
         events=tuple(reader.events),
         findings=tuple(findings),
         flavour=reader.words.flavour,
-        vehicle=vehicle_of(beat.type),
+        vehicle=vehicle_kind(beat.type),
         firmware=reader.firmware,
     )
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.adapters.autopilots.vehicle_types import vehicle_of
+from companion.adapters.autopilots.telemetry import vehicle_kind
 from companion.adapters.logs.ulog_filter import wanted_part
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
     Airspeed,
@@ -30,9 +31,9 @@ from companion.core.mission.events import (
     Position,
     VehicleState,
 )
-from companion.core.replay.recorded_flight import MULTIROTOR, LogFinding, RecordedFlight
+from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
+from companion.core.vehicle.airframe import MULTIROTOR
 
-FloatArray = NDArray[np.float64]
 Rows = dict[str, NDArray[Any]]
 
 TOPICS = (
@@ -101,7 +102,9 @@ def read_ulog(path: Path) -> RecordedFlight:
     values: dict[str, Any] = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         values[name] = value
-    vehicle = vehicle_of(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(values.get("CA_AIRFRAME", -1))
+    vehicle = vehicle_kind(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(
+        values.get("CA_AIRFRAME", -1)
+    )
     events: list[Event] = []
     for rows in topics.get("vehicle_attitude", [])[:1]:
         events += _attitudes(rows)
@@ -213,12 +216,12 @@ def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
     return found
 
 
-def _stray(t_s: FloatArray) -> NDArray[np.intp]:
+def _stray(t_s: Floats) -> NDArray[np.intp]:
     """Rows whose time is not between their neighbours'."""
     return np.flatnonzero(np.diff(np.minimum.accumulate(t_s[::-1])[::-1]) < 0.0)
 
 
-def _rising(t_s: FloatArray, start_s: float, least_step_s: float) -> list[int]:
+def _rising(t_s: Floats, start_s: float, least_step_s: float) -> list[int]:
     """Rows to use: in order, none ahead of a later row, and no nearer than `least_step_s`."""
     latest = np.minimum.accumulate(t_s[::-1])[::-1]  # a wild stamp ahead is above what follows it
     kept: list[int] = []
@@ -266,7 +269,7 @@ def _positions(topics: dict[str, list[Rows]], findings: list[LogFinding]) -> lis
     return [Position(*row) for row, use in zip(columns, good.tolist(), strict=True) if use]
 
 
-def _places(local: Rows, fused: list[Rows]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _places(local: Rows, fused: list[Rows]) -> tuple[Floats, Floats, Floats] | None:
     """Latitude, longitude (degrees) and height AMSL (m) at the local position's times."""
     if fused and fused[0]["t_s"].size > 1:
         rows = fused[0]
@@ -288,7 +291,7 @@ def _places(local: Rows, fused: list[Rows]) -> tuple[FloatArray, FloatArray, Flo
     return lat, lon_0 + local["y"] / east, alt_0 - local["z"]
 
 
-def _home_m(topics: dict[str, list[Rows]], alt_m: FloatArray) -> float:
+def _home_m(topics: dict[str, list[Rows]], alt_m: Floats) -> float:
     """Height AMSL of home: as set, else where the log's position begins."""
     for rows in topics.get("home_position", [])[:1]:
         if rows["alt"].size and np.isfinite(rows["alt"][-1]):

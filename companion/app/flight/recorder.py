@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.files.checkpoint_file import write_checkpoint
-from companion.adapters.logs.decision_log import DecisionLog, free_name, read_rows
-from companion.adapters.logs.mcap_log import IDENTIFIED, HeardRows
+from companion.adapters.logs.decision_log import (
+    IDENTIFIED,
+    DecisionLog,
+    HeardRows,
+    free_name,
+    read_rows,
+)
 from companion.adapters.logs.tlog_writer import Tlog
 from companion.core.mission.actions import (
     Action,

@@ -24,7 +24,6 @@ from companion.core.calibration.drag import DRAG_KEYS
 from companion.core.calibration.flight import (
     DISCHARGE_CHARGE_FRAC,
     DISCHARGE_HEIGHT_M,
-    PlanItem,
     PlanOptions,
     calibration_items,
     discharge_items,
@@ -34,6 +33,7 @@ from companion.core.calibration.flight import (
 )
 from companion.core.calibration.power import power_keys
 from companion.core.calibration.records import Blocks, prepare
+from companion.core.mission.qgc_document import PlanItem
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 

@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError
 from companion.core.replay.flight_replay import Moment, ReplayResult
 from companion.core.replay.recorded_flight import RecordedFlight, WindReference
-
-FloatArray = NDArray[np.float64]
 
 NORTH, EAST, INK, SOFT = "#1b6ca8", "#c2571a", "#222222", "#8a8a8a"
 GOOD, BAD = "#2b7a4b", "#b3261e"

@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 import pymap3d
 import shapely
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
 
 Ned = tuple[float, float, float]
-Angle = TypeVar("Angle", float, NDArray[np.float64])
+Angle = TypeVar("Angle", float, Floats)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ class ObstacleMap:
                 return obstacle
         return None
 
-    def first_hits(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.int64]:
+    def first_hits(self, points_ned_m: Floats) -> Ints:
         """Of n lines through k points each, (n, k, 3), the first obstacle that each comes near.
 
         Indices into `obstacles`, in the order of the way; -1: clear. Between two points a line
@@ -178,7 +178,7 @@ class ObstacleMap:
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         return float(self._tops_m[self._tree.query(line, predicate="intersects")].max(initial=0.0))
 
-    def clearance_at(self, points_ned_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clearance_at(self, points_ned_m: Floats) -> Floats:
         """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
         points = points_ned_m.reshape(-1, 3)
         found = np.full(len(points), np.inf)

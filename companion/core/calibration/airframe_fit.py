@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.core.calibration.battery import BatteryFit, fit_battery
 from companion.core.calibration.drag import DragFit, fit_drag, see_wind
@@ -28,8 +27,6 @@ from companion.core.calibration.quantities import Quantity, quantities_of
 from companion.core.calibration.records import BLOCK_S, Blocks
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps
-
-FloatArray = NDArray[np.float64]
 
 _PIECE_BLOCKS = 60  # of the holdout's energy: two minutes, a leg home
 _LEAST_MODEL_STD_FRAC = 0.03

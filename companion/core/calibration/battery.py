@@ -9,13 +9,11 @@ curve, and count as uncertain. Anything less deep leaves usable energy to belief
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.calibration.records import BLOCK_S, Blocks
 from companion.core.calibration.residual_scatter import clustered_covariance
 from companion.core.vehicle.airframe import Battery
-
-FloatArray = NDArray[np.float64]
 
 _CURVE_TERMS = 4
 _FULL_FRAC = 0.95
@@ -98,7 +96,7 @@ def _usable(deep: list[_Discharge], battery: Battery) -> Usable:
 
 def _resistance(flights: list[Blocks]) -> tuple[float, float]:
     """(ohm, its standard deviation), clustered by minutes."""
-    columns: list[FloatArray] = []
+    columns: list[Floats] = []
     measured, minutes = [], []
     width = _CURVE_TERMS * len(flights)
     for number, b in enumerate(flights):

@@ -16,16 +16,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.records import BLOCK_S, Blocks
 from companion.core.calibration.residual_scatter import widened_covariance
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
-
-FloatArray = NDArray[np.float64]
 
 DRAG_KEYS = (
     "linear_forward_n_per_mps",
@@ -78,9 +76,9 @@ class DragPriors:
 class WindSeen:
     """The wind over one flight's blocks as the drag tells it, where it moves to; and its std."""
 
-    to_north_mps: FloatArray
-    to_east_mps: FloatArray
-    std_mps: FloatArray
+    to_north_mps: Floats
+    to_east_mps: Floats
+    std_mps: Floats
     mean_mps: float
 
 
@@ -91,14 +89,14 @@ class DragFit:
     `residual_mps2` per flight: (n, 2) measured less expected drag deceleration, wind explained.
     """
 
-    values: FloatArray
-    cov: FloatArray
-    prior_cov: FloatArray
+    values: Floats
+    cov: Floats
+    prior_cov: Floats
     winds: tuple[WindSeen, ...]
-    residual_mps2: tuple[FloatArray, ...]
+    residual_mps2: tuple[Floats, ...]
 
 
-def drag_values(airframe: Airframe) -> FloatArray:
+def drag_values(airframe: Airframe) -> Floats:
     """The airframe's own numbers in the order of DRAG_KEYS."""
     return np.array([getattr(airframe.drag, key) for key in DRAG_KEYS])
 
@@ -115,7 +113,7 @@ def see_wind(blocks: Blocks, airframe: Airframe, priors: DragPriors | None = Non
     return _fit([blocks], airframe, priors or DragPriors(), fixed=True).winds[0]
 
 
-def drag_prior_cov(airframe: Airframe, priors: DragPriors) -> FloatArray:
+def drag_prior_cov(airframe: Airframe, priors: DragPriors) -> Floats:
     """Prior covariance of DRAG_KEYS: each of its own size, right tied to forward."""
     mass = airframe.mass.empty_kg
     value = drag_values(airframe)
@@ -132,7 +130,7 @@ def drag_prior_cov(airframe: Airframe, priors: DragPriors) -> FloatArray:
     return cov
 
 
-def _ratios(value: FloatArray) -> tuple[float, ...]:
+def _ratios(value: Floats) -> tuple[float, ...]:
     """Right over forward, of the linear and of the quadratic part."""
     return tuple(value[i + 1] / value[i] if value[i] > 0.0 else 1.0 for i in (0, 2))
 
@@ -146,11 +144,11 @@ def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: b
     x = np.r_[start[:globals_], np.zeros(_NUISANCES * len(models))]
     prior_root = np.linalg.inv(np.linalg.cholesky(prior_cov))
 
-    def split(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def split(x: Floats) -> tuple[Floats, Floats]:
         drag = start if fixed else x[:globals_]
         return drag, x[globals_:].reshape(-1, _NUISANCES)
 
-    def residuals(x: FloatArray) -> FloatArray:
+    def residuals(x: Floats) -> Floats:
         drag, own = split(x)
         parts = [m.whitened(drag, mine) for m, mine in zip(models, own, strict=True)]
         parts.append((own / nuisance_std).ravel())
@@ -177,7 +175,7 @@ def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: b
     return DragFit(drag, cov, prior_cov, winds, left)
 
 
-def _clusters(models: list["_FlightModel"]) -> Iterator[NDArray[np.int64]]:
+def _clusters(models: list["_FlightModel"]) -> Iterator[Ints]:
     """Rows of all flights, minute by minute."""
     at = 0
     for model in models:
@@ -203,22 +201,22 @@ class _FlightModel:
         transient = priors.lag_left_std_s / BLOCK_S * blocks.swing_mps2
         self._own_variance = np.tile(priors.sensor_std_mps2**2 + transient**2, 2)
         self.scale = 1.0
-        self._root: FloatArray = np.eye(self.size)
-        self._slopes: FloatArray = np.zeros((len(blocks.t_s), 2, 2))
-        self._wind_cov: FloatArray = self._slow
+        self._root: Floats = np.eye(self.size)
+        self._slopes: Floats = np.zeros((len(blocks.t_s), 2, 2))
+        self._wind_cov: Floats = self._slow
 
     @property
     def size(self) -> int:
         """Residuals of this flight: forward ones, then right ones."""
         return 2 * len(self._b.t_s)
 
-    def clusters(self) -> list[NDArray[np.int64]]:
+    def clusters(self) -> list[Ints]:
         """Rows of each minute."""
         minute = (self._b.t_s // 60.0).astype(int)
         both = np.tile(minute, 2)
         return [np.flatnonzero(both == m) for m in np.unique(minute)]
 
-    def _air(self, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _air(self, own: Floats) -> tuple[Floats, Floats]:
         """Mean air velocity past the body, along true forward and right."""
         b, (wind_n, wind_e, error, lag_s) = self._b, own
         forward = (
@@ -227,7 +225,7 @@ class _FlightModel:
         right = b.right_mps + lag_s * b.accel_right_mps2 - (b.cos_yaw * wind_e - b.sin_yaw * wind_n)
         return forward + error * right, right - error * forward
 
-    def _gains(self, drag: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _gains(self, drag: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Linear forward, right; quadratic forward, right, at each block's mass."""
         parcel = np.where(self._parcel, drag[4], 0.0)
         return (
@@ -237,7 +235,7 @@ class _FlightModel:
             drag[3] + parcel,
         )
 
-    def difference(self, drag: FloatArray, own: FloatArray) -> FloatArray:
+    def difference(self, drag: Floats, own: Floats) -> Floats:
         """Measured less expected deceleration by drag, forward then right, m/s^2."""
         b, error, lag_s = self._b, own[2], own[3]
         forward, right = self._air(own)
@@ -254,7 +252,7 @@ class _FlightModel:
             accel_r - b.thrust_right_mps2 - expected_r,
         ]
 
-    def _wind_slopes(self, drag: FloatArray, own: FloatArray) -> FloatArray:
+    def _wind_slopes(self, drag: Floats, own: Floats) -> Floats:
         """d expected / d wind (north, east): (n, 2 axes, 2)."""
         b = self._b
         forward, right = self._air(own)
@@ -273,7 +271,7 @@ class _FlightModel:
             1,
         )
 
-    def weigh(self, drag: FloatArray, own: FloatArray, settle: bool) -> None:
+    def weigh(self, drag: Floats, own: Floats, settle: bool) -> None:
         """Set the covariance at an estimate; `settle`: the wind's part follows the residuals."""
         p, n = self._priors, len(self._b.t_s)
         self._slopes = self._wind_slopes(drag, own)
@@ -292,11 +290,11 @@ class _FlightModel:
         self._wind_cov = self.scale**2 * wind_cov
         self._root = np.asarray(np.linalg.cholesky(self.scale**2 * by_wind + rest), np.float64)
 
-    def whitened(self, drag: FloatArray, own: FloatArray) -> FloatArray:
+    def whitened(self, drag: Floats, own: Floats) -> Floats:
         """Residuals of unit variance, uncorrelated if the covariance is right."""
         return solve_triangular(self._root, self.difference(drag, own), lower=True)
 
-    def wind(self, drag: FloatArray, own: FloatArray) -> WindSeen:
+    def wind(self, drag: Floats, own: Floats) -> WindSeen:
         """Mean wind of the flight plus its departures as predicted from the residuals."""
         n = len(self._b.t_s)
         white = self.whitened(drag, own)
@@ -311,7 +309,7 @@ class _FlightModel:
         mean = math.hypot(own[0], own[1])
         return WindSeen(parts[0], parts[1], np.sqrt(variance), mean)
 
-    def unexplained(self, drag: FloatArray, own: FloatArray) -> FloatArray:
+    def unexplained(self, drag: Floats, own: Floats) -> Floats:
         """(n, 2) residuals with the predicted wind taken out; trim stays in."""
         n, wind = len(self._b.t_s), self.wind(drag, own)
         difference = self.difference(drag, own).reshape(2, n).T
@@ -319,7 +317,7 @@ class _FlightModel:
         return difference - np.einsum("nac,nc->na", self._slopes, departure)
 
 
-def _likeliest_scale(by_wind: FloatArray, rest: FloatArray, left: FloatArray) -> float:
+def _likeliest_scale(by_wind: Floats, rest: Floats, left: Floats) -> float:
     """How much stronger than assumed the wind varies (a standard deviation), by likelihood."""
     losses = []
     for scale in _SCALES:
@@ -329,7 +327,7 @@ def _likeliest_scale(by_wind: FloatArray, rest: FloatArray, left: FloatArray) ->
     return float(_SCALES[int(np.argmin(losses))])
 
 
-def _wind_kernels(lag_s: FloatArray, p: DragPriors) -> tuple[FloatArray, FloatArray]:
+def _wind_kernels(lag_s: Floats, p: DragPriors) -> tuple[Floats, Floats]:
     """Covariances of slow wind and of gusts (2 s means) over time, m^2/s^2, per component."""
     slow = sum(
         std**2 * np.exp(-lag_s / memory)

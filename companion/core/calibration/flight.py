@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.core.mission.qgc_document import PlanItem
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 
@@ -21,15 +22,6 @@ DISCHARGE_CHARGE_FRAC = 0.10
 """What a discharge is flown down to: the steep end begins there, a landing takes 1 to 2 %."""
 DISCHARGE_HEIGHT_M = 3.0
 _LONGEST_FRAC = 1.3  # of the believed hovering time: the plan lands then, whatever the voltage
-
-
-@dataclass(frozen=True, slots=True)
-class PlanItem:
-    """A MAVLink mission item about home: metres north, east and up, or None without a place."""
-
-    command: int
-    place_neu_m: tuple[float, float, float] | None = None
-    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.drag import DRAG_KEYS, WindSeen
 from companion.core.calibration.records import Blocks
 from companion.core.calibration.residual_scatter import by_minute, widened_covariance
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
-
-FloatArray = NDArray[np.float64]
 
 POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "avionics_w")
 """Of the table power_rotor, in the order of the fitted values."""
@@ -55,7 +53,7 @@ class PowerPriors:
     current_offset_std_a: float = 0.2
     model_frac: float = 0.03
 
-    def stds(self, values: FloatArray) -> FloatArray:
+    def stds(self, values: Floats) -> Floats:
         """Standard deviations about these values, in the order of `power_values`."""
         fracs = [self.induced_frac, self.efficiency_frac, self.blade_frac, self.avionics_frac]
         fracs += [self.vertical_frac]
@@ -68,12 +66,12 @@ class PowerFit:
     """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices,
     the measured over expected power there, less 1, and the sensor's factor."""
 
-    values: FloatArray
-    cov: FloatArray
-    prior_cov: FloatArray
+    values: Floats
+    cov: Floats
+    prior_cov: Floats
     sensor_scale: tuple[float, ...]
-    settled: tuple[NDArray[np.int64], ...]
-    residual_frac: tuple[FloatArray, ...]
+    settled: tuple[Ints, ...]
+    residual_frac: tuple[Floats, ...]
 
 
 def power_keys(airframe: Airframe) -> list[tuple[str, str]]:
@@ -83,14 +81,14 @@ def power_keys(airframe: Airframe) -> list[tuple[str, str]]:
     return [*keys, ("drag", VERTICAL_KEY)] if stated else keys
 
 
-def power_values(airframe: Airframe) -> FloatArray:
+def power_values(airframe: Airframe) -> Floats:
     """The airframe's own numbers: those of POWER_KEYS, then VERTICAL_KEY's where it is stated."""
     own = [getattr(airframe.power_rotor, key) for key in POWER_KEYS]
     vertical = airframe.drag.vertical_quadratic_n_per_mps2
     return np.array(own if vertical is None else [*own, vertical])
 
 
-def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airframe:
+def with_values(airframe: Airframe, drag: Floats, power: Floats) -> Airframe:
     """An airframe with these numbers of DRAG_KEYS and of `power_values` in it."""
     changed = msgspec.structs.replace
     count = len(POWER_KEYS)
@@ -101,19 +99,19 @@ def with_values(airframe: Airframe, drag: FloatArray, power: FloatArray) -> Airf
     return changed(airframe, drag=own, power_rotor=rotor)
 
 
-def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[FloatArray, FloatArray]:
+def air_speeds(blocks: Blocks, wind: WindSeen) -> tuple[Floats, Floats]:
     """Airspeed (horizontal) and its part across the heading over a flight's airborne blocks."""
     b = blocks.pick(blocks.airborne)
     air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
     return np.hypot(air_n, air_e), np.abs(b.cos_yaw * air_e - b.sin_yaw * air_n)
 
 
-def predicted_w(airframe: Airframe, blocks: Blocks, wind: WindSeen) -> FloatArray:
+def predicted_w(airframe: Airframe, blocks: Blocks, wind: WindSeen) -> Floats:
     """Power by the airframe over a flight's airborne blocks, as the companion would plan it."""
     return _priced_w(airframe, blocks.pick(blocks.airborne), air_speeds(blocks, wind)[0])
 
 
-def _priced_w(airframe: Airframe, b: Blocks, airspeed_mps: FloatArray) -> FloatArray:
+def _priced_w(airframe: Airframe, b: Blocks, airspeed_mps: Floats) -> Floats:
     power = np.zeros_like(airspeed_mps)
     for payload_kg in np.unique(b.payload_kg):
         at = b.payload_kg == payload_kg
@@ -129,15 +127,15 @@ class _Piece:
     """One flight's settled blocks with what does not change while the fit goes on."""
 
     blocks: Blocks
-    airspeed_mps: FloatArray
-    kinetic_w: FloatArray
-    noise_w: FloatArray
+    airspeed_mps: Floats
+    kinetic_w: Floats
+    noise_w: Floats
 
     @staticmethod
     def of(
         blocks: Blocks,
         wind: WindSeen,
-        settled: NDArray[np.int64],
+        settled: Ints,
         airframe: Airframe,
         priors: PowerPriors,
     ) -> "_Piece":
@@ -149,7 +147,7 @@ class _Piece:
             _noise(airframe, blocks, wind, priors)[settled],
         )
 
-    def expected_w(self, airframe: Airframe) -> FloatArray:
+    def expected_w(self, airframe: Airframe) -> Floats:
         """Power by an airframe, what goes into speed included."""
         level = _priced_w(airframe, self.blocks, self.airspeed_mps)
         return level + self.kinetic_w / airframe.power_rotor.drive_efficiency
@@ -174,7 +172,7 @@ def fit_power(
         _Piece.of(b, w, at, airframe, p) for b, w, at in zip(flights, winds, settled, strict=True)
     ]
 
-    def residuals(x: FloatArray) -> FloatArray:
+    def residuals(x: Floats) -> Floats:
         tried = with_values(airframe, drag, x[:count])
         parts = [
             (piece.blocks.power_w - piece.expected_w(tried) * (1.0 + scale)) / piece.noise_w
@@ -218,7 +216,7 @@ def fit_power(
     )
 
 
-def _settled(blocks: Blocks, wind: WindSeen) -> NDArray[np.int64]:
+def _settled(blocks: Blocks, wind: WindSeen) -> Ints:
     """Airborne blocks in steady flight nose-on: level, climbing or hovering."""
     b = blocks.pick(blocks.airborne)
     airspeed, across = air_speeds(blocks, wind)
@@ -228,7 +226,7 @@ def _settled(blocks: Blocks, wind: WindSeen) -> NDArray[np.int64]:
     return np.flatnonzero(steady & nose_on & (accel < _SETTLED_MPS2))
 
 
-def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> FloatArray:
+def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> Floats:
     """Shaft power that goes into speed: mass times acceleration times velocity through the air."""
     b = blocks.pick(blocks.airborne)
     air_n, air_e = b.north_mps - wind.to_north_mps, b.east_mps - wind.to_east_mps
@@ -237,7 +235,7 @@ def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> FloatArray
     return (airframe.mass.empty_kg + b.payload_kg) * gained
 
 
-def _standing_blocks(blocks: Blocks, airframe: Airframe) -> NDArray[np.int64]:
+def _standing_blocks(blocks: Blocks, airframe: Airframe) -> Ints:
     """Blocks on the ground with the motors off."""
     hover_w = float(multirotor_power_w(airframe, airframe.mass.empty_kg, 0.0))
     speed = np.hypot(np.hypot(blocks.north_mps, blocks.east_mps), blocks.climb_mps)
@@ -259,7 +257,7 @@ def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float, float] 
     return middle_w, std_w, float(np.median(blocks.voltage_v[at]))
 
 
-def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> FloatArray:
+def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> Floats:
     """Standard deviation of one block's power: the model's, and what the wind's error makes."""
     flown = blocks.pick(blocks.airborne)
     power = predicted_w(airframe, blocks, wind)
@@ -272,7 +270,7 @@ def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -
     return np.hypot(p.model_frac * flown.power_w, slope)
 
 
-def _clusters(flown: list[Blocks], settled: list[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+def _clusters(flown: list[Blocks], settled: list[Ints]) -> Iterator[Ints]:
     """Settled rows of all flights, minute by minute."""
     at = 0
     for b, rows in zip(flown, settled, strict=True):

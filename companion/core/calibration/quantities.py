@@ -7,8 +7,8 @@ models may trade against one another without harm. Each names the flight that wo
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.calibration.battery import BatteryFit
 from companion.core.calibration.drag import DragFit
 from companion.core.calibration.flight import square_speeds_mps
@@ -16,8 +16,6 @@ from companion.core.calibration.power import POWER_KEYS, PowerFit, with_values
 from companion.core.calibration.records import Blocks
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
-
-FloatArray = NDArray[np.float64]
 
 _POSTERIOR_OVER_PRIOR = 0.6
 _RESISTANCE_LIMIT_FRAC = 0.25
@@ -159,7 +157,7 @@ def _usable_quantities(battery: BatteryFit, start: Airframe) -> list[Quantity]:
 
 
 def _linear(
-    name: str, unit: str, row: FloatArray, fit: DragFit, limit: float, needed: bool, flight: str
+    name: str, unit: str, row: Floats, fit: DragFit, limit: float, needed: bool, flight: str
 ) -> Quantity:
     value = float(row @ fit.values)
     std = float(np.sqrt(row @ fit.cov @ row))
@@ -186,15 +184,15 @@ def _power_quantity(
 
 def power_and_slope(
     airframe: Airframe,
-    power: FloatArray,
-    drag: FloatArray,
+    power: Floats,
+    drag: Floats,
     payload_kg: float,
     speed_mps: float,
     density_kgpm3: float = 1.225,
-) -> tuple[float, FloatArray]:
+) -> tuple[float, Floats]:
     """Power in level flight and its derivatives by POWER_KEYS."""
 
-    def at(values: FloatArray) -> float:
+    def at(values: Floats) -> float:
         tried = with_values(airframe, drag, values)
         mass_kg = tried.mass_kg(payload_kg)
         return float(multirotor_power_w(tried, mass_kg, speed_mps, 0.0, density_kgpm3))

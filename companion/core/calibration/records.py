@@ -8,13 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.power import GRAVITY_MPS2
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 BLOCK_S = 2.0
 _GRID_S = 0.1
@@ -35,14 +32,14 @@ class FlightRecord:
     """
 
     name: str
-    t_s: FloatArray
-    vel_ned_mps: FloatArray
-    roll_rad: FloatArray
-    pitch_rad: FloatArray
-    yaw_rad: FloatArray
-    voltage_v: FloatArray
-    current_a: FloatArray
-    payload_kg: FloatArray
+    t_s: Floats
+    vel_ned_mps: Floats
+    roll_rad: Floats
+    pitch_rad: Floats
+    yaw_rad: Floats
+    voltage_v: Floats
+    current_a: Floats
+    payload_kg: Floats
     density_kgpm3: float
 
 
@@ -56,29 +53,29 @@ class Blocks:
     """
 
     name: str
-    t_s: FloatArray
-    north_mps: FloatArray
-    east_mps: FloatArray
-    climb_mps: FloatArray
-    cos_yaw: FloatArray
-    sin_yaw: FloatArray
-    forward_mps: FloatArray
-    right_mps: FloatArray
-    accel_forward_mps2: FloatArray
-    accel_right_mps2: FloatArray
-    thrust_forward_mps2: FloatArray
-    thrust_right_mps2: FloatArray
-    jerk_forward_mps3: FloatArray
-    jerk_right_mps3: FloatArray
-    swing_mps2: FloatArray
-    voltage_v: FloatArray
-    current_a: FloatArray
-    power_w: FloatArray
-    payload_kg: FloatArray
-    airborne: BoolArray
+    t_s: Floats
+    north_mps: Floats
+    east_mps: Floats
+    climb_mps: Floats
+    cos_yaw: Floats
+    sin_yaw: Floats
+    forward_mps: Floats
+    right_mps: Floats
+    accel_forward_mps2: Floats
+    accel_right_mps2: Floats
+    thrust_forward_mps2: Floats
+    thrust_right_mps2: Floats
+    jerk_forward_mps3: Floats
+    jerk_right_mps3: Floats
+    swing_mps2: Floats
+    voltage_v: Floats
+    current_a: Floats
+    power_w: Floats
+    payload_kg: Floats
+    airborne: Bools
     density_kgpm3: float
 
-    def pick(self, keep: BoolArray | NDArray[np.int64]) -> "Blocks":
+    def pick(self, keep: Bools | Ints) -> "Blocks":
         """The blocks that are kept, by truth or by number."""
         return replace(self, **_picked(self, keep))
 
@@ -144,7 +141,7 @@ def _in_order(record: FlightRecord, notes: list[str]) -> FlightRecord:
     return replace(record, **_picked(record, rising))
 
 
-def _picked(table: FlightRecord | Blocks, keep: BoolArray | NDArray[np.int64]) -> dict[str, Any]:
+def _picked(table: FlightRecord | Blocks, keep: Bools | Ints) -> dict[str, Any]:
     """Rows of every column."""
     columns = {name: getattr(table, name) for name in table.__slots__}
     return {name: c[keep] for name, c in columns.items() if isinstance(c, np.ndarray)}
@@ -184,12 +181,12 @@ def _pair(record: FlightRecord) -> float:
     return float(np.nanmedian(record.voltage_v) * np.nanpercentile(record.current_a, 80))
 
 
-def _present(record: FlightRecord, key: str, values: FloatArray, what: str) -> None:
+def _present(record: FlightRecord, key: str, values: Floats, what: str) -> None:
     if not np.isfinite(values).any():
         raise LeewayError(f"{record.name}: {key}: no row has it; {what} is needed to calibrate")
 
 
-def _within(record: FlightRecord, key: str, values: FloatArray, limit: float, unit: str) -> None:
+def _within(record: FlightRecord, key: str, values: Floats, limit: float, unit: str) -> None:
     beyond = np.flatnonzero(np.abs(values) > limit)  # NaN compares as within
     if len(beyond) > 0.01 * len(values):
         row = int(beyond[0])
@@ -200,8 +197,8 @@ def _within(record: FlightRecord, key: str, values: FloatArray, limit: float, un
 
 
 def _blocks(
-    record: FlightRecord, grid_s: FloatArray, per_block: int, hover_w: float
-) -> tuple[Blocks, BoolArray]:
+    record: FlightRecord, grid_s: Floats, per_block: int, hover_w: float
+) -> tuple[Blocks, Bools]:
     """All blocks of the grid, and which of them every sensor covers."""
     vel = [_on_grid(record.t_s, record.vel_ned_mps[:, i], grid_s) for i in range(3)]
     roll, roll_ok = _on_grid(record.t_s, record.roll_rad, grid_s)
@@ -220,10 +217,10 @@ def _blocks(
     thrust_f = -lift * np.tan(pitch)
     thrust_r = lift * np.tan(roll) / np.cos(pitch)
 
-    def mean(values: FloatArray) -> FloatArray:
+    def mean(values: Floats) -> Floats:
         return values.reshape(-1, per_block).mean(axis=1)
 
-    def spread(values: FloatArray) -> FloatArray:
+    def spread(values: Floats) -> Floats:
         return np.ptp(values.reshape(-1, per_block), axis=1)
 
     power = volt * current
@@ -255,26 +252,26 @@ def _blocks(
     return blocks, np.asarray(ok.reshape(-1, per_block).all(axis=1), np.bool_)
 
 
-def _slope(values: FloatArray) -> FloatArray:
+def _slope(values: Floats) -> Floats:
     """Rate of change over 1 s about each sample of the grid."""
     half = round(0.5 / _GRID_S)
     padded = np.pad(values, half, mode="edge")
     return (padded[2 * half :] - padded[: -2 * half]) / (2 * half * _GRID_S)
 
 
-def _in_the_air(flying: BoolArray) -> BoolArray:
+def _in_the_air(flying: Bools) -> Bools:
     """Under power, less the blocks of take-off and landing; a log's end is not a landing."""
     before, after = np.r_[False, flying[:-1]], np.r_[flying[1:], True]
     return flying & before & after
 
 
 def _on_grid(
-    t_s: FloatArray,
-    values: FloatArray,
-    grid_s: FloatArray,
+    t_s: Floats,
+    values: Floats,
+    grid_s: Floats,
     gap_s: float = _GAP_S,
     angle: bool = False,
-) -> tuple[FloatArray, BoolArray]:
+) -> tuple[Floats, Bools]:
     """Linear interpolation over the rows that know the value; False within longer gaps."""
     known = np.isfinite(values)
     if not known.any():

@@ -3,15 +3,13 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from companion.core.base.arrays import Floats, Ints
 
 
 def clustered_covariance(
-    design: FloatArray, left: FloatArray, clusters: Iterable[Rows]
-) -> tuple[FloatArray, FloatArray]:
+    design: Floats, left: Floats, clusters: Iterable[Ints]
+) -> tuple[Floats, Floats]:
     """(sandwich, bread) of a fit with this design (rows, values) and these residuals (rows,).
 
     Residuals of one cluster are as good as one: they are summed before they are squared (Liang and
@@ -29,8 +27,8 @@ def clustered_covariance(
 
 
 def widened_covariance(
-    design: FloatArray, left: FloatArray, clusters: Iterable[Rows], least: float = 1.0
-) -> FloatArray:
+    design: Floats, left: Floats, clusters: Iterable[Ints], least: float = 1.0
+) -> Floats:
     """The model's covariance, each standard deviation widened where clusters scatter more.
 
     Residuals in units of their own standard deviation. By a factor of `least` or more: scatter
@@ -41,7 +39,7 @@ def widened_covariance(
     return np.asarray(bread * np.outer(factor, factor), np.float64)
 
 
-def by_minute(t_s: FloatArray, first_row: int = 0) -> list[Rows]:
+def by_minute(t_s: Floats, first_row: int = 0) -> list[Ints]:
     """Rows of one flight, minute by minute, the first of them being `first_row`."""
     minute = (t_s // 60.0).astype(np.int64)
     return [first_row + np.flatnonzero(minute == m) for m in np.unique(minute)]

@@ -1,14 +1,23 @@
 """Missions as QGroundControl's `.plan` documents (docs.qgroundcontrol.com, "Plan")."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from companion.core.base.geo import LocalFrame
-from companion.core.calibration.flight import PlanItem
 
 _RELATIVE, _MISSION = 3, 2
 _FIRMWARE = {"px4": 12, "ardupilot": 3}
 _QUADROTOR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class PlanItem:
+    """A MAVLink mission item about home: metres north, east and up, or None without a place."""
+
+    command: int
+    place_neu_m: tuple[float, float, float] | None = None
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 def plan_document(

@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from companion.core.base.arrays import Bools, Floats
 
 _BIN_S = 1.0
 _STILL_MPS = 0.25  # estimators' velocity noise at rest is under 0.15 m/s
@@ -19,11 +18,11 @@ _DEAD_TILT_RAD = math.radians(0.05)
 
 
 def airborne(
-    t_s: FloatArray,
-    vel_ned_mps: FloatArray,
-    tilt_rad: FloatArray,
-    height_m: FloatArray | None = None,
-) -> NDArray[np.bool_]:
+    t_s: Floats,
+    vel_ned_mps: Floats,
+    tilt_rad: Floats,
+    height_m: Floats | None = None,
+) -> Bools:
     """Tell for each row whether the vehicle was in the air.
 
     `vel_ned_mps` (n, 3) and `tilt_rad` (n, 2: roll, pitch) may hold NaN; `height_m` is summed up
@@ -54,10 +53,10 @@ class _Bins:
 
     def __init__(
         self,
-        t_s: FloatArray,
-        vel_ned_mps: FloatArray,
-        tilt_rad: FloatArray,
-        height_m: FloatArray | None,
+        t_s: Floats,
+        vel_ned_mps: Floats,
+        tilt_rad: Floats,
+        height_m: Floats | None,
     ) -> None:
         self.of_row = ((t_s - t_s[0]) / _BIN_S).astype(int)
         # Bins without rows (gaps in the log) take no part: number only those that have some.
@@ -71,11 +70,11 @@ class _Bins:
         self.height_m = self._mean(np.nan_to_num(height, nan=float(np.nanmean(height))))
         self.still = (self.speed_mps < _STILL_MPS) & (self.rocking_rad < _STILL_TILT_RAD)
 
-    def _mean(self, values: FloatArray) -> FloatArray:
+    def _mean(self, values: Floats) -> Floats:
         rows = np.bincount(self.of_row, minlength=self.count)
         return np.bincount(self.of_row, values, self.count) / np.maximum(rows, 1)
 
-    def _spread(self, values: FloatArray) -> FloatArray:
+    def _spread(self, values: Floats) -> Floats:
         mean = self._mean(values)
         return np.sqrt(self._mean((values - mean[self.of_row]) ** 2))
 
@@ -91,7 +90,7 @@ class _Bins:
         return whole and quiet and self.rests(first, for_s)
 
 
-def summed_height_m(t_s: FloatArray, vel_d_mps: FloatArray) -> FloatArray:
+def summed_height_m(t_s: Floats, vel_d_mps: Floats) -> Floats:
     """Height above the first row from the vertical velocity (down), by trapezoids."""
     climb = -0.5 * (vel_d_mps[1:] + vel_d_mps[:-1])
     return np.concatenate([[0.0], np.cumsum(climb * np.diff(t_s))])

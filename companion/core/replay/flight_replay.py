@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.base.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission.actions import Decision
 from companion.core.mission.events import Airspeed, Attitude, AutopilotWind, Flavour
@@ -29,8 +29,6 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
-
-FloatArray = NDArray[np.float64]
 
 TICK_S = 0.1
 """As the companion ticks in flight."""
@@ -77,11 +75,11 @@ class ReplayResult:
     flight, `flown_s` how long it had flown by then.
     """
 
-    wind_t_s: FloatArray
-    wind_to_ne_mps: FloatArray
-    wind_cov_m2ps2: FloatArray
-    in_air: NDArray[np.bool_]
-    flown_s: FloatArray
+    wind_t_s: Floats
+    wind_to_ne_mps: Floats
+    wind_cov_m2ps2: Floats
+    in_air: Bools
+    flown_s: Floats
     max_loss: float
     reserve_wh: float | None
     moments: list[Moment] = field(default_factory=list)

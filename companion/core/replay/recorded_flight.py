@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.mission.events import Battery, Event, Flavour, Position
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
@@ -20,10 +20,7 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     Situation,
 )
-
-FloatArray = NDArray[np.float64]
-
-MULTIROTOR = "multirotor"
+from companion.core.vehicle.airframe import MULTIROTOR
 
 LARGEST_GAP_S = 60.0
 """Silences up to this are filled with ticks: belief and energy go on as they would in flight."""
@@ -45,8 +42,8 @@ class LogFinding:
 class WindReference:
     """What an anemometer beside the telemetry says: where the air moves to, (n, 2), north east."""
 
-    t_s: FloatArray
-    to_ne_mps: FloatArray
+    t_s: Floats
+    to_ne_mps: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,28 +108,28 @@ class Samples:
     `consumed_j` are its counters.
     """
 
-    t_s: FloatArray
-    airborne: NDArray[np.bool_]
-    armed: NDArray[np.bool_]
-    lat_deg: FloatArray
-    lon_deg: FloatArray
-    alt_amsl_m: FloatArray
-    height_rel_m: FloatArray
-    vel_n_mps: FloatArray
-    vel_e_mps: FloatArray
-    vel_d_mps: FloatArray
-    roll_rad: FloatArray
-    pitch_rad: FloatArray
-    yaw_rad: FloatArray
-    airspeed_mps: FloatArray
-    wind_to_n_mps: FloatArray
-    wind_to_e_mps: FloatArray
-    voltage_v: FloatArray
-    current_a: FloatArray
-    consumed_ah: FloatArray
-    consumed_j: FloatArray
-    remaining_frac: FloatArray
-    temperature_c: FloatArray
+    t_s: Floats
+    airborne: Bools
+    armed: Bools
+    lat_deg: Floats
+    lon_deg: Floats
+    alt_amsl_m: Floats
+    height_rel_m: Floats
+    vel_n_mps: Floats
+    vel_e_mps: Floats
+    vel_d_mps: Floats
+    roll_rad: Floats
+    pitch_rad: Floats
+    yaw_rad: Floats
+    airspeed_mps: Floats
+    wind_to_n_mps: Floats
+    wind_to_e_mps: Floats
+    voltage_v: Floats
+    current_a: Floats
+    consumed_ah: Floats
+    consumed_j: Floats
+    remaining_frac: Floats
+    temperature_c: Floats
 
 
 _MEASURED = (

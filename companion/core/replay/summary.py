@@ -4,12 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.replay.flight_replay import ReplayResult
 from companion.core.replay.recorded_flight import WindReference
-
-FloatArray = NDArray[np.float64]
 
 SETTLED_S = 30.0
 """Judged from so long into the flight, as evaluation.md has it (8 and 9)."""
@@ -93,5 +91,5 @@ def wind_score(result: ReplayResult, reference: WindReference) -> WindScore | No
     )
 
 
-def _rms(vectors: FloatArray) -> float:
+def _rms(vectors: Floats) -> float:
     return math.sqrt(float((vectors**2).sum(axis=1).mean()))

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.core.return_budget.leg_costs import LegTable
 from companion.core.return_budget.outcomes import Budget, Chances
@@ -25,8 +24,6 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
-
-FloatArray = NDArray[np.float64]
 
 __all__ = ["Ahead", "Assessment", "Decision", "Gate", "GateParams", "Stage", "WayHome"]
 

@@ -8,16 +8,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
 from companion.core.return_budget.remaining_mission import Ahead, Stage
 from companion.core.return_budget.wind_samples import PathSampler
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindOutlook
-
-FloatArray = NDArray[np.float64]
 
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
 _MERGE_M = 450.0  # straight cruise legs are priced together up to this length
@@ -43,7 +41,7 @@ class _Span:
 class Need:
     """An energy need as a later gate will see it: what it expects, (K,), and how sure it is."""
 
-    wh: FloatArray
+    wh: Floats
     std_wh: float
 
 
@@ -54,7 +52,7 @@ class Foreseen:
     """
 
     turning: Need
-    turning_way: NDArray[np.int64]
+    turning_way: Ints
     next_point: Need
     whole: Need
 
@@ -105,25 +103,25 @@ class LegTable:
         """How many ways home a decision point has."""
         return len(self._ways[point])
 
-    def stage_wh(self, stage: int) -> FloatArray:
+    def stage_wh(self, stage: int) -> Floats:
         """Energy of stage 1, 2, ... in every sample."""
         return _sum(self._energy, self._stage[stage - 1])
 
-    def way_wh(self, point: int, way: int) -> FloatArray:
+    def way_wh(self, point: int, way: int) -> Floats:
         """Energy of a way home from a decision point in every sample."""
         return _sum(self._energy, self._ways[point][way])
 
-    def chosen_way_wh(self, point: int, way: NDArray[np.int64]) -> FloatArray:
+    def chosen_way_wh(self, point: int, way: Ints) -> Floats:
         """The same with each POLICY sample's own choice of way."""
         energies = np.stack([self.way_wh(point, i)[POLICY] for i in range(self.ways(point))])
         return energies[way, np.arange(way.size)]
 
-    def whole_wh(self) -> FloatArray:
+    def whole_wh(self) -> Floats:
         """Energy of all stages and the first way home after them, in every sample."""
         total = sum((self.stage_wh(i + 1) for i in range(self.stages)), np.zeros(1))
         return total + self.way_wh(self.stages, 0)
 
-    def unattended_wh(self) -> FloatArray | None:
+    def unattended_wh(self) -> Floats | None:
         """Energy to come home when no further command arrives.
 
         On to the next waypoint, and from there the first of the ways: the mission aboard knows
@@ -188,7 +186,7 @@ class LegTable:
         self._before += [before, *merged[:-1]][: len(merged)]
         return _Span(first, len(self._legs))
 
-    def _schedule(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _schedule(self, times: Floats) -> tuple[Floats, Floats]:
         """Each leg's middle and each decision point's time from now, in the mean wind."""
         middle = np.zeros(len(self._legs))
         arrival = np.zeros(self.stages + 1)
@@ -206,8 +204,8 @@ class LegTable:
     def _price(
         self,
         forecast: WindForecast,
-        middle: FloatArray,
-        arrival: FloatArray,
+        middle: Floats,
+        arrival: Floats,
         sampler: PathSampler,
     ) -> None:
         at_leg = _weights(middle)
@@ -220,9 +218,9 @@ class LegTable:
     def _foresee(
         self,
         forecast: WindForecast,
-        at_leg: FloatArray,
-        at_point: FloatArray,
-        walk: FloatArray,
+        at_leg: Floats,
+        at_point: Floats,
+        walk: Floats,
     ) -> None:
         """Price what the gate at each later point will price, as it will see it.
 
@@ -246,7 +244,7 @@ class LegTable:
         self._seen_cov = leg_rows @ cov @ leg_rows.T - known
         self._error_cov = forecast.error_cov_m2ps2
 
-    def _lay_out_foreseen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _lay_out_foreseen(self) -> tuple[Ints, Ints]:
         """(leg, decision point) of every row that a later gate prices; fills `_outlooks`."""
         legs: list[int] = []
         origin: list[int] = []
@@ -338,7 +336,7 @@ def _goes_straight_on(before: Leg, leg: Leg) -> bool:
     return abs(turn_rad) < _MERGE_TURN_RAD
 
 
-def _sum(energy: FloatArray, span: _Span) -> FloatArray:
+def _sum(energy: Floats, span: _Span) -> Floats:
     return energy[span.rows].sum(axis=0)
 
 
@@ -346,12 +344,12 @@ def _rows(span: _Span) -> range:
     return range(span.first, span.last)
 
 
-def _fill(middle: FloatArray, times: FloatArray, span: _Span, start_s: float) -> None:
+def _fill(middle: Floats, times: Floats, span: _Span, start_s: float) -> None:
     lasts = times[span.rows]
     middle[span.rows] = start_s + np.cumsum(lasts) - 0.5 * lasts
 
 
-def _weights(at_s: FloatArray) -> FloatArray:
+def _weights(at_s: Floats) -> Floats:
     """Rows that interpolate linearly between the forecast's nodes, (len, nodes)."""
     index = np.clip(np.searchsorted(_NODES_S, at_s, side="right") - 1, 0, _NODES_S.size - 2)
     share = (at_s - _NODES_S[index]) / (_NODES_S[index + 1] - _NODES_S[index])

@@ -6,13 +6,11 @@ All of it is the same whatever loss is accepted, but `Chances.of_flying_on`.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.return_budget.leg_costs import POLICY, LegTable, Need
 from companion.core.return_budget.wind_samples import PathSampler
-
-FloatArray = NDArray[np.float64]
 
 # Share of a delivery's worth that the next look is taken to be able to save (`Look.goes_on`).
 _WAITING_FRAC = 0.3
@@ -30,13 +28,13 @@ class Budget:
     scale: float = 1.0
     """Needs are the model's; what they really take is `scale` times as much."""
 
-    def p_enough(self, need_wh: FloatArray) -> FloatArray:
+    def p_enough(self, need_wh: Floats) -> Floats:
         """Probability that each need is met, model and battery errors integrated."""
         need_wh = self.scale * need_wh
         spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
         return ndtr((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
 
-    def p_seen(self, left_wh: FloatArray, need: Need) -> FloatArray:
+    def p_seen(self, left_wh: Floats, need: Need) -> Floats:
         """Probability that a later gate gives to a need with this left, its spread normal."""
         need_wh = self.scale * need.wh
         wind_std_wh = self.scale * need.std_wh
@@ -45,11 +43,11 @@ class Budget:
         )
         return ndtr((left_wh - need_wh) / np.maximum(spread, 1e-6))
 
-    def p_left(self, left_wh: FloatArray) -> FloatArray:
+    def p_left(self, left_wh: Floats) -> Floats:
         """Probability that what is left is there, where only the battery's error is left."""
         return ndtr(left_wh / max(self.battery_std_wh, 1e-6))
 
-    def margin_wh(self, need_wh: FloatArray, p: float) -> float:
+    def margin_wh(self, need_wh: Floats, p: float) -> float:
         """What is left above the energy at which the mean of `p_enough` would be just `p`.
 
         By halving, up to _MARGIN_WH too little and never too much: of the bracket's ends the one
@@ -74,12 +72,12 @@ class Look:
     what the mission will have taken that turns there.
     """
 
-    p_turn: FloatArray
-    p_next: FloatArray
-    p_whole: FloatArray
-    turned_p_home: FloatArray
+    p_turn: Floats
+    p_next: Floats
+    p_whole: Floats
+    turned_p_home: Floats
 
-    def goes_on(self, promise: float) -> NDArray[np.bool_]:
+    def goes_on(self, promise: float) -> Bools:
         """Whether that gate will fly on.
 
         As the gate itself decides, with the worth of waiting for the next look in place of a
@@ -128,7 +126,7 @@ class Chances:
             flying &= ~turning
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
 
-    def _best_way(self, point: int, before_wh: FloatArray) -> tuple[int, float]:
+    def _best_way(self, point: int, before_wh: Floats) -> tuple[int, float]:
         """The way home from a decision point with the best chance; the first among near equals."""
         chances = [
             float(self._budget.p_enough(before_wh + self._table.way_wh(point, way)).mean())
@@ -137,7 +135,7 @@ class Chances:
         best = _first_best(chances)
         return best, chances[best]
 
-    def _best_further(self) -> tuple[float, FloatArray]:
+    def _best_further(self) -> tuple[float, Floats]:
         """(P(home), need) by flying on to the best of the points after the next.
 
         A landing site may lie ahead; or the parcel, once delivered, no longer be carried home.
@@ -152,7 +150,7 @@ class Chances:
                 best, need = chance, flown + table.way_wh(point, way)
         return best, need
 
-    def _foresee(self, model_error: FloatArray) -> None:
+    def _foresee(self, model_error: Floats) -> None:
         """The later looks, and P(home) of flying past them all, for every POLICY sample.
 
         Each sample flies its own wind with its own model error, which its gate sees in what was

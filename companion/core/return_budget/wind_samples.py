@@ -1,12 +1,10 @@
 """The gate's random numbers: one set of quasi-random wind paths and model errors, reused."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from companion.core.base.arrays import Floats
 from companion.core.wind.forecast import WindForecast, tail_scale
-
-FloatArray = NDArray[np.float64]
 
 _COMPONENTS = 5  # of the wind's walk, per axis: they hold over 99 % of its variance
 _DIMENSIONS = 2 * _COMPONENTS + 4  # the model error, the walk, the lasting error, the scale
@@ -25,10 +23,10 @@ class PathSampler:
         self._walk = points[:, 1 : 1 + 2 * _COMPONENTS].T.reshape(2, _COMPONENTS, count).copy()
         self._error = points[:, -3:-1].T.copy()
         self._scale = ndtr(points[:, -1])
-        self._tails: dict[float, FloatArray] = {}
-        self.model_error: FloatArray = points[:, 0]
+        self._tails: dict[float, Floats] = {}
+        self.model_error: Floats = points[:, 0]
 
-    def walk(self, forecast: WindForecast) -> FloatArray:
+    def walk(self, forecast: WindForecast) -> Floats:
         """The wind's own path at the forecast's horizons: (2, n, count), north then east."""
         values, vectors = np.linalg.eigh(forecast.walk_cov_m2ps2)
         kept = min(_COMPONENTS, values.size)
@@ -38,19 +36,19 @@ class PathSampler:
             walk *= self._tail(forecast.tail_dof)
         return forecast.mean_to_ne_mps.T[:, :, None] + walk
 
-    def _tail(self, dof: float) -> FloatArray:
+    def _tail(self, dof: float) -> Floats:
         """Each path's own scale: the same path is wild, or calm, all along."""
         if dof not in self._tails:
             self._tails[dof] = tail_scale(dof, self._scale)
         return self._tails[dof]
 
-    def error(self, forecast: WindForecast) -> FloatArray:
+    def error(self, forecast: WindForecast) -> Floats:
         """The estimate's lasting error, (2, 1, count)."""
         values, vectors = np.linalg.eigh(forecast.error_cov_m2ps2)
         return ((vectors * np.sqrt(np.maximum(values, 0.0))) @ self._error)[:, None, :]
 
 
-def _evenly(count: int, dimensions: int) -> FloatArray:
+def _evenly(count: int, dimensions: int) -> Floats:
     """Normal quantiles of the additive recurrence on the generalised golden ratio.
 
     Each column is put at its ranks' mid-quantiles, so that every margin is exact.

@@ -9,12 +9,12 @@ from functools import cached_property
 
 import networkx as nx
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.scenario import Scenario
+from companion.core.vehicle.wind_triangle import ground_speeds_mps
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 WH_PER_J = 1.0 / 3600.0
 LEAST_SHARE = 0.25
 
@@ -168,9 +168,7 @@ def along_course_mps(
     across[calm_or_vertical] = np.hypot(flat[0], flat[1])
     if factor is not None:
         along, across = along * factor, across * factor
-    room = airspeed_mps**2 - across**2
-    speed = np.sqrt(np.maximum(room, 0.0)) + along
-    speed[(room < 0.0) | (speed <= 0.0)] = np.nan
+    speed = ground_speeds_mps(airspeed_mps, along, across)
     return speed.reshape(len(course_en), *wind.shape[:-1])
 
 

@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
-from companion.core.mission.flight_file import Mission
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.vehicle.speed_to_fly import (
@@ -25,8 +25,7 @@ from companion.core.vehicle.speed_to_fly import (
     slowest_airspeed_mps,
 )
 
-FloatArray = NDArray[np.float64]
-_Priced = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
+_Priced = tuple[Floats, Floats, Bools]
 
 LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
@@ -76,27 +75,27 @@ class LegCosts:
     so that costs stay finite and rise with the wind.
     """
 
-    energy_wh: FloatArray
-    time_s: FloatArray
-    feasible: NDArray[np.bool_]
+    energy_wh: Floats
+    time_s: Floats
+    feasible: Bools
 
 
 @dataclass(frozen=True, slots=True)
 class _Group:
     """Legs that are priced alike: indices into the route, and their geometry as (legs, 1)."""
 
-    index: NDArray[np.int64]
+    index: Ints
     payload_kg: float
     cruise: bool
     climbing: bool
     airspeed_mps: float | None
     ground_speed_mps: float | None
-    north: FloatArray
-    east: FloatArray
-    length_m: FloatArray
-    climb_m: FloatArray
-    stops: FloatArray
-    duration_s: FloatArray
+    north: Floats
+    east: Floats
+    length_m: Floats
+    climb_m: Floats
+    stops: Floats
+    duration_s: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +104,20 @@ class CompiledLegs:
 
     count: int
     groups: tuple[_Group, ...]
+
+
+class SpeedChoice(Protocol):
+    """The speeds that an operator asks for; a flight file's `[mission]` table has them."""
+
+    @property
+    def cruise_airspeed_mps(self) -> float | None:
+        """The cruise airspeed; None: the airframe's."""
+        ...
+
+    @property
+    def speed_rule(self) -> SpeedRule:
+        """How the airspeed of each leg is chosen."""
+        ...
 
 
 class RouteEnergy:
@@ -132,7 +145,7 @@ class RouteEnergy:
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
     @classmethod
-    def for_mission(cls, airframe: Airframe, mission: Mission) -> "RouteEnergy":
+    def for_mission(cls, airframe: Airframe, mission: SpeedChoice) -> "RouteEnergy":
         """With the speeds that the operator asks for."""
         cruise = mission.cruise_airspeed_mps
         return cls(airframe, cruise_airspeed_mps=cruise, speed_rule=mission.speed_rule)
@@ -197,7 +210,7 @@ class RouteEnergy:
             return fast_m / speeds.descent_mps + slow_m / speeds.landing_mps + TOUCHDOWN_S
         return leg.duration_s
 
-    def costs(self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: FloatArray) -> LegCosts:
+    def costs(self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: Floats) -> LegCosts:
         """Cost of each leg under each wind."""
         compiled = legs if isinstance(legs, CompiledLegs) else self.compile(legs)
         wind = wind_to_ne_mps[:, None, :] if wind_to_ne_mps.ndim == 2 else wind_to_ne_mps
@@ -205,7 +218,7 @@ class RouteEnergy:
         return LegCosts(by_leg.energy_wh.T, by_leg.time_s.T, by_leg.feasible.T)
 
     def costs_by_leg(
-        self, compiled: CompiledLegs, wind_n_mps: FloatArray, wind_e_mps: FloatArray
+        self, compiled: CompiledLegs, wind_n_mps: Floats, wind_e_mps: Floats
     ) -> LegCosts:
         """The same for winds (legs or 1, K), with costs (legs, K): quicker for many winds."""
         shape = (compiled.count, wind_n_mps.shape[1])
@@ -218,7 +231,7 @@ class RouteEnergy:
             energy[at], time[at], feasible[at] = price(group, north, east)
         return LegCosts(energy, time, feasible)
 
-    def _price_cruise(self, group: _Group, north: FloatArray, east: FloatArray) -> _Priced:
+    def _price_cruise(self, group: _Group, north: Floats, east: Floats) -> _Priced:
         ground, draw = self._cruise_table(group).look_up(*_along_across(group, north, east))
         feasible = ground >= LEAST_GROUND_SPEED_MPS
         np.maximum(ground, LEAST_GROUND_SPEED_MPS, out=ground)
@@ -229,11 +242,11 @@ class RouteEnergy:
         draw /= 3600.0
         return draw, time, feasible
 
-    def _climb_j(self, group: _Group) -> FloatArray:
+    def _climb_j(self, group: _Group) -> Floats:
         weight_n = self.airframe.mass_kg(group.payload_kg) * GRAVITY_MPS2
         return weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
 
-    def _price_wait(self, group: _Group, north: FloatArray, east: FloatArray) -> _Priced:
+    def _price_wait(self, group: _Group, north: Floats, east: Floats) -> _Priced:
         power = self._steady_power(group.payload_kg)
         speed = np.hypot(north, east)
         draw = power.climb_w(speed) if group.climbing else power.level_w(speed)
@@ -241,8 +254,8 @@ class RouteEnergy:
         return energy, group.duration_s, speed <= power.max_airspeed_mps
 
     def gradient_wh_per_mps(
-        self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: FloatArray
-    ) -> FloatArray:
+        self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: Floats
+    ) -> Floats:
         """dE/dw of each leg, (legs, 2), about one wind (2,), by central differences."""
         steps = _WIND_STEP_MPS * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         energy = self.costs(legs, wind_to_ne_mps[None, :] + steps).energy_wh
@@ -251,14 +264,14 @@ class RouteEnergy:
     def route_std_wh(
         self,
         legs: tuple[Leg, ...] | CompiledLegs,
-        wind_to_ne_mps: FloatArray,
-        cov_ne_m2ps2: FloatArray,
+        wind_to_ne_mps: Floats,
+        cov_ne_m2ps2: Floats,
     ) -> float:
         """`|sum_e dE_e/dw|_Sigma`: one wind error moves every leg, so gradients add."""
         gradient = self.gradient_wh_per_mps(legs, wind_to_ne_mps).sum(axis=0)
         return math.sqrt(max(float(gradient @ cov_ne_m2ps2 @ gradient), 0.0))
 
-    def ground_speed_mps(self, leg: Leg, wind_to_ne_mps: FloatArray) -> float:
+    def ground_speed_mps(self, leg: Leg, wind_to_ne_mps: Floats) -> float:
         """What to command on a cruise leg (DO_CHANGE_SPEED): the wind triangle's ground speed."""
         if leg.ground_speed_mps is not None:
             return leg.ground_speed_mps
@@ -299,14 +312,12 @@ class RouteEnergy:
         return self._cruise[key]
 
 
-def _along_across(
-    group: _Group, north: FloatArray, east: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _along_across(group: _Group, north: Floats, east: Floats) -> tuple[Floats, Floats]:
     along = north * group.north + east * group.east
     return along, east * group.north - north * group.east
 
 
-def _column(values: list[float]) -> FloatArray:
+def _column(values: list[float]) -> Floats:
     return np.array(values)[:, None]
 
 

@@ -6,8 +6,7 @@ One mission is a batch of one: the vehicle and the campaign run the same code.
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from companion.core.base.arrays import Bools, Floats, Ints
 
 STAY = -1  # stop at the depot, undelivered: ABRT
 NOWHERE = -2  # no edge leads on from here: the mission is lost
@@ -21,12 +20,12 @@ class Look:
     `wind_en_mps` (n, 2) is the seen wind as a vector (a class's centre where classes hide it).
     """
 
-    mission: NDArray[np.int64]
-    vertex: NDArray[np.int64]
-    delivered: NDArray[np.bool_]
-    energy_wh: NDArray[np.float64]
-    seen: NDArray[np.int64]
-    wind_en_mps: NDArray[np.float64]
+    mission: Ints
+    vertex: Ints
+    delivered: Bools
+    energy_wh: Floats
+    seen: Ints
+    wind_en_mps: Floats
 
     @property
     def count(self) -> int:
@@ -36,7 +35,7 @@ class Look:
 class Decider(Protocol):
     """A planner at work on one batch of missions: it may remember, mission by mission."""
 
-    def decide(self, look: Look) -> NDArray[np.int64]:
+    def decide(self, look: Look) -> Ints:
         """The edge that each mission flies next, or STAY, or NOWHERE."""
         ...
 
@@ -47,6 +46,6 @@ class Planner(Protocol):
     @property
     def name(self) -> str: ...
 
-    def begin(self, coin: NDArray[np.float64]) -> Decider:
+    def begin(self, coin: Floats) -> Decider:
         """A decider for len(coin) missions; `coin` decides where a policy is a mixture."""
         ...

@@ -11,8 +11,8 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, ObstacleMap, horizontal_m, over
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.routing.shortest_paths import RouteFinder, path_to
@@ -20,8 +20,6 @@ from companion.core.routing.smooth_route import smooth_route
 from companion.core.routing.waypoint_graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.forecast import WindForecast
-
-FloatArray = NDArray[np.float64]
 
 # Wind assumed before any is known: the prior that the home speed is chosen under, and that the
 # route's uncertainty is priced with.
@@ -197,8 +195,8 @@ class BerPlanner:
         self,
         graph: WaypointGraph,
         payload_kg: float,
-        wind: FloatArray,
-        cov: FloatArray,
+        wind: Floats,
+        cov: Floats,
         start: int,
         goal: int,
     ) -> list[int] | None:
@@ -211,8 +209,8 @@ class BerPlanner:
         request: PlanRequest,
         graph: WaypointGraph,
         ways: tuple[list[int], list[int], list[int]],
-        wind: FloatArray,
-        cov: FloatArray,
+        wind: Floats,
+        cov: Floats,
     ) -> Plan | NoRoute:
         # All in the lower layer, where obstacles are screened; then each at its own height.
         outbound, homeward, away = ([graph.point(v) for v in way] for way in ways)
@@ -253,7 +251,7 @@ class BerPlanner:
         return plan if short is None else short
 
     def _smooth(
-        self, request: PlanRequest, points: list[Ned], wind: FloatArray, cov: FloatArray
+        self, request: PlanRequest, points: list[Ned], wind: Floats, cov: Floats
     ) -> list[Ned]:
         """The way home with rounded corners where the operator allows them and they cost less.
 
@@ -273,7 +271,7 @@ class BerPlanner:
         return ways[costs.index(min(costs))]
 
     def _to_rally_wh(
-        self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: FloatArray
+        self, request: PlanRequest, plan: Plan, homeward: list[Ned], wind: Floats
     ) -> float:
         """Energy from the drop to the rally point that is cheapest to reach; infinite without."""
         ways = [
@@ -303,7 +301,7 @@ class BerPlanner:
         )
 
     def home_ground_speed_mps(
-        self, legs_home: tuple[Leg, ...], wind_to_ne_mps: FloatArray, cov_ne_m2ps2: FloatArray
+        self, legs_home: tuple[Leg, ...], wind_to_ne_mps: Floats, cov_ne_m2ps2: Floats
     ) -> float:
         """The one ground speed to fly home with when no further command arrives.
 
@@ -367,7 +365,7 @@ def legs_back(
     )
 
 
-def _wind_of(forecast: WindForecast | None) -> tuple[FloatArray, FloatArray]:
+def _wind_of(forecast: WindForecast | None) -> tuple[Floats, Floats]:
     """Mean wind over the forecast's horizons, and its covariance; the prior without one."""
     if forecast is None:
         return np.zeros(2), PRIOR_WIND_STD_MPS**2 * np.eye(2)
@@ -376,7 +374,7 @@ def _wind_of(forecast: WindForecast | None) -> tuple[FloatArray, FloatArray]:
     return forecast.mean_to_ne_mps.mean(axis=0), average @ forecast.cov_m2ps2 @ average.T
 
 
-def _spread() -> FloatArray:
+def _spread() -> Floats:
     """Standard-normal points on three rings, eight directions: cheap quadrature."""
     angles = np.arange(8) * (np.pi / 4.0)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)

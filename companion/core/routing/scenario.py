@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from companion.core.base.errors import LeewayError
+from companion.core.wind.markov_chain import WindChain
 
 FORMAT = "delivery-scenario/1"
 ROW_SUM_TOLERANCE = 1e-6  # relative to the row's largest rate; files are written with 12 digits
@@ -92,6 +94,17 @@ def parse_scenario(text: str | bytes, source: str = "scenario") -> Scenario:
 def scenario_json(scenario: Scenario) -> bytes:
     """The scenario as the bytes of a file that `parse_scenario` reads back to an equal one."""
     return msgspec.json.encode(scenario)
+
+
+def chain_from_scenario(wind: ChainWind) -> WindChain:
+    """The chain that a scenario file states; `initial` is scaled to sum to 1 exactly."""
+    initial = np.array(wind.initial, dtype=float)
+    rate = np.array(wind.rate_per_s, dtype=float).reshape(len(initial), len(initial))
+    return WindChain(
+        states_en_mps=np.array(wind.states_en_mps, dtype=float).reshape(-1, 2),
+        rate_per_s=rate,
+        initial=initial / initial.sum(),
+    )
 
 
 def check_scenario(scenario: Scenario) -> None:

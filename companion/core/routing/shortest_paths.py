@@ -3,15 +3,12 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import NOWHERE
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # An edge that cannot be flown in the wind seen: planned over only where nothing else leads on.
 INFEASIBLE_WH = 1e9

@@ -6,14 +6,12 @@ from itertools import pairwise
 
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_m
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
-
-FloatArray = NDArray[np.float64]
 
 _CORNER_BEYOND_M = 2.0  # waypoints stand this much further out than the clearance
 
@@ -56,9 +54,9 @@ class WaypointGraph:
     `depot`, `customer`, `rally` and `home` are vertex indices (rally in the site's order).
     """
 
-    vertices_ned_m: FloatArray
-    tail: NDArray[np.int64]
-    head: NDArray[np.int64]
+    vertices_ned_m: Floats
+    tail: Ints
+    head: Ints
     depot: int
     customer: int
     rally: tuple[int, ...]
@@ -69,7 +67,7 @@ class WaypointGraph:
         north, east, down = self.vertices_ned_m[vertex]
         return float(north), float(east), float(down)
 
-    def length_m(self) -> FloatArray:
+    def length_m(self) -> Floats:
         """L_geo of every edge."""
         steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]
         return np.linalg.norm(steps, axis=1)
@@ -107,10 +105,10 @@ def surrogate_wh(
     graph: WaypointGraph,
     route_energy: RouteEnergy,
     payload_kg: float,
-    wind_to_ne_mps: FloatArray,
-    cov_ne_m2ps2: FloatArray,
+    wind_to_ne_mps: Floats,
+    cov_ne_m2ps2: Floats,
     risk_weight: float,
-) -> FloatArray:
+) -> Floats:
     """`c = EnergyCost + lambda Unc` (arXiv 2604.13441, IV-B) of every edge by the airframe's own
     energy model, under one wind belief; infinite where infeasible; shape (E,).
     """

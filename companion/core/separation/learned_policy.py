@@ -9,11 +9,9 @@ from functools import reduce
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bytes, Singles
 from companion.core.base.errors import LeewayError
-
-Array = NDArray[np.float32]
 
 VIEW_CELLS = 155
 POOL = 5
@@ -37,7 +35,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
 class AvoidancePolicy:
     """Views and vectors of any number of drones -> (heading, speed) in [-1, 1]."""
 
-    weights: Mapping[str, Array]
+    weights: Mapping[str, Singles]
 
     def __post_init__(self) -> None:
         if set(self.weights) != set(SHAPES):
@@ -48,11 +46,11 @@ class AvoidancePolicy:
             if value.shape != shape or not np.isfinite(value).all():
                 raise LeewayError(f"policy: {name} is {value.shape}, expected finite {shape}")
 
-    def act(self, view: NDArray[np.uint8], vectors_m: Array) -> Array:
+    def act(self, view: Bytes, vectors_m: Singles) -> Singles:
         """Actions (B, 2) for views (B, 3, 155, 155) and vectors (B, 4)."""
         return self.act_pooled(pooled(view), vectors_m)
 
-    def act_pooled(self, view: NDArray[np.uint8], vectors_m: Array) -> Array:
+    def act_pooled(self, view: Bytes, vectors_m: Singles) -> Singles:
         """As `act`, for views that are pooled already (B, 3, 31, 31)."""
         seen = self._convolved(view.astype(np.float32), "encoder.first", 3)
         seen = self._convolved(seen, "encoder.second", 2).reshape(len(view), -1)
@@ -61,10 +59,10 @@ class AvoidancePolicy:
         hidden = np.maximum(self._linear(hidden, "hidden"), 0.0)
         return np.tanh(self._linear(hidden, "out"))
 
-    def _linear(self, x: Array, name: str) -> Array:
+    def _linear(self, x: Singles, name: str) -> Singles:
         return x @ self.weights[f"{name}.weight"].T + self.weights[f"{name}.bias"]
 
-    def _convolved(self, x: Array, name: str, stride: int) -> Array:
+    def _convolved(self, x: Singles, name: str, stride: int) -> Singles:
         kernel = self.weights[f"{name}.weight"]
         window = sliding_window_view(x, kernel.shape[2:], axis=(2, 3))[:, :, ::stride, ::stride]
         rows = window.transpose(0, 2, 3, 1, 4, 5).reshape(len(x), *window.shape[2:4], -1)
@@ -72,7 +70,7 @@ class AvoidancePolicy:
         return np.maximum(out, 0.0).transpose(0, 3, 1, 2)
 
 
-def pooled(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def pooled(view: Bytes) -> Bytes:
     """The greatest of each 5 x 5 cells: (..., 155, 155) -> (..., 31, 31)."""
     rows = reduce(np.maximum, [view[..., k::POOL, :] for k in range(POOL)])
     return reduce(np.maximum, [rows[..., k::POOL] for k in range(POOL)])

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Bytes, Floats, Singles
 from companion.core.separation.learned_policy import VIEW_CELLS, AvoidancePolicy
 
-Floats = NDArray[np.float64]
 Ne = tuple[float, float]
 
 CELL_M = 2.0
@@ -42,7 +41,7 @@ class Around:
         return math.atan2(self.goal[1] - self.here[1], self.goal[0] - self.here[0])
 
 
-def view_of(around: Around) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def view_of(around: Around) -> tuple[Bytes, Singles]:
     """The actor's view (1, 3, 155, 155) and its two vectors (1, 4)."""
     view = np.zeros((1, 3, VIEW_CELLS, VIEW_CELLS), dtype=np.uint8)
     if around.obstacles:
@@ -69,7 +68,7 @@ def _turned(around: Around, point: Ne) -> Ne:
     return c * north + s * east, -s * north + c * east
 
 
-def _mark(channel: NDArray[np.uint8], around: Around, points: Iterable[Ne]) -> None:
+def _mark(channel: Bytes, around: Around, points: Iterable[Ne]) -> None:
     for point in points:
         ahead, right = _turned(around, point)
         row, column = round(MIDDLE - ahead / CELL_M), round(MIDDLE + right / CELL_M)
@@ -82,7 +81,7 @@ def _mark(channel: NDArray[np.uint8], around: Around, points: Iterable[Ne]) -> N
         channel[rows, columns] = 1
 
 
-def _obstacles(around: Around) -> NDArray[np.bool_]:
+def _obstacles(around: Around) -> Bools:
     span = (np.arange(VIEW_CELLS) - MIDDLE) * CELL_M
     up, right = np.meshgrid(-span, span, indexing="ij")
     c, s = math.cos(around.up_rad), math.sin(around.up_rad)

@@ -15,18 +15,14 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats, Ints, Singles
 from companion.core.separation.stopping_paths import (
-    Floats,
     Heard,
     Instants,
-    Mask,
     Neighbours,
     Reports,
-    Rows,
     SeparationParams,
-    Singles,
     braking_of,
     flat_of,
     instants_of,
@@ -37,7 +33,7 @@ from companion.core.separation.stopping_paths import (
     slack_of,
 )
 
-Clearance = Callable[[Floats, Rows], Floats]
+Clearance = Callable[[Floats, Ints], Floats]
 """Points (a, ..., 3) of the vehicles `rows` (a,) -> a lower bound of the way to an obstacle, m."""
 
 DIRECTIONS = 12
@@ -65,7 +61,7 @@ class Filtered:
     """The velocity to be reached at the end of this tick (A, 3), and why it is that one."""
 
     vel_ned_mps: Floats
-    verdict: NDArray[np.int64]
+    verdict: Ints
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class SeparationFilter:
 
     def allows(
         self, pos_ned_m: Floats, vel_ned_mps: Floats, wanted_ned_mps: Floats, neighbours: Neighbours
-    ) -> Mask:
+    ) -> Bools:
         """Which wanted velocities (A, 3) would pass as they are, whatever stands on the ground."""
         now, vel = instants_of(self.params), vel_ned_mps.T
         paths = paths_of(vel, reach(vel, wanted_ned_mps.T, self.params)[..., None], now)
@@ -124,14 +120,14 @@ class _Blocked:
     """Those whose wish is refused: `row` among all asked about, and what is about them."""
 
     now: Instants
-    row: Rows
+    row: Ints
     pos_ned_m: Floats  # (a, 3)
     vel: Floats  # (3, a)
     braking: Floats  # (3, a, T)
     reports: Reports
     clearance: Clearance | None
 
-    def of(self, some: Rows) -> "_Blocked":
+    def of(self, some: Ints) -> "_Blocked":
         """Only some of them."""
         return _Blocked(
             self.now,
@@ -144,9 +140,7 @@ class _Blocked:
         )
 
 
-def _bent(
-    scene: _Blocked, fan: Floats, cost: Floats, heard: Heard
-) -> tuple[Floats, NDArray[np.int64]]:
+def _bent(scene: _Blocked, fan: Floats, cost: Floats, heard: Heard) -> tuple[Floats, Ints]:
     """Where the wanted velocity is refused: the cheapest of the fan that is let through.
 
     The fan (3, a, C) and its cost (a, C) end with braking. A crowd is asked for its cheapest
@@ -174,7 +168,7 @@ def _bent(
     return fan[:, every, choice], verdict.astype(np.int64)
 
 
-def _among(scene: _Blocked, fan: Floats, cost: Floats, columns: Rows) -> tuple[Rows, Singles]:
+def _among(scene: _Blocked, fan: Floats, cost: Floats, columns: Ints) -> tuple[Ints, Singles]:
     """The cheapest of these columns (a, c) that is let through, or -1; the slack of braking."""
     rows = np.arange(len(columns))
     braking = np.full((len(columns), 1), cost.shape[1] - 1)
@@ -183,12 +177,12 @@ def _among(scene: _Blocked, fan: Floats, cost: Floats, columns: Rows) -> tuple[R
     return np.where(best < 0, -1, columns[rows, best]), brake_slack
 
 
-def _cheapest(fine: Mask, cost: Floats) -> Rows:
+def _cheapest(fine: Bools, cost: Floats) -> Ints:
     """The first of the cheapest that are fine, or -1; (a,)."""
     return np.where(fine.any(axis=1), np.where(fine, cost, np.inf).argmin(axis=1), -1)
 
 
-def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, Singles]:
+def _fine(scene: _Blocked, fan: Floats) -> tuple[Bools, Singles]:
     """Which velocities (3, a, c), braking the last, are let through; (a, c), and its slack (a,)."""
     paths = paths_of(scene.vel, fan, scene.now)
     slack = slack_of(paths, scene.braking, scene.reports, scene.now)
@@ -205,7 +199,7 @@ def _fine(scene: _Blocked, fan: Floats) -> tuple[Mask, Singles]:
     return fine, slack[:, -1]
 
 
-def _gives_way(scene: _Blocked, paths: Floats) -> Mask:
+def _gives_way(scene: _Blocked, paths: Floats) -> Bools:
     """Whether these paths (3, a, T) come no nearer to whom one is not certain of; (a,).
 
     However the report errs: the way off the braking path leads away from every place where the
@@ -228,7 +222,7 @@ def _gives_way(scene: _Blocked, paths: Floats) -> Mask:
     return np.asarray(((slack >= 0.0) | away).all(axis=-1))
 
 
-def _evidently_broken(scene: _Blocked) -> Mask:
+def _evidently_broken(scene: _Blocked) -> Bools:
     """Whether even the kindest reading of a report says that braking is not enough; (a,)."""
     now, reports, p = scene.now, scene.reports, scene.now.params
     metre = 1.0 / now.shares[:, None, None]
@@ -239,7 +233,7 @@ def _evidently_broken(scene: _Blocked) -> Mask:
     return np.asarray(close.any(axis=1))
 
 
-def _escape(scene: _Blocked, fan: Floats, heard: Heard) -> Rows:
+def _escape(scene: _Blocked, fan: Floats, heard: Heard) -> Ints:
     """Which of the fan keeps most distance to neighbours that fly on as reported; (a,)."""
     now, p, rows = scene.now, scene.now.params, scene.row
     soon = now.times_s <= ESCAPE_S
@@ -260,8 +254,8 @@ def _escape(scene: _Blocked, fan: Floats, heard: Heard) -> Rows:
 
 
 def _clear(
-    paths: Floats, pos_ned_m: Floats, rows: Rows, clearance: Clearance, p: SeparationParams
-) -> Mask:
+    paths: Floats, pos_ned_m: Floats, rows: Ints, clearance: Clearance, p: SeparationParams
+) -> Bools:
     """Whether each path (3, n, T) from (n, 3) stays out of buildings, between instants too."""
     step = flat_of(np.diff(paths, axis=-1))
     half = np.zeros(paths.shape[1:])

@@ -7,13 +7,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.separation.separation_filter import SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours, SeparationParams
-
-Floats = NDArray[np.float64]
 
 SPAN_M = 1.0
 """Between the tips of two opposite propellers: 0.65 m and 13 inches (DJI Matrice 100)."""

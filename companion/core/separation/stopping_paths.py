@@ -14,14 +14,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats, Ints, Singles
 from companion.core.base.errors import LeewayError
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 IN_CACHE = 60_000  # numbers worked on at once
 
@@ -66,9 +61,9 @@ class Neighbours:
     pos_std_m: Floats  # of each horizontal axis
     alt_std_m: Floats
     vel_std_mps: Floats
-    present: Mask
+    present: Bools
 
-    def picked(self, *index: Rows) -> "Neighbours":
+    def picked(self, *index: Ints) -> "Neighbours":
         """These vehicles, or these neighbours of these vehicles."""
         return Neighbours(
             self.pos_ned_m[index],
@@ -128,7 +123,7 @@ class Heard:
     vel_mps: Floats  # (3, A, J)
     age_s: Floats  # (A, J), no more than what a neighbour's reach is widened for
     std: Floats  # (3, A, J): flat and high position in m, velocity in m/s
-    present: Mask  # (A, J)
+    present: Bools  # (A, J)
 
 
 @dataclass(frozen=True)
@@ -141,7 +136,7 @@ class Reports:
     braking: Singles  # (3, A, J, T)
     unsure: Singles  # (2, A, J, T), flat and high; minus infinity of who is not there
 
-    def picked(self, rows: Rows, kept: Mask) -> "Reports":
+    def picked(self, rows: Ints, kept: Bools) -> "Reports":
         """Of these vehicles, those neighbours (rows, J) that are kept, in few columns."""
         order = few_columns(kept)
         if order is None:
@@ -151,15 +146,15 @@ class Reports:
         found.unsure[:, ~np.take_along_axis(kept, order, axis=1)] = -np.inf
         return found
 
-    def of(self, rows: Rows) -> "Reports":
+    def of(self, rows: Ints) -> "Reports":
         return Reports(self.braking[:, rows], self.unsure[:, rows])
 
     @property
-    def present(self) -> Mask:
+    def present(self) -> Bools:
         return self.unsure[0, ..., 0] >= 0.0
 
 
-def few_columns(kept: Mask) -> Rows | None:
+def few_columns(kept: Bools) -> Ints | None:
     """Which columns (A, most) hold all that is kept, first; None: all of them, as they are."""
     if kept.all():
         return None

@@ -9,9 +9,12 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError, check_range
+
+MULTIROTOR = "multirotor"
+"""The kind of vehicle that the models in this room describe, in the words of the log readers."""
 
 LOW_ABOVE_CUTOFF_V = 0.05
 """A cell's voltage at the autopilot's low-battery action, above the cut-off."""
@@ -265,6 +268,6 @@ def _check_table(
         raise LeewayError(f"{table}.{key}: expected at least two numbers")
     for value in values:
         check_range(f"{table}.{key}", value, low, high)
-    steps: NDArray[np.float64] = np.diff(np.asarray(values, float))
+    steps: Floats = np.diff(np.asarray(values, float))
     if rising and not bool(np.all(steps > 0.0)):
         raise LeewayError(f"{table}.{key}: expected rising numbers")

@@ -9,11 +9,10 @@ All functions take scalars or arrays that broadcast.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 _GAS_CONSTANT_AIR = 287.05287  # J/(kg K), ISO 2533
@@ -27,7 +26,7 @@ def air_density_kgpm3(alt_amsl_m: float, temperature_c: float) -> float:
     return pressure_pa / (_GAS_CONSTANT_AIR * (temperature_c + 273.15))
 
 
-def drag_n(airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike) -> FloatArray:
+def drag_n(airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike) -> Floats:
     """Drag nose into the relative wind, N."""
     speed = np.asarray(airspeed_mps, float)
     linear, _ = airframe.drag_linear_n_per_mps(mass_kg)
@@ -50,7 +49,7 @@ def max_airspeed_mps(airframe: Airframe, mass_kg: float) -> float:
 
 def paper_thrust_n(
     airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike, air_path_angle_rad: ArrayLike = 0.0
-) -> FloatArray:
+) -> Floats:
     """`T = max(D + m g sin gamma, 0)` (arXiv 2604.13441, equation 12), N."""
     weight_part = mass_kg * GRAVITY_MPS2 * np.sin(np.asarray(air_path_angle_rad, float))
     return np.maximum(drag_n(airframe, mass_kg, airspeed_mps) + weight_part, 0.0)
@@ -58,7 +57,7 @@ def paper_thrust_n(
 
 def paper_power_w(
     airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike, air_path_angle_rad: ArrayLike = 0.0
-) -> FloatArray:
+) -> Floats:
     """`P = P_c + T V_A / c_T` (arXiv 2604.13441, equation 13), W."""
     thrust = paper_thrust_n(airframe, mass_kg, airspeed_mps, air_path_angle_rad)
     speed = np.asarray(airspeed_mps, float)
@@ -68,7 +67,7 @@ def paper_power_w(
 
 def induced_velocity_mps(
     hover_velocity_mps: ArrayLike, edgewise_mps: ArrayLike, through_mps: ArrayLike
-) -> FloatArray:
+) -> Floats:
     """Induced velocity v of Glauert's `v sqrt(Vx^2 + (Vz + v)^2) = v_h^2`, Newton's method.
 
     `edgewise` is the flow along the disc, `through` the flow down through it (climb positive);
@@ -93,7 +92,7 @@ def multirotor_power_w(
     airspeed_mps: ArrayLike,
     climb_mps: ArrayLike = 0.0,
     density_kgpm3: float = 1.225,
-) -> FloatArray:
+) -> Floats:
     """Electrical power of a multirotor in steady flight, W.
 
     Induced `kappa T v_i`, parasite `D V`, climb `m g V_c`, profile

@@ -9,13 +9,17 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
+from companion.core.vehicle.wind_triangle import (
+    airspeeds_along_mps,
+    airspeeds_needed_mps,
+    ground_speeds_mps,
+)
 
-FloatArray = NDArray[np.float64]
-Flown = tuple[FloatArray, FloatArray]
+Flown = tuple[Floats, Floats]
 
 SpeedRule = Literal["least_energy", "cruise", "fastest"]
 """Which airspeed is flown: of least energy per metre; the cruise airspeed, faster only where a
@@ -51,38 +55,38 @@ class SteadyPower:
         climb = airframe.speeds.climb_mps
         self._climb = multirotor_power_w(airframe, mass_kg, self._speeds, climb, density_kgpm3)
 
-    def level_w(self, airspeed_mps: FloatArray) -> FloatArray:
+    def level_w(self, airspeed_mps: Floats) -> Floats:
         """Electrical power in level flight (the table's last entry beyond its end)."""
         return np.interp(airspeed_mps, self._speeds, self._level)
 
-    def climb_w(self, airspeed_mps: FloatArray) -> FloatArray:
+    def climb_w(self, airspeed_mps: Floats) -> Floats:
         """Electrical power while climbing at the airframe's climb speed."""
         return np.interp(airspeed_mps, self._speeds, self._climb)
 
     def fly_ground_speed(
-        self, ground_mps: FloatArray | float, along_mps: FloatArray, across_mps: FloatArray
+        self, ground_mps: Floats | float, along_mps: Floats, across_mps: Floats
     ) -> Flown:
         """(ground speed made, airspeed) when told a ground speed; tilt saturates.
 
         The autopilot holds the line and gives up speed; where even the cross-wind is too much the
         ground speed made is 0.
         """
-        airspeed = np.hypot(ground_mps - along_mps, across_mps)
-        left = np.sqrt(np.maximum(self.max_airspeed_mps**2 - across_mps**2, 0.0))
-        made = np.clip(left + along_mps, 0.0, ground_mps)
+        airspeed = airspeeds_needed_mps(ground_mps, along_mps, across_mps)
+        most = airspeeds_along_mps(self.max_airspeed_mps, across_mps) + along_mps
+        made = np.clip(most, 0.0, ground_mps)
         made = np.where(np.abs(across_mps) > self.max_airspeed_mps, 0.0, made)
         return made, np.minimum(airspeed, self.max_airspeed_mps)
 
     def fly_airspeed(
-        self, airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
+        self, airspeed_mps: Floats | float, along_mps: Floats, across_mps: Floats
     ) -> Flown:
         """(ground speed made, airspeed) at one airspeed, by the wind triangle alone."""
-        left = np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
-        command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
+        wanted = airspeeds_along_mps(airspeed_mps, across_mps) + along_mps
+        command = np.clip(wanted, 0.0, self.max_ground_mps)
         return self.fly_ground_speed(command, along_mps, across_mps)
 
     def fly_least_energy(
-        self, least_airspeed_mps: float, along_mps: FloatArray, across_mps: FloatArray
+        self, least_airspeed_mps: float, along_mps: Floats, across_mps: Floats
     ) -> Flown:
         """(ground speed, airspeed) at the speed to fly: least Wh/m at `least_airspeed_mps` or over.
 
@@ -91,14 +95,11 @@ class SteadyPower:
         top = max(self.max_airspeed_mps * _TILT_AUTHORITY, 1.0)
         least = min(least_airspeed_mps, top)
         candidates = np.append(np.arange(least, top, _SPEED_STEP_MPS), top)
-        squared = candidates**2 - np.square(across_mps)[..., None]
-        ground = np.sqrt(np.maximum(squared, 0.0)) + along_mps[..., None]
-        metres_per_j = np.where(squared >= 0.0, ground, -1.0) / self.level_w(candidates)
+        ground = ground_speeds_mps(candidates, along_mps[..., None], across_mps[..., None])
+        metres_per_j = np.nan_to_num(ground, nan=-1.0) / self.level_w(candidates)
         best = candidates[np.argmax(metres_per_j, axis=-1)]
         wanted = np.where(metres_per_j.max(axis=-1) > 0.0, best, top)
-        left = np.sqrt(np.maximum(wanted**2 - across_mps**2, 0.0))
-        command = np.clip(left + along_mps, 0.0, self.max_ground_mps)
-        return self.fly_ground_speed(command, along_mps, across_mps)
+        return self.fly_airspeed(wanted, along_mps, across_mps)
 
 
 class CruiseTable:
@@ -108,7 +109,7 @@ class CruiseTable:
     and takes the same time however the speed is chosen.
     """
 
-    def __init__(self, power: SteadyPower, fly: Callable[[FloatArray, FloatArray], Flown]) -> None:
+    def __init__(self, power: SteadyPower, fly: Callable[[Floats, Floats], Flown]) -> None:
         self._reach_mps = float(np.ceil(power.max_airspeed_mps) + _WIND_BEYOND_MPS)
         steps = round(self._reach_mps / _WIND_STEP_MPS)
         self._rows, self._columns = 2 * steps + 1, steps + 1
@@ -119,7 +120,7 @@ class CruiseTable:
         self._ground = ground.ravel()
         self._power_w = power.level_w(airspeed).ravel()
 
-    def look_up(self, along_mps: FloatArray, across_mps: FloatArray) -> Flown:
+    def look_up(self, along_mps: Floats, across_mps: Floats) -> Flown:
         """(ground speed m/s, power W) for winds of any shape; held at the table's ends."""
         x = np.clip((along_mps + self._reach_mps) / _WIND_STEP_MPS, 0.0, self._rows - 1.001)
         y = np.clip(np.abs(across_mps) / _WIND_STEP_MPS, 0.0, self._columns - 1.001)
@@ -133,9 +134,7 @@ class CruiseTable:
         )
 
 
-def _bilinear(
-    table: FloatArray, at: NDArray[np.int64], columns: int, x: FloatArray, y: FloatArray
-) -> FloatArray:
+def _bilinear(table: Floats, at: Ints, columns: int, x: Floats, y: Floats) -> Floats:
     low = table.take(at)
     low += (table.take(at + columns) - low) * x
     high = table.take(at + 1)

@@ -1,4 +1,4 @@
-"""Row 1: ground speed along a path in wind (arXiv 2604.13441, III-A, equations 3 to 9).
+"""Ground speed along a path in wind (arXiv 2604.13441, III-A, equations 3 to 9).
 
 `V^G u = V^A + W`: along the path `V^G = sqrt(V_A^2 - W_perp^2) + W_par`, across it the air
 velocity cancels the wind. Wind vectors point where the air moves to, (north, east[, down]) m/s.
@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ def fly_course(
 
 
 def fly_path(
-    direction_ned: FloatArray,
+    direction_ned: Floats,
     airspeed_mps: float,
-    wind_to_ned_mps: FloatArray,
+    wind_to_ned_mps: Floats,
     air_path_angle_min_rad: float = -np.pi / 2,
     air_path_angle_max_rad: float = np.pi / 2,
 ) -> Track | Infeasible:
@@ -54,7 +54,7 @@ def fly_path(
     across = float(np.linalg.norm(wind_to_ned_mps - along * unit))
     if across > airspeed_mps:
         return Infeasible(f"cross-wind {across:.1f} m/s exceeds airspeed {airspeed_mps:.1f} m/s")
-    ground = math.sqrt(airspeed_mps**2 - across**2) + along
+    ground = math.sqrt(airspeed_mps**2 - across**2) + along  # scalars: no arrays for one path
     if ground <= 0.0:
         return Infeasible(
             f"headwind {-along:.1f} m/s leaves no ground speed at airspeed {airspeed_mps:.1f} m/s"
@@ -71,18 +71,26 @@ def fly_path(
     return Track(ground, heading, angle)
 
 
+def airspeeds_along_mps(airspeed_mps: Floats | float, across_mps: Floats) -> Floats:
+    """What is left of the airspeed along the path, `sqrt(V_A^2 - W_perp^2)`.
+
+    0 where the cross-wind takes all of it, or more.
+    """
+    return np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
+
+
 def ground_speeds_mps(
-    airspeed_mps: ArrayLike, along_mps: ArrayLike, across_mps: ArrayLike
-) -> FloatArray:
+    airspeed_mps: Floats | float, along_mps: Floats, across_mps: Floats
+) -> Floats:
     """`sqrt(V_A^2 - W_perp^2) + W_par`; NaN where |W_perp| > V_A or the result is not positive."""
-    squared = np.square(np.asarray(airspeed_mps, float)) - np.square(np.asarray(across_mps, float))
-    ground = np.sqrt(np.where(squared >= 0.0, squared, np.nan)) + np.asarray(along_mps, float)
-    return np.where(ground > 0.0, ground, np.nan)
+    ground = airspeeds_along_mps(airspeed_mps, across_mps) + along_mps
+    feasible = (airspeed_mps**2 - across_mps**2 >= 0.0) & (ground > 0.0)
+    return np.where(feasible, ground, np.nan)
 
 
 def airspeeds_needed_mps(
     ground_speed_mps: ArrayLike, along_mps: ArrayLike, across_mps: ArrayLike
-) -> FloatArray:
+) -> Floats:
     """Airspeed that makes this ground speed along a path with this wind along and across it."""
     headway = np.asarray(ground_speed_mps, float) - np.asarray(along_mps, float)
     return np.hypot(headway, np.asarray(across_mps, float))

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.wind.ekf import STATES, At, FloatArray, WindEstimatorParams, WindState
+from companion.core.base.arrays import Floats
+from companion.core.wind.ekf import STATES, At, WindEstimatorParams, WindState
 from companion.core.wind.observation import WindObservation
 
 
@@ -20,7 +21,7 @@ class AirspeedSeen:
 
     measured_mps: float
     expected_mps: float
-    row: FloatArray
+    row: Floats
     noise_m2ps2: float
 
     def surprise(self, state: WindState) -> float:

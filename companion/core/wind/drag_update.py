@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
-from companion.core.wind.ekf import At, FloatArray, WindEstimatorParams, WindState
+from companion.core.wind.ekf import At, WindEstimatorParams, WindState
 from companion.core.wind.observation import WindObservation
 
 _GREATEST_TILT_RAD = 1.2
@@ -137,11 +138,11 @@ class DragSeen:
     size_mps2: float
     bends_pm: tuple[float, float]
     airspeed_mps: float
-    rows: FloatArray
+    rows: Floats
 
 
 def drag_seen(
-    airframe: Airframe, mass_kg: float, x: FloatArray, motion: Motion, yaw_rad: float
+    airframe: Airframe, mass_kg: float, x: Floats, motion: Motion, yaw_rad: float
 ) -> DragSeen:
     """What drag was measured, and what the state `x` makes of it."""
     mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
@@ -203,8 +204,8 @@ class TiltTold:
 
     innovations: tuple[float, float]
     variances: tuple[float, float]
-    gain: FloatArray
-    white: FloatArray
+    gain: Floats
+    white: Floats
     area: float
 
     def log_density(self, sigmas: float, noise: float) -> float:
@@ -259,7 +260,7 @@ def tilt_told(
 
 def _told(
     state: WindState,
-    about: FloatArray,
+    about: Floats,
     airframe: Airframe,
     params: WindEstimatorParams,
     seen: WindObservation,

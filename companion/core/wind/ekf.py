@@ -23,13 +23,12 @@ from enum import IntEnum
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.turbulence import Front, Turbulence
 
-FloatArray = NDArray[np.float64]
 STATES = 17
 
 
@@ -241,20 +240,20 @@ class WindState:
             *(new, new, 0.0, 0.0),
         )
 
-    def correct_both(self, gain: FloatArray, white: FloatArray) -> None:
+    def correct_both(self, gain: Floats, white: Floats) -> None:
         """Kalman's correction by two scalars at once: `gain` (states, 2) is the covariance with the
         innovations, whitened, and `white` (2,) the innovations themselves, whitened."""
         self.x += gain @ white
         self.cov -= gain @ gain.T  # a matrix by its own transpose is exactly symmetric
 
-    def correct(self, row: FloatArray, innovation: float, noise: float) -> None:
+    def correct(self, row: Floats, innovation: float, noise: float) -> None:
         """Kalman's correction by one scalar; `row` is its derivative by the state."""
         gain = self.cov @ row
         s = float(row @ gain) + noise
         self.x += gain * (innovation / s)
         self.cov -= np.multiply.outer(gain, gain) / s  # exactly symmetric, as the product commutes
 
-    def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
+    def ten_second_mean(self, waited_s: float) -> tuple[Floats, Floats]:
         """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago.
 
         What is known is as old as the velocity is late: so much more is still to come.
@@ -298,7 +297,7 @@ _NOISE = [At.NOISE, At.NOISE + 1]
 _NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
 
 
-def _still() -> FloatArray:
+def _still() -> Floats:
     """What moves nothing but the velocities' noise: the last becomes the one before."""
     move = np.eye(STATES)
     move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
@@ -334,7 +333,7 @@ def _mean_variance(spans: float) -> float:
     return 2.0 / a**2 * (a - (1.0 - once) - (1.0 - once) + 0.5 * (1.0 - twice))
 
 
-def _prior_cov(airframe: Airframe, p: WindEstimatorParams) -> FloatArray:
+def _prior_cov(airframe: Airframe, p: WindEstimatorParams) -> Floats:
     drag = airframe.drag
     wind = p.prior_wind_std_mps**2
     gust = (p.gust_frac * p.least_wind_mps) ** 2

@@ -12,14 +12,12 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.process import WindProcessParams, averaged_share, speed_mps
-
-FloatArray = NDArray[np.float64]
 
 SNAPSHOT_FORMAT = "wind-outlook/1"
 
@@ -41,20 +39,20 @@ class WindForecast:
     its scale for a whole path, as gusty hours are gusty throughout; None: Gaussian.
     """
 
-    horizon_s: FloatArray
-    mean_to_ne_mps: FloatArray
-    walk_cov_m2ps2: FloatArray
-    error_cov_m2ps2: FloatArray
+    horizon_s: Floats
+    mean_to_ne_mps: Floats
+    walk_cov_m2ps2: Floats
+    error_cov_m2ps2: Floats
     tail_dof: float | None = None
 
     @property
-    def cov_m2ps2(self) -> FloatArray:
+    def cov_m2ps2(self) -> Floats:
         """Both together, (2n, 2n), in the order n0 e0 n1 e1 ..."""
         count = self.horizon_s.size
         everywhere = np.ones((count, count))
         return np.kron(self.walk_cov_m2ps2, np.eye(2)) + np.kron(everywhere, self.error_cov_m2ps2)
 
-    def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def sample(self, count: int, rng: np.random.Generator) -> Floats:
         """`count` wind paths, (count, n, 2)."""
         size = self.horizon_s.size
         walk = rng.standard_normal((count, size, 2))
@@ -88,7 +86,7 @@ class WindOutlook:
             self._t_s = belief.t_s
 
     def forecast(
-        self, belief: WindBelief, horizon_s: FloatArray, averaged_s: float = LEG_S
+        self, belief: WindBelief, horizon_s: Floats, averaged_s: float = LEG_S
     ) -> WindForecast:
         """The wind at each horizon (>= 0), given the belief now and the history observed.
 
@@ -129,7 +127,7 @@ class WindOutlook:
             raise LeewayError(f"checkpoint: expected {count} parts of the wind and covariance")
         self._t_s, self._parts, self._cov = t_s, parts, cov
 
-    def _taken(self, belief: WindBelief) -> tuple[FloatArray, FloatArray]:
+    def _taken(self, belief: WindBelief) -> tuple[Floats, Floats]:
         """The parts and their covariance after this belief, without keeping them."""
         parts, cov = self._parts, self._cov
         variance = self._variance.copy()
@@ -160,9 +158,7 @@ class WindOutlook:
 
 
 @lru_cache(maxsize=32)  # a flight asks for the same few horizons, several times a second
-def _fresh(
-    process: WindProcessParams, horizon_s: tuple[float, ...], averaged_s: float
-) -> FloatArray:
+def _fresh(process: WindProcessParams, horizon_s: tuple[float, ...], averaged_s: float) -> Floats:
     """Covariance between horizons of what the processes add after now, at the reference wind."""
     horizon = np.array(horizon_s)
     earlier = np.minimum.outer(horizon, horizon)
@@ -176,7 +172,7 @@ def _fresh(
     return total
 
 
-def tail_scale(dof: float, uniform: FloatArray) -> FloatArray:
+def tail_scale(dof: float, uniform: Floats) -> Floats:
     """Factors that make normal draws Student's t of the same variance; by quantiles in (0, 1).
 
     t = z / sqrt(chi2 / dof) has variance dof / (dof - 2).
@@ -184,7 +180,7 @@ def tail_scale(dof: float, uniform: FloatArray) -> FloatArray:
     return np.sqrt((dof - 2.0) / chdtri(dof, uniform))
 
 
-def _root(cov: FloatArray) -> FloatArray:
+def _root(cov: Floats) -> Floats:
     """A matrix whose product with its transpose is `cov` (symmetric, may be singular)."""
     values, vectors = np.linalg.eigh(cov)
     return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -3,13 +3,11 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.wind.forecast import LEG_S, WindForecast
 from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind
 from companion.core.wind.process import WindProcessParams
-
-Floats = NDArray[np.float64]
 
 STEPS = 4  # of the lattice, to each side of its centre
 REACH_STDS = 3.0

@@ -12,11 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
-from companion.core.routing.scenario import ChainWind
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CONDITION_LIMIT = 1e6  # of the eigenvectors; beyond it the spectral formula loses digits
 
@@ -92,17 +89,6 @@ class WindChain:
 def _as_probabilities(rows: Floats) -> Floats:
     rows = np.maximum(rows, 0.0)
     return rows / rows.sum(axis=-1, keepdims=True)
-
-
-def chain_from_scenario(wind: ChainWind) -> WindChain:
-    """The chain that a scenario file states; `initial` is scaled to sum to 1 exactly."""
-    initial = np.array(wind.initial, dtype=float)
-    rate = np.array(wind.rate_per_s, dtype=float).reshape(len(initial), len(initial))
-    return WindChain(
-        states_en_mps=np.array(wind.states_en_mps, dtype=float).reshape(-1, 2),
-        rate_per_s=rate,
-        initial=initial / initial.sum(),
-    )
 
 
 @dataclass(frozen=True)

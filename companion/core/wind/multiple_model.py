@@ -14,9 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.drag_update import TiltTold
-from companion.core.wind.ekf import FloatArray, WindEstimatorParams, WindState
+from companion.core.wind.ekf import WindEstimatorParams, WindState
 from companion.core.wind.turbulence import Turbulence
 
 CALM_RATIO = 0.02
@@ -62,7 +63,7 @@ class Airs:
         leak = -math.expm1(-dt_s / CHANGES_AFTER_S)
         self.chance_calm = (1.0 - leak) * odds / (1.0 + odds) + 0.5 * leak
 
-    def ten_second_mean(self, waited_s: float) -> tuple[FloatArray, FloatArray]:
+    def ten_second_mean(self, waited_s: float) -> tuple[Floats, Floats]:
         """Mean and covariance of the mixture, see `WindState.ten_second_mean`."""
         (usual, usual_cov), (calm, calm_cov) = (s.ten_second_mean(waited_s) for s in self.states)
         p = self.chance_calm

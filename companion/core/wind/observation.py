@@ -3,10 +3,7 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +55,7 @@ class WindBelief:
     """
 
     t_s: float
-    mean_to_ne_mps: FloatArray
-    cov_ne_m2ps2: FloatArray
+    mean_to_ne_mps: Floats
+    cov_ne_m2ps2: Floats
     sources: tuple[str, ...]
     valid: bool

@@ -12,11 +12,9 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError, check_range
-
-FloatArray = NDArray[np.float64]
 
 MOST_PARTS = 4
 
@@ -68,7 +66,7 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         """Variances at this mean wind over those at the reference wind."""
         return min(max(wind_mps / self.reference_wind_mps, self.least_scale), self.most_scale) ** 2
 
-    def mean_squared_change_m2ps2(self, lag_s: FloatArray, averaged_s: float) -> FloatArray:
+    def mean_squared_change_m2ps2(self, lag_s: Floats, averaged_s: float) -> Floats:
         """E[(w(t + lag) - w(t))^2] of one axis, of means over `averaged_s`, reference wind."""
         lag = np.asarray(lag_s, float)[..., None]
         memory, variance = np.array(self.memory_s), np.array(self.variance_m2ps2)
@@ -76,7 +74,7 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         return 2.0 * np.sum(share * variance * -np.expm1(-lag / memory), axis=-1)
 
 
-def averaged_share(memory_s: FloatArray, averaged_s: float) -> FloatArray:
+def averaged_share(memory_s: Floats, averaged_s: float) -> Floats:
     """What a mean over `averaged_s` leaves of the variance of each process.
 
     Var of the mean of an Ornstein-Uhlenbeck process, 2 (T/S) (1 - (T/S) (1 - exp(-S/T)))
@@ -94,6 +92,6 @@ def wind_process_from_dict(table: dict[str, object], where: str) -> WindProcessP
         raise LeewayError(f"{where}: {error}") from error
 
 
-def speed_mps(wind_ne_mps: FloatArray) -> float:
+def speed_mps(wind_ne_mps: Floats) -> float:
     """Length of a wind vector."""
     return math.hypot(float(wind_ne_mps[0]), float(wind_ne_mps[1]))

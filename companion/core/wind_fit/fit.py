@@ -15,14 +15,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.wind.process import WindProcessParams
-
-FloatArray = NDArray[np.float64]
 
 MEAN_S = 10.0
 """The process is one of means over so long."""
@@ -46,8 +44,8 @@ _SEEN_NOISE_STD_MPS = 0.4
 class WindMeans:
     """10 s means without gaps: middle times (n,), wind to north and east (n, 2)."""
 
-    t_s: FloatArray
-    wind_to_ne_mps: FloatArray
+    t_s: Floats
+    wind_to_ne_mps: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +55,12 @@ class WindFit:
     """
 
     process: WindProcessParams
-    log_std: FloatArray
+    log_std: Floats
     log_likelihood: float
     means: int
 
 
-def ten_second_means(t_s: FloatArray, wind_to_ne_mps: FloatArray) -> tuple[WindMeans, ...]:
+def ten_second_means(t_s: Floats, wind_to_ne_mps: Floats) -> tuple[WindMeans, ...]:
     """Means over MEAN_S of samples at rising times, split where one lacks half of its samples."""
     if t_s.size < 2:
         return ()
@@ -98,7 +96,7 @@ def fit_process(
         )
     posterior = _Posterior.of(recordings, parts)
 
-    def negative(x: FloatArray) -> tuple[float, FloatArray]:
+    def negative(x: Floats) -> tuple[float, Floats]:
         on_step()
         value, slope = posterior(x)
         return -value, -slope
@@ -139,8 +137,8 @@ def log_likelihood(process: WindProcessParams, recordings: Sequence[WindMeans]) 
 class _Posterior:
     """Log posterior density of (log memories, log variances), and its slope."""
 
-    windows: tuple[tuple[FloatArray, FloatArray, float], ...]  # times, wind less its mean, scale
-    centre: FloatArray
+    windows: tuple[tuple[Floats, Floats, float], ...]  # times, wind less its mean, scale
+    centre: Floats
     reference_mps: float
 
     @staticmethod
@@ -161,14 +159,14 @@ class _Posterior:
         )
         return _Posterior(windows, centre, reference)
 
-    def __call__(self, x: FloatArray) -> tuple[float, FloatArray]:
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
         value, slope = self.log_likelihood(x)
         parts = x.size // 2
         std = np.repeat([_MEMORY_LOG_STD, _VARIANCE_LOG_STD], parts)
         away = (x - self.centre) / std
         return value - 0.5 * float(away @ away), slope - away / std
 
-    def log_likelihood(self, x: FloatArray) -> tuple[float, FloatArray]:
+    def log_likelihood(self, x: Floats) -> tuple[float, Floats]:
         value, slope = 0.0, np.zeros(x.size)
         for t_s, wind, scale in self.windows:
             one, its = _window_likelihood(x, t_s, wind, scale)
@@ -177,9 +175,7 @@ class _Posterior:
         return value, slope
 
 
-def _window_likelihood(
-    x: FloatArray, t_s: FloatArray, wind: FloatArray, scale: float
-) -> tuple[float, FloatArray]:
+def _window_likelihood(x: Floats, t_s: Floats, wind: Floats, scale: float) -> tuple[float, Floats]:
     """Log density of both axes and its slope (Rasmussen and Williams 2006, eq. 2.30 and 5.9)."""
     parts = x.size // 2
     memory, variance = np.exp(x[:parts]), scale * np.exp(x[parts:])
@@ -201,7 +197,7 @@ def _window_likelihood(
     return value, np.array(slope)
 
 
-def _share_of_means(memory_s: float, lag_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _share_of_means(memory_s: float, lag_s: Floats) -> tuple[Floats, Floats]:
     """Covariance of two MEAN_S means so far apart over the process's variance; its slope in log T.
 
     Exact for means that do not overlap, `(2 r sinh(1 / 2 r))^2 exp(-lag / T)` with r = T / MEAN_S,
@@ -218,7 +214,7 @@ def _share_of_means(memory_s: float, lag_s: FloatArray) -> tuple[FloatArray, Flo
     return np.where(same, itself, apart), np.where(same, itself_slope, apart_slope)
 
 
-def _log_std(posterior: _Posterior, x: FloatArray, step: float = 1e-3) -> FloatArray:
+def _log_std(posterior: _Posterior, x: Floats, step: float = 1e-3) -> Floats:
     """Standard deviations by the curvature of the posterior (Laplace's approximation)."""
     rows = []
     for i in range(x.size):
@@ -229,7 +225,7 @@ def _log_std(posterior: _Posterior, x: FloatArray, step: float = 1e-3) -> FloatA
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(curvature)), 0.0))
 
 
-def _windows(recording: WindMeans) -> list[tuple[FloatArray, FloatArray]]:
+def _windows(recording: WindMeans) -> list[tuple[Floats, Floats]]:
     """A recording in nearly equal windows of at most `_WINDOW` means."""
     count = max(math.ceil(recording.t_s.size / _WINDOW), 1)
     return list(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_fit.fit import LEAST_FIT_S, MEAN_S, WindFit, WindMeans, fit_process
@@ -22,8 +21,6 @@ from companion.core.wind_fit.score import (
     score,
     with_spread,
 )
-
-FloatArray = NDArray[np.float64]
 
 BLOCK_S = 1200.0
 JUDGED_BLOCKS = 2  # judged together, so that a forecast of twenty minutes fits in

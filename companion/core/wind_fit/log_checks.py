@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import wrap_pi
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 GREATEST_WIND_MPS = 75.0  # [WMO] the strongest 10-minute winds near the ground; beyond: units
 _SLOWEST_STEP_S = 5.0  # two samples in each 10 s mean
@@ -33,18 +31,18 @@ _NAMED_MOST = 5  # findings of one kind that are named one by one
 class Samples:
     """Rows of a file that are numbers: line in the file, time s, speed m/s, where from in rad."""
 
-    line: NDArray[np.int64]
-    t_s: FloatArray
-    speed_mps: FloatArray
-    from_rad: FloatArray
+    line: Ints
+    t_s: Floats
+    speed_mps: Floats
+    from_rad: Floats
 
-    def kept(self, which: BoolArray) -> "Samples":
+    def kept(self, which: Bools) -> "Samples":
         return Samples(
             self.line[which], self.t_s[which], self.speed_mps[which], self.from_rad[which]
         )
 
     @property
-    def wind_to_ne_mps(self) -> FloatArray:
+    def wind_to_ne_mps(self) -> Floats:
         """Where the air moves to, (n, 2)."""
         north = -self.speed_mps * np.cos(self.from_rad)
         return np.stack([north, -self.speed_mps * np.sin(self.from_rad)], axis=1)
@@ -225,7 +223,7 @@ def _columns(samples: Samples) -> tuple[NDArray, ...]:
     return samples.line, samples.t_s, samples.speed_mps, samples.from_rad
 
 
-def _name(said: list[str], lines: NDArray[np.int64], words: str) -> None:
+def _name(said: list[str], lines: Ints, words: str) -> None:
     if lines.size:
         first = ", ".join(str(n) for n in lines[:_NAMED_MOST])
         more = f" and {lines.size - _NAMED_MOST} more" if lines.size > _NAMED_MOST else ""

@@ -10,15 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, ndtri, stdtrit
 
+from companion.core.base.arrays import Floats
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_fit.fit import MEAN_S, WindMeans
-
-FloatArray = NDArray[np.float64]
 
 HORIZONS_S = (60.0, 150.0, 300.0, 600.0, 1200.0)
 COVERAGES = (0.90, 0.98, 0.99)
@@ -30,7 +28,7 @@ TAIL_DOFS = (5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0)
 _LINES = np.array([[math.cos(a), math.sin(a)] for a in np.arange(4) * math.pi / 4.0])
 _STEPS = round(max(HORIZONS_S) / MEAN_S)
 
-Forecasts = tuple[FloatArray, FloatArray]
+Forecasts = tuple[Floats, Floats]
 """Errors m/s (n, 4), stated standard deviations m/s (n, 4), a row for each moment."""
 
 
@@ -105,7 +103,7 @@ def _quantile(probability: float, tail_dof: float | None) -> float:
     return float(stdtrit(tail_dof, probability)) * math.sqrt((tail_dof - 2.0) / tail_dof)
 
 
-def _log_density(z: FloatArray, tail_dof: float | None) -> FloatArray:
+def _log_density(z: Floats, tail_dof: float | None) -> Floats:
     """Of a law of unit variance."""
     if tail_dof is None:
         return -0.5 * z**2 - 0.5 * math.log(2.0 * math.pi)
@@ -125,7 +123,7 @@ def outlook_forecasts(
     seen = _seen(judged.means, seen_std_mps, rng)
     t_s = judged.means.t_s
     outlook = WindOutlook(process)
-    middles: FloatArray = np.arange(1.0, _STEPS + 1.0) * MEAN_S
+    middles: Floats = np.arange(1.0, _STEPS + 1.0) * MEAN_S
     cov = max(seen_std_mps, process.seen_noise_std_mps) ** 2 * np.eye(2)
     kept = _Kept()
     for i in range(t_s.size):
@@ -185,9 +183,9 @@ class _Kept:
     """Rows as they come, by horizon."""
 
     def __init__(self) -> None:
-        self._rows: dict[float, list[tuple[FloatArray, FloatArray]]] = {}
+        self._rows: dict[float, list[tuple[Floats, Floats]]] = {}
 
-    def add(self, horizon_s: float, error: FloatArray, std: FloatArray) -> None:
+    def add(self, horizon_s: float, error: Floats, std: Floats) -> None:
         self._rows.setdefault(horizon_s, []).append((error, std))
 
     def forecasts(self) -> dict[float, Forecasts]:
@@ -197,7 +195,7 @@ class _Kept:
         }
 
 
-def _seen(means: WindMeans, std_mps: float, rng: np.random.Generator) -> FloatArray:
+def _seen(means: WindMeans, std_mps: float, rng: np.random.Generator) -> Floats:
     """The wind as a vehicle's estimator would have it."""
     return means.wind_to_ne_mps + std_mps * rng.standard_normal(means.wind_to_ne_mps.shape)
 
@@ -207,7 +205,7 @@ def _is_judged(judged: Judged, i: int) -> bool:
     return t_s[i] - t_s[0] >= HISTORY_S and t_s[i] >= judged.first_s
 
 
-def _ahead(judged: Judged, i: int, horizon_s: float) -> FloatArray | None:
+def _ahead(judged: Judged, i: int, horizon_s: float) -> Floats | None:
     """The means of the next `horizon_s` after the one seen; None where they are not judged."""
     n = round(horizon_s / MEAN_S)
     t_s = judged.means.t_s

@@ -4,10 +4,9 @@ import math
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
-from companion.core.calibration.flight import PlanItem
 from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
 from companion.core.mission.mission_commands import COMMAND, params_of
-from companion.core.mission.qgc_document import plan_document
+from companion.core.mission.qgc_document import PlanItem, plan_document
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.energy_ledger import EnergyBelief

@@ -20,15 +20,10 @@ from companion.core.return_budget.value_table.dynamic_program import solve_home
 from companion.core.return_budget.value_table.edge_transitions import build_step_model
 from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph, prune
 from companion.core.routing.planner_interface import Decider, Look, Planner
-from companion.core.routing.scenario import ChainWind, Scenario
+from companion.core.routing.scenario import ChainWind, Scenario, chain_from_scenario
 from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.forecast_chain import prior_wind
-from companion.core.wind.markov_chain import (
-    Sight,
-    WindChain,
-    chain_from_scenario,
-    sight_of,
-)
+from companion.core.wind.markov_chain import Sight, WindChain, sight_of
 from sim_bridge.research.planners.baselines import Ger, Rer, Ser
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, solve_log_policy

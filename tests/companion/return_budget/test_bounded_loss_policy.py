@@ -18,8 +18,7 @@ from companion.core.return_budget.value_table.bounded_loss_policy import find_po
 from companion.core.return_budget.value_table.dynamic_program import solve_home
 from companion.core.return_budget.value_table.edge_transitions import Rounding, build_step_model
 from companion.core.routing.energy_graph import build_energy_graph
-from companion.core.routing.scenario import ChainWind, Power, Scenario
-from companion.core.wind.markov_chain import chain_from_scenario
+from companion.core.routing.scenario import ChainWind, Power, Scenario, chain_from_scenario
 from sim_bridge.research.campaign.frontier import frontier
 
 LEVELS = 24

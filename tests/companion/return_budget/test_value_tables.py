@@ -15,8 +15,8 @@ from companion.core.return_budget.value_table.bounded_loss_policy import (
 from companion.core.return_budget.value_table.dynamic_program import solve_delivery, solve_home
 from companion.core.return_budget.value_table.edge_transitions import Rounding, build_step_model
 from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
-from companion.core.routing.scenario import ChainWind, Power, Scenario
-from companion.core.wind.markov_chain import WindChain, chain_from_scenario, sight_of
+from companion.core.routing.scenario import ChainWind, Power, Scenario, chain_from_scenario
+from companion.core.wind.markov_chain import WindChain, sight_of
 from sim_bridge.research.campaign.frontier import frontier
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,

@@ -13,8 +13,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, over
 from companion.core.return_budget.value_table.edge_transitions import (
     Rounding,
@@ -25,8 +25,6 @@ from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy, cruise_legs
 from companion.core.routing.route_planner import Plan
 from companion.core.wind.markov_chain import WindChain
-
-Floats = NDArray[np.float64]
 
 HOME, ACCOUNT, OVER_DEPOT = 0, 1, 2
 ACCOUNT_STDS = 3.5  # the die's reach: the rest, 0.02 % on either side, counts as its last faces

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, ShortInts
 from companion.core.return_budget.value_table.edge_transitions import NEVER, StepModel
 
 LOSS_NOTHING_HELPS = 65535  # a choice: no edge promises anything here
@@ -76,9 +77,7 @@ def home_worth(model: StepModel) -> NDArray:
     return sweep.run(choices=False, watch=model.graph.target).value[..., 0]
 
 
-def delivery_worths(
-    model: StepModel, worth_at_target: NDArray, stop_worths: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def delivery_worths(model: StepModel, worth_at_target: NDArray, stop_worths: Floats) -> Floats:
     """What the mission is worth from the depot for each worth of stopping; shape (weights,)."""
     goal = model.graph.target
     sweep = _Sweep(model, False, goal, worth_at_target, stop_worths)
@@ -89,7 +88,7 @@ def delivery_worths(
 def solve_delivery(
     model: StepModel,
     home: HomeTable,
-    stop_worths: NDArray[np.float64],
+    stop_worths: Floats,
     keep_candidates: bool = False,
 ) -> list[DeliveryTable]:
     """The tables of the way out for each worth of stopping (0 to 1), in one sweep."""
@@ -122,9 +121,7 @@ class _DelayLines:
     A cost between two whole numbers of levels draws on the worths of two neighbouring levels.
     """
 
-    def __init__(
-        self, cost: NDArray[np.int32], upper_share: NDArray, width: int, dtype: np.dtype
-    ) -> None:
+    def __init__(self, cost: ShortInts, upper_share: NDArray, width: int, dtype: np.dtype) -> None:
         self.row = np.flatnonzero(cost.ravel() < NEVER)
         self._all = len(self.row) == cost.size
         whole = cost.ravel()[self.row].astype(np.int64)
@@ -170,7 +167,7 @@ class _Sweep:
         empty: bool,
         goal: int,
         goal_worth: NDArray,
-        stop_worths: NDArray[np.float64] | None,
+        stop_worths: Floats | None,
     ) -> None:
         graph = model.graph
         self._model, self._goal, self._goal_worth = model, goal, goal_worth

@@ -6,10 +6,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from companion.core.base.arrays import Floats, Ints, ShortInts, Singles
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.wind.markov_chain import WindChain
 
-Floats = NDArray[np.float64]
 NEVER = np.int32(2**30)  # levels that an infeasible edge costs: more than any budget has
 EDGE_COST_IN_SINGLE = 2e-6  # probability; float32 sums of 100 terms are off by some 5e-7
 LEVEL_SLACK = 1e-9  # levels; keeps a whole number of levels whole when it is divided back
@@ -43,15 +43,15 @@ class StepModel:
     levels: int
     rounding: Rounding
     energy_wh: Floats
-    cost_levels: NDArray[np.int32]
-    upper_share: NDArray[np.float32]
+    cost_levels: ShortInts
+    upper_share: Singles
     next_state: NDArray
 
     @property
     def step_wh(self) -> float:
         return self.budget_wh / self.levels
 
-    def level(self, energy_wh: ArrayLike) -> NDArray[np.int64]:
+    def level(self, energy_wh: ArrayLike) -> Ints:
         """The table's row for an energy left: rounded down, clipped to the grid."""
         if self.step_wh == 0.0:
             return np.zeros(np.shape(energy_wh), dtype=np.int64)
@@ -105,7 +105,7 @@ def step_model_of(
 
 def _on_grid(
     energy_wh: Floats, budget_wh: float, levels: int, rounding: Rounding
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+) -> tuple[ShortInts, Singles]:
     """Whole levels, at least one so that every edge goes down the grid, and the upper's share."""
     share = np.ones(energy_wh.shape, dtype=np.float32)
     if budget_wh == 0.0:

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints, Singles
 from companion.core.return_budget.remaining_mission import OnTheWay
 from companion.core.return_budget.value_table.bounded_loss_policy import stop_worth
 from companion.core.return_budget.value_table.decision_graph import (
@@ -35,9 +35,6 @@ from companion.core.vehicle.power_bias import ModelError
 from companion.core.vehicle.speed_to_fly import SpeedRule
 from companion.core.wind.forecast_chain import axis_shares
 from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind
-
-Floats = NDArray[np.float64]
-Tables = NDArray[np.float32]
 
 LEVELS = 240
 COARSE_LEVELS = 80
@@ -110,9 +107,9 @@ class ValueTable:
     loss_weight: float
     step_wh: float
     battery_std_wh: float
-    on: Tables
-    at: Tables
-    turn_home: Tables
+    on: Singles
+    at: Singles
+    turn_home: Singles
     onward_wh: Floats
     turning_wh: Floats
 
@@ -156,7 +153,7 @@ class ValueTable:
         onward = success + worth * (home - success)
         return Reading(home, success, turning, onward + TIE * (1.0 - worth) < worth * turning)
 
-    def _states(self, belief: Belief) -> tuple[NDArray[np.int64], Floats]:
+    def _states(self, belief: Belief) -> tuple[Ints, Floats]:
         """The lattice's points that stand for the wind as believed, and their shares."""
         east, north = axis_shares(
             self.wind, np.array(belief.wind_en_mps), np.array(belief.wind_std_en_mps)
@@ -165,7 +162,7 @@ class ValueTable:
         states = (rows[:, None] * north.size + columns).ravel()
         return states, (east[rows, None] * north[columns]).ravel()
 
-    def _levels(self, belief: Belief, *more_wh: Floats) -> tuple[NDArray[np.int64], Floats]:
+    def _levels(self, belief: Belief, *more_wh: Floats) -> tuple[Ints, Floats]:
         """Rows of the tables and their weights, (n, 2 x errors), for the energy left and `more_wh`
         of model Wh.
         """
@@ -269,7 +266,7 @@ def _table(
     return made
 
 
-def _after(model: StepModel, energy_wh: Floats, edges: NDArray[np.int64], worth: Tables) -> Tables:
+def _after(model: StepModel, energy_wh: Floats, edges: Ints, worth: Singles) -> Singles:
     """What flying each of these edges promises: `worth` (K + 1, V, S) where it ends, (D, K + 1, S).
 
     Between two levels in proportion, as the solver has it.
@@ -288,7 +285,7 @@ def _after(model: StepModel, energy_wh: Floats, edges: NDArray[np.int64], worth:
     return result
 
 
-def _turning(graph: MissionGraph, model: StepModel, energy_wh: Floats, aborts: Tables) -> Tables:
+def _turning(graph: MissionGraph, model: StepModel, energy_wh: Floats, aborts: Singles) -> Singles:
     """P(home) by the best way home from each decision point."""
     onward = set(graph.onward)
     turns = [
