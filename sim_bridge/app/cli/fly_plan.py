@@ -12,7 +12,7 @@ from companion.adapters.files.qgc_plan import read_plan
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.serve.plan_flight import fly_plan
 from sim_bridge.app.serve.server import Home, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
@@ -20,12 +20,12 @@ from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
 app = typer.Typer()
 
 _SETTINGS = {  # what lets each fly a plan without sticks, at the plan's own speeds
-    Flavour.PX4: {"MPC_XY_VEL_MAX": 20.0, "MPC_TILTMAX_AIR": 35.0},
-    Flavour.ARDUPILOT: {"AUTO_OPTIONS": 3, "ANGLE_MAX": 3500},
+    AutopilotKind.PX4: {"MPC_XY_VEL_MAX": 20.0, "MPC_TILTMAX_AIR": 35.0},
+    AutopilotKind.ARDUPILOT: {"AUTO_OPTIONS": 3, "ANGLE_MAX": 3500},
 }
 _NOSE_HELD = {
-    Flavour.PX4: {"MPC_YAW_MODE": 5},
-    Flavour.ARDUPILOT: {"WP_YAW_BEHAVIOR": 0},
+    AutopilotKind.PX4: {"MPC_YAW_MODE": 5},
+    AutopilotKind.ARDUPILOT: {"WP_YAW_BEHAVIOR": 0},
 }
 
 
@@ -61,7 +61,7 @@ def fly_plan_command(
     Example: sim-bridge fly-plan square.plan --out 1.tlog --payload-kg 0.8 --wind-speed-mps 6
     """
     try:
-        flavour = Flavour(autopilot)
+        flavour = AutopilotKind(autopilot)
     except ValueError as error:
         raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected") from error
     table = {"kind": "steady", "speed_mps": wind_speed_mps, "from_deg": wind_from_deg}

@@ -11,14 +11,14 @@ from rich.console import Console
 from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.serve.server import Home, Host, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
 
 app = typer.Typer()
 
-FLAVOURS = (Flavour.PX4, Flavour.ARDUPILOT)
+FLAVOURS = (AutopilotKind.PX4, AutopilotKind.ARDUPILOT)
 TCP_STRIDE = 10
 """ArduPilot's SITL gives instance N the port 5760 + 10 N."""
 
@@ -57,11 +57,11 @@ def _wind_table(
     return log | {"turbulence": gusts}
 
 
-def _flavour_of(autopilot: str, index: int) -> Flavour:
+def _flavour_of(autopilot: str, index: int) -> AutopilotKind:
     if autopilot == "mixed":
         return FLAVOURS[index % 2]
     try:
-        return Flavour(autopilot)
+        return AutopilotKind(autopilot)
     except ValueError as error:
         raise LeewayError(f"--autopilot {autopilot}: expected px4, ardupilot or mixed") from error
 
@@ -76,7 +76,7 @@ def _home(words: str) -> Home:
     return Home(lat_deg, lon_deg, alt_amsl_m)
 
 
-def how_to_connect(index: int, flavour: Flavour, ports: Ports) -> list[str]:
+def how_to_connect(index: int, flavour: AutopilotKind, ports: Ports) -> list[str]:
     """The lines that tell how other programs reach a vehicle."""
     lines = [f"vehicle {index + 1}, {flavour.value}, MAVLink system {index + 1}"]
     if ports.ground:
