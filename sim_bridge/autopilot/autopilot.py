@@ -1,6 +1,6 @@
 """One simulated autopilot: MAVLink datagrams and sensor readings in, attitude and thrust out.
 
-    autopilot = Autopilot(Flavour.PX4, (55.7, 12.6, 30.0), read_parameters(path))
+    autopilot = Autopilot(AutopilotKind.PX4, (55.7, 12.6, 30.0), read_parameters(path))
     autopilot.add_link(0)
     actuation = autopilot.step(vehicle.step(actuation, 0.01), 0.01)   # 100 times a second
     autopilot.receive(0, datagram)
@@ -16,7 +16,6 @@ from dataclasses import replace
 from typing import Any
 
 from sim_bridge.autopilot.ardupilot.behaviour import ArduPilot
-from sim_bridge.autopilot.flavour import BatterySensing, Flavour, LinkKind
 from sim_bridge.autopilot.flight.battery import BatteryMonitor
 from sim_bridge.autopilot.flight.control import Actuation, Controller, ControlParams
 from sim_bridge.autopilot.flight.failsafe import Failsafes
@@ -30,6 +29,7 @@ from sim_bridge.autopilot.flight.pilot import PilotInput
 from sim_bridge.autopilot.flight.readings import Readings
 from sim_bridge.autopilot.flight.returning import Returning
 from sim_bridge.autopilot.flight.wind import WindEstimator
+from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Signer
 from sim_bridge.autopilot.mavlink.enums import MissionType, Severity, VehicleType
 from sim_bridge.autopilot.mavlink.inbox import handle
@@ -59,7 +59,7 @@ class Autopilot:
 
     def __init__(
         self,
-        flavour: Flavour,
+        flavour: AutopilotKind,
         home: tuple[float, float, float],
         parameters: Mapping[str, Parameter],
         *,
@@ -79,7 +79,7 @@ class Autopilot:
         self.frame = LocalFrame(*home)
         self.store = MissionStore()
         self.timesync_echoes: dict[tuple[int, int, int], int] = {}
-        is_px4 = flavour is Flavour.PX4
+        is_px4 = flavour is AutopilotKind.PX4
         self.behaviour: ArduPilot | Px4 = Px4() if is_px4 else ArduPilot()
         router = Px4Router(system_id, 1) if is_px4 else ArduPilotRouter(system_id, 1)
         self.radio = Radio(self, router)

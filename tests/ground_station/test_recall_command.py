@@ -15,7 +15,7 @@ from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Recall
 from ground_station.app.cli.dispatch import app
 from sim_bridge.app.serve.server import Host, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
@@ -79,7 +79,7 @@ def test_a_vehicle_whose_companion_is_silent_is_sent_home_past_it(recall):
         port = probe.getsockname()[1]
     parameters = read_parameters(PARAMS / "autopilots" / "ardupilot.toml")
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    served = stand_up(Flavour.ARDUPILOT, airframe, parameters)
+    served = stand_up(AutopilotKind.ARDUPILOT, airframe, parameters)
     with Host(1.0) as host:
         host.add(served, gcs=[f"udpout:127.0.0.1:{port}"])
         with host.running():

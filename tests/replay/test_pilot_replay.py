@@ -24,7 +24,7 @@ from companion.core.mission.actions import Action, Decision
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.pilot_state import PilotOptions
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
@@ -111,7 +111,7 @@ class Ears:
         return [repr(m.to_dict()) for m in heard if m.get_type() != "HEARTBEAT"]  # NaN is NaN
 
 
-@pytest.mark.parametrize("flavour", list(Flavour))
+@pytest.mark.parametrize("flavour", list(AutopilotKind))
 def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(flavour, tmp_path):
     vehicle = Vehicle(
         load_airframe(params_dir() / "truth" / "m100.toml"),

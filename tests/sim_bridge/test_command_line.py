@@ -1,4 +1,4 @@
-"""`sim-bridge` on the command line: what flies in front, the paper's experiments behind `research`."""
+"""`sim-bridge` on the command line: what flies is in front, experiments behind `research`."""
 
 import subprocess
 import sys

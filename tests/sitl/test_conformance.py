@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from sim_bridge.app.cli import conforming
 from sim_bridge.app.serve.server import Home, Host, Served
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import BatterySensing, Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
 from sim_bridge.autopilot.mavlink.enums import Cmd, Result
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.conform import reference
@@ -30,17 +30,20 @@ from sim_bridge.truth.wind_field import SteadyWind, WindField
 
 PARAMS = Path(__file__).parents[2] / "params"
 STEPS_A_TURN = 2
-BOTH = pytest.mark.parametrize("flavour", Flavour)
+BOTH = pytest.mark.parametrize("flavour", AutopilotKind)
 SPEEDUP = 20.0
 HOME = Home()
-SETTINGS = {Flavour.PX4: {}, Flavour.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
+SETTINGS = {AutopilotKind.PX4: {}, AutopilotKind.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
 RECEIVER = {  # SIH has none; ArduPilot's SITL has one, its throttle down, its switch at STABILIZE
-    Flavour.PX4: None,
-    Flavour.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
+    AutopilotKind.PX4: None,
+    AutopilotKind.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
 }
-TIME_OUT = {Flavour.PX4: "COM_OF_LOSS_T", Flavour.ARDUPILOT: "GUID_TIMEOUT"}
-TIME_OUTS_S = {Flavour.PX4: 1.0, Flavour.ARDUPILOT: 3.0}  # their defaults
-SENSING = {Flavour.PX4: BatterySensing.SIH_TIMER, Flavour.ARDUPILOT: BatterySensing.POWER_MODULE}
+TIME_OUT = {AutopilotKind.PX4: "COM_OF_LOSS_T", AutopilotKind.ARDUPILOT: "GUID_TIMEOUT"}
+TIME_OUTS_S = {AutopilotKind.PX4: 1.0, AutopilotKind.ARDUPILOT: 3.0}  # their defaults
+SENSING = {
+    AutopilotKind.PX4: BatterySensing.SIH_TIMER,
+    AutopilotKind.ARDUPILOT: BatterySensing.POWER_MODULE,
+}
 WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
 
 
@@ -79,7 +82,7 @@ class Watcher:
         print(f"{row.behaviour.name}: {row.behaviour.says} {seen or row.value} ({row.note})")
 
 
-def stood(flavour: Flavour) -> Served:
+def stood(flavour: AutopilotKind) -> Served:
     """A flavour on the ground, in the wind of the references."""
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     vehicle = Vehicle(
@@ -104,15 +107,15 @@ def ask(served: Served, behaviours: Sequence[Behaviour]) -> reference.Result:
     return conforming.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 
 
-def recorded(flavour: Flavour) -> reference.Result:
+def recorded(flavour: AutopilotKind) -> reference.Result:
     return reference.read_result(reference.reference_folder() / f"{flavour.value}.json")
 
 
-def known_differences(flavour: Flavour) -> dict[str, str]:
+def known_differences(flavour: AutopilotKind) -> dict[str, str]:
     return dict(reference.read_differences(reference.reference_folder(), flavour.value))
 
 
-def judged(flavour: Flavour, seen: reference.Result) -> dict[str, Verdict]:
+def judged(flavour: AutopilotKind, seen: reference.Result) -> dict[str, Verdict]:
     return reference.judge_all(seen, recorded(flavour), known_differences(flavour))
 
 
@@ -124,7 +127,7 @@ def wrong(verdicts: dict[str, Verdict]) -> list[str]:
 @pytest.mark.sitl
 @pytest.mark.timeout(900)  # 20 s of one idle core; a machine with ten such at once takes minutes
 @BOTH
-def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: Flavour) -> None:
+def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: AutopilotKind) -> None:
     served = stood(flavour)
     answers = recorded(flavour).answers
     chosen = [b for b in select((), reboots=True) if b.name in answers]
@@ -137,8 +140,8 @@ def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: Flavour)
 
 
 @pytest.mark.sitl
-@pytest.mark.parametrize("flavour", [f for f in Flavour if known_differences(f)])
-def test_a_known_difference_is_one(flavour: Flavour) -> None:
+@pytest.mark.parametrize("flavour", [f for f in AutopilotKind if known_differences(f)])
+def test_a_known_difference_is_one(flavour: AutopilotKind) -> None:
     """A reason in differences.toml for what is the same would hide the next difference."""
     reasons = known_differences(flavour)
     verdicts = judged(flavour, ask(stood(flavour), select(reasons, reboots=True)))
@@ -158,7 +161,7 @@ class Impatient(Watcher):
 
 @pytest.mark.sitl
 @BOTH
-def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: Flavour) -> None:
+def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: AutopilotKind) -> None:
     served = stood(flavour)
     chosen = select(("guided/velocity_stops", "speed/ground", "speed/air"), reboots=False)
     client = Client(InProcess(served))
@@ -176,13 +179,13 @@ def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: Flavour) 
 @pytest.mark.sitl
 def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
     """Canary: PX4 that takes ArduPilot's jump, and reads parameters as C casts."""
-    served = stood(Flavour.PX4)
+    served = stood(AutopilotKind.PX4)
     commands = dict(served.autopilot.behaviour.commands)
     commands[Cmd.DO_SET_MISSION_CURRENT] = lambda *_: Result.ACCEPTED
     served.autopilot.behaviour.commands = commands
     served.autopilot.params._bytewise = False
     chosen = select(("mission/jump_on_ground", "parameters/integer_encoding"), reboots=False)
-    assert wrong(judged(Flavour.PX4, ask(served, chosen))) == [
+    assert wrong(judged(AutopilotKind.PX4, ask(served, chosen))) == [
         "parameters/integer_encoding",
         "mission/jump_on_ground",
     ]
@@ -191,14 +194,14 @@ def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
 def test_every_recorded_answer_belongs_to_a_behaviour() -> None:
     names = {behaviour.name for behaviour in CATALOGUE}
     assert len(names) == len(CATALOGUE)
-    for flavour in Flavour:
+    for flavour in AutopilotKind:
         assert recorded(flavour).answers.keys() <= names
 
 
 def test_the_command_asks_over_udp_and_judges(tmp_path: Path) -> None:
     out = tmp_path / "seen.json"
     with Host(SPEEDUP) as host:
-        (url,) = host.add(stood(Flavour.PX4), onboard=["udpin:127.0.0.1:0"])
+        (url,) = host.add(stood(AutopilotKind.PX4), onboard=["udpin:127.0.0.1:0"])
         link = url.replace("udpin", "udpout")
         words = ["conform", "--link", link, "--as", "px4", "--only", "parameters/*encoding"]
         with host.running():

@@ -19,7 +19,7 @@ from sim_bridge import main as cli
 from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
 from sim_bridge.app.flight.report import grounded_words, results_table
 from sim_bridge.app.serve.server import Home, Host, Served, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.wind_field import SteadyWind, WindField
@@ -47,7 +47,7 @@ def flight_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def stood(flavour: Flavour, home: Home | None = None) -> Served:
+def stood(flavour: AutopilotKind, home: Home | None = None) -> Served:
     wind = WindField(SteadyWind(4.0, 70.0))
     return stand_up(
         flavour,
@@ -88,8 +88,8 @@ def away_m(served: Served) -> float:
 @pytest.mark.parametrize(
     ("flavour", "endpoint", "link"),
     [
-        (Flavour.PX4, "udpin::0", "udpout:127.0.0.1:PORT"),
-        (Flavour.ARDUPILOT, "tcpin::0", "tcp:127.0.0.1:PORT"),
+        (AutopilotKind.PX4, "udpin::0", "udpout:127.0.0.1:PORT"),
+        (AutopilotKind.ARDUPILOT, "tcpin::0", "tcp:127.0.0.1:PORT"),
     ],
 )
 def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they_were(
@@ -114,7 +114,7 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
 
 
 def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_path):
-    served = stood(Flavour.ARDUPILOT)
+    served = stood(AutopilotKind.ARDUPILOT)
     before = settings(served)
     link = "udpout:127.0.0.1:PORT"
     row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
@@ -128,14 +128,14 @@ def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_
 
 
 def test_a_site_elsewhere_is_refused_and_with_here_it_lies_about_the_vehicle(tmp_path):
-    served = stood(Flavour.PX4, ELSEWHERE)
+    served = stood(AutopilotKind.PX4, ELSEWHERE)
     file = flight_file(tmp_path)
     link = "udpout:127.0.0.1:PORT"
     row = fly(served, "udpin::0", link, tmp_path, file, configure=True)
     assert row["outcome"] == "ABRT"
     assert "the vehicle stands" in row["reason"]
     assert "--here" in row["reason"]
-    served = stood(Flavour.PX4, ELSEWHERE)
+    served = stood(AutopilotKind.PX4, ELSEWHERE)
     row = fly(served, "udpin::0", link, tmp_path, file, configure=True, here=True)
     assert row["outcome"] == "SUC"
     assert not served.truth.parcel_aboard
@@ -145,7 +145,7 @@ def test_a_site_elsewhere_is_refused_and_with_here_it_lies_about_the_vehicle(tmp
 
 
 def test_the_table_shows_what_only_the_truth_could_tell_as_a_dash(tmp_path):
-    served = stood(Flavour.PX4)
+    served = stood(AutopilotKind.PX4)
     link = "udpout:127.0.0.1:PORT"
     row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
     told = io.StringIO()

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from sim_bridge.app.serve.server import Host, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
@@ -62,7 +62,7 @@ def check(tmp_path, short_flight):
     ) -> Checked:
         parameters = read_parameters(PARAMS / "autopilots" / f"{flavour}.toml", settings)
         airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-        served = stand_up(Flavour(flavour), airframe, parameters, charge_frac=charge_frac)
+        served = stand_up(AutopilotKind(flavour), airframe, parameters, charge_frac=charge_frac)
         mission = tmp_path / "flight.toml"
         mission.write_bytes(msgspec.toml.encode(short_flight(changes)))
         with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from sim_bridge.app.serve.server import Home, Host, Served, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
@@ -31,7 +31,7 @@ TAKEOFF, WAYPOINT, LAND = 22, 16, 21
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: Flavour) -> Served:
+def on_the_ground(flavour: AutopilotKind) -> Served:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     return stand_up(flavour, airframe, parameters, home=HOME)
@@ -147,7 +147,7 @@ def fly(client: MavProxy, served: Served) -> None:
 
 
 def test_mavproxy_flies_a_mission_on_ardupilot_over_tcp(tmp_path: Path) -> None:
-    served = on_the_ground(Flavour.ARDUPILOT)
+    served = on_the_ground(AutopilotKind.ARDUPILOT)
     mission = waypoints_file(tmp_path, with_home=True)
     with Host(SPEEDUP) as host:
         (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
@@ -166,7 +166,7 @@ def test_mavproxy_flies_a_mission_on_ardupilot_over_tcp(tmp_path: Path) -> None:
 
 
 def test_mavproxy_flies_a_mission_on_px4_over_udp(tmp_path: Path) -> None:
-    served = on_the_ground(Flavour.PX4)
+    served = on_the_ground(AutopilotKind.PX4)
     mission = waypoints_file(tmp_path, with_home=False)
     with Host(SPEEDUP) as host:
         (url,) = host.add(served, gcs=["udpin:127.0.0.1:0"])

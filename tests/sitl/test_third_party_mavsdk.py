@@ -21,7 +21,7 @@ from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
 from sim_bridge.app.serve.server import Home, Host, Served, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
@@ -36,7 +36,7 @@ METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: Flavour, home: Home = HOME) -> Served:
+def on_the_ground(flavour: AutopilotKind, home: Home = HOME) -> Served:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     return stand_up(flavour, airframe, parameters, home=home)
@@ -212,17 +212,17 @@ def fly_on_px4(served: Served) -> None:
 
 
 def test_mavsdk_flies_a_mission_on_px4_over_udp() -> None:
-    fly_on_px4(on_the_ground(Flavour.PX4))
+    fly_on_px4(on_the_ground(AutopilotKind.PX4))
 
 
 def test_the_check_fails_in_a_world_that_lies_30_m_off_the_map() -> None:
     off = Home(HOME.lat_deg + 30.0 / METRES_PER_DEG, HOME.lon_deg, HOME.alt_amsl_m)
     with pytest.raises(AssertionError, match="it landed"):
-        fly_on_px4(on_the_ground(Flavour.PX4, off))
+        fly_on_px4(on_the_ground(AutopilotKind.PX4, off))
 
 
 def test_mavsdk_flies_a_mission_on_ardupilot_over_tcp() -> None:
-    served = on_the_ground(Flavour.ARDUPILOT)
+    served = on_the_ground(AutopilotKind.ARDUPILOT)
 
     async def body(port: str) -> None:
         async with connected(f"tcpout://127.0.0.1:{port}") as system:

@@ -57,7 +57,7 @@ def fly_plan_command(
     from companion.adapters.files.qgc_plan import read_plan
     from sim_bridge.app.serve.plan_flight import fly_plan
     from sim_bridge.app.serve.server import Home, stand_up
-    from sim_bridge.autopilot.flavour import Flavour
+    from sim_bridge.autopilot.kinds import AutopilotKind
     from sim_bridge.autopilot.mavlink.parameters import read_parameters
     from sim_bridge.truth.params import load_airframe
     from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
@@ -70,7 +70,7 @@ def fly_plan_command(
     home, items = read_plan(plan)
     settings = _SETTINGS[autopilot] | (_NOSE_HELD[autopilot] if nose_held else {})
     settings |= dict(map(_setting, param or []))
-    flavour = Flavour(autopilot)
+    flavour = AutopilotKind(autopilot)
     served = stand_up(
         flavour,
         load_airframe(params_dir() / "truth" / f"{airframe}.toml"),

@@ -123,7 +123,7 @@ def serve(
 
     from companion.adapters.files.params import params_dir
     from sim_bridge.app.serve.server import Home, Host, stand_up
-    from sim_bridge.autopilot.flavour import Flavour
+    from sim_bridge.autopilot.kinds import AutopilotKind
     from sim_bridge.autopilot.mavlink.parameters import read_parameters
     from sim_bridge.truth.params import load_airframe
     from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
@@ -141,7 +141,7 @@ def serve(
             name = _autopilot_of(autopilot, index)
             gusts, sensors = seeds.spawn(2)
             served = stand_up(
-                Flavour(name),
+                AutopilotKind(name),
                 body,
                 read_parameters(params_dir() / "autopilots" / f"{name}.toml"),
                 home=Home(

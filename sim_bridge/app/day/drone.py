@@ -16,7 +16,7 @@ from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.day.clock import EPOCH_US
 from sim_bridge.app.day.judge import Track
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import Flavour, LinkKind
+from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.parameters import Parameter
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth
@@ -193,7 +193,7 @@ class DayDrone:
             start_ne_m=pad_ne_m,
         )
         autopilot = Autopilot(
-            Flavour(self.flavour),
+            AutopilotKind(self.flavour),
             world.site,
             world.parameters[self.flavour],
             system_id=self.number,

@@ -45,7 +45,7 @@ from sim_bridge.app.flight.vehicle_process import (
     place_ne_m,
 )
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import Flavour, LinkKind
+from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.autopilot.mavlink.signing import LinkSigning, Signing
 from sim_bridge.truth.battery import Battery
@@ -177,7 +177,7 @@ def _build_craft(
         pitot=flight.vehicle.pitot,
     )
     autopilot = Autopilot(
-        Flavour(flavour),
+        AutopilotKind(flavour),
         (depot.lat_deg or 0.0, depot.lon_deg or 0.0, depot.alt_amsl_m or 0.0),
         read_parameters(params_dir() / "autopilots" / f"{flavour}.toml"),
         system_id=number,

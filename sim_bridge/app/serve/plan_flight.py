@@ -13,7 +13,7 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.serve.server import PHYSICS_STEP_S, Served
-from sim_bridge.autopilot.flavour import Flavour, LinkKind
+from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 LINK = 0
@@ -25,7 +25,7 @@ ASK_AGAIN_S = 3.0
 READY_WITHIN_S = 120.0
 _STEPS = round(STEP_S / PHYSICS_STEP_S)
 _ARMED = 128
-_MODE = {Flavour.PX4: (1.0, 4.0, 4.0), Flavour.ARDUPILOT: (1.0, 3.0, 0.0)}
+_MODE = {AutopilotKind.PX4: (1.0, 4.0, 4.0), AutopilotKind.ARDUPILOT: (1.0, 3.0, 0.0)}
 _MAV_CMD_DO_SET_MODE, _MAV_CMD_ARM, _MAV_CMD_INTERVAL = 176, 400, 511
 _WANTED_HZ = {30: 10.0, 33: 10.0, 1: 2.0, 147: 2.0}  # ATTITUDE, GLOBAL_POSITION_INT, battery
 _EPOCH_US = 1_700_000_000_000_000
@@ -45,7 +45,7 @@ class GroundStation:
     """Uploads a mission, starts it, and writes what it hears."""
 
     items: list[dict[str, Any]]
-    flavour: Flavour
+    flavour: AutopilotKind
     log: Any
     armed: bool = False
     started: bool = False
@@ -102,12 +102,12 @@ class GroundStation:
     def _listed(self) -> list[dict[str, Any]]:
         """ArduPilot's item 0 is home."""
         home = {"command": 16, "frame": 0, "params": [0.0] * 7}
-        return [home, *self.items] if self.flavour is Flavour.ARDUPILOT else self.items
+        return [home, *self.items] if self.flavour is AutopilotKind.ARDUPILOT else self.items
 
     def _item(self, seq: int) -> Message:
         item = self._listed[seq]
         params = [math.nan if p is None else float(p) for p in item["params"]]
-        if self.flavour is Flavour.ARDUPILOT:
+        if self.flavour is AutopilotKind.ARDUPILOT:
             params = [0.0 if math.isnan(p) else p for p in params]
         names = ("param1", "param2", "param3", "param4")
         return self._to(
@@ -135,7 +135,7 @@ class GroundStation:
 
 def fly_plan(
     served: Served,
-    flavour: Flavour,
+    flavour: AutopilotKind,
     items: list[dict[str, Any]],
     tlog: Path,
     *,

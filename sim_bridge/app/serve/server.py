@@ -1,7 +1,7 @@
 """Simulated vehicles for any MAVLink client, at a chosen multiple of real time.
 
     with Host(speedup=5.0) as host:
-        served = stand_up(Flavour.PX4, airframe, read_parameters(path))
+        served = stand_up(AutopilotKind.PX4, airframe, read_parameters(path))
         host.add(served, onboard=["udpout:127.0.0.1:14540"], gcs=["tcpin::5760"])
         host.run(stop=lambda: False)
 
@@ -18,7 +18,7 @@ import numpy as np
 from sim_bridge.adapters.endpoint import EndpointSet, bundled
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import Flavour, LinkKind
+from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Signer
 from sim_bridge.autopilot.mavlink.parameters import Parameter
 from sim_bridge.truth.params import AirframeTruth
@@ -60,7 +60,7 @@ class Served:
 
 
 def stand_up(
-    flavour: Flavour,
+    flavour: AutopilotKind,
     airframe: AirframeTruth,
     parameters: Mapping[str, Parameter],
     *,

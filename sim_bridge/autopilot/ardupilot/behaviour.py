@@ -14,7 +14,6 @@ from sim_bridge.autopilot.ardupilot.commands import (
 from sim_bridge.autopilot.ardupilot.failsafe import watch
 from sim_bridge.autopilot.ardupilot.modes import ArduPilotModes
 from sim_bridge.autopilot.ardupilot.rules import ArduPilotRules
-from sim_bridge.autopilot.flavour import LinkKind
 from sim_bridge.autopilot.flight.failsafe import Failsafes
 from sim_bridge.autopilot.flight.goals import Descend, Idle, Vec3
 from sim_bridge.autopilot.flight.guidance import Limits
@@ -25,6 +24,7 @@ from sim_bridge.autopilot.flight.modes import (
     ardupilot_base_mode,
     ardupilot_custom_mode,
 )
+from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import (
     AMSL_FRAMES,

@@ -4,7 +4,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from sim_bridge.autopilot.flavour import LinkKind
+from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 
 _FORMAT = "autopilot-parameters/1"
 _INT_RANGES = {
@@ -128,9 +128,9 @@ class ParameterStore:
     field and checks the type that it is given.
     """
 
-    def __init__(self, flavour: Flavour, parameters: Mapping[str, Parameter]) -> None:
-        self._bytewise = flavour is Flavour.PX4
-        names = sorted(parameters) if flavour is Flavour.PX4 else parameters
+    def __init__(self, flavour: AutopilotKind, parameters: Mapping[str, Parameter]) -> None:
+        self._bytewise = flavour is AutopilotKind.PX4
+        names = sorted(parameters) if flavour is AutopilotKind.PX4 else parameters
         self._by_name = {name: parameters[name] for name in names}
         self._names = tuple(self._by_name)
         self.revision = 0

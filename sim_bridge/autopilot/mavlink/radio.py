@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sim_bridge.autopilot.flavour import LinkKind
+from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message, Signer
 from sim_bridge.autopilot.mavlink.commands import Command
 from sim_bridge.autopilot.mavlink.enums import Result, Severity

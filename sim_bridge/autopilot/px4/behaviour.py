@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from sim_bridge.autopilot.flavour import BatterySensing, LinkKind
 from sim_bridge.autopilot.flight.failsafe import Failsafes
 from sim_bridge.autopilot.flight.goals import (
     Descend,
@@ -21,6 +20,7 @@ from sim_bridge.autopilot.flight.modes import (
     px4_mode_of,
 )
 from sim_bridge.autopilot.flight.pilot import Sticks
+from sim_bridge.autopilot.kinds import BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.commands import Command
 from sim_bridge.autopilot.mavlink.enums import (

@@ -3,9 +3,9 @@
 import math
 from typing import TYPE_CHECKING
 
-from sim_bridge.autopilot.flavour import BatterySensing, LinkKind
 from sim_bridge.autopilot.flight.battery import Px4Cells
 from sim_bridge.autopilot.flight.modes import px4_custom_mode
+from sim_bridge.autopilot.kinds import BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink import status
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 

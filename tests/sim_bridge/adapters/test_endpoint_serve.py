@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sim_bridge.app.serve.server import Host, Served, stand_up
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
@@ -18,7 +18,7 @@ WAIT_S = 5.0
 SPEEDUP = 20.0
 
 
-def stood(flavour: Flavour, system_id: int = 1) -> Served:
+def stood(flavour: AutopilotKind, system_id: int = 1) -> Served:
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     return stand_up(flavour, airframe, parameters, system_id=system_id)
@@ -58,9 +58,9 @@ def udp(url: str) -> socket.socket:
     return made
 
 
-@pytest.mark.parametrize("flavour", Flavour)
+@pytest.mark.parametrize("flavour", AutopilotKind)
 def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
-    flavour: Flavour,
+    flavour: AutopilotKind,
 ) -> None:
     with Host(SPEEDUP) as host:
         onboard, gcs = host.add(stood(flavour), onboard=["udpin::0"], gcs=["tcpin::0"])
@@ -82,7 +82,7 @@ def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
     with Host(SPEEDUP) as host:
         urls = [
             host.add(stood(flavour, system), onboard=["udpin::0"])[0]
-            for system, flavour in ((1, Flavour.PX4), (2, Flavour.ARDUPILOT))
+            for system, flavour in ((1, AutopilotKind.PX4), (2, AutopilotKind.ARDUPILOT))
         ]
         with host.running():
             for system, url in enumerate(urls, 1):
@@ -94,7 +94,7 @@ def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
 
 def test_simulated_time_runs_no_faster_than_the_speed_up() -> None:
     with Host(SPEEDUP) as host:
-        host.add(stood(Flavour.PX4), onboard=["udpin::0"])
+        host.add(stood(AutopilotKind.PX4), onboard=["udpin::0"])
         start_s = time.monotonic()
         while host.t_s < 10.0:
             host.turn()
@@ -102,7 +102,7 @@ def test_simulated_time_runs_no_faster_than_the_speed_up() -> None:
 
 
 def test_what_goes_wrong_in_the_serving_thread_is_not_lost() -> None:
-    served = stood(Flavour.PX4)
+    served = stood(AutopilotKind.PX4)
 
     def broken(*_: object) -> None:
         raise RuntimeError("out of cheese")

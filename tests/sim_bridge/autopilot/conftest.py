@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flavour import Flavour, LinkKind
 from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -39,7 +39,7 @@ class Rig:
 
     def __init__(
         self,
-        flavour: Flavour,
+        flavour: AutopilotKind,
         settings: dict[str, float] | None = None,
         *,
         wind_to_ne_mps: tuple[float, float] = (0.0, 0.0),
@@ -130,7 +130,7 @@ class Rig:
 
     def set_mode(self, mode: Mode) -> int:
         """DO_SET_MODE in the flavour's own numbers."""
-        if self.flavour is Flavour.PX4:
+        if self.flavour is AutopilotKind.PX4:
             main, sub = _PX4[mode]
             return self.command(176, 1, main, sub)
         return self.command(176, 1, _ARDUPILOT[mode])
@@ -159,7 +159,7 @@ class Rig:
 
         For ArduPilot a home item is put in front of a mission: number n becomes n + 1.
         """
-        if self.flavour is Flavour.ARDUPILOT and mission_type == 0:
+        if self.flavour is AutopilotKind.ARDUPILOT and mission_type == 0:
             items = [{"command": 16, "frame": 0}, *items]
         self.forget()
         self.send("MISSION_COUNT", count=len(items), mission_type=mission_type)
@@ -234,7 +234,7 @@ class Rig:
     def take_off(self, height_m: float = 20.0) -> None:
         """Into a hover: GUIDED for ArduPilot, HOLD for PX4."""
         self.step(0.2)
-        if self.flavour is Flavour.PX4:
+        if self.flavour is AutopilotKind.PX4:
             assert self.command(22, 0, 0, 0, 0, 0, 0, HOME[2] + height_m) == 0
             assert self.command(400, 1) == 0
         else:
@@ -285,7 +285,7 @@ def make_rig_class() -> type[Rig]:
     return Rig
 
 
-_AIRBORNE: dict[tuple[Flavour, float], Rig] = {}
+_AIRBORNE: dict[tuple[AutopilotKind, float], Rig] = {}
 
 
 @pytest.fixture
@@ -293,7 +293,7 @@ def airborne() -> Callable[..., Rig]:
     """`airborne(flavour)`: a rig hovering 20 m over home, a copy of one flown once."""
 
     def give(
-        flavour: Flavour, settings: dict[str, float] | None = None, *, height_m: float = 20.0
+        flavour: AutopilotKind, settings: dict[str, float] | None = None, *, height_m: float = 20.0
     ) -> Rig:
         key = (flavour, height_m)
         if key not in _AIRBORNE:

@@ -8,11 +8,11 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flavour import Flavour
 from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 ACCEPTED = 0
 DENIED = 2

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flavour import Flavour
 from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.kinds import AutopilotKind
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 SETTINGS = {
     AP: {"AUTO_OPTIONS": 3, "GRIP_ENABLE": 1},

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flavour import Flavour
 from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mission.mission import NO_COORDINATE
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 WAYPOINT, LAND, TAKEOFF, JUMP, SPEED, DELAY, GRIPPER = 16, 21, 22, 177, 178, 93, 211
 MISSION_FRAME = 2

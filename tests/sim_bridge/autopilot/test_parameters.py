@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_bridge.autopilot.flavour import Flavour
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import (
     Parameter,
     ParameterError,
@@ -15,7 +15,7 @@ from sim_bridge.autopilot.mavlink.parameters import (
     read_parameters,
 )
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 FOLDER = Path(__file__).resolve().parents[3] / "params" / "autopilots"
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9

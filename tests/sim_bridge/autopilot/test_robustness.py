@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_bridge.autopilot.flavour import Flavour
 from sim_bridge.autopilot.flight.geodesy import LocalFrame
 from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 from sim_bridge.autopilot.mavlink.enums import Cmd
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
 
 

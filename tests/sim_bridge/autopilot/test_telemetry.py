@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flavour import BatterySensing, Flavour, LinkKind
 from sim_bridge.autopilot.flight.modes import Mode
 from sim_bridge.autopilot.flight.wind import axis_airspeed_mps
+from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
-AP, PX4 = Flavour.ARDUPILOT, Flavour.PX4
+AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 DENIED, FAILED, ACCEPTED = 2, 4, 0
 
 
