@@ -5,8 +5,8 @@ from dataclasses import replace
 import msgspec
 
 from companion.core.base.place import Place
-from ground_station.core.dispatch.day_decisions import AskHome, DayDeed, DayRun, LaunchFlight
-from ground_station.core.dispatch.day_view import DayRunParams, DayView, DroneView, TruckView
+from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView, DroneView, TruckView
+from ground_station.core.dispatch.dispatch_rules import AskHome, DayDeed, DayRun, LaunchFlight
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow

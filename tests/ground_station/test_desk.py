@@ -16,8 +16,8 @@ from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import WallClock, ZenohFleet, monotonic_s
 from ground_station.app.desk.desk import LAUNCHES, Desk, DeskOptions
-from ground_station.core.feasibility.drone_choice import Chooser, Free
-from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.dispatch.depot_assignment import Chooser, Free
+from ground_station.core.fleet.fleet_status import Picture
 from ground_station.core.schema.orders import AssignmentState, OrderState
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 

@@ -15,7 +15,7 @@ import pytest
 
 from ground_station.adapters.files.day_files import read_day
 from ground_station.app.desk.replanner import NoPlan, ReplannerBeside
-from ground_station.core.planning.replanning import unfit
+from ground_station.core.dispatch.replanning import unfit
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState, first_state

@@ -12,7 +12,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.desk import Desk, DeskOptions
 from ground_station.app.desk.open_desk import is_done, open_desk
 from ground_station.app.desk.replanner import ReplannerAtOnce, replanned
-from ground_station.core.dispatch.day_view import DayRunParams
+from ground_station.core.dispatch.day_snapshot import DayRunParams
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import first_state
 from ground_station.core.schema.orders import OrderState

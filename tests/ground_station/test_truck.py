@@ -30,8 +30,8 @@ from companion.fleet.messages import (
 )
 from companion.fleet.network import Ask, Asked
 from ground_station.app.cli.truck import obey
-from ground_station.app.desk.truck_port import TruckPort
-from ground_station.core.fleet.truck import TaskKind
+from ground_station.app.truck.truck_member import TruckPort
+from ground_station.core.fleet.truck_state import TaskKind
 
 TO_1 = Drive(stop="stop-1", lat_deg=55.1, lon_deg=8.1)
 SERVE = Serve(assignment="o1.1", order="o1")

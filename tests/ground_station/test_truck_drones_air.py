@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, Filled, near
-from ground_station.core.truck_drones.air import closed_layers, lay_ground
+from ground_station.core.truck_drones.layer_pricing import closed_layers, lay_ground
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 from ground_station.core.truck_drones.tables import (
     CUSTOMER_N,

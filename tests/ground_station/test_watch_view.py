@@ -8,8 +8,8 @@ import msgspec
 from rich.console import Console
 
 from companion.fleet.messages import State
-from ground_station.app.cli.watch_view import DayShown, watch_view
-from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.app.views.watch_view import DayShown, watch_view
+from ground_station.core.fleet.fleet_status import Picture
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import AssignmentState, Order, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow

@@ -30,7 +30,7 @@ from ground_station.core.fleet.fleet_link import (
     Heard,
     StateHeard,
 )
-from ground_station.core.fleet.truck import TaskKind, Truck, confirmed, impossible, taken
+from ground_station.core.fleet.truck_state import TaskKind, Truck, confirmed, impossible, taken
 
 FULL_V = 25.2
 SWITCHED_ON_S, READY_S, TASK_S, DRIVE_S = 8.0, 20.0, 10.0, 90.0

@@ -16,9 +16,9 @@ from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
 from ground_station.core.schema.day import DataProblems, Day, Depot, Problem
 from ground_station.core.schema.day_data import DEPOT, DayData
-from ground_station.core.schema.faults import faults_of
-from ground_station.core.schema.order_rows import check_columns, duplicates, order_of
+from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
 from ground_station.core.schema.orders import Order
+from ground_station.core.schema.table_errors import faults_of
 
 
 def read_day(path: Path) -> DayData:

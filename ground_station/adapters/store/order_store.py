@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from companion.fleet.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
-from ground_station.adapters.store import order_rows as rows
+from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.core.schema.orders import (

@@ -22,7 +22,7 @@ from sqlalchemy import (
     text,
 )
 
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import IN_FORCE
 
 SCHEMA = 2

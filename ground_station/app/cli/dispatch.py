@@ -21,11 +21,11 @@ from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_
 from ground_station.app.cli.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
 from ground_station.app.cli.order import list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.cli.views import report_of, report_view
-from ground_station.app.cli.watch_view import day_shown, watch_view
 from ground_station.app.desk.desk import Desk, DeskOptions
 from ground_station.app.desk.open_desk import is_done, is_idle, left_over, open_desk, why_left
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.app.views.day_report import report_of, report_view
+from ground_station.app.views.watch_view import day_shown, watch_view
+from ground_station.core.fleet.truck_state import TRUCK
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0

@@ -13,7 +13,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import read_day, read_orders
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_store
-from ground_station.core.feasibility.drone_choice import Chooser
+from ground_station.core.dispatch.depot_assignment import Chooser
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, OrderState, Service
 

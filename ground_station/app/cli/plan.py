@@ -65,7 +65,7 @@ def plan(
         draw_day_plan(data, made, picture)
         console.print(f"{picture}: the map", highlight=False)
     if qgc is not None:
-        from ground_station.app.planning.plan_missions import write_missions
+        from ground_station.app.planning.qgc_missions import write_missions
 
         with console.status("missions as the companions would upload them"):
             count = write_missions(data, made, qgc)

@@ -16,8 +16,8 @@ from companion.fleet.zenoh_link import ZenohLink, read_config
 from ground_station.adapters.files.day_files import read_day
 from ground_station.app.cli.options import ZenohFile
 from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.desk.truck_port import TruckPort
-from ground_station.core.fleet.truck import TRUCK, Task
+from ground_station.app.truck.truck_member import TruckPort
+from ground_station.core.fleet.truck_state import TRUCK, Task
 
 TURN_S = 0.1
 HELP = "Enter: the first is done; 2: the second is; x 1 nobody at home: it cannot be done; q: leave"

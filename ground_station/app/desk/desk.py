@@ -21,8 +21,8 @@ from companion.fleet.messages import (
 from ground_station.adapters.files.day_files import DayData
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import WallClock
-from ground_station.app.desk.day_desk import DayDesk
-from ground_station.core.feasibility.drone_choice import Chooser, Free
+from ground_station.app.desk.truck_dispatcher import DayDesk
+from ground_station.core.dispatch.depot_assignment import Chooser, Free
 from ground_station.core.fleet.fleet_link import (
     Alive,
     Clock,
@@ -33,7 +33,7 @@ from ground_station.core.fleet.fleet_link import (
     Nonsense,
     StateHeard,
 )
-from ground_station.core.fleet.fleet_picture import Picture, VehicleSeen
+from ground_station.core.fleet.fleet_status import Picture, VehicleSeen
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, CommandRow
 
 ANSWER_S = 5.0

@@ -6,13 +6,13 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import WallClock
-from ground_station.app.desk.day_desk import DayDesk
+from ground_station.app.desk.active_plan import PlanInForce, check_plan
 from ground_station.app.desk.desk import Desk, DeskOptions
-from ground_station.app.desk.plan_in_force import PlanInForce, check_plan
 from ground_station.app.desk.replanner import Replanner, ReplannerBeside
-from ground_station.core.feasibility.drone_choice import Chooser
+from ground_station.app.desk.truck_dispatcher import DayDesk
+from ground_station.core.dispatch.depot_assignment import Chooser
 from ground_station.core.fleet.fleet_link import Clock, Fleet, LaterClock
-from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.fleet.fleet_status import Picture
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import IN_FORCE, OrderRow, OrderState, Service

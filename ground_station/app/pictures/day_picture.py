@@ -12,10 +12,10 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.feasibility.obstacle_routes import Ways
-from ground_station.core.planning.nodes import obstacle_map
+from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 
 COLOURS = (
     "tab:blue",

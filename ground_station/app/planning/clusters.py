@@ -21,7 +21,7 @@ from ground_station.core.clustering.problem import (
     repair,
 )
 from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
-from ground_station.core.feasibility.drone_choice import Chooser
+from ground_station.core.dispatch.depot_assignment import Chooser
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service

@@ -8,10 +8,10 @@ from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.deconfliction.separation import Filled, may_launch
 from ground_station.core.feasibility.obstacle_routes import Ways
-from ground_station.core.planning.nodes import obstacle_map
+from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 
 
 class Airspace:

@@ -12,9 +12,9 @@ from companion.core.base.geo import Ned, place_ned
 from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
+from ground_station.core.planning.day_problem import DayNodes, day_nodes, without
 from ground_station.core.planning.forward_pass import Drive, Driven, polished
 from ground_station.core.planning.launch_slots import Slot, SlotFinder, Wish
-from ground_station.core.planning.nodes import DayNodes, day_nodes, without
 from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned

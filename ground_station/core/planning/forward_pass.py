@@ -11,8 +11,8 @@ from itertools import pairwise
 
 from ground_station.core.deconfliction.pads import StopPads
 from ground_station.core.deconfliction.separation import SLACK_S, Filled
+from ground_station.core.planning.day_problem import DayNodes
 from ground_station.core.planning.launch_slots import Blocked, Slot, SlotFinder, Wish
-from ground_station.core.planning.nodes import DayNodes
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan

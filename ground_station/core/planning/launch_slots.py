@@ -13,7 +13,7 @@ from companion.core.base.geo import Ned
 from ground_station.core.deconfliction.pads import StopPads, pad_places
 from ground_station.core.deconfliction.separation import Filled, Near, near
 from ground_station.core.feasibility.reach import Need
-from ground_station.core.planning.nodes import DayNodes, layer_height_m, layers_over
+from ground_station.core.planning.day_problem import DayNodes, layer_height_m, layers_over
 
 Points = tuple[tuple[float, float], ...]
 

@@ -8,7 +8,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_file import Flight, Site, Vehicle
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 
 ANY_CHARGE = [0.05, 1.0]
 """The desk does not know the charge of a pack: the companion finds it out at rest."""

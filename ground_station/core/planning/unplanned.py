@@ -3,7 +3,7 @@
 import numpy as np
 
 from ground_station.core.feasibility.reach import CannotBring
-from ground_station.core.planning.nodes import DayNodes
+from ground_station.core.planning.day_problem import DayNodes
 from ground_station.core.schema.day_plan import Unplanned
 from ground_station.core.schema.orders import Order, Service
 

@@ -2,10 +2,10 @@
 
 import math
 
-from ground_station.core.truck_drones.chance import uniform
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.moves import any_move
+from ground_station.core.truck_drones.random_stream import uniform
 from ground_station.core.truck_drones.simulate import simulate
 
 

@@ -1,7 +1,7 @@
 """Changes to a plan's arrays that keep its sorties attached: the vocabulary of all moves."""
 
-from ground_station.core.truck_drones.chance import below
 from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.random_stream import below
 from ground_station.core.truck_drones.tables import (
     KIND,
     LAUNCH,

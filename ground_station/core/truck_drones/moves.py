@@ -1,6 +1,5 @@
 """Small random changes of a plan: what the search tries. False: nothing was changed."""
 
-from ground_station.core.truck_drones.chance import below, uniform
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import (
     exchange,
@@ -10,6 +9,7 @@ from ground_station.core.truck_drones.edits import (
     take_out,
     turn_sorties_forward,
 )
+from ground_station.core.truck_drones.random_stream import below, uniform
 from ground_station.core.truck_drones.tables import (
     AT_ONCE,
     KIND,

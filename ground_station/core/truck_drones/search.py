@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ground_station.core.truck_drones.anneal import anneal
-from ground_station.core.truck_drones.chance import chance_from
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
 from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.random_stream import chance_from
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import Plan, tables_of, work_for
 

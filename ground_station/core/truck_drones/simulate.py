@@ -12,8 +12,8 @@ must keep apart, a launch that finds no layer waits until the first who is in it
 
 import math
 
-from ground_station.core.truck_drones.air import lay_ground, layer_for
 from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.layer_pricing import lay_ground, layer_for
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     AT_ONCE,

@@ -19,11 +19,11 @@ from companion.core.base.geo import LocalFrame, Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
 from companion.fleet.messages import State
 from companion.fleet.network import MemberLink
-from ground_station.app.desk.truck_port import TruckPort
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.app.truck.truck_member import TruckPort
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion

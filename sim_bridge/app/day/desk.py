@@ -8,12 +8,12 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.day_desk import DayDesk
+from ground_station.app.desk.active_plan import PlanInForce
 from ground_station.app.desk.desk import Desk
-from ground_station.app.desk.plan_in_force import PlanInForce
 from ground_station.app.desk.replanner import ReplannerAtOnce
+from ground_station.app.desk.truck_dispatcher import DayDesk
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.fleet.fleet_status import Picture
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.day.build import BuiltDay
 

@@ -27,7 +27,7 @@ from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_link import ZenohLink, read_config
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import StateHeard
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.adapters.endpoint import EndpointSet

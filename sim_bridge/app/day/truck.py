@@ -12,8 +12,8 @@ import numpy as np
 
 from companion.core.base.geo import LocalFrame, place_ned
 from companion.core.base.place import Place
-from ground_station.app.desk.truck_port import TruckPort
-from ground_station.core.fleet.truck import Task, TaskKind
+from ground_station.app.truck.truck_member import TruckPort
+from ground_station.core.fleet.truck_state import Task, TaskKind
 from sim_bridge.app.day.drone import DayDrone
 
 ON_PAD_M = 30.0

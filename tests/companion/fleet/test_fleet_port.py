@@ -28,7 +28,7 @@ from companion.fleet.messages import (
 from companion.fleet.messages import encode as encoded
 from companion.fleet.network import Ask, Asked
 from ground_station.adapters.files.day_files import read_day
-from ground_station.core.feasibility.drone_choice import flight_table
+from ground_station.core.dispatch.depot_assignment import flight_table
 from tests.fleet.zenoh_net import Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")

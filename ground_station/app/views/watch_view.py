@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.core.fleet.fleet_picture import Picture, VehicleSeen
-from ground_station.core.fleet.truck import DRIVING, TRUCK
+from ground_station.core.fleet.fleet_status import Picture, VehicleSeen
+from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow

@@ -6,13 +6,13 @@ from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.plan_in_force import PlanInForce
-from ground_station.core.dispatch.day_decisions import distance_m
-from ground_station.core.dispatch.day_view import DayView, DroneView, TruckView
+from ground_station.app.desk.active_plan import PlanInForce
+from ground_station.core.dispatch.day_snapshot import DayView, DroneView, TruckView
+from ground_station.core.dispatch.dispatch_rules import distance_m
 from ground_station.core.dispatch.measured_wind import MeasuredWind
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_picture import STANDBY, Picture, VehicleSeen
-from ground_station.core.fleet.truck import DRIVING, TRUCK
+from ground_station.core.fleet.fleet_status import STANDBY, Picture, VehicleSeen
+from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit

@@ -18,7 +18,7 @@ from companion.fleet.messages import (
     Withdraw,
 )
 from ground_station.adapters.store import tables as t
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,

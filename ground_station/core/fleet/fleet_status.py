@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from companion.core.vehicle.airframe import Airframe
 from companion.fleet.messages import State
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK
 
 SILENT_S = 5.0
 """States come every second: after so many are missed a vehicle is called silent."""

@@ -11,9 +11,11 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.day_sight import DaySight
-from ground_station.app.desk.plan_in_force import PlanInForce
-from ground_station.core.dispatch.day_decisions import (
+from ground_station.app.desk.active_plan import PlanInForce
+from ground_station.app.desk.day_tracker import DaySight
+from ground_station.core.dispatch.day_snapshot import DayView
+from ground_station.core.dispatch.depot_assignment import sortie_table
+from ground_station.core.dispatch.dispatch_rules import (
     AskHome,
     Away,
     DayDeed,
@@ -28,13 +30,11 @@ from ground_station.core.dispatch.day_decisions import (
     ServeHere,
     TakeBack,
 )
-from ground_station.core.dispatch.day_view import DayView
-from ground_station.core.feasibility.drone_choice import sortie_table
+from ground_station.core.dispatch.replanning import candidate_pads
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_picture import Picture
+from ground_station.core.fleet.fleet_status import Picture
 from ground_station.core.planning.airspace import Airspace
-from ground_station.core.planning.replanning import candidate_pads
 from ground_station.core.schema.day_plan import PlannedSortie
 
 CHARGE_READ_FRAC = 0.05

@@ -18,7 +18,15 @@ from companion.fleet.command_log import Verdict
 from companion.fleet.member import FleetMember
 from companion.fleet.messages import Answered, Command
 from companion.fleet.network import MemberLink
-from ground_station.core.fleet.truck import TRUCK, Task, Told, Truck, confirmed, impossible, taken
+from ground_station.core.fleet.truck_state import (
+    TRUCK,
+    Task,
+    Told,
+    Truck,
+    confirmed,
+    impossible,
+    taken,
+)
 
 KEPT = "truck.json"
 STATE_S = 1.0

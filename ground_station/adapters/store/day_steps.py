@@ -7,9 +7,9 @@ import sqlalchemy as sa
 
 from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed, Drive
-from ground_station.adapters.store import order_rows as rows
+from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
-from ground_station.core.fleet.truck import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.sortie_rows import SortieRow
 

@@ -18,7 +18,7 @@ from companion.core.vehicle.airframe import Airframe
 from ground_station.core.feasibility.reach import CanBring, CannotBring, Reach
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_plan import PlannedSortie
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 from ground_station.core.schema.orders import (
     AssignmentRow,
     AssignmentState,

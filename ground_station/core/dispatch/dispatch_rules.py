@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import msgspec
 
 from companion.core.base.place import Place
-from ground_station.core.dispatch.day_view import DayRunParams, DayView
+from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
 from ground_station.core.schema.orders import AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow

@@ -9,8 +9,8 @@ import msgspec
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.app.desk.replanner import NoPlan, Replanner
-from ground_station.core.dispatch.day_view import DayRunParams, DayView
-from ground_station.core.planning.replanning import (
+from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView
+from ground_station.core.dispatch.replanning import (
     day_now,
     postponed,
     replan_reason,

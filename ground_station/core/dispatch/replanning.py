@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import msgspec
 
 from companion.core.base.place import Place
-from ground_station.core.dispatch.day_view import DayRunParams, DayView
+from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.day_state import DayState

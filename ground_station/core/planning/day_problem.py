@@ -18,7 +18,7 @@ from ground_station.core.feasibility.reach import Reach
 from ground_station.core.feasibility.sortie_model import WindSorties
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
-from ground_station.core.schema.order_rows import place_of
+from ground_station.core.schema.order_parsing import place_of
 from ground_station.core.schema.orders import Order, Service
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 
