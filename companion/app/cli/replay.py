@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +34,14 @@ from companion.core.replay.summary import wind_score, wind_summary
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 
+
+class Estimator(StrEnum):
+    """Who estimates the wind."""
+
+    LEEWAY = "leeway"
+    REFERENCE = "reference"
+
+
 UNKNOWN_AIRFRAME = "generic"
 STOPPED_BY_HAND = 130
 SHOW_AFTER_S = 1.0
@@ -56,6 +65,7 @@ class _Asked:
     every_s: float
     wind_process: str | None
     params: Path | None
+    estimator: Estimator | None
 
 
 def replay_command(
@@ -106,6 +116,13 @@ def replay_command(
             " fit-wind`; default: the flight's mission.wind_process."
         ),
     ] = None,
+    estimator: Annotated[
+        Estimator | None,
+        typer.Option(
+            help="Who estimates the wind: leeway, the estimator that flies (default), or reference,"
+            " a plain extended Kalman filter (filterpy) to compare it with."
+        ),
+    ] = None,
     every: Annotated[
         float, typer.Option(min=0.1, help="Ask the gate every so many seconds of the flight.")
     ] = 5.0,
@@ -119,7 +136,9 @@ def replay_command(
     changed. What is wrong with a log (cut off, gaps, jumps in time, NaN, units, another vehicle)
     is said with its place, and the log is used as far as it goes.
     """
-    asked = _Asked(log, airframe, flight, payload, max_loss, reserve, every, wind_process, params)
+    asked = _Asked(
+        log, airframe, flight, payload, max_loss, reserve, every, wind_process, params, estimator
+    )
     try:
         _run(asked, out, json_out, picture)
     except LeewayError as error:
@@ -135,19 +154,23 @@ def _run(asked: _Asked, out: Path | None, json_out: Path | None, picture: Path |
         require_matplotlib()  # before the work, not after it
     begun_s = cpu_s()
     log = open_log(asked.log)
-    terms = _terms(asked, log)
+    terms = _with_estimator(asked, _terms(asked, log))
     with _progress(asked.log.name) as progress:
         result = replay(log, terms, progress)
     used_s = cpu_s() - begun_s
     wind = wind_summary(result)
     score = None if log.reference is None else wind_score(result, log.reference)
     name = terms.airframe.name
+    if asked.estimator is Estimator.REFERENCE:
+        typer.echo("wind by the reference estimator, not by the one that flies")
     typer.echo("\n".join(report(asked.log, log, name, result, wind, score, used_s)))
     if out is not None:
         write_wind(out, result)
         typer.echo(f"wind: {out} ({result.wind_t_s.size} rows)")
     if json_out is not None:
         record = replay_record(asked.log, log, name, result, wind, score, used_s)
+        if asked.estimator is not None:
+            record["estimator"] = asked.estimator.value
         write_record(json_out, record)
         typer.echo(f"record: {json_out}")
     if picture is not None:
@@ -169,6 +192,20 @@ def _terms(asked: _Asked, log: RecordedFlight) -> ReplayTerms:
     known = asked.airframe is not None
     process = _process(asked, flight)
     return ReplayTerms(airframe, flight, process, False, known, None, asked.every_s)
+
+
+def _with_estimator(asked: _Asked, terms: ReplayTerms) -> ReplayTerms:
+    if asked.estimator is not Estimator.REFERENCE:
+        return terms
+    try:
+        from companion.core.replay.reference_estimator import ReferenceEstimator
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != "filterpy":
+            raise
+        raise LeewayError(
+            "--estimator reference needs filterpy: pip install 'leeway[replay]'"
+        ) from error
+    return replace(terms, wind_filter=ReferenceEstimator(terms.airframe))
 
 
 def _process(asked: _Asked, flight: Flight) -> WindProcessParams:
