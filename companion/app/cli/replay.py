@@ -203,7 +203,7 @@ def _with_estimator(asked: _Asked, terms: ReplayTerms) -> ReplayTerms:
         if (error.name or "").split(".")[0] != "filterpy":
             raise
         raise LeewayError(
-            "--estimator reference needs filterpy: pip install 'leeway[replay]'"
+            "--estimator reference needs filterpy: pip install 'leeway-uas[replay]'"
         ) from error
     return replace(terms, wind_filter=ReferenceEstimator(terms.airframe))
 
