@@ -18,7 +18,7 @@ DRAW := new
 test: $(VENV)/.test lint  ## lint, types, layers and the tests, of large families a drawn sample
 	@$(BIN)/python -m pytest -n 3 --dist worksteal -m "not night" --draw-seed $(DRAW) $(PYTEST_ARGS)
 
-night: $(VENV)/.night lint  ## all tests
+night: $(VENV)/.test lint  ## all tests
 	@$(BIN)/python -m pytest -n 3 --dist worksteal $(PYTEST_ARGS)
 
 lint: $(VENV)/.test
@@ -45,6 +45,7 @@ $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "installing leeway[sim,ground,test] into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e '.[sim,ground,test]'
+	@$(PIP) install -c constraints.txt --no-deps MAVProxy  # its windows' 790 MB are not needed
 	@touch $@ $(VENV)/.sim
 
 clean:  ## remove the virtual environment and caches
