@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 
-.PHONY: help fly test lint bench install clean
+.PHONY: help fly test night lint bench install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -12,8 +12,13 @@ help:  ## this list
 fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what it leaves
 	@$(BIN)/sim-bridge fly
 
-# Three workers on two cores: some tests wait for real time.
-test: $(VENV)/.test lint  ## lint, types, layers and all tests
+# Three workers on two cores: some tests wait for real time. DRAW=N draws the sample of an earlier
+# run again.
+DRAW := new
+test: $(VENV)/.test lint  ## lint, types, layers and the tests, of large families a drawn sample
+	@$(BIN)/python -m pytest -n 3 --dist worksteal -m "not night" --draw-seed $(DRAW) $(PYTEST_ARGS)
+
+night: $(VENV)/.test lint  ## all tests
 	@$(BIN)/python -m pytest -n 3 --dist worksteal $(PYTEST_ARGS)
 
 lint: $(VENV)/.test
@@ -40,6 +45,7 @@ $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "installing leeway-uas[sim,ground,test] into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e '.[sim,ground,test]'
+	@$(PIP) install -c constraints.txt --no-deps MAVProxy  # its windows' 790 MB are not needed
 	@touch $@ $(VENV)/.sim
 
 clean:  ## remove the virtual environment and caches

@@ -279,6 +279,7 @@ _WORLDS = [case.world for case in CASES] + [case.canary for case in CANARIES]
 _SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
 
 
+@pytest.mark.drawn(of="flavour")  # every case by one autopilot, by night both
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight(fly_case, flavour, case):
@@ -290,6 +291,7 @@ _FLOWN: dict[str, Any] = {}
 """Flights that several checks look at, the untroubled one above all: flown once (a worker)."""
 
 
+@pytest.mark.drawn(keep=5)
 @pytest.mark.parametrize("case", CANARIES, ids=lambda c: c.name.replace(" ", "_"))
 def test_the_check_fails_in_a_wrong_world(fly_case, case):
     flavour = "px4" if not case.canary else ("px4", "ardupilot")[CANARIES.index(case) % 2]

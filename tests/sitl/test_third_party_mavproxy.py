@@ -19,7 +19,12 @@ from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 
-pytestmark = [pytest.mark.third_party, pytest.mark.timeout(120)]
+MAVPROXY = Path(sys.executable).with_name("mavproxy.py")
+pytestmark = [
+    pytest.mark.third_party,
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(not MAVPROXY.exists(), reason="MAVProxy is not installed (see Makefile)"),
+]
 
 PARAMS = Path(__file__).parents[2] / "params"
 HOME = Home()
@@ -44,7 +49,7 @@ class MavProxy:
         self._terminal, inside = pty.openpty()
         command = [
             sys.executable,
-            str(Path(sys.executable).with_name("mavproxy.py")),
+            str(MAVPROXY),
             f"--master={master}",
             "--no-state",
             "--default-modules=arm,mode,wp,cmdlong,param",

@@ -1,5 +1,6 @@
 """The command line of `companion replay`; what it does is imported when it runs."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,14 @@ import typer
 from companion.core.base.errors import LeewayError
 
 app = typer.Typer()
+
+
+class Estimator(StrEnum):
+    """Who estimates the wind."""
+
+    LEEWAY = "leeway"
+    REFERENCE = "reference"
+
 
 STOPPED_BY_HAND = 130
 
@@ -66,6 +75,13 @@ def replay_command(
             " fit-wind`; default: the flight's mission.wind_process."
         ),
     ] = None,
+    estimator: Annotated[
+        Estimator | None,
+        typer.Option(
+            help="Who estimates the wind: leeway, the estimator that flies (default), or reference,"
+            " a plain extended Kalman filter (filterpy) to compare it with."
+        ),
+    ] = None,
     every: Annotated[
         float, typer.Option(min=0.1, help="Ask the gate every so many seconds of the flight.")
     ] = 5.0,
@@ -82,7 +98,16 @@ def replay_command(
     from companion.app.cli.replay_log import ReplayRequest, replay_log
 
     asked = ReplayRequest(
-        log, airframe, flight, payload, max_loss, reserve, every, wind_process, params
+        log,
+        airframe,
+        flight,
+        payload,
+        max_loss,
+        reserve,
+        every,
+        wind_process,
+        params,
+        None if estimator is None else estimator.value,
     )
     try:
         replay_log(asked, out, json_out, picture)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -22,6 +22,7 @@ from companion.adapters.files.replay_files import replay_record, write_record, w
 from companion.adapters.logs.open_log import open_log
 from companion.app.tools.replay_picture import draw, require_matplotlib
 from companion.app.tools.replay_report import report
+from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
 from companion.core.mission.events import Airspeed
 from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
@@ -48,6 +49,8 @@ class ReplayRequest:
     every_s: float
     wind_process: str | None
     params: Path | None
+    estimator: str | None
+    """`leeway`, `reference`, or unsaid: leeway."""
 
 
 def replay_log(
@@ -58,19 +61,23 @@ def replay_log(
         require_matplotlib()  # before the work, not after it
     begun_s = cpu_s()
     log = open_log(asked.log)
-    terms = _terms(asked, log)
+    terms = _with_estimator(asked, _terms(asked, log))
     with _progress(asked.log.name) as progress:
         result = replay(log, terms, progress)
     used_s = cpu_s() - begun_s
     wind = wind_summary(result)
     score = None if log.reference is None else wind_score(result, log.reference)
     name = terms.airframe.name
+    if asked.estimator == "reference":
+        typer.echo("wind by the reference estimator, not by the one that flies")
     typer.echo("\n".join(report(asked.log, log, name, result, wind, score, used_s)))
     if out is not None:
         write_wind(out, result)
         typer.echo(f"wind: {out} ({result.wind_t_s.size} rows)")
     if json_out is not None:
         record = replay_record(asked.log, log, name, result, wind, score, used_s)
+        if asked.estimator is not None:
+            record["estimator"] = asked.estimator
         write_record(json_out, record)
         typer.echo(f"record: {json_out}")
     if picture is not None:
@@ -93,6 +100,20 @@ def _terms(asked: ReplayRequest, log: RecordedFlight) -> ReplayTerms:
     known = asked.airframe is not None
     process = _process(asked, flight)
     return ReplayTerms(airframe, flight, process, False, known, None, asked.every_s)
+
+
+def _with_estimator(asked: ReplayRequest, terms: ReplayTerms) -> ReplayTerms:
+    if asked.estimator != "reference":
+        return terms
+    try:
+        from companion.core.replay.reference_estimator import ReferenceEstimator
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != "filterpy":
+            raise
+        raise LeewayError(
+            "--estimator reference needs filterpy: pip install 'leeway-uas[replay]'"
+        ) from error
+    return replace(terms, wind_filter=ReferenceEstimator(terms.airframe))
 
 
 def _process(asked: ReplayRequest, flight: Flight) -> WindProcessParams:

@@ -34,6 +34,7 @@ from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.forecast_chain import HORIZONS_S, nearest_process, prior_wind
+from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
 
 BATTERY_EVERY_S = 0.2
@@ -67,13 +68,15 @@ class Judgement:
         airframe: Airframe,
         route_energy: RouteEnergy,
         wind_process: WindProcessParams,
+        wind_filter: WindFilter | None = None,
     ) -> None:
+        """`wind_filter`: another wind estimator than ours, for a replay that compares them."""
         self._flight = flight
         self._airframe = airframe
         self.route_energy = route_energy
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
-        self._estimator = WindEstimator(airframe)
+        self._estimator = wind_filter or WindEstimator(airframe)
         self._outlook = WindOutlook(wind_process)
         self._prior_wind = prior_wind(wind_process)
         self._ledger = EnergyLedger(

@@ -28,6 +28,7 @@ from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.airframe import Airframe
+from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
 
 TICK_S = 0.1
@@ -43,7 +44,8 @@ class ReplayTerms:
 
     `flight`: limits, parcel and what the vehicle has. `planned`: its site is where the log was
     flown; else home is the take-off point. `with_energy` is False where nobody said which airframe
-    it is: drag may be guessed, a battery may not.
+    it is: drag may be guessed, a battery may not. `wind_filter`: a new estimator for this replay,
+    in the place of the one that flies.
     """
 
     airframe: Airframe
@@ -53,6 +55,7 @@ class ReplayTerms:
     with_energy: bool
     obstacles: dict[str, object] | None = None
     gate_every_s: float = 5.0
+    wind_filter: WindFilter | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,11 @@ class _Replay:
         speed = terms.flight.mission.cruise_airspeed_mps
         self._route_energy = RouteEnergy(terms.airframe, cruise_airspeed_mps=speed)
         self._judge = Judgement(
-            terms.flight, terms.airframe, self._route_energy, terms.wind_process
+            terms.flight,
+            terms.airframe,
+            self._route_energy,
+            terms.wind_process,
+            terms.wind_filter,
         )
         self._route: Route | None = None
         self._home: LocalFrame | None = None

@@ -12,8 +12,8 @@
 - While an airspeed enters, another filter goes without it. It is what the airspeed is judged by,
   and what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
 - A parcel that goes changes the drag by more than its mass tells, so the gains are opened again.
-- A plain numpy filter: filterpy is the oracle in the tests only, as it would put matplotlib on
-  the vehicle's disk.
+- A plain numpy filter. filterpy's is the oracle in the tests and the reference in replay
+  (`companion.core.replay.reference_estimator`); it never flies.
 """
 
 import math

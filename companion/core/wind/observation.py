@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from companion.core.base.arrays import Floats
 
@@ -59,3 +60,23 @@ class WindBelief:
     cov_ne_m2ps2: Floats
     sources: tuple[str, ...]
     valid: bool
+
+
+class WindFilter(Protocol):
+    """A wind estimator: ours (`WindEstimator`), or another that a replay compares it with."""
+
+    def update(self, observation: WindObservation) -> tuple[str, ...]:
+        """Take one observation; returns what was left out and why, in words."""
+        ...
+
+    def belief(self, t_s: float) -> WindBelief:
+        """The wind at `t_s` >= the last update."""
+        ...
+
+    def snapshot(self) -> dict[str, object]:
+        """What a checkpoint keeps."""
+        ...
+
+    def restore(self, snapshot: dict[str, object]) -> None:
+        """Go on from a checkpoint; raises LeewayError when it is not one."""
+        ...

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator, WindObservation
+from companion.core.wind.observation import WindFilter
 
 Floats = NDArray[np.float64]
 
@@ -135,9 +136,13 @@ def with_airspeed(recording: Recording, error: AirspeedError) -> Iterator[WindOb
         yield replace(seen, airspeed_mps=max(error.scale * true_mps + error.bias_mps + noise, 0.0))
 
 
-def replayed(airframe: Airframe, observations: Iterator[WindObservation]) -> Track:
-    """The companion's estimator over a flight."""
-    estimator = WindEstimator(airframe)
+def replayed(
+    airframe: Airframe,
+    observations: Iterator[WindObservation],
+    make: Callable[[Airframe], WindFilter] = WindEstimator,
+) -> Track:
+    """A wind estimator over a flight: the companion's, or the one that `make` gives."""
+    estimator = make(airframe)
     means, covs = [], []
     for seen in observations:
         estimator.update(seen)

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy import stats
 
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator, WindObservation
+from companion.core.wind.observation import WindFilter
 from sim_bridge.research.wind.envelope_flight import SAMPLE_S, EnvelopeFlight
 
 Floats = NDArray[np.float64]
@@ -56,12 +57,16 @@ def observations(flight: EnvelopeFlight, mass_kg: float) -> list[WindObservation
     ]
 
 
-def judged(flight: EnvelopeFlight, airframe: Airframe) -> Errors:
-    """Fly the estimator along; errors against the centred 10 s mean, after the first 30 s of flight
+def judged(
+    flight: EnvelopeFlight,
+    airframe: Airframe,
+    make: Callable[[Airframe], WindFilter] = WindEstimator,
+) -> Errors:
+    """Fly an estimator along; errors against the centred 10 s mean, after the first 30 s of flight
     and up to 5 s before the end."""
     half = round(HALF_WINDOW_S / SAMPLE_S)
     total = np.vstack([np.zeros(2), np.cumsum(flight.wind_true_ne_mps, axis=0)])
-    estimator = WindEstimator(airframe)
+    estimator = make(airframe)
     times, errors, covs = [], [], []
     took_off_s = flight.samples[0].truth.t_s
     for k, seen in enumerate(observations(flight, airframe.mass_kg(0.0))):

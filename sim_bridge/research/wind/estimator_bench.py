@@ -1,5 +1,5 @@
-"""The wind estimator against a real anemometer, against PX4's drag fusion, and against the
-bound."""
+"""The wind estimator against a real anemometer, against PX4's drag fusion and a plain Kalman
+filter, and against the bound."""
 
 import math
 import time
@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.replay.reference_estimator import ReferenceEstimator
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
 from sim_bridge.research.results.sheet import Sheet
@@ -73,7 +74,8 @@ class EnvelopeJob:
 class EnvelopeRow(msgspec.Struct, frozen=True):
     """What one condition gave. `told_mps`: the bound of one who is told whether and when the wind
     steps, `bound_mps`: of one who is not. `ratio_low` to `ratio_high` and `nees_low` to
-    `nees_high`: 95 % intervals of RMSE over bound, and of the mean NEES, over flights."""
+    `nees_high`: 95 % intervals of RMSE over bound, and of the mean NEES, over flights.
+    `reference_*`: the plain EKF on the same flights."""
 
     name: str
     rmse_mps: float
@@ -85,6 +87,8 @@ class EnvelopeRow(msgspec.Struct, frozen=True):
     nees: float
     nees_low: float
     nees_high: float
+    reference_rmse_mps: float
+    reference_nees: float
     flights: int
 
 
@@ -102,12 +106,14 @@ def fly_condition(job: EnvelopeJob) -> EnvelopeRow:
     """Fly one condition, judge the estimator, and compute the bound for the first of its flights:
     single flights' RMSE scatters far more than the bound, which takes most of the time."""
     errors: list[Errors] = []
+    reference: list[Errors] = []
     bounded: list[EnvelopeFlight] = []
     drags = drag_deviates(job.flights, np.random.default_rng([job.seed, job.index]))
     for i, drag in enumerate(drags):
         rng = np.random.default_rng([job.seed, job.index, i])
         flown = fly_envelope(job.truth, job.condition, rng, drag)
         errors.append(judged(flown, job.airframe))
+        reference.append(judged(flown, job.airframe, ReferenceEstimator))
         if i < job.bounds:
             bounded.append(flown)
     squares = np.array([rmse_mps([e]) ** 2 for e in errors])
@@ -129,6 +135,8 @@ def fly_condition(job: EnvelopeJob) -> EnvelopeRow:
         nees=float(nees.mean()),
         nees_low=float(nees.mean()) * (1.0 - half),
         nees_high=float(nees.mean()) * (1.0 + half),
+        reference_rmse_mps=rmse_mps(reference),
+        reference_nees=float(np.mean([e.nees.mean() for e in reference])),
         flights=job.flights,
     )
 
@@ -142,7 +150,7 @@ def envelope_sheet(rows: Sequence[EnvelopeRow], seed: int, pitot: bool) -> Sheet
     """RMSE, bound, ratio and NEES for each condition."""
     low, high = nees_band95(rows[0].flights)
     head = ["condition", "RMSE m/s", "over flights", "bound m/s", "ratio", "95 % of it"]
-    head += ["told of steps", "NEES", "95 % of it", "consistent"]
+    head += ["told of steps", "NEES", "95 % of it", "consistent", "plain EKF m/s", "its NEES"]
     cells = [
         [
             r.name,
@@ -155,6 +163,8 @@ def envelope_sheet(rows: Sequence[EnvelopeRow], seed: int, pitot: bool) -> Sheet
             f"{r.nees:.2f}",
             f"{r.nees_low:.2f} to {r.nees_high:.2f}",
             "yes" if low <= r.nees <= high else "NO",
+            f"{r.reference_rmse_mps:.2f}",
+            f"{r.reference_nees:.1f}",
         ]
         for r in rows
     ]
@@ -207,11 +217,13 @@ def flight_rows(
         (f"PX4 drag fusion, default coefficients, {rate:g} Hz", _px4(recording, rate))
         for rate in PX4_RATES_HZ
     ]
-    tracks.append(("ours, tilt only", replayed(airframe, without_airspeed(recording))))
     rows = [FlightRow(name, [score(recording, track)], track) for name, track in tracks]
-    told = [replayed(airframe, with_airspeed(recording, error)) for error in draws]
-    scores = [score(recording, track) for track in told]
-    rows.append(FlightRow("ours, with scalar airspeed", scores, told[0]))
+    for name, make in (("reference (plain EKF)", ReferenceEstimator), ("ours", WindEstimator)):
+        alone = replayed(airframe, without_airspeed(recording), make)
+        rows.append(FlightRow(f"{name}, tilt only", [score(recording, alone)], alone))
+        told = [replayed(airframe, with_airspeed(recording, error), make) for error in draws]
+        scores = [score(recording, track) for track in told]
+        rows.append(FlightRow(f"{name}, with scalar airspeed", scores, told[0]))
     return rows
 
 
