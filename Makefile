@@ -4,10 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 
-.PHONY: help fly test lint bench install clean
+.PHONY: help fly test lint bench docs-reference install clean
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
 
 fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what it leaves
 	@$(BIN)/sim-bridge fly
@@ -24,6 +24,9 @@ lint: $(VENV)/.test
 
 bench: $(VENV)/.test  ## the figures of the README and notes; not a test
 	@$(BIN)/sim-bridge bench
+
+docs-reference: $(VENV)/.sim  ## write docs/reference/cli and schemas from the code
+	@$(BIN)/python -m sim_bridge.research.reference
 
 install: $(VENV)/.sim
 

@@ -71,7 +71,7 @@ class RotorParams(_Table, frozen=True):
 
 
 class DragParams(_Table, frozen=True):
-    """Drag by body axis: rotors linear in speed (at the empty vehicle's hover thrust), rest square."""
+    """Drag by body axis: that of rotors is linear in speed (at empty hover), the rest square."""
 
     rotor_forward_nspm: float
     """Rotor drag for each m/s along body forward."""

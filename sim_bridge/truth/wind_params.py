@@ -88,7 +88,9 @@ class LogWindParams(_Common, frozen=True, tag="log"):
     log: str
     """CSV file of `t_s`, `wind_speed_mps`, `wind_from_deg`, beside the flight file."""
     start_s: float | None = None
-    """Time in the recording at which the flight starts. Absent: its first sample."""
+    """Time in the recording at which the wind starts. A flight file may also say [first, last], or
+    nothing: `sim-bridge fly` then draws it by the seed.
+    """
 
     def __post_init__(self) -> None:
         self.check_common()

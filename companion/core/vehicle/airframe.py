@@ -251,7 +251,7 @@ class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An `airframe/1` file as read."""
+    """An `airframe/1` file: what planner and return budget believe about an airframe."""
 
     format: Literal["airframe/1"]
     """The kind of file and its version."""
