@@ -16,13 +16,14 @@ def _research(*words: str) -> tuple[str, ...]:
 
 def _flight(gate: str) -> tuple[str, ...]:
     own = ("--gate", "off") if gate == "off" else ()
-    out = f"{OUT}/{gate}"
-    return ("sim-bridge", "fly", "--seed", "1", *own, "--json", f"{OUT}/fly.json", "--runs", out)
+    json = f"{OUT}/{gate}.json"
+    return ("sim-bridge", "fly", "--seed", "1", *own, "--json", json, "--runs", f"{OUT}/{gate}")
 
 
 def _promise(title: str, *words: str) -> Command:
     logs = ("--wind-log", COAST, "--wind-log", COAST_TAIL)
-    return Command(_research("promise", *logs, *words, "--out", OUT), title=title)
+    out = f"{OUT}/{title.lower()}"
+    return Command(_research("promise", *logs, *words, "--out", out), title=title)
 
 
 def _avoid(policy: str) -> Command:
@@ -82,7 +83,7 @@ PAGES = (
         ),
         30.0,
         needs=("wind/coast_2023_1hz.csv", "wind/coast_2023_tail_1hz.csv"),
-        pictures=(("reliability.png", "reliability.png"),),
+        pictures=(("hard/reliability.png", "reliability.png"),),
     ),
     Page(
         "anemometer-flight",

@@ -4,18 +4,22 @@ from sim_bridge.research.results.markdown import MarkdownConsole, plain, table_m
 from sim_bridge.research.results.page import DATA, Done
 
 
-def flights(done: Done, *, gate: bool = True) -> str:
-    """Of `sim-bridge fly --json {out}/fly.json`."""
-    from sim_bridge.app.flight.report import results_table
-
-    console = MarkdownConsole()
-    console.print(results_table(done.json("fly.json"), gate=gate))
-    return console.markdown
+def flights(done: Done) -> str:
+    """Of `sim-bridge fly --json {out}/on.json`."""
+    return _flights(done, gate=True)
 
 
 def flights_without_gate(done: Done) -> str:
-    """The same of `--gate off`."""
-    return flights(done, gate=False)
+    """Of `sim-bridge fly --gate off --json {out}/off.json`."""
+    return _flights(done, gate=False)
+
+
+def _flights(done: Done, *, gate: bool) -> str:
+    from sim_bridge.app.flight.report import results_table
+
+    console = MarkdownConsole()
+    console.print(results_table(done.json("on.json" if gate else "off.json"), gate=gate))
+    return console.markdown
 
 
 def series(done: Done) -> str:
