@@ -17,7 +17,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.research.reference.programs import PROGRAMS, root_command
 from sim_bridge.research.results import write
 from sim_bridge.research.results.markdown import MarkdownConsole, sheet_markdown
-from sim_bridge.research.results.page import DATA, OUT, Command, Page
+from sim_bridge.research.results.page import DATA, OUT, Page, PageCommand
 from sim_bridge.research.results.registry import PAGES
 
 COMMANDS = [(page.name, command) for page in PAGES for command in page.commands]
@@ -31,7 +31,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def fake(*codes: str, pictures: tuple[tuple[str, str], ...] = ()) -> Page:
-    commands = tuple(Command((sys.executable, "-c", code, OUT), "nothing") for code in codes)
+    commands = tuple(PageCommand((sys.executable, "-c", code, OUT), "nothing") for code in codes)
     return Page("fake", "A fake", "What it shows.", commands, 0.1, pictures=pictures)
 
 
@@ -52,7 +52,7 @@ def parsed(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_the_program_takes_each_command_of_the_registry(page: str, command: Command) -> None:
+def test_the_program_takes_each_command_of_the_registry(page: str, command: PageCommand) -> None:
     assert command.argv[0] in PROGRAMS
     assert command.draws, f"{page}: says nothing of its seed"
     parsed([word.replace(OUT, "out").replace(DATA, "data") for word in command.argv])
@@ -122,8 +122,9 @@ def test_ctrl_c_keeps_the_old_page_and_ends_the_command(tmp_path: Path) -> None:
     code = (
         "import pathlib, sys; from rich.console import Console;"
         "from sim_bridge.research.results import write;"
-        "from sim_bridge.research.results.page import Command, Page;"
-        f"page = Page('fake', 'A fake', '', (Command((sys.executable, '-c', {waits!r})),), 0.1);"
+        "from sim_bridge.research.results.page import PageCommand, Page;"
+        f"command = PageCommand((sys.executable, '-c', {waits!r}));"
+        "page = Page('fake', 'A fake', '', (command,), 0.1);"
         f"write.make_page(page, pathlib.Path({str(tmp_path)!r}), None, Console(quiet=True))"
     )
     maker = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL, cwd=tmp_path)

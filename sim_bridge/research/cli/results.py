@@ -25,9 +25,7 @@ def results(
     out: Annotated[Path, typer.Option(help="Folder of the pages.")] = Path("docs/results"),
     data: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder of other people's data; default: ../shared/data, if it is there."
-        ),
+        typer.Option(help="Folder of other people's data: pages that need it are skipped without."),
     ] = None,
 ) -> None:
     """Run the commands of a page of results and write it, with seed, commit, machine and date.

@@ -11,7 +11,7 @@ OUT, DATA = "{out}", "{data}"
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class CommandOutput:
     """A command that has run: what it printed, and where its files and its data lie."""
 
     out: Path
@@ -26,7 +26,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class PageCommand:
     """A command of a page, from the program's name on.
 
     `seed` says which draws it makes where `argv` has no `--seed` or `--seeds`. `show` makes
@@ -35,7 +35,7 @@ class Command:
 
     argv: tuple[str, ...]
     seed: str = ""
-    show: Callable[[Done], str] | None = None
+    show: Callable[[CommandOutput], str] | None = None
     title: str = ""
 
     @property
@@ -64,7 +64,7 @@ class Page:
     name: str
     title: str
     shows: str
-    commands: tuple[Command, ...]
+    commands: tuple[PageCommand, ...]
     minutes: float
     needs: tuple[str, ...] = ()
     modules: tuple[str, ...] = ()

@@ -1,7 +1,7 @@
 """Every page of docs/results that a command makes. Order: as the reader of the index meets them."""
 
 from sim_bridge.research.results import tables
-from sim_bridge.research.results.page import DATA, OUT, Command, Page
+from sim_bridge.research.results.page import DATA, OUT, Page, PageCommand
 
 COAST = f"{DATA}/wind/coast_2023_1hz.csv"
 COAST_TAIL = f"{DATA}/wind/coast_2023_tail_1hz.csv"
@@ -20,15 +20,15 @@ def _flight(gate: str) -> tuple[str, ...]:
     return ("sim-bridge", "fly", "--seed", "1", *own, "--json", json, "--runs", f"{OUT}/{gate}")
 
 
-def _promise(title: str, *words: str) -> Command:
+def _promise(title: str, *words: str) -> PageCommand:
     logs = ("--wind-log", COAST, "--wind-log", COAST_TAIL)
     out = f"{OUT}/{title.lower()}"
-    return Command(_research("promise", *logs, *words, "--out", out), title=title)
+    return PageCommand(_research("promise", *logs, *words, "--out", out), title=title)
 
 
-def _avoid(policy: str) -> Command:
+def _avoid(policy: str) -> PageCommand:
     words = ("--policy", policy, "--agents", "8", "--episodes", "100", "--seed", "2", "--wind")
-    return Command(_research("avoid", *words, "--keep", f"{OUT}/kept"), show=tables.nothing)
+    return PageCommand(_research("avoid", *words, "--keep", f"{OUT}/kept"), show=tables.nothing)
 
 
 PAGES = (
@@ -38,8 +38,8 @@ PAGES = (
         "What `make fly` flies: out with a tailwind that grows into a headwind too strong for the"
         " depot; the gate takes it to the rally point.",
         (
-            Command(_flight("off"), show=tables.flights_without_gate, title="Without the gate"),
-            Command(_flight("on"), show=tables.flights, title="With the gate"),
+            PageCommand(_flight("on"), show=tables.flights, title="With the gate"),
+            PageCommand(_flight("off"), show=tables.flights_without_gate, title="Without the gate"),
         ),
         0.7,
         pictures=(("on/*/flight.png", "flight.png"),),
@@ -49,7 +49,7 @@ PAGES = (
         "What the gate is worth",
         "The same flight over ten seeds and both autopilots, with the gate and without.",
         (
-            Command(
+            PageCommand(
                 ("sim-bridge", "series", "--seeds", "1:10", "--json", f"{OUT}/series.json",
                  "--runs", f"{OUT}/runs"),
                 show=tables.series,
@@ -63,7 +63,7 @@ PAGES = (
         "Both autopilots, gate on and off, in 111 minutes of coastal wind: start and charge of the"
         " pack are drawn by the seed.",
         (
-            Command(
+            PageCommand(
                 ("sim-bridge", "series", "--seeds", "1:20", "--wind-log", COAST,
                  "--json", f"{OUT}/series.json", "--runs", f"{OUT}/runs"),
                 show=tables.series,
@@ -90,7 +90,7 @@ PAGES = (
         "The wind estimator on a real flight",
         "Estimates of the wind against an anemometer on a real multirotor.",
         (
-            Command(
+            PageCommand(
                 _research("estimator-bench", "--no-envelope", "--seed", "2024",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
@@ -105,7 +105,7 @@ PAGES = (
         "RMSE and NEES in simulated flights over winds, gusts and manoeuvres, beside the bound that"
         " no estimator beats.",
         (
-            Command(
+            PageCommand(
                 _research("estimator-bench", "--seed", "903", "--flights", "64", "--bounds", "16",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
@@ -117,14 +117,14 @@ PAGES = (
         "frontier",
         "Distance from the frontier",
         "How far the router is below the best that any planner with the same information can do.",
-        (Command(_research("frontier", "--graphs", "20", "--seed", "2718", "--out", OUT)),),
+        (PageCommand(_research("frontier", "--graphs", "20", "--seed", "2718", "--out", OUT)),),
         60.0,
     ),
     Page(
         "table1",
         "Table 1",
         "The paper's planners on random graphs with 4 and 8 wind classes, and the frontier.",
-        (Command(_research("table1", "--seed", "13", "--out", OUT)),),
+        (PageCommand(_research("table1", "--seed", "13", "--out", OUT)),),
         6.0,
         pictures=(("table1.png", "table1.png"),),
     ),
@@ -132,21 +132,21 @@ PAGES = (
         "table1-gusty",
         "Table 1, gusty set",
         "The same planners in wind near the airspeed that turns every 5 s; the set is ours.",
-        (Command(_research("table1", "--gusty", "--seed", "19", "--out", OUT)),),
+        (PageCommand(_research("table1", "--gusty", "--seed", "19", "--out", OUT)),),
         6.0,
     ),
     Page(
         "table2",
         "Table 2: what each part is worth",
         "Days of 20 customers, 4 drones and one truck, with one part left out at a time.",
-        (Command(_research("table2", "--trials", "10", "--seed", "2611", "--out", OUT)),),
+        (PageCommand(_research("table2", "--trials", "10", "--seed", "2611", "--out", OUT)),),
         7.0,
     ),
     Page(
         "lambda-sweep",
         "Lambda and the battery",
         "Outcomes of the published planner against its weight on risk and the battery.",
-        (Command(_research("lambda-sweep", "--out", OUT), FIXED),),
+        (PageCommand(_research("lambda-sweep", "--out", OUT), FIXED),),
         5.0,
         pictures=(("lambda_sweep.png", "lambda_sweep.png"),),
     ),
@@ -154,7 +154,7 @@ PAGES = (
         "towns",
         "Towns whose wind differs from edge to edge",
         "The planners in a hundred generated towns with wind around buildings.",
-        (Command(_research("towns", "--out", OUT), FIXED),),
+        (PageCommand(_research("towns", "--out", OUT), FIXED),),
         10.0,
         pictures=(("towns.png", "towns.png"),),
     ),
@@ -162,7 +162,7 @@ PAGES = (
         "energy-speed",
         "Energy against speed",
         "Energy per kilometre against airspeed by wind and payload, with both power models.",
-        (Command(_research("energy-speed", "--out", OUT), NOTHING_DRAWN),),
+        (PageCommand(_research("energy-speed", "--out", OUT), NOTHING_DRAWN),),
         0.2,
         pictures=(("energy_speed.png", "energy_speed.png"),),
     ),
@@ -172,7 +172,7 @@ PAGES = (
         "The true Wh/km at the airspeed that the companion commands, over the least at any airspeed"
         " that tilt allows, by brute force; and the saving over a fixed cruise speed.",
         (
-            Command(
+            PageCommand(
                 _research("speed-to-fly", "--airframe", "m100", "--airframe", "octo8",
                           "--out", OUT),
                 NOTHING_DRAWN,
@@ -189,7 +189,7 @@ PAGES = (
         (
             *(_avoid(policy) for policy in ("none", "none_filtered", "orca", "orca_filtered",
                                             "maddpg_bare", "maddpg")),
-            Command(_research("avoid-table", f"{OUT}/kept", "--out", OUT), "of the flights above"),
+            PageCommand(_research("avoid-table", f"{OUT}/kept", "--out", OUT), "as above"),
         ),
         60.0,
         modules=("pyrvo",),
@@ -200,7 +200,7 @@ PAGES = (
         "PX4 and ArduCopter in turn cross about one truck at one height; what keeps them apart are"
         " their companions.",
         (
-            Command(
+            PageCommand(
                 ("sim-bridge", "cross", "--vehicles", "8", "--seeds", "1:5",
                  "--json", f"{OUT}/cross.json", "--runs", f"{OUT}/runs"),
                 show=tables.crossings,
@@ -213,7 +213,7 @@ PAGES = (
         "Whole days",
         "A day in the town: one truck, eight drones, forty orders, from orders to report.",
         (
-            Command(
+            PageCommand(
                 ("sim-bridge", "day", "--wind-log", COAST, "--seeds", "11:12",
                  "--json", f"{OUT}/days.json", "--runs", f"{OUT}/runs"),
                 show=tables.days,
@@ -228,7 +228,7 @@ PAGES = (
         "Truck and drones",
         "Makespans of the planner against published ones: every third problem of Murray and Raj.",
         (
-            Command(
+            PageCommand(
                 ("ground-station", "benchmark", "mfstsp", f"{DATA}/mfstsp", "--problems", "0:3",
                  "--seed", "0", "--json", f"{OUT}/mfstsp.json"),
                 show=tables.makespans,
@@ -241,7 +241,7 @@ PAGES = (
         "planner-speed",
         "Planner speed and size",
         "Planners and campaigns beside their plain alternatives.",
-        (Command(_research("planner-bench", "--out", OUT), FIXED),),
+        (PageCommand(_research("planner-bench", "--out", OUT), FIXED),),
         2.0,
     ),
     Page(
@@ -249,8 +249,8 @@ PAGES = (
         "Paths",
         "Dubins paths a second in calm air and in wind, and their lengths beside OMPL's.",
         (
-            Command(_research("paths-bench", "--seed", "1", "--out", OUT)),
-            Command(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
+            PageCommand(_research("paths-bench", "--seed", "1", "--out", OUT)),
+            PageCommand(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
         ),
         1.0,
         pictures=(("paths.png", "paths.png"),),
@@ -259,7 +259,7 @@ PAGES = (
         "avoidance-speed",
         "Speed of avoidance",
         "One decision on board: the safety filter among neighbours, and the learned policy.",
-        (Command(_research("avoid-bench", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
+        (PageCommand(_research("avoid-bench", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
         1.0,
     ),
     Page(
@@ -267,7 +267,7 @@ PAGES = (
         "Speed of dispatch",
         "One order, from the desk's store to its acknowledgement, with a hundred vehicles about.",
         (
-            Command(
+            PageCommand(
                 _research("bench-dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
                           "--json", f"{OUT}/dispatch.json"),
                 show=tables.dispatch,
@@ -280,7 +280,7 @@ PAGES = (
         "Speed and size of vehicles and companions",
         "One vehicle on one core, a fleet, and a companion at real time.",
         (
-            Command(
+            PageCommand(
                 _research("bench", "--rounds", "1", "--no-fresh-clone",
                           "--json", f"{OUT}/bench.json"),
                 "1, 2, ... by round",

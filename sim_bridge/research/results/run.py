@@ -16,7 +16,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.research.reference.programs import PROGRAMS
 from sim_bridge.research.results.machine import Commit
-from sim_bridge.research.results.page import DATA, OUT, Command, Done, Page
+from sim_bridge.research.results.page import DATA, OUT, CommandOutput, Page, PageCommand
 
 FINISHED = "finished"
 GRACE_S = 20.0
@@ -36,10 +36,10 @@ def folder_of(page: Page, commit: Commit, root: Path) -> tuple[Path, bool]:
     return folder, goes_on
 
 
-def run_commands(page: Page, out: Path, data: Path | None, console: Console) -> list[Done]:
+def run_commands(page: Page, out: Path, data: Path | None, console: Console) -> list[CommandOutput]:
     """Every command's output, in order. Whatever stops it ends the command that runs."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    done: list[Done] = []
+    done: list[CommandOutput] = []
     with Progress(*columns, console=console, transient=True) as progress:
         for number, command in enumerate(page.commands, start=1):
             words = f"{page.name}, {number} of {len(page.commands)}: {command.shown(str(out))}"
@@ -54,7 +54,7 @@ def _about(minutes: float) -> str:
     return f"{minutes:.0f} min" if minutes >= 1.0 else f"{60.0 * minutes:.0f} s"
 
 
-def _run(command: Command, out: Path, data: Path | None) -> Done:
+def _run(command: PageCommand, out: Path, data: Path | None) -> CommandOutput:
     words = [word.replace(OUT, str(out)).replace(DATA, str(data)) for word in command.argv]
     began_s, before_s = wall_s(), _children_cpu_s()
     with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as said:
@@ -75,7 +75,7 @@ def _run(command: Command, out: Path, data: Path | None) -> Done:
     if code != 0:
         last = "\n".join((errors or text).strip().splitlines()[-LINES_OF_AN_ERROR:])
         raise LeewayError(f"{' '.join(words)}: exit code {code}\n{last}")
-    return Done(out, data, text, wall_s() - began_s, _children_cpu_s() - before_s)
+    return CommandOutput(out, data, text, wall_s() - began_s, _children_cpu_s() - before_s)
 
 
 def call_of(words: Sequence[str]) -> list[str]:

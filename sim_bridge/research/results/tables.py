@@ -1,20 +1,20 @@
 """The tables of commands that print for a terminal, again from the JSON that they write."""
 
 from sim_bridge.research.results.markdown import MarkdownConsole, plain, table_markdown
-from sim_bridge.research.results.page import DATA, Done
+from sim_bridge.research.results.page import DATA, CommandOutput
 
 
-def flights(done: Done) -> str:
+def flights(done: CommandOutput) -> str:
     """Of `sim-bridge fly --json {out}/on.json`."""
     return _flights(done, gate=True)
 
 
-def flights_without_gate(done: Done) -> str:
+def flights_without_gate(done: CommandOutput) -> str:
     """Of `sim-bridge fly --gate off --json {out}/off.json`."""
     return _flights(done, gate=False)
 
 
-def _flights(done: Done, *, gate: bool) -> str:
+def _flights(done: CommandOutput, *, gate: bool) -> str:
     from sim_bridge.app.flight.report import results_table
 
     console = MarkdownConsole()
@@ -22,14 +22,14 @@ def _flights(done: Done, *, gate: bool) -> str:
     return console.markdown
 
 
-def series(done: Done) -> str:
+def series(done: CommandOutput) -> str:
     """Of `sim-bridge series --json {out}/series.json`."""
     from sim_bridge.app.flight.series import summary
 
     return table_markdown(summary(done.json("series.json")["flights"]))
 
 
-def crossings(done: Done) -> str:
+def crossings(done: CommandOutput) -> str:
     """Of `sim-bridge cross --json {out}/cross.json`."""
     from sim_bridge.app.crossing.report import seed_words, verdict_words
 
@@ -38,7 +38,7 @@ def crossings(done: Done) -> str:
     return "\n".join(lines)
 
 
-def days(done: Done) -> str:
+def days(done: CommandOutput) -> str:
     """Of `sim-bridge day --seeds ... --json {out}/days.json`."""
     from sim_bridge.app.day.report import print_days
 
@@ -47,12 +47,12 @@ def days(done: Done) -> str:
     return console.markdown
 
 
-def nothing(_: Done) -> str:
+def nothing(_: CommandOutput) -> str:
     """Of a command that only prepares the next."""
     return ""
 
 
-def makespans(done: Done) -> str:
+def makespans(done: CommandOutput) -> str:
     """Of `ground-station benchmark mfstsp DIR --json {out}/mfstsp.json`."""
     from ground_station.adapters.files.mfstsp_files import RESULTS, read_published
     from ground_station.app.benchmarks.mfstsp_report import print_report
@@ -65,7 +65,7 @@ def makespans(done: Done) -> str:
     return console.markdown
 
 
-def speeds(done: Done) -> str:
+def speeds(done: CommandOutput) -> str:
     """Of `sim-bridge research bench --json {out}/bench.json`."""
     rows = done.json("bench.json")["rows"]
     lines = ["| what | values | goal |", "| --- | --- | --- |"]
@@ -75,7 +75,7 @@ def speeds(done: Done) -> str:
     return "\n".join(lines)
 
 
-def dispatch(done: Done) -> str:
+def dispatch(done: CommandOutput) -> str:
     """Of `sim-bridge research bench-dispatch --json {out}/dispatch.json`."""
     figures = done.json("dispatch.json")
     lines = ["| what | p50 ms | p99 ms | most ms |", "| --- | --- | --- | --- |"]

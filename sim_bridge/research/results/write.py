@@ -10,7 +10,7 @@ from rich.console import Console
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.results.machine import Commit, commit, machine, today
 from sim_bridge.research.results.markdown import sheet_markdown
-from sim_bridge.research.results.page import Done, Page
+from sim_bridge.research.results.page import CommandOutput, Page
 from sim_bridge.research.results.run import folder_of, run_commands
 
 END = "<!-- End of what is generated; what stands below is kept. -->"
@@ -58,7 +58,9 @@ def words_kept(file: Path) -> str:
     return below
 
 
-def page_text(page: Page, done: Sequence[Done], made_from: Commit, *, goes_on: bool) -> str:
+def page_text(
+    page: Page, done: Sequence[CommandOutput], made_from: Commit, *, goes_on: bool
+) -> str:
     """Everything above the mark."""
     wall_s, cpu_s = sum(one.wall_s for one in done), sum(one.cpu_s for one in done)
     stopped = " It had been stopped before, and went on: the times are of its last part."
