@@ -18,7 +18,7 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 SPEEDUP = 8.0
 HEIGHT_M = 10.0
 PATIENCE_S = 60.0
-SERVE = "from sim_bridge.app.cli.main import main; main()"
+SERVE = (sys.executable, "-m", "sim_bridge.main", "serve")  # as the command sim-bridge serve
 
 
 def free_port() -> int:
@@ -31,7 +31,7 @@ def free_port() -> int:
 def serve(port: int) -> subprocess.Popen:
     """`sim-bridge serve` with one PX4 that calls this port."""
     options = [f"--speedup={SPEEDUP}", f"--onboard-port={port}", "--ground-port=0", "--tcp-port=0"]
-    return subprocess.Popen([sys.executable, "-c", SERVE, "serve", *options])
+    return subprocess.Popen([*SERVE, *options])
 
 
 async def fly(system: System) -> None:

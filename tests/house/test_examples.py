@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from sim_bridge.research.reference.programs import module_of
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(EXAMPLES.rglob("*.py"))
-SIM_BRIDGE = "import sys; from sim_bridge.app.cli.main import main; main()"
+SIM_BRIDGE = f"from {module_of('sim-bridge')} import main; main()"
 MOST_LINES = 80
 
 pytestmark = pytest.mark.timeout(180)

@@ -15,10 +15,10 @@ from rich.table import Table
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.reference.programs import PROGRAMS, root_command
-from sim_bridge.research.results import write
-from sim_bridge.research.results.markdown import MarkdownConsole, sheet_markdown
-from sim_bridge.research.results.page import DATA, OUT, Page, PageCommand
-from sim_bridge.research.results.registry import PAGES
+from sim_bridge.research.result_pages import write
+from sim_bridge.research.result_pages.markdown import MarkdownConsole, sheet_markdown
+from sim_bridge.research.result_pages.page import DATA, OUT, Page, PageCommand
+from sim_bridge.research.result_pages.registry import PAGES
 
 COMMANDS = [(page.name, command) for page in PAGES for command in page.commands]
 PRINTS = "print('# A sheet\\n\\n| a | b |\\n| --- | --- |\\n| 1 | 2 |\\n\\nA note.')"
@@ -121,8 +121,8 @@ def test_ctrl_c_keeps_the_old_page_and_ends_the_command(tmp_path: Path) -> None:
     )
     code = (
         "import pathlib, sys; from rich.console import Console;"
-        "from sim_bridge.research.results import write;"
-        "from sim_bridge.research.results.page import PageCommand, Page;"
+        "from sim_bridge.research.result_pages import write;"
+        "from sim_bridge.research.result_pages.page import PageCommand, Page;"
         f"command = PageCommand((sys.executable, '-c', {waits!r}));"
         "page = Page('fake', 'A fake', '', (command,), 0.1);"
         f"write.make_page(page, pathlib.Path({str(tmp_path)!r}), None, Console(quiet=True))"
@@ -142,8 +142,8 @@ def test_ctrl_c_keeps_the_old_page_and_ends_the_command(tmp_path: Path) -> None:
 
 
 def test_what_another_state_of_the_program_left_is_not_used(tmp_path: Path) -> None:
-    from sim_bridge.research.results.machine import Commit
-    from sim_bridge.research.results.run import FINISHED, folder_of
+    from sim_bridge.research.result_pages.machine import Commit
+    from sim_bridge.research.result_pages.run import FINISHED, folder_of
 
     page, clean = fake(PRINTS), Commit("abc", is_changed=False)
     folder, goes_on = folder_of(page, clean, tmp_path)

@@ -24,7 +24,6 @@ from sim_bridge.research.cli import campaign as campaign_cli
 from sim_bridge.research.cli import experiments as experiments_cli
 from sim_bridge.research.cli import paths as paths_cli
 from sim_bridge.research.cli import promise as promise_cli
-from sim_bridge.research.cli import results as results_cli
 from sim_bridge.research.cli import train as train_cli
 from sim_bridge.truth.errors import TruthError
 
@@ -303,7 +302,6 @@ app.registered_commands += paths_cli.app.registered_commands
 app.registered_commands += conform_cli.app.registered_commands
 app.registered_commands += plan_flight_cli.app.registered_commands
 app.registered_commands += promise_cli.app.registered_commands
-app.registered_commands += results_cli.app.registered_commands
 app.registered_commands += avoid_cli.app.registered_commands
 app.registered_commands += train_cli.app.registered_commands
 app.registered_commands += cross_cli.app.registered_commands

@@ -35,8 +35,8 @@ def results(
 
     Example: sim-bridge research results energy-speed paths
     """
-    from sim_bridge.research.results.registry import PAGES, by_name
-    from sim_bridge.research.results.write import make_page, missing
+    from sim_bridge.research.result_pages.registry import PAGES, by_name
+    from sim_bridge.research.result_pages.write import make_page, missing
 
     if data is not None and not data.is_dir():
         raise LeewayError(f"--data {data}: no such folder")

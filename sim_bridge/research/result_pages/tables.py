@@ -1,7 +1,7 @@
 """The tables of commands that print for a terminal, again from the JSON that they write."""
 
-from sim_bridge.research.results.markdown import MarkdownConsole, plain, table_markdown
-from sim_bridge.research.results.page import DATA, CommandOutput
+from sim_bridge.research.result_pages.markdown import MarkdownConsole, plain, table_markdown
+from sim_bridge.research.result_pages.page import DATA, CommandOutput
 
 
 def flights(done: CommandOutput) -> str:
@@ -66,7 +66,7 @@ def makespans(done: CommandOutput) -> str:
 
 
 def speeds(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench --json {out}/bench.json`."""
+    """Of `sim-bridge research bench flight --json {out}/bench.json`."""
     rows = done.json("bench.json")["rows"]
     lines = ["| what | values | goal |", "| --- | --- | --- |"]
     for row in rows:
@@ -76,7 +76,7 @@ def speeds(done: CommandOutput) -> str:
 
 
 def dispatch(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench-dispatch --json {out}/dispatch.json`."""
+    """Of `sim-bridge research bench dispatch --json {out}/dispatch.json`."""
     figures = done.json("dispatch.json")
     lines = ["| what | p50 ms | p99 ms | most ms |", "| --- | --- | --- | --- |"]
     for what, one in figures.items():

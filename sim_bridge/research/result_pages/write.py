@@ -8,10 +8,10 @@ from pathlib import Path
 from rich.console import Console
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.results.machine import Commit, commit, machine, today
-from sim_bridge.research.results.markdown import sheet_markdown
-from sim_bridge.research.results.page import CommandOutput, Page
-from sim_bridge.research.results.run import folder_of, run_commands
+from sim_bridge.research.result_pages.machine import Commit, commit, machine, today
+from sim_bridge.research.result_pages.markdown import sheet_markdown
+from sim_bridge.research.result_pages.page import CommandOutput, Page
+from sim_bridge.research.result_pages.run import folder_of, run_commands
 
 END = "<!-- End of what is generated; what stands below is kept. -->"
 PICTURES = Path("..") / "img"

@@ -1,7 +1,7 @@
 """Every page of docs/results that a command makes. Order: as the reader of the index meets them."""
 
-from sim_bridge.research.results import tables
-from sim_bridge.research.results.page import DATA, OUT, Page, PageCommand
+from sim_bridge.research.result_pages import tables
+from sim_bridge.research.result_pages.page import DATA, OUT, Page, PageCommand
 
 COAST = f"{DATA}/wind/coast_2023_1hz.csv"
 COAST_TAIL = f"{DATA}/wind/coast_2023_tail_1hz.csv"
@@ -91,7 +91,7 @@ PAGES = (
         "Estimates of the wind against an anemometer on a real multirotor.",
         (
             PageCommand(
-                _research("estimator-bench", "--no-envelope", "--seed", "2024",
+                _research("bench", "estimator", "--no-envelope", "--seed", "2024",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
         ),
@@ -106,7 +106,7 @@ PAGES = (
         " no estimator beats.",
         (
             PageCommand(
-                _research("estimator-bench", "--seed", "903", "--flights", "64", "--bounds", "16",
+                _research("bench", "estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
         ),
@@ -241,7 +241,7 @@ PAGES = (
         "planner-speed",
         "Planner speed and size",
         "Planners and campaigns beside their plain alternatives.",
-        (PageCommand(_research("planner-bench", "--out", OUT), FIXED),),
+        (PageCommand(_research("bench", "planner", "--out", OUT), FIXED),),
         2.0,
     ),
     Page(
@@ -249,7 +249,7 @@ PAGES = (
         "Paths",
         "Dubins paths a second in calm air and in wind, and their lengths beside OMPL's.",
         (
-            PageCommand(_research("paths-bench", "--seed", "1", "--out", OUT)),
+            PageCommand(_research("bench", "paths", "--seed", "1", "--out", OUT)),
             PageCommand(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
         ),
         1.0,
@@ -259,7 +259,7 @@ PAGES = (
         "avoidance-speed",
         "Speed of avoidance",
         "One decision on board: the safety filter among neighbours, and the learned policy.",
-        (PageCommand(_research("avoid-bench", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
+        (PageCommand(_research("bench", "avoid", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
         1.0,
     ),
     Page(
@@ -268,7 +268,7 @@ PAGES = (
         "One order, from the desk's store to its acknowledgement, with a hundred vehicles about.",
         (
             PageCommand(
-                _research("bench-dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
+                _research("bench", "dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
                           "--json", f"{OUT}/dispatch.json"),
                 show=tables.dispatch,
             ),
@@ -281,7 +281,7 @@ PAGES = (
         "One vehicle on one core, a fleet, and a companion at real time.",
         (
             PageCommand(
-                _research("bench", "--rounds", "1", "--no-fresh-clone",
+                _research("bench", "flight", "--rounds", "1", "--no-fresh-clone",
                           "--json", f"{OUT}/bench.json"),
                 "1, 2, ... by round",
                 tables.speeds,

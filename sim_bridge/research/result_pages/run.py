@@ -14,9 +14,9 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.research.reference.programs import PROGRAMS
-from sim_bridge.research.results.machine import Commit
-from sim_bridge.research.results.page import DATA, OUT, CommandOutput, Page, PageCommand
+from sim_bridge.research.reference.programs import PROGRAMS, module_of
+from sim_bridge.research.result_pages.machine import Commit
+from sim_bridge.research.result_pages.page import DATA, OUT, CommandOutput, Page, PageCommand
 
 FINISHED = "finished"
 GRACE_S = 20.0
@@ -80,10 +80,11 @@ def _run(command: PageCommand, out: Path, data: Path | None) -> CommandOutput:
 
 def call_of(words: Sequence[str]) -> list[str]:
     """How the command is started: one of our programs, by this interpreter; else as it is."""
-    module = PROGRAMS.get(words[0])
-    if module is None:
+    if words[0] not in PROGRAMS:
         return list(words)
-    start = f"import sys; sys.argv[0] = {words[0]!r}; from {module} import main; main()"
+    start = (
+        f"import sys; sys.argv[0] = {words[0]!r}; from {module_of(words[0])} import main; main()"
+    )
     return [sys.executable, "-c", start, *words[1:]]
 
 
