@@ -14,6 +14,10 @@ def _research(*words: str) -> tuple[str, ...]:
     return ("sim-bridge", "research", *words)
 
 
+def _bench(*words: str) -> tuple[str, ...]:
+    return _research("bench", *words)
+
+
 def _flight(gate: str) -> tuple[str, ...]:
     own = ("--gate", "off") if gate == "off" else ()
     json = f"{OUT}/{gate}.json"
@@ -91,7 +95,7 @@ PAGES = (
         "Estimates of the wind against an anemometer on a real multirotor.",
         (
             PageCommand(
-                _research("bench", "estimator", "--no-envelope", "--seed", "2024",
+                _bench("estimator", "--no-envelope", "--seed", "2024",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
         ),
@@ -106,7 +110,7 @@ PAGES = (
         " no estimator beats.",
         (
             PageCommand(
-                _research("bench", "estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
+                _bench("estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
         ),
@@ -241,7 +245,7 @@ PAGES = (
         "planner-speed",
         "Planner speed and size",
         "Planners and campaigns beside their plain alternatives.",
-        (PageCommand(_research("bench", "planner", "--out", OUT), FIXED),),
+        (PageCommand(_bench("planner", "--out", OUT), FIXED),),
         2.0,
     ),
     Page(
@@ -249,7 +253,7 @@ PAGES = (
         "Paths",
         "Dubins paths a second in calm air and in wind, and their lengths beside OMPL's.",
         (
-            PageCommand(_research("bench", "paths", "--seed", "1", "--out", OUT)),
+            PageCommand(_bench("paths", "--seed", "1", "--out", OUT)),
             PageCommand(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
         ),
         1.0,
@@ -259,7 +263,7 @@ PAGES = (
         "avoidance-speed",
         "Speed of avoidance",
         "One decision on board: the safety filter among neighbours, and the learned policy.",
-        (PageCommand(_research("bench", "avoid", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
+        (PageCommand(_bench("avoid", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
         1.0,
     ),
     Page(
@@ -268,7 +272,7 @@ PAGES = (
         "One order, from the desk's store to its acknowledgement, with a hundred vehicles about.",
         (
             PageCommand(
-                _research("bench", "dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
+                _bench("dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
                           "--json", f"{OUT}/dispatch.json"),
                 show=tables.dispatch,
             ),
@@ -281,7 +285,7 @@ PAGES = (
         "One vehicle on one core, a fleet, and a companion at real time.",
         (
             PageCommand(
-                _research("bench", "flight", "--rounds", "1", "--no-fresh-clone",
+                _bench("flight", "--rounds", "1", "--no-fresh-clone",
                           "--json", f"{OUT}/bench.json"),
                 "1, 2, ... by round",
                 tables.speeds,
