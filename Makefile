@@ -4,10 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 
-.PHONY: help fly test night lint bench install clean
+.PHONY: help fly test night lint bench docs docs-reference install clean
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
 
 fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what it leaves
 	@$(BIN)/sim-bridge fly
@@ -30,6 +30,12 @@ lint: $(VENV)/.test
 bench: $(VENV)/.test  ## the figures of the README and notes; not a test
 	@$(BIN)/sim-bridge bench
 
+docs: $(VENV)/.docs  ## the site, offline, every warning an error: build/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+docs-reference: $(VENV)/.sim  ## write docs/reference/cli and schemas from the code
+	@$(BIN)/python -m sim_bridge.research.reference
+
 install: $(VENV)/.sim
 
 $(VENV)/bin/python:
@@ -48,5 +54,10 @@ $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) install -c constraints.txt --no-deps MAVProxy  # its windows' 790 MB are not needed
 	@touch $@ $(VENV)/.sim
 
+$(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "installing leeway-uas[docs] into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e '.[docs]'
+	@touch $@
+
 clean:  ## remove the virtual environment and caches
-	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build .pytest_cache .ruff_cache .hypothesis

@@ -28,41 +28,67 @@ Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 class State(WireMessage, frozen=True, kw_only=True):
     """A vehicle as its companion sees it now. Unknown is absent.
 
-    `phase` is `standby` between missions, else the mission's phase. `last_seq` is the newest event
-    of log `log`: who has seen less asks for the rest. `home` names the promised stop at which
-    what is aboard the autopilot ends, were its companion to die now (safety rule 3). A truck is a
-    vehicle of airframe `truck`, in phase `driving` or `at_stop`; `stop`: where it stands or drives
-    to.
+    A truck is a vehicle of airframe `truck`.
     """
 
     vehicle: Name
+    """Who tells it."""
     life: Id
+    """Name of this life of the companion: a new one after each start."""
     uptime_s: Annotated[float, Meta(ge=0.0)]
+    """Seconds since this life began."""
     epoch_us: int
+    """The sender's wall clock, for people."""
     airframe: Annotated[str, Meta(max_length=64)]
+    """The airframe's name; "truck" is a truck."""
     max_payload_kg: Annotated[float, Meta(ge=0.0)]
+    """Heaviest parcel."""
     phase: Annotated[str, Meta(max_length=40)]
+    """`standby` between missions, else the mission's phase; of a truck `driving` or `at_stop`."""
     log: Id
+    """Name of the event log."""
     last_seq: Annotated[int, Meta(ge=0)]
+    """Newest event of that log: who has seen less asks for the rest."""
     assignment: Id | None = None
+    """The assignment that it holds."""
     order: Id | None = None
+    """The order of that assignment."""
     armed: bool | None = None
+    """Whether the motors may turn."""
     delivered: bool = False
+    """The parcel's release is confirmed."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
+    """Latitude."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
+    """Longitude."""
     height_rel_m: float | None = None
+    """Height above the launch place."""
     ground_speed_mps: Annotated[float, Meta(ge=0.0)] | None = None
+    """Speed over the ground."""
     voltage_v: float | None = None
+    """Voltage of the pack."""
     energy_left_wh: float | None = None
+    """Usable energy left."""
     margin_wh: float | None = None
+    """Energy expected to be left above the reserve after landing."""
     p_home: Probability | None = None
+    """Probability of coming home if it flies on as planned."""
     p_home_now: Probability | None = None
+    """Probability of coming home if it turns back now."""
     p_success: Probability | None = None
+    """Probability of delivering and coming home."""
     wind_to_n_mps: float | None = None
+    """Wind, north part of where the air moves to."""
     wind_to_e_mps: float | None = None
+    """Wind, east part of where the air moves to."""
     home: Id | None = None
+    """The promised stop at which the mission aboard ends if the companion dies now (safety
+    rule 3).
+    """
     stop: Id | None = None
+    """Of a truck: where it stands or drives to."""
     text: Words = ""
+    """The last message to people."""
 
 
 class EventKind(Enum):
@@ -81,27 +107,38 @@ class EventKind(Enum):
 
 
 class FleetEvent(WireMessage, frozen=True, kw_only=True):
-    """Something that happened aboard: `seq` counts up in `log`, which outlives restarts.
-
-    `outcome` (SUC, DEL, FAIL, ABRT; with `delivered` and `home`) closes an assignment;
-    `drop_unproven`: nobody knows yet whether the parcel is still aboard. `recovered` with
-    `delivered` tells what the driver found: False, it was aboard.
-    """
+    """Something that happened aboard."""
 
     vehicle: Name
+    """Who tells it."""
     log: Id
+    """The event log, which outlives restarts."""
     seq: Annotated[int, Meta(ge=1)]
+    """Counts up in `log`."""
     epoch_us: int
+    """The sender's wall clock, for people."""
     kind: EventKind
+    """What the event tells."""
     text: Words
+    """In words."""
     assignment: Id | None = None
+    """The assignment that it belongs to."""
     order: Id | None = None
+    """The order that it belongs to."""
     p_home: Probability | None = None
+    """Probability of coming home."""
     margin_wh: float | None = None
+    """Energy expected to be left above the reserve after landing."""
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT)\Z")] | None = None
+    """Closes an assignment: one of SUC, DEL, FAIL and ABRT."""
     delivered: bool | None = None
+    """With `outcome`: the parcel was dropped. With kind `recovered`: false where the driver
+    found it aboard.
+    """
     home: bool | None = None
+    """With `outcome`: the vehicle landed at home or at a rally point."""
     drop_unproven: bool | None = None
+    """Nobody knows yet whether the parcel is still aboard."""
 
 
 class _Deed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do"):
@@ -109,28 +146,30 @@ class _Deed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Assign(_Deed, frozen=True, kw_only=True, tag="assign"):
-    """Take this mission, plan it, put it aboard and wait for `launch`.
-
-    `flight` is a whole `flight/1` table (`site.obstacles` absent), `obstacles` the GeoJSON that
-    stands on its site.
-    """
+    """Take this mission, plan it, put it aboard and wait for `launch`."""
 
     assignment: Id
+    """Name of the assignment."""
     order: Id
+    """The order."""
     flight: dict[str, Any]
+    """A whole flight/1 table, `site.obstacles` absent."""
     obstacles: dict[str, Any] | None = None
+    """The GeoJSON that stands on its site."""
 
 
 class Launch(_Deed, frozen=True, kw_only=True, tag="launch"):
     """The explicit authorisation of this assignment's one flight (safety rule 1)."""
 
     assignment: Id
+    """Which assignment."""
 
 
 class Withdraw(_Deed, frozen=True, kw_only=True, tag="withdraw"):
     """Give up an assignment that has not taken off."""
 
     assignment: Id
+    """Which assignment."""
 
 
 class Recall(_Deed, frozen=True, kw_only=True, tag="recall"):
@@ -145,22 +184,29 @@ class MoveHome(_Deed, frozen=True, kw_only=True, tag="move_home"):
     """
 
     assignment: Id
+    """Which assignment."""
     home: Id
+    """One of the flight's `site.stops`."""
 
 
 class Drive(_Deed, frozen=True, kw_only=True, tag="drive"):
     """To a truck: leave where it stands and drive to this stop."""
 
     stop: Id
+    """The stop's name."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    """Its latitude."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    """Its longitude."""
 
 
 class Serve(_Deed, frozen=True, kw_only=True, tag="serve"):
     """To a truck at a stop: the driver brings this order; an outcome event tells that it did."""
 
     assignment: Id
+    """Which assignment."""
     order: Id
+    """The order that the driver brings."""
 
 
 class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
@@ -170,23 +216,30 @@ class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
     """
 
     assignment: Id
+    """Which assignment."""
     order: Id
+    """The parcel's order."""
     vehicle: Name
+    """The drone."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    """Latitude of its pad."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    """Longitude of its pad."""
 
 
 class Recover(_Deed, frozen=True, kw_only=True, tag="recover"):
-    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is.
-
-    `parcel`: look whether this order's parcel is still on it, and tell.
-    """
+    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is."""
 
     assignment: Id
+    """Which assignment."""
     vehicle: Name
+    """The drone."""
     parcel: Id | None = None
+    """Look whether this order's parcel is still on it, and tell."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    """Latitude of where it stands."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    """Longitude of where it stands."""
 
 
 class HandsOff(_Deed, frozen=True, kw_only=True, tag="hands_off"):
@@ -201,7 +254,9 @@ class SetLimits(_Deed, frozen=True, kw_only=True, tag="set_limits"):
     """What the operator accepts from now on."""
 
     max_loss: Annotated[float, Meta(ge=1e-6, le=0.5)] | None = None
+    """Probability of losing the vehicle that the operator accepts."""
     reserve_frac: Annotated[float, Meta(ge=0.0, le=0.6)] | None = None
+    """Energy that must be left after landing, of the usable energy."""
 
 
 TruckDeed = Drive | Serve | PutOut | Recover
@@ -209,18 +264,23 @@ Deed = Assign | Launch | Withdraw | Recall | MoveHome | HandsOff | HandBack | Se
 
 
 class Command(WireMessage, frozen=True, kw_only=True):
-    """One order to one vehicle. The same `id` means the same command, however often it is sent.
+    """One order to one vehicle.
 
-    `life` and `as_of_s` are `life` and `uptime_s` of the newest state that the sender had heard: a
-    command from too long ago, or for an earlier life, is answered `stale` (a recall never is).
+    A command from too long ago, or for an earlier life, is answered `stale` (a recall never is).
     """
 
     id: Id
+    """The same id means the same command, however often it is sent."""
     vehicle: Name
+    """Who is asked."""
     life: Id
+    """`life` of the newest state that the sender has heard."""
     as_of_s: Annotated[float, Meta(ge=0.0)]
+    """`uptime_s` of that state: a command from too long ago is answered `stale`."""
     by: Annotated[str, Meta(min_length=1, max_length=64)]
+    """Who asks, for people and for the audit."""
     deed: Deed
+    """What is asked for."""
 
 
 class Answered(Enum):
@@ -240,10 +300,15 @@ class Result(WireMessage, frozen=True, kw_only=True):
     """The answer to a command. `interrupted`: begun before a restart; the state tells the rest."""
 
     id: Annotated[str, Meta(max_length=64)]
+    """The command's id."""
     vehicle: Name
+    """Who answers."""
     life: Id
+    """The life that answers."""
     answer: Answered
+    """How the command was taken."""
     reason: Words = ""
+    """Why, in words."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,16 +31,27 @@ class RotorParams(_Table, frozen=True):
     """All rotors together; coefficients are a rotor's (thrust over rho A (Omega R)^2)."""
 
     count: int
+    """Number of rotors."""
     radius_m: float
+    """Radius of one rotor."""
     solidity: float
+    """Blade area over disc area."""
     profile_drag_coeff: float
+    """Mean profile drag coefficient of the blades."""
     thrust_coeff: float
+    """Thrust of a rotor over rho A (Omega R)^2."""
     induced_factor: float
+    """Induced power over that of an ideal rotor."""
     profile_speed_factor: float
+    """Growth of profile power with the square of the advance ratio."""
     static_thrust_max_n: float
+    """Largest thrust of all rotors in hover."""
     motor_lag_s: float
+    """Time constant of the thrust."""
     drive_efficiency_frac: float
+    """Shaft power over electrical power."""
     avionics_w: float
+    """Power of everything that does not turn a rotor."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -60,17 +71,20 @@ class RotorParams(_Table, frozen=True):
 
 
 class DragParams(_Table, frozen=True):
-    """Drag by body axis: rotors linear in speed (at the empty vehicle's hover thrust), rest square.
-
-    `parcel_area_m2` is added to the forward and sideways areas while a parcel hangs below.
-    """
+    """Drag by body axis: that of rotors is linear in speed (at empty hover), the rest square."""
 
     rotor_forward_nspm: float
+    """Rotor drag for each m/s along body forward."""
     rotor_sideways_nspm: float
+    """Rotor drag for each m/s along body right."""
     parasite_forward_m2: float
+    """Drag area along body forward."""
     parasite_sideways_m2: float
+    """Drag area along body right."""
     parasite_vertical_m2: float
+    """Drag area along body down."""
     parcel_area_m2: float
+    """Added to the forward and sideways areas while a parcel hangs below."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -88,10 +102,15 @@ class AttitudeParams(_Table, frozen=True):
     """How fast, and how far, the airframe leans. Angles in degrees, as people write them."""
 
     max_tilt_deg: float
+    """Largest lean angle."""
     angle_time_s: float
+    """Time constant of the angle."""
     rate_lag_s: float
+    """Time constant of the rate."""
     max_rate_degps: float
+    """Largest roll and pitch rate."""
     max_yaw_rate_degps: float
+    """Largest yaw rate."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -108,16 +127,27 @@ class BatteryParams(_Table, frozen=True):
     """A pack of `cells` in series. Resistances are the whole pack's, at 25 degrees C, new."""
 
     cells: int
+    """Cells in series."""
     full_cell_v: float
+    """Resting voltage of a full cell."""
     capacity_ah: float
+    """Charge of a new pack."""
     resistance_ohm: float
+    """Series resistance of the pack."""
     polarisation_ohm: float
+    """Resistance of the pack that follows the current slowly."""
     polarisation_time_s: float
+    """Its time constant."""
     resistance_activation_k: float
+    """Growth of resistance in the cold: an Arrhenius temperature."""
     resistance_growth_per_fade: float
+    """Growth of resistance for each share of capacity that is lost."""
     cutoff_cell_v: float
+    """Voltage of one cell under load at which the pack shuts down."""
     cutoff_delay_s: float
+    """How long the voltage must be below that."""
     mass_kg: float
+    """Mass of the pack."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -140,30 +170,55 @@ class SensorParams(_Table, frozen=True):
     """Spreads (one standard deviation) and correlation times of the sensors' errors."""
 
     gnss_rate_hz: float
+    """Fixes a second."""
     gnss_latency_s: float
+    """Age of a fix when it is told."""
     gnss_horizontal_bias_m: float
+    """Slow error of the place, each horizontal axis."""
     gnss_vertical_bias_m: float
+    """Slow error of the height."""
     gnss_bias_time_s: float
+    """Correlation time of both."""
     gnss_position_noise_m: float
+    """Error of the place that is new each time."""
     gnss_velocity_noise_mps: float
+    """Error of the velocity."""
     tilt_bias_deg: float
+    """Slow error of roll and pitch."""
     tilt_bias_time_s: float
+    """Its correlation time."""
     tilt_noise_deg: float
+    """Error of roll and pitch that is new each time."""
     heading_bias_deg: float
+    """Constant error of the heading."""
     heading_noise_deg: float
+    """Error of the heading that is new each time."""
     gyro_noise_degps: float
+    """Error of the rates."""
     accel_bias_mps2: float
+    """Constant error of each accelerometer."""
     accel_noise_mps2: float
+    """Error of each accelerometer that is new each time."""
     baro_drift_m: float
+    """Slow error of the barometric height."""
     baro_drift_time_s: float
+    """Its correlation time."""
     baro_noise_m: float
+    """Error of the barometric height that is new each time."""
     pitot_scale_error_frac: float
+    """Error of the dynamic pressure, of itself."""
     pitot_bias_pa: float
+    """Constant error of the dynamic pressure."""
     pitot_noise_pa: float
+    """Error of the dynamic pressure that is new each time."""
     voltage_noise_v: float
+    """Error of the voltage."""
     voltage_scale_error_frac: float
+    """Error of the voltage, of itself."""
     current_noise_a: float
+    """Error of the current."""
     current_scale_error_frac: float
+    """Error of the current, of itself."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -200,8 +255,11 @@ class GroundParams(_Table, frozen=True):
     """What the landing gear bears."""
 
     crash_sink_mps: float
+    """Sink rate at touchdown above which it crashes."""
     crash_drift_mps: float
+    """Horizontal speed at touchdown above which it crashes."""
     friction_coeff: float
+    """Friction on the ground."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -213,18 +271,28 @@ class GroundParams(_Table, frozen=True):
 
 
 class AirframeTruth(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A whole vehicle. `empty_mass_kg` is ready to fly, battery included, without parcel."""
+    """A `truth/1` file: what the simulated world does with an airframe."""
 
     format: Literal["truth/1"]
+    """The kind of file and its version."""
     name: str
+    """The airframe's name."""
     empty_mass_kg: float
+    """Mass ready to fly, battery in, no parcel."""
     max_payload_kg: float
+    """Heaviest parcel."""
     rotors: RotorParams
+    """Rotors and motors."""
     drag: DragParams
+    """Drag by body axis."""
     attitude: AttitudeParams
+    """How fast, and how far, it leans."""
     battery: BatteryParams
+    """The pack."""
     sensors: SensorParams
+    """Errors of the sensors (one sigma) and their correlation times."""
     ground: GroundParams
+    """What the landing gear bears."""
 
     def __post_init__(self) -> None:
         check_range("empty_mass_kg", self.empty_mass_kg, 0.05, 500.0)

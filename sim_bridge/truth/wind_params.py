@@ -20,8 +20,11 @@ class WindPoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Wind at one time, in s since the simulation's start."""
 
     t_s: float
+    """Time since the simulation's start."""
     speed_mps: float
+    """Speed at the reference height."""
     from_deg: float
+    """Where it blows from, clockwise from north."""
 
     def __post_init__(self) -> None:
         check_range("wind.points.t_s", self.t_s, 0.0, 1e6)
@@ -32,15 +35,19 @@ class WindPoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class _Common(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
 ):
-    """What every kind of wind has. Left out, the profile is 1/7 for a made wind, 0 for a log.
+    """What every kind of wind has.
 
     A recording holds its own gusts, so turbulence on top of one is to be asked for.
     """
 
     profile_exponent: float | None = None
+    """Exponent of the wind's growth with height. Absent: 1/7, or 0 for a recording."""
     reference_height_m: float = 10.0
+    """Height above the ground at which speeds are stated."""
     turbulence: Literal["none", "dryden"] = "none"
+    """Dryden gusts, or none."""
     turbulence_scale: float = 1.0
+    """Strength of the gusts over what the mean wind gives."""
 
     def check_common(self) -> None:
         check_range("wind.profile_exponent", self.profile_exponent or 0.0, 0.0, 0.6)
@@ -49,10 +56,12 @@ class _Common(
 
 
 class SteadyWindParams(_Common, frozen=True, tag="steady"):
-    """One mean wind. Speed at the reference height; direction it blows FROM."""
+    """One mean wind."""
 
     speed_mps: float
+    """Speed at the reference height."""
     from_deg: float
+    """Where it blows from, clockwise from north."""
 
     def __post_init__(self) -> None:
         self.check_common()
@@ -64,6 +73,7 @@ class RampedWindParams(_Common, frozen=True, tag="points"):
     """Ramps and veers between points."""
 
     points: list[WindPoint]
+    """At least one, with rising times."""
 
     def __post_init__(self) -> None:
         self.check_common()
@@ -73,10 +83,14 @@ class RampedWindParams(_Common, frozen=True, tag="points"):
 
 
 class LogWindParams(_Common, frozen=True, tag="log"):
-    """Replay of a recording from `start_s` of its own time (left out: from its first sample)."""
+    """Replay of a recording."""
 
     log: str
+    """CSV file of `t_s`, `wind_speed_mps`, `wind_from_deg`, beside the flight file."""
     start_s: float | None = None
+    """Time in the recording at which the wind starts. A flight file may also say [first, last], or
+    nothing: `sim-bridge fly` then draws it by the seed.
+    """
 
     def __post_init__(self) -> None:
         self.check_common()

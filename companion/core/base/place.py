@@ -8,16 +8,23 @@ from companion.core.base.errors import LeewayError, check_range
 class Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A point on the ground, geodetic or relative to the depot; one form, never both.
 
-    `alt_amsl_m` and `up_m` are the height of the GROUND there (safety rule 8).
+    Heights are those of the ground there (safety rule 8).
     """
 
     name: str = ""
+    """How people and messages call it."""
     lat_deg: float | None = None
+    """Latitude."""
     lon_deg: float | None = None
+    """Longitude."""
     alt_amsl_m: float | None = None
+    """Height of the ground above mean sea level, beside `lat_deg` and `lon_deg`."""
     east_m: float | None = None
+    """East of the depot."""
     north_m: float | None = None
+    """North of the depot."""
     up_m: float = 0.0
+    """Height of the ground above the depot's, beside `east_m` and `north_m`."""
 
     def __post_init__(self) -> None:
         geodetic = (self.lat_deg, self.lon_deg, self.alt_amsl_m)

@@ -17,6 +17,7 @@ class WireMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """A message with its version `v`; every number in it is finite, or LeewayError."""
 
     v: int = VERSION
+    """Version of the messages."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:

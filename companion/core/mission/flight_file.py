@@ -14,15 +14,16 @@ from companion.core.vehicle.speed_to_fly import SpeedRule
 
 
 class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Ground height around the depot: a plane by its slopes, or a grid of heights (CSV file).
-
-    The grid's columns are `east_m, north_m, up_m` relative to the depot.
-    """
+    """Ground height around the depot: a plane by its slopes, or a grid of heights (CSV file)."""
 
     kind: Literal["flat", "plane", "grid"] = "flat"
+    """A plane by its slopes, a grid of heights, or flat."""
     slope_east_frac: float = 0.0
+    """Rise of the ground for each metre east."""
     slope_north_frac: float = 0.0
+    """Rise of the ground for each metre north."""
     grid: str | None = None
+    """CSV file with the columns `east_m`, `north_m`, `up_m`; only with kind "grid"."""
 
     def __post_init__(self) -> None:
         check_range("site.terrain.slope_east_frac", self.slope_east_frac, -1.0, 1.0)
@@ -32,21 +33,24 @@ class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Depot, customer, rally points and what stands between them.
-
-    `depot` may be absent: it is then where the vehicle stands (its own home position).
-    `obstacles` names a GeoJSON file of polygons with a `height_m` property (above the depot).
-    `stops` are the places where a truck may stand, each with a name; `home` is the one that it
-    promises now, where the flight ends (safety rule 3); without it that is the depot.
-    """
+    """Depot, customer, rally points and what stands between them."""
 
     customer: Place
+    """Where the parcel goes."""
     depot: Place | None = None
+    """Where the vehicle starts. Absent: where it stands (its own home position)."""
     rally: list[Place] = []
+    """Other places where it may land."""
     obstacles: str | None = None
+    """GeoJSON file of polygons with a `height_m` property, above the depot."""
     terrain: Terrain = Terrain()
+    """Ground height around the depot."""
     stops: list[Place] = []
+    """Places where a truck may stand, each with a name of its own."""
     home: str | None = None
+    """The stop that the truck promises now, where the flight ends (safety rule 3). Absent:
+    the depot.
+    """
 
     def __post_init__(self) -> None:
         names = [stop.name for stop in self.stops]
@@ -62,19 +66,25 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What flies, and how it starts.
-
-    `charge_frac` is a number, or [lowest, highest]: a pack as it comes from the shelf. The
-    simulator draws from the range by its seed; the companion has to find the charge out by itself.
-    """
+    """What flies, and how it starts."""
 
     airframe: str
+    """An airframe of params/airframes, or the path of an airframe/1 file."""
     payload_kg: float = 0.0
+    """Mass of the parcel."""
     charge_frac: float | list[float] = 1.0
+    """Charge at the start: a number, or [lowest, highest] for a pack as it comes from the
+    shelf. The simulator draws from the range; the companion has to find the charge out by
+    itself.
+    """
     temperature_c: float = 20.0
+    """The pack's temperature."""
     battery_health_frac: float = 1.0
+    """What is left of the pack's capacity, of a new one's."""
     pitot: bool = False
+    """An airspeed sensor is aboard."""
     autopilot_wind: bool = False
+    """Take the autopilot's own wind estimate as one more measurement."""
 
     def __post_init__(self) -> None:
         check_range("vehicle.payload_kg", self.payload_kg, 0.0, 500.0)
@@ -93,26 +103,34 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the operator asks, and the risk that they accept. Heights are above the depot.
-
-    `speed` absent: least energy, or "cruise" where a `cruise_airspeed_mps` is given.
-    `return_height_m` absent: the way back is flown at cruise height too.
-    `wind_process` names how wind changes at the site: a file of params/wind, or a path.
-    `corner_tolerance_m`: how far the way home may cut corners where that costs less; absent: never.
-    """
+    """What the operator asks, and the risk that they accept. Heights are above the depot."""
 
     max_loss: float = 0.01
+    """Probability of losing the vehicle that the operator accepts."""
     reserve_frac: float = 0.15
+    """Energy that must be left after landing, of the usable energy."""
     cruise_height_m: float = 40.0
+    """Height of the way out, above the depot."""
     return_height_m: float | None = None
+    """Height of the way back, above the depot. Absent: `cruise_height_m`."""
     drop_height_m: float = 6.0
+    """Height above the customer's ground at which the parcel is released."""
     leg_length_m: float = 150.0
+    """Longest leg: a decision is taken at the end of each."""
     wind_settle_s: float = 10.0
+    """Hover after take-off, until the wind estimate has settled."""
     time_limit_s: float = 1800.0
+    """The vehicle turns back so long after take-off, whatever its budget says."""
     cruise_airspeed_mps: float | None = None
+    """Airspeed in place of the airframe's own."""
     speed: SpeedRule | None = None
+    """How the airspeed is chosen. Absent: least energy, or "cruise" where
+    `cruise_airspeed_mps` is given.
+    """
     wind_process: str = "coast"
+    """How wind changes at the site: a file of params/wind, or a path."""
     corner_tolerance_m: float | None = None
+    """How far the way home may cut corners where that costs less. Absent: never."""
 
     def __post_init__(self) -> None:
         check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
@@ -138,12 +156,19 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `flight/1` file as read. `wind` and `faults` belong to the simulator."""
+    """A `flight/1` file: one delivery, and the world that a simulator flies it in."""
 
     format: Literal["flight/1"]
+    """The kind of file and its version."""
     site: Site
+    """Depot, customer and what stands between them."""
     vehicle: Vehicle
+    """What flies, and how it starts."""
     name: str = "flight"
+    """The flight's name."""
     mission: Mission = Mission()
+    """What the operator asks, and the risk that they accept."""
     wind: dict[str, Any] = {}
+    """The true wind, for the simulator; the companion never reads it. Absent: still air."""
     faults: list[dict[str, Any]] = []
+    """What goes wrong, for the simulator; the companion never reads it."""

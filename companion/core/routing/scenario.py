@@ -20,7 +20,9 @@ class Power(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Electrical power in level flight at the scenario's airspeed, W, with and without parcel."""
 
     loaded: float
+    """Power with the parcel, W."""
     empty: float
+    """Power without the parcel, W."""
 
 
 class ChainWind(
@@ -34,8 +36,11 @@ class ChainWind(
     """Wind as a continuous-time Markov chain; vectors point where the air moves to."""
 
     states_en_mps: list[tuple[float, float]]
+    """East and north part of the wind in each state."""
     rate_per_s: list[list[float]]
+    """Rates from state to state; each row sums to 0."""
     initial: list[float]
+    """Probability of each state at the start; sums to 1."""
 
 
 class LogWind(
@@ -49,23 +54,36 @@ class LogWind(
     """A recorded wind, linearly interpolated; missions start uniformly in `start_s`."""
 
     t_s: list[float]
+    """Times of the samples, rising."""
     wind_en_mps: list[tuple[float, float]]
+    """East and north part of the wind at each of `t_s`."""
     start_s: tuple[float, float]
+    """First and last time at which a mission may start."""
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One mission to plan, as `evaluation.md` section 2 defines it; checked by `parse_scenario`."""
+    """A `delivery-scenario/1` file: one mission to plan on a graph; checked by `parse_scenario`."""
 
     format: Literal["delivery-scenario/1"]
+    """The kind of file and its version."""
     name: str
+    """The scenario's name."""
     vertices_m: list[tuple[float, float, float]]
+    """East, north and up of each waypoint."""
     edges: list[tuple[int, int]]
+    """Directed edges, each from one vertex's number to another's."""
     depot: int
+    """The vertex where missions start and end."""
     target: int
+    """The vertex of the customer."""
     budget_wh: float
+    """Usable energy at the start."""
     airspeed_mps: float
+    """Airspeed on every edge."""
     power_w: Power
+    """Power in level flight."""
     wind: ChainWind | LogWind
+    """A Markov chain, or a recording."""
 
 
 def parse_scenario(text: str | bytes, source: str = "scenario") -> Scenario:

@@ -21,10 +21,12 @@ LOW_ABOVE_CUTOFF_V = 0.05
 
 
 class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`empty_kg` is ready to fly, battery in, no parcel."""
+    """Masses of the vehicle and its parcel."""
 
     empty_kg: float
+    """Mass ready to fly, battery in, no parcel."""
     max_payload_kg: float
+    """Heaviest parcel."""
 
     def __post_init__(self) -> None:
         check_range("mass.empty_kg", self.empty_kg, 0.1, 500.0)
@@ -32,20 +34,24 @@ class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How it is flown. `max_ground_mps` is the most that the autopilot may be told to fly.
-
-    Below `land_slow_height_m` above the ground it descends at `landing_mps`, above at
-    `descent_mps`.
-    """
+    """How it is flown."""
 
     cruise_airspeed_mps: float
+    """Airspeed of the rule `cruise`."""
     max_ground_mps: float
+    """The most that the autopilot may be told to fly, over the ground."""
     climb_mps: float
+    """Climb rate."""
     descent_mps: float
+    """Descent rate above `land_slow_height_m`."""
     landing_mps: float
+    """Descent rate below `land_slow_height_m`."""
     land_slow_height_m: float
+    """Height above the ground at which the slow descent begins."""
     max_tilt_deg: float
+    """Largest lean angle that the autopilot commands."""
     accel_mps2: float
+    """Horizontal acceleration between waypoints."""
 
     def __post_init__(self) -> None:
         check_range("speeds.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
@@ -69,28 +75,35 @@ class Drag(
     """Drag force along body forward and right: `linear * v + quadratic * |v| v`, in newton.
 
     The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
-    flow). `parcel_quadratic_n_per_mps2` is added to both axes while a parcel hangs below.
-    How wrong this may be: `gain_std_frac` of all drag, relative, and `axis_gain_std_frac` of either
-    axis beside that (both are learned in flight); `model_std_frac` of the drag, for seconds on end,
-    in ways that are not (flow angles, vertical wind, interference). `trim_std_deg` is how far the
-    attitude that is reported may lean against the thrust.
-
-    `vertical_quadratic_n_per_mps2` is the drag of the flow down through the rotors, upon the
-    vehicle's top: about 0.7 of its plan area in m^2 (body, arms and packs, half rho Cd A with a
-    plate's 1.1 to 1.2). With it power is priced along the body's axes (`power.multirotor_power_w`).
-    Without it the vehicle drags alike from all sides and the rotors' own drag is paid for in full.
+    flow). The other numbers say how wrong this may be.
     """
 
     linear_forward_n_per_mps: float
+    """Rotor drag along body forward, at empty mass."""
     linear_right_n_per_mps: float
+    """Rotor drag along body right, at empty mass."""
     quadratic_forward_n_per_mps2: float
+    """Drag of the airframe along body forward."""
     quadratic_right_n_per_mps2: float
+    """Drag of the airframe along body right."""
     parcel_quadratic_n_per_mps2: float
+    """Added to both axes while a parcel hangs below."""
     gain_std_frac: float
+    """How wrong all drag may be together; learned in flight."""
     axis_gain_std_frac: float
+    """How wrong either axis may be beside that; learned in flight."""
     model_std_frac: float
+    """How wrong drag may be for seconds on end, in ways that are not learned: flow angles,
+    vertical wind, interference.
+    """
     trim_std_deg: float
+    """How far the reported attitude may lean against the thrust."""
     vertical_quadratic_n_per_mps2: float | None = None
+    """Drag of the flow down through the rotors, upon the vehicle's top: about 0.7 of its plan
+    area in m^2 (body, arms and packs, half rho Cd A with a plate's 1.1 to 1.2). With it power
+    is priced along the body's axes (`power.multirotor_power_w`). Without it the vehicle drags
+    alike from all sides and the rotors' own drag is paid for in full.
+    """
 
     def __post_init__(self) -> None:
         for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
@@ -114,7 +127,9 @@ class PaperPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Numbers of the paper's model, `P = P_c + T V_A / c_T` (arXiv 2604.13441, III-B)."""
 
     constant_w: float
+    """`P_c`, power that does not depend on thrust."""
     thrust_power_coefficient: float
+    """`c_T`, the propulsion's efficiency."""
 
     def __post_init__(self) -> None:
         check_range("power_paper.constant_w", self.constant_w, 0.0, 50_000.0)
@@ -127,14 +142,23 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Numbers of the multirotor model: induced, profile, parasite and avionics power."""
 
     rotor_count: int
+    """Number of rotors."""
     rotor_radius_m: float
+    """Radius of one rotor."""
     solidity: float
+    """Blade area over disc area."""
     blade_drag_coefficient: float
+    """Mean profile drag coefficient of the blades."""
     thrust_coefficient: float
+    """Thrust of a rotor over rho A (Omega R)^2."""
     induced_factor: float
+    """Induced power over that of an ideal rotor."""
     drive_efficiency: float
+    """Shaft power over electrical power."""
     avionics_w: float
+    """Power of everything that does not turn a rotor."""
     model_std_frac: float
+    """How wrong the predicted power may be."""
 
     def __post_init__(self) -> None:
         check_range("power_rotor.rotor_count", self.rotor_count, 1, 32)
@@ -154,27 +178,36 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One pack as a whole. `nominal_wh` is its label; usable energy is less (see `usable_wh`).
-
-    `ocv_cell_v` is the resting voltage of one cell at `ocv_charge_frac` (rising from 0 to 1).
-    `usable_frac` is what the pack gives until cut-off, relative to its label, when new, at
-    `usable_at_c` and `usable_at_w`; it loses `usable_loss_per_w` for each watt more and has
-    `usable_temperature_frac` of it at `usable_temperature_c`.
-    """
+    """One pack as a whole; `usable_wh` says what it gives."""
 
     cells: int
+    """Cells in series."""
     nominal_wh: float
+    """Energy on the label; usable energy is less."""
     ocv_charge_frac: list[float]
+    """Charges at which `ocv_cell_v` is given, rising from 0 to 1."""
     ocv_cell_v: list[float]
+    """Resting voltage of one cell at each of `ocv_charge_frac`."""
     resistance_ohm: float
+    """Internal resistance of the pack."""
     cutoff_cell_v: float
+    """Voltage of one cell under load at which the pack counts as empty."""
     usable_frac: float
+    """What a new pack gives until cut-off, of its label, at `usable_at_w` and where
+    `usable_temperature_frac` is 1.
+    """
     usable_at_w: float
+    """The draw that `usable_frac` belongs to."""
     usable_loss_per_w: float
+    """Share of the label that is lost for each watt above `usable_at_w`."""
     usable_temperature_c: list[float]
+    """Temperatures at which `usable_temperature_frac` is given, rising."""
     usable_temperature_frac: list[float]
+    """What is usable at each of `usable_temperature_c`, of `usable_frac`."""
     usable_std_frac: float
+    """How much usable energy differs from pack to pack (one sigma)."""
     resting_voltage_std_v: float
+    """Error of a measured resting voltage of the pack (one sigma)."""
 
     def __post_init__(self) -> None:
         check_range("battery.cells", self.cells, 1, 200)
@@ -221,16 +254,24 @@ class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An `airframe/1` file as read."""
+    """An `airframe/1` file: what planner and return budget believe about an airframe."""
 
     format: Literal["airframe/1"]
+    """The kind of file and its version."""
     name: str
+    """The airframe's name."""
     mass: Masses
+    """Masses."""
     speeds: Speeds
+    """How it is flown."""
     drag: Drag
+    """Drag, and how wrong it may be."""
     power_paper: PaperPower
+    """The paper's power model."""
     power_rotor: RotorPower
+    """The multirotor power model."""
     battery: Battery
+    """The pack."""
 
     def mass_kg(self, payload_kg: float) -> float:
         """Flying mass with this parcel."""

@@ -20,25 +20,34 @@ MOST_PARTS = 4
 
 
 class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `wind-process/1` file as read.
+    """A `wind-process/1` file: how wind changes at a site.
 
-    `memory_s` rises; `variance_m2ps2` belongs to a mean wind of `reference_wind_mps`, and is
-    scaled by the mean wind over it, held between `least_scale` and `most_scale`, squared.
-    `level_std_mps` is the prior of the level. `seen_noise_std_mps` is the part of an estimate's
-    error that is new each time, as the outlook takes estimates. `tail_dof` is of the Student-t
-    that changes of the wind are drawn from; absent: Gaussian.
+    Variances are scaled by the square of the mean wind over `reference_wind_mps`, held between
+    `least_scale` and `most_scale`.
     """
 
     format: Literal["wind-process/1"]
+    """The kind of file and its version."""
     name: str
+    """The process's name."""
     memory_s: tuple[float, ...]
+    """Memory T of each Ornstein-Uhlenbeck process, rising."""
     variance_m2ps2: tuple[float, ...]
+    """Stationary variance of each, at a mean wind of `reference_wind_mps`."""
     reference_wind_mps: float
+    """The mean wind that the variances belong to."""
     least_scale: float
+    """Least mean wind over `reference_wind_mps` that counts."""
     most_scale: float
+    """Largest mean wind over `reference_wind_mps` that counts."""
     level_std_mps: float
+    """Prior of the level of each axis (one sigma)."""
     seen_noise_std_mps: float
+    """The part of an estimate's error that is new each time (one sigma)."""
     tail_dof: float | None = None
+    """Degrees of freedom of the Student-t that changes of the wind are drawn from. Absent:
+    Gaussian.
+    """
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.memory_s) <= MOST_PARTS:

@@ -36,13 +36,18 @@ class DataProblems(LeewayError):
 
 
 class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One vehicle: `id` is its companion's name in the fleet."""
+    """One vehicle of the fleet."""
 
     id: str
+    """Its companion's name in the fleet."""
     airframe: str
+    """An airframe of params/airframes, or the path of an airframe/1 file."""
     charge_frac: float = 1.0
+    """Charge at the start of the day."""
     temperature_c: float = 20.0
+    """The pack's temperature."""
     battery_health_frac: float = 1.0
+    """What is left of the pack's capacity, of a new one's."""
 
     def __post_init__(self) -> None:
         check_range(f"drones.{self.id}.charge_frac", self.charge_frac, 0.05, 1.0)
@@ -52,22 +57,27 @@ class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where no road matrix is given, the truck drives straight lines, `detour_factor` longer.
+    """The truck, and the times of its driver, who does one thing at a time.
 
-    `deliver_s`, `launch_s` and `recover_s` are the driver's, one thing at a time: a parcel to the
-    door, a drone with its parcel onto its pad, a drone aboard again with a fresh pack (the last two
-    as Murray and Raj have them, Transportation Research C 110, 2020). `ready_s`: from then on until
-    it takes off, without the driver: it finds its position, takes its mission and checks it.
-    `capacity_kg` is all that rides on the truck: the drones' parcels too.
+    Launch and recovery times are as in Murray and Raj, Transportation Research C 110, 2020.
     """
 
     speed_mps: float = 8.0
+    """Speed on the road."""
     detour_factor: float = 1.3
+    """Length of the road over the straight line, where no road matrix is given."""
     capacity_kg: float = 800.0
+    """All that rides on the truck: the drones' parcels too."""
     deliver_s: float = 90.0
+    """The driver brings a parcel to the door."""
     launch_s: float = 60.0
+    """The driver puts a drone with its parcel onto its pad."""
     recover_s: float = 30.0
+    """The driver takes a drone aboard again and gives it a fresh pack."""
     ready_s: float = 60.0
+    """From the pad to take-off, without the driver: the drone finds its position, takes its
+    mission and checks it.
+    """
 
     def __post_init__(self) -> None:
         check_range("truck.speed_mps", self.speed_mps, 0.5, 40.0)
@@ -80,11 +90,14 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wind at cruise height that the desk plans with; `std_mps` is how wrong it may be."""
+    """The wind at cruise height that the desk plans with."""
 
     speed_mps: float = 0.0
+    """Mean wind at cruise height."""
     from_deg: float = 0.0
+    """Where it blows from, clockwise from north."""
     std_mps: float = 2.0
+    """How wrong the forecast may be (one sigma)."""
 
     def __post_init__(self) -> None:
         check_range("forecast.speed_mps", self.speed_mps, 0.0, 40.0)
@@ -99,12 +112,16 @@ class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where truck and drones start. `terrain` tells heights of orders that state none."""
+    """Where truck and drones start."""
 
     lat_deg: float
+    """Latitude."""
     lon_deg: float
+    """Longitude."""
     alt_amsl_m: float
+    """Height of the ground above mean sea level."""
     terrain: Terrain | None = None
+    """Ground height around the depot, for orders that state none."""
 
     def __post_init__(self) -> None:
         check_range("depot.lat_deg", self.lat_deg, -85.0, 85.0)
@@ -122,24 +139,32 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `day/1` file as read. File names in it stand beside it.
-
-    `orders`: CSV or GeoJSON; `no_fly`: GeoJSON polygons with `height_m`; `roads`: CSV matrix of
-    seconds between the depot and the orders.
-    """
+    """A `day/1` file: a day of deliveries. The files that it names lie beside it."""
 
     format: Literal["day/1"]
+    """The kind of file and its version."""
     depot: Depot
+    """Where truck and drones start."""
     drones: list[Drone]
+    """The drones, each with an `id` of its own."""
     name: str = "day"
+    """The day's name."""
     fleet: str = "fleet"
+    """The fleet's name, as companions are started with."""
     orders: list[str] = []
+    """Files of orders, CSV or GeoJSON."""
     no_fly: str | None = None
+    """GeoJSON file of polygons with `height_m`."""
     roads: str | None = None
+    """CSV matrix of driving times in seconds between the depot and the orders."""
     truck: Truck = Truck()
+    """The truck and its driver."""
     mission: Mission = Mission()
+    """Limits of every flight, as in flight/1."""
     forecast: Forecast = Forecast()
+    """The wind that the desk plans with."""
     rally: list[Place] = []
+    """Places where a drone may land if it cannot come home."""
 
     def __post_init__(self) -> None:
         checked_name("fleet", self.fleet)

@@ -24,67 +24,91 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class PlannedStop(_Part, frozen=True, kw_only=True):
-    """Where the truck stands from `arrive_s` to `depart_s`; `serves`: orders the driver brings.
-
-    `pads` are where drones stand for launch and landing, one for each drone that uses the stop:
-    apart enough for two to go up and down at once.
-    """
+    """A place where the truck stands for a while."""
 
     id: Id
+    """The stop's name."""
     place: Place
+    """Where the truck stands."""
     arrive_s: Seconds
+    """When the truck comes."""
     depart_s: Seconds
+    """When it leaves."""
     serves: list[Id] = []
+    """Orders that the driver brings from here."""
     pads: dict[Name, Place] = {}
+    """Where each drone stands for launch and landing, apart enough for two to go up and down
+    at once.
+    """
 
 
 class PlannedSortie(_Part, frozen=True, kw_only=True):
-    """One flight: `order` by `vehicle`, from the pad at stop `launch` to that at stop `home`.
-
-    `launch_s` is its launch slot, `land_s` the expected touchdown. Heights are above the launch
-    pad, one layer for the way out, one for the way back (safety rule 7). `others` names further
-    stops that it could land at, should the truck promise them. `energy_wh` is what the flight is
-    expected to use, `sure_wh` the same at the accepted loss, `usable_wh` what it may use.
-    """
+    """One flight: `order` by `vehicle`, from the pad at stop `launch` to that at stop `home`."""
 
     order: Id
+    """The order that is brought."""
     vehicle: Name
+    """The drone that brings it."""
     launch: Id
+    """The stop where it takes off."""
     home: Id
+    """The stop where it lands."""
     launch_s: Seconds
+    """Its launch slot."""
     land_s: Seconds
+    """Expected touchdown."""
     outbound_height_m: Metres
+    """Layer of the way out, above the launch pad (safety rule 7)."""
     return_height_m: Metres
+    """Layer of the way back, above the launch pad (safety rule 7)."""
     energy_wh: Seconds
+    """What the flight is expected to use."""
     sure_wh: Seconds
+    """What it uses at the accepted loss."""
     usable_wh: Seconds
+    """What it may use."""
     others: list[Id] = []
+    """Further stops that it could land at, should the truck promise them."""
 
 
 class Unplanned(_Part, frozen=True, kw_only=True):
     """An order that nobody can bring as things are, and what would make it possible."""
 
     order: Id
+    """The order."""
     why: Words
+    """Why nobody can bring it."""
     remedy: Words
+    """What would make it possible."""
 
 
 class DayPlan(_Part, frozen=True, kw_only=True):
-    """A `day-plan/1` file.
+    """A `day-plan/1` file: the truck's stops and the drones' flights of a day.
 
-    `revision` counts re-plans of one day. `policy`, `seed` and `trials` make it again.
+    Times are seconds after the truck first leaves the depot. `policy`, `seed` and `trials` make it
+    again.
     """
 
     format: Literal["day-plan/1"]
+    """The kind of file and its version."""
     day: str
+    """The day's name."""
     policy: str
+    """What made the plan."""
     seed: int
+    """Seed of the search."""
     trials: int
+    """Trials of the search."""
     makespan_s: Seconds
+    """When the truck is back with everything done."""
     stops: list[PlannedStop]
+    """The truck's route; the first and the last stop are the depot."""
     sorties: list[PlannedSortie]
+    """The drones' flights."""
     unplanned: list[Unplanned] = []
+    """Orders that nobody can bring."""
     revision: Annotated[int, Meta(ge=0)] = 0
+    """Counts re-plans of one day."""
 
     def stop(self, id_: str) -> PlannedStop:
         """The stop of this name. Raises KeyError where there is none."""

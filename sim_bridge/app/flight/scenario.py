@@ -34,20 +34,24 @@ Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
 
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One thing that goes wrong: `at_s` after take-off, or `at_s` into a phase of the flight.
-
-    A clock jumps `by_s` (back where it is negative). A home moves to the stop `to`: its operator
-    asks for it, until it is taken.
-    """
+    """One thing that goes wrong, once."""
 
     kind: FaultKind
+    """What goes wrong."""
     at_s: float = 0.0
+    """When: after take-off, or after `phase` began."""
     phase: Phase | None = None
+    """Count `at_s` from the beginning of this phase."""
     duration_s: float = 0.0
+    """How long it lasts; 0: for good."""
     by_s: float = 0.0
+    """How far the clock jumps; back where it is negative."""
     to: str = ""
+    """The stop that the home moves to: its operator asks for it until it is taken."""
     restart: bool = True
+    """A killed companion is started again after `duration_s`."""
     vehicle: int = 1
+    """Which vehicle of the flight, from 1."""
 
     def __post_init__(self) -> None:
         check_range("faults.at_s", self.at_s, 0.0, 1e6)

@@ -1,0 +1,9 @@
+"""`python -m sim_bridge.research.reference`: write the generated part of docs/reference."""
+
+from sim_bridge.research.reference.write import ROOT, write
+
+if __name__ == "__main__":
+    touched = write()
+    for path in touched:
+        print(path.relative_to(ROOT))
+    print(f"{len(touched)} files written or removed")

@@ -1,0 +1,302 @@
+"""Every page of docs/results that a command makes. Order: as the reader of the index meets them."""
+
+from sim_bridge.research.result_pages import tables
+from sim_bridge.research.result_pages.page import DATA, OUT, Page, PageCommand
+
+COAST = f"{DATA}/wind/coast_2023_1hz.csv"
+COAST_TAIL = f"{DATA}/wind/coast_2023_tail_1hz.csv"
+ANEMOMETER = "estimator/anemometer_uav_5hz.csv"
+NOTHING_DRAWN = "nothing is drawn"
+FIXED = "fixed in the code"
+
+
+def _research(*words: str) -> tuple[str, ...]:
+    return ("sim-bridge", "research", *words)
+
+
+def _bench(*words: str) -> tuple[str, ...]:
+    return _research("bench", *words)
+
+
+def _flight(gate: str) -> tuple[str, ...]:
+    own = ("--gate", "off") if gate == "off" else ()
+    json = f"{OUT}/{gate}.json"
+    return ("sim-bridge", "fly", "--seed", "1", *own, "--json", json, "--runs", f"{OUT}/{gate}")
+
+
+def _promise(title: str, *words: str) -> PageCommand:
+    logs = ("--wind-log", COAST, "--wind-log", COAST_TAIL)
+    out = f"{OUT}/{title.lower()}"
+    return PageCommand(_research("promise", *logs, *words, "--out", out), title=title)
+
+
+def _avoid(policy: str) -> PageCommand:
+    words = ("--policy", policy, "--agents", "8", "--episodes", "100", "--seed", "2", "--wind")
+    return PageCommand(_research("avoid", *words, "--keep", f"{OUT}/kept"), show=tables.nothing)
+
+
+PAGES = (
+    Page(
+        "flight",
+        "One flight",
+        "What `make fly` flies: out with a tailwind that grows into a headwind too strong for the"
+        " depot; the gate takes it to the rally point.",
+        (
+            PageCommand(_flight("on"), show=tables.flights, title="With the gate"),
+            PageCommand(_flight("off"), show=tables.flights_without_gate, title="Without the gate"),
+        ),
+        0.7,
+        pictures=(("on/*/flight.png", "flight.png"),),
+    ),
+    Page(
+        "gate-worth",
+        "What the gate is worth",
+        "The same flight over ten seeds and both autopilots, with the gate and without.",
+        (
+            PageCommand(
+                ("sim-bridge", "series", "--seeds", "1:10", "--json", f"{OUT}/series.json",
+                 "--runs", f"{OUT}/runs"),
+                show=tables.series,
+            ),
+        ),
+        8.0,
+    ),
+    Page(
+        "recorded-wind",
+        "Flights on recorded wind",
+        "Both autopilots, gate on and off, in 111 minutes of coastal wind: start and charge of the"
+        " pack are drawn by the seed.",
+        (
+            PageCommand(
+                ("sim-bridge", "series", "--seeds", "1:20", "--wind-log", COAST,
+                 "--json", f"{OUT}/series.json", "--runs", f"{OUT}/runs"),
+                show=tables.series,
+            ),
+        ),
+        15.0,
+        needs=("wind/coast_2023_1hz.csv",),
+    ),
+    Page(
+        "promise",
+        "Is the promise kept?",
+        "Missions through recorded wind by the flight's gate, held to what it said, beside fixed"
+        " rules and a clairvoyant.",
+        (
+            _promise("Hard", "--seed", "41"),
+            _promise("Easy", "--seed", "42", "--tier", "easy"),
+        ),
+        30.0,
+        needs=("wind/coast_2023_1hz.csv", "wind/coast_2023_tail_1hz.csv"),
+        pictures=(("hard/reliability.png", "reliability.png"),),
+    ),
+    Page(
+        "anemometer-flight",
+        "The wind estimator on a real flight",
+        "Estimates of the wind against an anemometer on a real multirotor.",
+        (
+            PageCommand(
+                _bench("estimator", "--no-envelope", "--seed", "2024",
+                          "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
+            ),
+        ),
+        1.0,
+        needs=(ANEMOMETER,),
+        pictures=(("estimator_flight.png", "wind-estimator.png"),),
+    ),
+    Page(
+        "wind-estimator",
+        "The wind estimator over its envelope",
+        "RMSE and NEES in simulated flights over winds, gusts and manoeuvres, beside the bound that"
+        " no estimator beats.",
+        (
+            PageCommand(
+                _bench("estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
+                          "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
+            ),
+        ),
+        45.0,
+        needs=(ANEMOMETER,),
+    ),
+    Page(
+        "frontier",
+        "Distance from the frontier",
+        "How far the router is below the best that any planner with the same information can do.",
+        (PageCommand(_research("frontier", "--graphs", "20", "--seed", "2718", "--out", OUT)),),
+        60.0,
+    ),
+    Page(
+        "table1",
+        "Table 1",
+        "The paper's planners on random graphs with 4 and 8 wind classes, and the frontier.",
+        (PageCommand(_research("table1", "--seed", "13", "--out", OUT)),),
+        6.0,
+        pictures=(("table1.png", "table1.png"),),
+    ),
+    Page(
+        "table1-gusty",
+        "Table 1, gusty set",
+        "The same planners in wind near the airspeed that turns every 5 s; the set is ours.",
+        (PageCommand(_research("table1", "--gusty", "--seed", "19", "--out", OUT)),),
+        6.0,
+    ),
+    Page(
+        "table2",
+        "Table 2: what each part is worth",
+        "Days of 20 customers, 4 drones and one truck, with one part left out at a time.",
+        (PageCommand(_research("table2", "--trials", "10", "--seed", "2611", "--out", OUT)),),
+        7.0,
+    ),
+    Page(
+        "lambda-sweep",
+        "Lambda and the battery",
+        "Outcomes of the published planner against its weight on risk and the battery.",
+        (PageCommand(_research("lambda-sweep", "--out", OUT), FIXED),),
+        5.0,
+        pictures=(("lambda_sweep.png", "lambda_sweep.png"),),
+    ),
+    Page(
+        "towns",
+        "Towns whose wind differs from edge to edge",
+        "The planners in a hundred generated towns with wind around buildings.",
+        (PageCommand(_research("towns", "--out", OUT), FIXED),),
+        10.0,
+        pictures=(("towns.png", "towns.png"),),
+    ),
+    Page(
+        "energy-speed",
+        "Energy against speed",
+        "Energy per kilometre against airspeed by wind and payload, with both power models.",
+        (PageCommand(_research("energy-speed", "--out", OUT), NOTHING_DRAWN),),
+        0.2,
+        pictures=(("energy_speed.png", "energy_speed.png"),),
+    ),
+    Page(
+        "speed-to-fly",
+        "Speed to fly",
+        "The true Wh/km at the airspeed that the companion commands, over the least at any airspeed"
+        " that tilt allows, by brute force; and the saving over a fixed cruise speed.",
+        (
+            PageCommand(
+                _research("speed-to-fly", "--airframe", "m100", "--airframe", "octo8",
+                          "--out", OUT),
+                NOTHING_DRAWN,
+            ),
+        ),
+        2.0,
+        pictures=(("speed_to_fly_m100.png", "speed_to_fly.png"),),
+    ),
+    Page(
+        "avoidance",
+        "Avoidance in towns",
+        "Collisions by truth among eight drones in towns, with the safety filter and without: going"
+        " straight, ORCA and the learned policy.",
+        (
+            *(_avoid(policy) for policy in ("none", "none_filtered", "orca", "orca_filtered",
+                                            "maddpg_bare", "maddpg")),
+            PageCommand(_research("avoid-table", f"{OUT}/kept", "--out", OUT), "as above"),
+        ),
+        60.0,
+        modules=("pyrvo",),
+    ),
+    Page(
+        "crossing",
+        "Eight drones that cross",
+        "PX4 and ArduCopter in turn cross about one truck at one height; what keeps them apart are"
+        " their companions.",
+        (
+            PageCommand(
+                ("sim-bridge", "cross", "--vehicles", "8", "--seeds", "1:5",
+                 "--json", f"{OUT}/cross.json", "--runs", f"{OUT}/runs"),
+                show=tables.crossings,
+            ),
+        ),
+        10.0,
+    ),
+    Page(
+        "days",
+        "Whole days",
+        "A day in the town: one truck, eight drones, forty orders, from orders to report.",
+        (
+            PageCommand(
+                ("sim-bridge", "day", "--wind-log", COAST, "--seeds", "11:12",
+                 "--json", f"{OUT}/days.json", "--runs", f"{OUT}/runs"),
+                show=tables.days,
+            ),
+        ),
+        30.0,
+        needs=("wind/coast_2023_1hz.csv",),
+        pictures=(("runs/*/day.png", "day.png"),),
+    ),
+    Page(
+        "truck-and-drones",
+        "Truck and drones",
+        "Makespans of the planner against published ones: every third problem of Murray and Raj.",
+        (
+            PageCommand(
+                ("ground-station", "benchmark", "mfstsp", f"{DATA}/mfstsp", "--problems", "0:3",
+                 "--seed", "0", "--json", f"{OUT}/mfstsp.json"),
+                show=tables.makespans,
+            ),
+        ),
+        35.0,
+        needs=("mfstsp",),
+    ),
+    Page(
+        "planner-speed",
+        "Planner speed and size",
+        "Planners and campaigns beside their plain alternatives.",
+        (PageCommand(_bench("planner", "--out", OUT), FIXED),),
+        2.0,
+    ),
+    Page(
+        "paths",
+        "Paths",
+        "Dubins paths a second in calm air and in wind, and their lengths beside OMPL's.",
+        (
+            PageCommand(_bench("paths", "--seed", "1", "--out", OUT)),
+            PageCommand(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
+        ),
+        1.0,
+        pictures=(("paths.png", "paths.png"),),
+    ),
+    Page(
+        "avoidance-speed",
+        "Speed of avoidance",
+        "One decision on board: the safety filter among neighbours, and the learned policy.",
+        (PageCommand(_bench("avoid", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
+        1.0,
+    ),
+    Page(
+        "dispatch-speed",
+        "Speed of dispatch",
+        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about.",
+        (
+            PageCommand(
+                _bench("dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
+                          "--json", f"{OUT}/dispatch.json"),
+                show=tables.dispatch,
+            ),
+        ),
+        4.0,
+    ),
+    Page(
+        "speed-and-size",
+        "Speed and size of vehicles and companions",
+        "One vehicle on one core, a fleet, and a companion at real time.",
+        (
+            PageCommand(
+                _bench("flight", "--rounds", "1", "--no-fresh-clone",
+                          "--json", f"{OUT}/bench.json"),
+                "1, 2, ... by round",
+                tables.speeds,
+            ),
+        ),
+        6.0,
+    ),
+)  # fmt: skip
+"""All pages."""
+
+
+def by_name(name: str) -> Page | None:
+    """The page of this name."""
+    return next((page for page in PAGES if page.name == name), None)

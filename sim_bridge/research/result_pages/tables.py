@@ -1,0 +1,86 @@
+"""The tables of commands that print for a terminal, again from the JSON that they write."""
+
+from sim_bridge.research.result_pages.markdown import MarkdownConsole, plain, table_markdown
+from sim_bridge.research.result_pages.page import DATA, CommandOutput
+
+
+def flights(done: CommandOutput) -> str:
+    """Of `sim-bridge fly --json {out}/on.json`."""
+    return _flights(done, gate=True)
+
+
+def flights_without_gate(done: CommandOutput) -> str:
+    """Of `sim-bridge fly --gate off --json {out}/off.json`."""
+    return _flights(done, gate=False)
+
+
+def _flights(done: CommandOutput, *, gate: bool) -> str:
+    from sim_bridge.app.flight.report import results_table
+
+    console = MarkdownConsole()
+    console.print(results_table(done.json("on.json" if gate else "off.json"), gate=gate))
+    return console.markdown
+
+
+def series(done: CommandOutput) -> str:
+    """Of `sim-bridge series --json {out}/series.json`."""
+    from sim_bridge.app.flight.series import summary
+
+    return table_markdown(summary(done.json("series.json")["flights"]))
+
+
+def crossings(done: CommandOutput) -> str:
+    """Of `sim-bridge cross --json {out}/cross.json`."""
+    from sim_bridge.app.crossing.report import seed_words, verdict_words
+
+    rows = done.json("cross.json")["crossings"]
+    lines = [f"{verdict_words(rows)}.", "", *(f"- {plain(seed_words(row))}" for row in rows)]
+    return "\n".join(lines)
+
+
+def days(done: CommandOutput) -> str:
+    """Of `sim-bridge day --seeds ... --json {out}/days.json`."""
+    from sim_bridge.app.day.report import print_days
+
+    console = MarkdownConsole()
+    print_days(console, done.json("days.json")["days"])
+    return console.markdown
+
+
+def nothing(_: CommandOutput) -> str:
+    """Of a command that only prepares the next."""
+    return ""
+
+
+def makespans(done: CommandOutput) -> str:
+    """Of `ground-station benchmark mfstsp DIR --json {out}/mfstsp.json`."""
+    from ground_station.adapters.files.mfstsp_files import RESULTS, read_published
+    from ground_station.app.benchmarks.mfstsp_report import print_report
+
+    if done.data is None:
+        raise ValueError(f"makespans: expected {DATA}")
+    console = MarkdownConsole()
+    heuristic, program = read_published(done.data / "mfstsp" / RESULTS)
+    print_report(console, done.json("mfstsp.json")["rows"], heuristic, program)
+    return console.markdown
+
+
+def speeds(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench flight --json {out}/bench.json`."""
+    rows = done.json("bench.json")["rows"]
+    lines = ["| what | values | goal |", "| --- | --- | --- |"]
+    for row in rows:
+        values = ", ".join(f"{value:.1f}" for value in row["values"])
+        lines.append(f"| {row['what'].strip()} | {values} {row['unit']} | {row['goal']} |")
+    return "\n".join(lines)
+
+
+def dispatch(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench dispatch --json {out}/dispatch.json`."""
+    figures = done.json("dispatch.json")
+    lines = ["| what | p50 ms | p99 ms | most ms |", "| --- | --- | --- | --- |"]
+    for what, one in figures.items():
+        if isinstance(one, dict) and {"p50", "p99", "max"} <= set(one):
+            cells = " | ".join(f"{one[key]:.1f}" for key in ("p50", "p99", "max"))
+            lines.append(f"| {what.replace('_', ' ')} | {cells} |")
+    return "\n".join(lines)
