@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 
-.PHONY: help fly test lint bench install clean
+.PHONY: help fly test lint bench wheel-check install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -22,8 +22,11 @@ lint: $(VENV)/.test
 	@$(BIN)/basedpyright --warnings
 	@$(BIN)/lint-imports --no-cache
 
-bench: $(VENV)/.test  ## the figures of the README and notes; not a test
-	@$(BIN)/sim-bridge bench
+bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research bench --help
+	@$(BIN)/sim-bridge research bench flight
+
+wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
+	@deploy/check-wheel
 
 install: $(VENV)/.sim
 
