@@ -71,7 +71,7 @@ def stand_up(
     system_id: int = 1,
     seed: int | np.random.SeedSequence = 1,
 ) -> Served:
-    """A vehicle of this airframe on the ground at `home`, under an autopilot of this flavour.
+    """A vehicle of this airframe on the ground at `home`, under this autopilot.
 
     `parameters` as `read_parameters` reads them. Without `wind` the air is still.
     """

@@ -1,4 +1,4 @@
-"""The tables of docs/avoidance.md from the flights that `sim-bridge avoid --keep` has kept."""
+"""Tables of the flights that `sim-bridge research avoid --keep` has kept, each policy a row."""
 
 import math
 import re

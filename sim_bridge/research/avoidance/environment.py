@@ -1,4 +1,4 @@
-"""The paper's decision problem (IV-B, row 10 of the brief) over a batch of worlds.
+"""The paper's decision problem (arXiv 2604.13441, IV-B) over a batch of worlds.
 
 Observation: 155 x 155 cells about the drone in three binary channels (obstacles, neighbours,
 neighbours' goals), and two vectors in metres: to one's own goal, and from the truck to its goal
@@ -37,7 +37,7 @@ class Frame(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PaperReward:
-    """Row 10: every constant is the paper's; `wind_lambda` is its lambda."""
+    """The paper's reward (IV-B): every constant is its own; `wind_lambda` is its lambda."""
 
     step: float = -0.2
     goal: float = 20.0

@@ -127,7 +127,7 @@ def upper95(count: int, of: int) -> float:
 def summary(
     policy: str, agents: int, episodes: int, found: Flights, decision_us: Floats
 ) -> dict[str, object]:
-    """The JSON of evaluation.md, 12, and half-widths of 95 % intervals by episode."""
+    """The figures of `--json` (docs/reference/benchmarks.md); 95 % intervals are by episode."""
     flights, horizontal_m = len(found.arrived), 5.0
     drones = int(found.hit_drone.sum())
     time, time_half = by_episode(found.time_ratio, agents)

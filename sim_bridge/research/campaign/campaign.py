@@ -83,7 +83,7 @@ class CampaignParams:
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One line of the campaign's JSON (`evaluation.md`, 3)."""
+    """One row of the campaign's JSON: counts of outcomes (docs/reference/outcomes.md), means."""
 
     scenario: str
     planner: str

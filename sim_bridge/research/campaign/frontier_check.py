@@ -1,6 +1,6 @@
 """How far BER is below the frontier, at the loss that it had and at the loss that it was allowed.
 
-Random chains of several kinds on random graphs (evaluation.md, 4; issue 4, done when). Numbers
+Random chains of several kinds on random graphs (docs/reference/outcomes.md). Numbers
 "beyond noise" subtract two standard errors of the campaign: those of SUC less the frontier at the
 loss that was measured.
 """

@@ -1,4 +1,4 @@
-"""Missions flown on the energy graph, many at a time: `evaluation.md` section 2 to the letter.
+"""Missions flown on the energy graph, many at a time (docs/reference/outcomes.md).
 
 The wind of a mission is a function of time that no planner's choice changes: every planner that
 is given the same `ChainWinds` or `LogWinds` meets the same wind, mission by mission.
@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 
 class Outcome(IntEnum):
-    """How a mission ended (`evaluation.md`, 1)."""
+    """How a mission ended (docs/reference/outcomes.md)."""
 
     SUC = 0
     DEL = 1

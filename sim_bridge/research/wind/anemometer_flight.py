@@ -1,8 +1,8 @@
-"""The real flight with an anemometer aboard, replayed through wind estimators.
+"""A real flight with an anemometer aboard, replayed through wind estimators.
 
-The New Mexico Tech flight of shared/data (see its README): telemetry at 5 Hz, and a reference that
-is good to 0.7 to 1.1 m/s. Judged are the airborne rows after the first 30 s of flight, by the RMSE
-of the vector against the centred 10 s mean, and the mean normalised error squared (2 is ideal).
+The flight is one of New Mexico Tech, telemetry at 5 Hz; its anemometer is good to 0.7 to 1.1 m/s.
+Scored are the airborne rows after the first 30 s of flight: the RMSE of the wind vector against the
+centred 10 s mean, and the mean normalised error squared (NEES, 2 is ideal).
 """
 
 import csv
