@@ -173,7 +173,7 @@ def run_command(
         bool,
         typer.Option(
             "--keep-apart",
-            help="In a fleet: fly set-points near neighbours to keep the separation, then go back to"
+            help="In a fleet: fly set-points near neighbours to keep separation, then go on with"
             " the mission (docs/explanation/avoidance.md). All vehicles of the fleet should.",
         ),
     ] = False,
