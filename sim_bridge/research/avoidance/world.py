@@ -38,7 +38,7 @@ LAYERS = np.array([-1.0, 1.0, 0.0, -2.0, 2.0])
 
 
 @dataclass
-class World:
+class AvoidanceWorld:
     """Episodes in step with each other; `reset` draws them, `tick` flies 0.2 s."""
 
     scenes: list[Scene]

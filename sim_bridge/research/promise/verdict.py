@@ -60,7 +60,7 @@ class Go(msgspec.Struct, frozen=True):
     lower95: float
 
 
-class Verdict(msgspec.Struct, frozen=True):
+class PromiseVerdict(msgspec.Struct, frozen=True):
     """What `--json` writes (docs/reference/benchmarks.md)."""
 
     rules: dict[str, RuleRow]
