@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 
-.PHONY: help fly test night lint bench docs docs-reference install clean
+.PHONY: help fly test night lint bench wheel-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -27,8 +27,11 @@ lint: $(VENV)/.test
 	@$(BIN)/basedpyright --warnings
 	@$(BIN)/lint-imports --no-cache
 
-bench: $(VENV)/.test  ## the figures of the README and notes; not a test
-	@$(BIN)/sim-bridge bench
+bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research bench --help
+	@$(BIN)/sim-bridge research bench flight
+
+wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
+	@deploy/check-wheel
 
 docs: $(VENV)/.docs  ## the site, offline, every warning an error: build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sim_bridge.app.cli import conforming
-from sim_bridge.app.serve.server import Home, Host, Served
+from sim_bridge.app.serve.server import Home, Host, ServedVehicle
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
 from sim_bridge.autopilot.mavlink.enums import Cmd, Result
@@ -50,7 +50,7 @@ WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
 class InProcess:
     """A link whose other end is an autopilot in this process."""
 
-    def __init__(self, served: Served) -> None:
+    def __init__(self, served: ServedVehicle) -> None:
         self._served = served
         served.autopilot.add_link(0)
 
@@ -82,7 +82,7 @@ class Watcher:
         print(f"{row.behaviour.name}: {row.behaviour.says} {seen or row.value} ({row.note})")
 
 
-def stood(flavour: AutopilotKind) -> Served:
+def stood(flavour: AutopilotKind) -> ServedVehicle:
     """A flavour on the ground, in the wind of the references."""
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     vehicle = Vehicle(
@@ -99,10 +99,10 @@ def stood(flavour: AutopilotKind) -> Served:
         battery_sensing=SENSING[flavour],
     )
     autopilot.set_rc(RECEIVER[flavour])
-    return Served(vehicle, autopilot)
+    return ServedVehicle(vehicle, autopilot)
 
 
-def ask(served: Served, behaviours: Sequence[Behaviour]) -> reference.Result:
+def ask(served: ServedVehicle, behaviours: Sequence[Behaviour]) -> reference.Result:
     """What a vehicle answers; it is left as it was found."""
     return conforming.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 

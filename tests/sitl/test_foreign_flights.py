@@ -18,7 +18,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge import main as cli
 from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
 from sim_bridge.app.flight.report import grounded_words, results_table
-from sim_bridge.app.serve.server import Home, Host, Served, stand_up
+from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
@@ -47,7 +47,7 @@ def flight_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def stood(flavour: AutopilotKind, home: Home | None = None) -> Served:
+def stood(flavour: AutopilotKind, home: Home | None = None) -> ServedVehicle:
     wind = WindField(SteadyWind(4.0, 70.0))
     return stand_up(
         flavour,
@@ -60,7 +60,7 @@ def stood(flavour: AutopilotKind, home: Home | None = None) -> Served:
 
 
 def fly(
-    served: Served, endpoint: str, link: str, folder: Path, file: Path, **options: bool
+    served: ServedVehicle, endpoint: str, link: str, folder: Path, file: Path, **options: bool
 ) -> dict[str, Any]:
     """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken)."""
     with Host(SPEEDUP) as host:
@@ -75,12 +75,12 @@ def fly(
     return row
 
 
-def settings(served: Served) -> dict[str, float]:
+def settings(served: ServedVehicle) -> dict[str, float]:
     params = served.autopilot.params
     return {name: params[name] for i in range(len(params)) if (name := params.name_at(i))}
 
 
-def away_m(served: Served) -> float:
+def away_m(served: ServedVehicle) -> float:
     north, east, _ = served.truth.pos_ned_m
     return math.hypot(north, east)
 

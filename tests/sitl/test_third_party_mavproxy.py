@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_bridge.app.serve.server import Home, Host, Served, stand_up
+from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
@@ -36,7 +36,7 @@ TAKEOFF, WAYPOINT, LAND = 22, 16, 21
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: AutopilotKind) -> Served:
+def on_the_ground(flavour: AutopilotKind) -> ServedVehicle:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     return stand_up(flavour, airframe, parameters, home=HOME)
@@ -131,14 +131,14 @@ def waypoints_file(folder: Path, *, with_home: bool) -> Path:
     return path
 
 
-def flew_the_mission(served: Served, highest_m: float) -> None:
+def flew_the_mission(served: ServedVehicle, highest_m: float) -> None:
     north, east, _ = served.truth.pos_ned_m
     assert math.hypot(north - LEG_M, east - LEG_M) < ABOUT_M
     assert abs(highest_m - CRUISE_M) < ABOUT_M
     assert not served.truth.crashed
 
 
-def fly(client: MavProxy, served: Served) -> None:
+def fly(client: MavProxy, served: ServedVehicle) -> None:
     """Watch a mission that was started to its end on the ground, disarmed."""
     highest_m = 0.0
 

@@ -20,7 +20,7 @@ from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
-from sim_bridge.app.serve.server import Home, Host, Served, stand_up
+from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
@@ -36,7 +36,7 @@ METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: AutopilotKind, home: Home = HOME) -> Served:
+def on_the_ground(flavour: AutopilotKind, home: Home = HOME) -> ServedVehicle:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     return stand_up(flavour, airframe, parameters, home=home)
@@ -174,7 +174,7 @@ async def set_mode_guided(system: System) -> None:
     assert json.loads(ack.fields_json)["result"] == 0
 
 
-async def see_it_fly(system: System, served: Served) -> None:
+async def see_it_fly(system: System, served: ServedVehicle) -> None:
     """Climb, fly and land where it should, by MAVSDK's telemetry and by truth."""
     telemetry = TelemetryAsync(system)
     assert await told(telemetry.subscribe_in_air(), bool)
@@ -190,7 +190,7 @@ async def see_it_fly(system: System, served: Served) -> None:
     assert off_m < ABOUT_M, f"it landed {off_m:.1f} m off"
 
 
-def fly_on_px4(served: Served) -> None:
+def fly_on_px4(served: ServedVehicle) -> None:
     port = free_udp_port()
 
     async def body() -> None:

@@ -100,7 +100,7 @@ def plan_command(
     """Write the flight that calibration needs as a QGroundControl plan: a square at three speeds.
 
     Fly it three times: empty, with the heaviest parcel, and with a lighter one and the nose held
-    on one heading (docs/calibrate.md). Example:
+    on one heading (docs/how-to/calibrate.md). Example:
     companion calibrate-plan --home 55.47,8.45,12 --airframe m100 --autopilot px4
 
     With --fast, a fourth flight, empty, where calibrate asks for it.

@@ -159,7 +159,7 @@ def run_command(
         str | None,
         typer.Option(
             help="Serve the dispatcher's desk of this fleet over zenoh: without --mission fly what"
-            " it assigns, one after another (docs/dispatch.md)."
+            " it assigns, one after another (docs/how-to/dispatch.md)."
         ),
     ] = None,
     vehicle: Annotated[
@@ -173,8 +173,8 @@ def run_command(
         bool,
         typer.Option(
             "--keep-apart",
-            help="In a fleet: fly set-points near neighbours so that nobody comes near anybody, and"
-            " hand back to the mission (docs/avoidance.md). All vehicles of the fleet should.",
+            help="In a fleet: fly set-points near neighbours to keep separation, then go on with"
+            " the mission (docs/explanation/avoidance.md). All vehicles of the fleet should.",
         ),
     ] = False,
     policy: Annotated[

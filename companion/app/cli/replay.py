@@ -22,8 +22,9 @@ STOPPED_BY_HAND = 130
 
 EPILOG = """Example: companion replay flight.ulg --airframe m100 --out wind.csv --picture flight.png
 
-Formats, columns and the JSON record: docs/replay.md. Exit codes: 0 replayed (whatever was wrong
-with the log is listed); 2 a mistake in the input, or a file that is no log; 130 stopped."""
+Formats, columns and the JSON record: docs/reference/replay-json.md. Exit codes: 0 replayed
+(whatever was wrong with the log is listed); 2 a mistake in the input, or a file that is no log;
+130 stopped."""
 
 
 @app.command(name="replay", epilog=EPILOG)

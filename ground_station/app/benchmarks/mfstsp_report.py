@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import binomtest
 
 from ground_station.adapters.files.mfstsp_files import Published, PublishedKey
 
@@ -90,10 +91,7 @@ def _share_worse(rows: list[Row], heuristic: Results) -> str:
     ]
     if not found:
         return "-"
-    count = len(found)
-    share = sum(ours > theirs + SAME_S for ours, theirs in found) / count
-    z2 = 1.96**2
-    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
-    half = math.sqrt(share * (1 - share) * z2 / count + z2**2 / (4 * count**2)) / (1 + z2 / count)
-    low, high = max(0.0, middle - half), min(1.0, middle + half)
-    return f"{100 * share:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    worse = sum(ours > theirs + SAME_S for ours, theirs in found)
+    interval = binomtest(worse, len(found)).proportion_ci(method="wilson")
+    share = worse / len(found)
+    return f"{100 * share:.1f} ({100 * interval.low:.1f} to {100 * interval.high:.1f})"

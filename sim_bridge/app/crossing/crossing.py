@@ -1,8 +1,8 @@
 """Vehicles that leave one truck at once, in one layer, and cross each other's paths.
 
-Slots and layers are left out on purpose: what keeps them apart here is what companions tell each
-other, and the set-points that they fly near neighbours (docs/avoidance.md, "In flight"). The
-drones, the network and the stepped clock are the simulated day's; nobody dispatches.
+Slots and layers are left out on purpose. Only the tracks that companions exchange, and the
+set-points that they fly near neighbours, keep the vehicles apart (docs/explanation/avoidance.md).
+The drones, the network and the stepped clock are those of the simulated day; there is no desk.
 """
 
 import math
@@ -37,7 +37,7 @@ from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, mean_wind
 SITE = (55.47, 8.45, 12.0)
 AIRFRAME = "m100"
 RING_M = 46.0
-"""From the truck to each pad; eight are then 35 m from each other (docs/avoidance.md, 4)."""
+"""From the truck to each pad; eight are then 35 m from each other."""
 
 CUSTOMER_M = 100.0
 """From the truck to each customer, on the far side: all ways lead past the truck."""

@@ -12,7 +12,7 @@ SPAN_M = 1.0
 """DJI Matrice 100: 0.65 m between motors across, 13 inch propellers; told by its maker."""
 
 HORIZONTAL_M, VERTICAL_M = 5.0 + SPAN_M, 4.0 + SPAN_M
-"""Between centres: what must be kept is one or the other (evaluation.md, 12; and the span)."""
+"""Between centres, the span added: one or the other is kept (docs/explanation/avoidance.md)."""
 
 BETWEEN = 10
 """Instants looked at between two rows, a tenth of a second apart, on the straight between them."""
@@ -77,7 +77,7 @@ def outcome_of(
     *,
     crashed: bool,
 ) -> str:
-    """SUC, DEL, ABRT or FAIL, as everywhere (evaluation.md, 1); NONE: it never took off."""
+    """SUC, DEL, ABRT or FAIL (docs/reference/outcomes.md); NONE: it never took off."""
     if not (rows[:, 4] > 0.0).any():
         return "NONE"
     down = rows[-1, 4] == 0.0 and not crashed

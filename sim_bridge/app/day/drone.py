@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.day.clock import EPOCH_US
-from sim_bridge.app.day.judge import Track
+from sim_bridge.app.day.judge import VehicleTrack
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.parameters import Parameter
@@ -256,7 +256,7 @@ class DayDrone:
         self.lost_frames += lost
         return lost
 
-    def track(self, up: PowerUp, reserve_frac: float) -> Track:
+    def track(self, up: PowerUp, reserve_frac: float) -> VehicleTrack:
         """What one pack's time came to, for the judge."""
         rows = np.asarray(up.rows, float).reshape(-1, 5)
         truth = up.vehicle.truth
@@ -266,7 +266,7 @@ class DayDrone:
             health_frac=self.battery_health_frac,
         )
         reserve_wh = reserve_frac * pack.usable_wh(up.vehicle.reference_draw_w)
-        return Track(
+        return VehicleTrack(
             vehicle=self.name,
             autopilot=self.flavour,
             order=up.order,

@@ -23,7 +23,7 @@ LEAST_FLIGHT_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class VehicleTrack:
     """One vehicle from switching on to switching off: what truly was, sampled evenly.
 
     `ned_m` has a row a sample; `released_s` and `released_ned_m`: where the parcel left it, with
@@ -65,7 +65,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class HandedOver:
     """An order that the driver handed over."""
 
     order: str
@@ -82,16 +82,16 @@ class Pad:
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class DayFacts:
     """What a day is judged by. `customers`: NED of the ground; `rally`: declared places."""
 
     customers: dict[str, tuple[float, float, float]]
     drop_height_m: float
-    tracks: list[Track]
+    tracks: list[VehicleTrack]
     stands: list[Stand]
     pads: list[Pad]
     homes: list[Told]
-    served: list[Served]
+    served: list[HandedOver]
     rally: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -137,7 +137,7 @@ class DayVerdict:
     nearest_horizontal_m: float | None
 
 
-def judge_day(world: World) -> DayVerdict:
+def judge_day(world: DayFacts) -> DayVerdict:
     """Judge a day that has ended (or was stopped) by truth."""
     flights: list[DayFlight] = []
     broken: list[str] = []
@@ -155,7 +155,7 @@ def judge_day(world: World) -> DayVerdict:
     )
 
 
-def flown(track: Track) -> list[tuple[int, int]]:
+def flown(track: VehicleTrack) -> list[tuple[int, int]]:
     """First and last airborne sample of each flight on one pack."""
     up = np.concatenate(([False], track.airborne > 0.0, [False]))
     edges = np.flatnonzero(np.diff(up.astype(int)))
@@ -163,7 +163,7 @@ def flown(track: Track) -> list[tuple[int, int]]:
     return [(a, b) for a, b in spans if track.t_s[b] - track.t_s[a] >= LEAST_FLIGHT_S]
 
 
-def _flight(world: World, track: Track, begin: int, end: int) -> DayFlight:
+def _flight(world: DayFacts, track: VehicleTrack, begin: int, end: int) -> DayFlight:
     landed = end + 1 < len(track.t_s) and not track.crashed
     down = track.ned_m[min(end + 1, len(track.t_s) - 1)]
     ne_m = (float(down[0]), float(down[1]))
@@ -186,7 +186,7 @@ def _flight(world: World, track: Track, begin: int, end: int) -> DayFlight:
     )
 
 
-def brought(world: World, track: Track, begin_s: float, end_s: float) -> bool:
+def brought(world: DayFacts, track: VehicleTrack, begin_s: float, end_s: float) -> bool:
     """Whether the parcel left the vehicle on this flight, low over its own customer."""
     place = world.customers.get(track.order or "")
     if place is None or track.released_s is None or track.released_ned_m is None:
@@ -201,7 +201,7 @@ def brought(world: World, track: Track, begin_s: float, end_s: float) -> bool:
 
 
 def place_of_landing(
-    world: World, track: Track, ne_m: tuple[float, float], land_s: float
+    world: DayFacts, track: VehicleTrack, ne_m: tuple[float, float], land_s: float
 ) -> str | None:
     """The stop on whose pad for it it stands, and where the truck is or will be; or `rally`."""
     if any(_near(ne_m, place) for place in world.rally):
@@ -217,7 +217,7 @@ def _near(ne_m: tuple[float, float], place_ne_m: tuple[float, float]) -> bool:
     return math.dist(ne_m, place_ne_m) <= HOME_RADIUS_M
 
 
-def broken_promises(track: Track, begin: int, end: int, world: World) -> list[str]:
+def broken_promises(track: VehicleTrack, begin: int, end: int, world: DayFacts) -> list[str]:
     """A truck that left a stop while a flight told that stop as its home, in words."""
     begin_s, end_s = float(track.t_s[begin]), float(track.t_s[end])
     told = [(t.t_s, t.home) for t in world.homes if t.vehicle == track.vehicle]
@@ -235,7 +235,7 @@ def broken_promises(track: Track, begin: int, end: int, world: World) -> list[st
     return found
 
 
-def twice(flights: list[DayFlight], served: list[Served]) -> list[str]:
+def twice(flights: list[DayFlight], served: list[HandedOver]) -> list[str]:
     """Orders that were flown or handed over again after they had been brought."""
     brought_s: dict[str, float] = {}
     found: list[str] = []
@@ -251,7 +251,7 @@ def twice(flights: list[DayFlight], served: list[Served]) -> list[str]:
     return sorted(set(found))
 
 
-def nearest_of(tracks: list[Track]) -> tuple[Near | None, float | None]:
+def nearest_of(tracks: list[VehicleTrack]) -> tuple[Near | None, float | None]:
     """The least distance of any two vehicles in the air at once, and the least of their horizontal
     distances; None where never two flew at once."""
     nears: list[Near] = []
@@ -267,7 +267,7 @@ def nearest_of(tracks: list[Track]) -> tuple[Near | None, float | None]:
     return min(nears, key=lambda n: n.distance_m), min(flat)
 
 
-def _nearest_pair(a: Track, b: Track) -> tuple[Near, float] | None:
+def _nearest_pair(a: VehicleTrack, b: VehicleTrack) -> tuple[Near, float] | None:
     """On the samples of `a`, with `b` interpolated; between samples they move straight."""
     low = max(a.t_s[0], b.t_s[0])
     high = min(a.t_s[-1], b.t_s[-1])
@@ -295,7 +295,7 @@ def _nearest_pair(a: Track, b: Track) -> tuple[Near, float] | None:
     return near, float(np.min(np.hypot(closest[:, 0], closest[:, 1])))
 
 
-def _at(track: Track, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _at(track: VehicleTrack, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position at these times, and whether it flew at the last sample before each."""
     ned = np.column_stack([np.interp(times, track.t_s, track.ned_m[:, k]) for k in range(3)])
     index = np.clip(np.searchsorted(track.t_s, times + 1e-9) - 1, 0, len(track.t_s) - 1)

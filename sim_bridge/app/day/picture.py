@@ -6,30 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from sim_bridge.app.day.judge import DayVerdict, Stand, Track
-from sim_bridge.app.day.truck import Done, Drive
+from sim_bridge.app.day.judge import DayVerdict, Stand, VehicleTrack
+from sim_bridge.app.day.truck import Drive, DriverTask
 
 INK, WARN, ROAD, BUSY = "#22313f", "#d62728", "#555555", "#c9ced3"
 TO_TRUCK = "#8c6d31"
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DayScene:
     """What a day's picture shows; positions NED metres about the depot, times of the day."""
 
     title: str
     customers: dict[str, tuple[float, float, float]]
-    tracks: list[Track]
+    tracks: list[VehicleTrack]
     drives: list[Drive]
     stands: list[Stand]
-    tasks: list[Done]
+    tasks: list[DriverTask]
     verdict: DayVerdict
     ended_s: float
     faults: list[tuple[float, str]] = field(default_factory=list)
     no_fly_ne_m: list[np.ndarray] = field(default_factory=list)
 
 
-def draw_day(path: Path, day: Drawn) -> None:
+def draw_day(path: Path, day: DayScene) -> None:
     """Write the PNG."""
     import matplotlib
 
@@ -53,7 +53,7 @@ def _natural(name: str) -> tuple[int, str]:
     return (int(digits) if digits else 0, name)
 
 
-def _draw_map(axis: Any, day: Drawn, colour: dict[str, Any]) -> None:
+def _draw_map(axis: Any, day: DayScene, colour: dict[str, Any]) -> None:
     for ring in day.no_fly_ne_m:
         axis.fill(ring[:, 1], ring[:, 0], color="#999999", alpha=0.4, lw=0)
     for track in day.tracks:
@@ -93,7 +93,7 @@ def _draw_map(axis: Any, day: Drawn, colour: dict[str, Any]) -> None:
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
 
 
-def _draw_strip(axis: Any, day: Drawn, vehicles: list[str], colour: dict[str, Any]) -> None:
+def _draw_strip(axis: Any, day: DayScene, vehicles: list[str], colour: dict[str, Any]) -> None:
     names = ["truck", *vehicles]
     row = {name: len(names) - 1 - k for k, name in enumerate(names)}
     for drive in day.drives:

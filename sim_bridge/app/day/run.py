@@ -17,8 +17,8 @@ from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.day.build import BuiltDay, DayWish, Plumb, build_day
-from sim_bridge.app.day.judge import DayVerdict, Pad, World, judge_day
-from sim_bridge.app.day.picture import Drawn, draw_day
+from sim_bridge.app.day.judge import DayFacts, DayVerdict, Pad, judge_day
+from sim_bridge.app.day.picture import DayScene, draw_day
 from sim_bridge.app.day.world import DayWorld, Seat
 
 RESULT, PICTURE = "day.json", "day.png"
@@ -101,7 +101,7 @@ def _conclude(
         for up in [*drone.past, *([drone.up] if drone.up is not None else [])]
         if up.rows
     ]
-    judged = World(
+    judged = DayFacts(
         customers=built.customers,
         drop_height_m=mission.drop_height_m,
         tracks=tracks,
@@ -212,7 +212,7 @@ def _time(t_s: float) -> float | None:
 
 
 def _draw(
-    options: DayOptions, built: BuiltDay, world: DayWorld, judged: World, verdict: DayVerdict
+    options: DayOptions, built: BuiltDay, world: DayWorld, judged: DayFacts, verdict: DayVerdict
 ) -> None:
     no_fly = built.data.no_fly
     rings = [] if no_fly is None else obstacles_from_geojson(built.frame, no_fly)
@@ -220,7 +220,7 @@ def _draw(
     flights = len(verdict.flights)
     nearest = verdict.nearest
     apart = "" if nearest is None else f", never nearer than {nearest.distance_m:.1f} m"
-    drawn = Drawn(
+    drawn = DayScene(
         title=f"{options.name}, seed {options.seed}: {brought} of {orders} orders in"
         f" {world.clock.t_s / 60.0:.0f} min, {flights} flights, {len(verdict.lost)} lost{apart}",
         customers=built.customers,

@@ -57,7 +57,7 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class DriverTask:
     """One task of the driver's, done (or not: `why`) between two times at a stop."""
 
     kind: str
@@ -83,7 +83,7 @@ class DayTruck:
     rng: np.random.Generator
     late_s: float = 0.0
     drives: list[Drive] = field(default_factory=list)
-    done: list[Done] = field(default_factory=list)
+    done: list[DriverTask] = field(default_factory=list)
     delivered: list[tuple[float, str]] = field(default_factory=list)
     _stop: str = ""
     _task: Task | None = None
@@ -159,7 +159,9 @@ class DayTruck:
         self._task = None
         if task.kind is TaskKind.ARRIVE:
             self._stop = task.id
-        row = Done(task.kind.value, self._stop, task.order, task.vehicle, self._began_s, t_s, why)
+        row = DriverTask(
+            task.kind.value, self._stop, task.order, task.vehicle, self._began_s, t_s, why
+        )
         self.done.append(row)
 
     def _do(self, task: Task, t_s: float) -> str:

@@ -7,7 +7,7 @@ from typing import Protocol
 from sim_bridge.app.day.build import Faults, Plumbing
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.drone import PHYSICS_STEP_S, DayDrone
-from sim_bridge.app.day.judge import Served, Stand, Told
+from sim_bridge.app.day.judge import HandedOver, Stand, Told
 from sim_bridge.app.day.truck import DayTruck
 
 STEP_S = 0.1
@@ -136,6 +136,6 @@ class DayWorld:
         return [*found, Stand(here, ne_m, since_s, float("inf"))]
 
     @property
-    def served(self) -> list[Served]:
+    def served(self) -> list[HandedOver]:
         """What the driver handed over."""
-        return [Served(order, t_s) for t_s, order in self.truck.delivered]
+        return [HandedOver(order, t_s) for t_s, order in self.truck.delivered]

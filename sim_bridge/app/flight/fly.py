@@ -31,7 +31,7 @@ from sim_bridge.app.flight.clairvoyant import Foresight
 from sim_bridge.app.flight.clairvoyant_flight import foresee_flight
 from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.faults import FaultPlan
-from sim_bridge.app.flight.judge import Verdict, judge
+from sim_bridge.app.flight.judge import FlightVerdict, judge
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.picture import draw_flight
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
@@ -343,7 +343,7 @@ def _reserve_wh(craft: Craft, truth_airframe: AirframeTruth) -> float:
 
 
 def _row(
-    craft: Craft, verdict: Verdict, foresight: Foresight, result: dict[str, Any]
+    craft: Craft, verdict: FlightVerdict, foresight: Foresight, result: dict[str, Any]
 ) -> dict[str, Any]:
     assessed = [a["p_home"] for a in result.get("assessments", []) if a.get("p_home") is not None]
     keys = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
@@ -375,7 +375,7 @@ def _rounded(value: float | None) -> float | None:
 def _draw(
     options: FlyOptions,
     craft: Craft,
-    verdict: Verdict,
+    verdict: FlightVerdict,
     result: dict[str, Any],
     reserve_wh: float,
     airframe: Airframe,

@@ -16,7 +16,7 @@ WIND_WARM_UP_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class FlightVerdict:
     """Outcome of one flight by truth, in the words and units of the evaluation's section 8."""
 
     outcome: str
@@ -44,7 +44,7 @@ def judge(
     drop_height_m: float,
     reserve_wh: float,
     wind_estimates: list[dict[str, Any]],
-) -> Verdict:
+) -> FlightVerdict:
     """Judge a finished (or stopped) flight by truth; home means landed there with the reserve."""
     truth = record.arrays()
     margin_wh = float(truth["usable_wh"][-1]) - reserve_wh
@@ -61,7 +61,7 @@ def judge(
     )
     rmse, nees = wind_errors(truth, record.took_off_s, record.landed_s, wind_estimates)
     end_s = record.landed_s if record.landed_s is not None else float(truth["t_s"][-1])
-    return Verdict(
+    return FlightVerdict(
         outcome=outcome_of(delivered=delivered, home=home),
         delivered=delivered,
         home=home,

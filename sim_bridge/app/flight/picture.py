@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_bridge.app.flight.judge import WIND_WINDOW_S, Verdict, centred_mean
+from sim_bridge.app.flight.judge import WIND_WINDOW_S, FlightVerdict, centred_mean
 from sim_bridge.app.flight.record import TruthRecord
 
 INK, OUT, BACK, WIND, WARN = "#22313f", "#1f77b4", "#d62728", "#2a9d8f", "#e76f51"
@@ -16,7 +16,7 @@ def draw_flight(
     *,
     title: str,
     record: TruthRecord,
-    verdict: Verdict,
+    verdict: FlightVerdict,
     result: dict[str, Any],
     places_en_m: dict[str, tuple[float, float]],
     polygons_en_m: list[np.ndarray],

@@ -1,4 +1,4 @@
-"""`sim-bridge series`: the same flight over many seeds, both flavours, gate on and off.
+"""`sim-bridge series`: the same flight over many seeds, both autopilots, gate on and off.
 
 What is flown is on disk at once, so a series that was stopped goes on where it was.
 """
@@ -46,7 +46,7 @@ def planned(
 
 
 def settings_of(base: FlyOptions) -> str:
-    """A digest of all that decides a flight but flavour, seed and gate: the options, the files
+    """A digest of all that decides a flight but autopilot, seed and gate: the options, the files
     that they name, every parameter file and the program itself."""
     options = {k: str(v) for k, v in asdict(base).items() if k not in NOT_SETTINGS}
     digest = hashlib.sha256(json.dumps(options, sort_keys=True).encode())
@@ -162,10 +162,10 @@ def _fly_one(task: tuple[int, FlyOptions]) -> tuple[int, list[Row]]:
 
 
 def summary(rows: list[Row]) -> Table:
-    """What the flights came to, by flavour and gate."""
+    """What the flights came to, by autopilot and gate."""
     table = slim_table(
-        "flights by flavour and gate",
-        ("flavour\ngate", "left"),
+        "flights by autopilot and gate",
+        ("autopilot\ngate", "left"),
         ("SUC/DEL/\nFAIL/ABRT", "right"),
         ("\nhome", "right"),
         ("delivered\nof could", "right"),

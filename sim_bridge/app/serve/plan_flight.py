@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.serve.server import PHYSICS_STEP_S, Served
+from sim_bridge.app.serve.server import PHYSICS_STEP_S, ServedVehicle
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
@@ -32,7 +32,7 @@ _EPOCH_US = 1_700_000_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class PlanFlight:
     """How a flight went, by truth."""
 
     duration_s: float
@@ -134,14 +134,14 @@ class GroundStation:
 
 
 def fly_plan(
-    served: Served,
+    served: ServedVehicle,
     flavour: AutopilotKind,
     items: list[dict[str, Any]],
     tlog: Path,
     *,
     limit_s: float = 3600.0,
     progress: Callable[[float], None] = lambda t_s: None,
-) -> Flown:
+) -> PlanFlight:
     """Fly a plan's items to the landing; the .tlog is what a ground station would have."""
     autopilot = served.autopilot
     autopilot.add_link(LINK, LinkKind.GCS)
@@ -175,4 +175,4 @@ def fly_plan(
             raise LeewayError(f"{tlog.name}: not down after {limit_s:.0f} s")
     truth = served.truth
     mean_wind = sum(winds) / len(winds)
-    return Flown(t_s, truth.energy_used_wh, mean_wind)
+    return PlanFlight(t_s, truth.energy_used_wh, mean_wind)

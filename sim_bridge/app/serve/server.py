@@ -40,7 +40,7 @@ class Home:
 
 
 @dataclass(slots=True)
-class Served:
+class ServedVehicle:
     """One vehicle with its autopilot, as `stand_up` makes it or as the caller wishes."""
 
     vehicle: Vehicle
@@ -70,8 +70,8 @@ def stand_up(
     charge_frac: float = 1.0,
     system_id: int = 1,
     seed: int | np.random.SeedSequence = 1,
-) -> Served:
-    """A vehicle of this airframe on the ground at `home`, under an autopilot of this flavour.
+) -> ServedVehicle:
+    """A vehicle of this airframe on the ground at `home`, under this autopilot.
 
     `parameters` as `read_parameters` reads them. Without `wind` the air is still.
     """
@@ -89,7 +89,7 @@ def stand_up(
         parameters,
         system_id=system_id,
     )
-    return Served(vehicle, autopilot)
+    return ServedVehicle(vehicle, autopilot)
 
 
 class Host:
@@ -99,14 +99,14 @@ class Host:
         self._pacer = Pacer(speedup)
         self._steps_a_turn = max(1, round(speedup * _LISTEN_EVERY_WALL_S / PHYSICS_STEP_S))
         self._endpoints = EndpointSet([])
-        self._served: list[Served] = []
-        self._owners: list[tuple[Served, int]] = []  # by endpoint: vehicle, its link
+        self._served: list[ServedVehicle] = []
+        self._owners: list[tuple[ServedVehicle, int]] = []  # by endpoint: vehicle, its link
         self._numbers: dict[tuple[int, int], int] = {}  # (vehicle, link) to endpoint
         self._steps = 0
 
     def add(
         self,
-        served: Served,
+        served: ServedVehicle,
         *,
         onboard: Sequence[str] = (),
         gcs: Sequence[str] = (),

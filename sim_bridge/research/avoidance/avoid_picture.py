@@ -9,7 +9,7 @@ import numpy as np
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.evaluation import fly
 from sim_bridge.research.avoidance.scenes import HALF_SIDE_M
-from sim_bridge.research.avoidance.world import GOAL_M, World
+from sim_bridge.research.avoidance.world import GOAL_M, AvoidanceWorld
 from sim_bridge.research.avoidance.yardsticks import Pilot
 
 mpl.use("Agg")
@@ -21,7 +21,7 @@ DOTS_S = 5.0
 
 
 def draw_episode(
-    world: World,
+    world: AvoidanceWorld,
     pilot: Pilot,
     separation: SeparationFilter | None,
     seed: int,
@@ -31,7 +31,7 @@ def draw_episode(
     """Tracks from above, a dot every 5 s; below them each drone's height."""
     track = []
 
-    def watch(now: World) -> None:
+    def watch(now: AvoidanceWorld) -> None:
         track.append(np.where(now.active[0][:, None], now.true_pos_m[0], np.nan))
 
     found = fly(world, pilot, separation, [seed], watch)
@@ -61,7 +61,7 @@ def draw_episode(
     plt.close(figure)
 
 
-def _ground(axes: Axes, world: World) -> None:
+def _ground(axes: Axes, world: AvoidanceWorld) -> None:
     scene = world.scenes[world.scene_of[0]]
     for south, west, north, east in scene.boxes_m:
         axes.add_patch(Rectangle((west, south), east - west, north - south, color="0.75"))

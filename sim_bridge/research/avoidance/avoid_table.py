@@ -1,4 +1,4 @@
-"""The tables of docs/avoidance.md from the flights that `sim-bridge avoid --keep` has kept."""
+"""Tables of the flights that `sim-bridge research avoid --keep` has kept, each policy a row."""
 
 import math
 import re
@@ -20,7 +20,7 @@ NAME = re.compile(
 
 
 @dataclass(frozen=True)
-class Row:
+class PolicyRow:
     """All flights of a policy with so many drones, from the first episode on without a gap."""
 
     policy: str
@@ -29,7 +29,7 @@ class Row:
     flights: Flights
 
 
-def rows_of(folder: Path) -> list[Row]:
+def rows_of(folder: Path) -> list[PolicyRow]:
     """What is kept in a folder of one seed, one air and one actor."""
     chunks: dict[tuple[str, int], dict[int, tuple[int, Path]]] = {}
     kinds: set[tuple[str, str]] = set()
@@ -50,17 +50,17 @@ def rows_of(folder: Path) -> list[Row]:
     return [row for key in ordered if (row := _joined(*key, chunks[key])) is not None]
 
 
-def _joined(policy: str, agents: int, chunks: dict[int, tuple[int, Path]]) -> Row | None:
+def _joined(policy: str, agents: int, chunks: dict[int, tuple[int, Path]]) -> PolicyRow | None:
     flights, episodes = None, 0
     while episodes in chunks:
         count, path = chunks[episodes]
         part = read_flights(path)
         flights = part if flights is None else flights.joined(part)
         episodes += count
-    return None if flights is None else Row(policy, agents, episodes, flights)
+    return None if flights is None else PolicyRow(policy, agents, episodes, flights)
 
 
-def results(rows: list[Row]) -> Sheet:
+def results(rows: list[PolicyRow]) -> Sheet:
     """Counts and means of each policy."""
     head = ["drones, episodes", "policy", "goals", "met a drone (bound, 95 %)", "met a building"]
     head += ["time ratio", "energy ratio", "least separation"]
@@ -83,7 +83,7 @@ def results(rows: list[Row]) -> Sheet:
     return Sheet("Policies on the same episodes", head, cells, "Intervals by episode, 95 %.")
 
 
-def compared(rows: list[Row]) -> Sheet:
+def compared(rows: list[PolicyRow]) -> Sheet:
     """The learned policy less each other, of flights where both arrived; below zero is better."""
     of = {(row.policy, row.agents): row for row in rows}
     cells = []
@@ -95,7 +95,7 @@ def compared(rows: list[Row]) -> Sheet:
     return Sheet(f"{LEARNED} against the others", head, cells, "Intervals by episode, 95 %.")
 
 
-def _pair(ours: Row, theirs: Row) -> list[str]:
+def _pair(ours: PolicyRow, theirs: PolicyRow) -> list[str]:
     episodes = min(ours.episodes, theirs.episodes)
     count = episodes * ours.agents
     a, b = ours.flights, theirs.flights

@@ -1,11 +1,11 @@
-"""The paper's decision problem (IV-B, row 10 of the brief) over a batch of worlds.
+"""The paper's decision problem (arXiv 2604.13441, IV-B) over a batch of worlds.
 
 Observation: 155 x 155 cells about the drone in three binary channels (obstacles, neighbours,
 neighbours' goals), and two vectors in metres: to one's own goal, and from the truck to its goal
-(zero while the objective is a customer). The paper leaves open which way is up: `Frame.NORTH`, or
-`Frame.GOAL`, where up (and heading 0) is the way to the goal, so that one lesson serves every
-direction. The truck's own goal is where it will be met; here it stands, so the vector that the
-paper gives a returning drone is the truck's place as the drone sees it.
+(zero while the objective is a customer). The paper leaves open which way is up: `ViewFrame.NORTH`,
+or `ViewFrame.GOAL`, where up (and heading 0) is the way to the goal, so that one lesson serves
+every direction. The truck's own goal is where it will be met. Here it stands, so the vector that
+the paper gives a returning drone is the truck's place as the drone sees it.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.scenes import CELL_M, VIEW_CELLS, cells_of
 from sim_bridge.research.avoidance.ways_around import WaysAround
-from sim_bridge.research.avoidance.world import DECISION_S, GOAL_M, MAX_SPEED_MPS, TICKS, World
+from sim_bridge.research.avoidance.world import (
+    DECISION_S,
+    GOAL_M,
+    MAX_SPEED_MPS,
+    TICKS,
+    AvoidanceWorld,
+)
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -28,7 +34,7 @@ MARK_CELLS = 1  # a neighbour or a goal is a square of 3 x 3 cells
 AT_ONCE = 16  # views drawn at once, so that the working set stays in cache
 
 
-class Frame(StrEnum):
+class ViewFrame(StrEnum):
     """What is up in the field of view, and heading 0 of an action."""
 
     NORTH = "north"
@@ -37,7 +43,7 @@ class Frame(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PaperReward:
-    """Row 10: every constant is the paper's; `wind_lambda` is its lambda."""
+    """The paper's reward (IV-B): every constant is its own; `wind_lambda` is its lambda."""
 
     step: float = -0.2
     goal: float = 20.0
@@ -47,7 +53,7 @@ class PaperReward:
     near_k3: float = 50.0
     wind_lambda: float = 0.2
 
-    def __call__(self, flown: "Flown") -> Floats:
+    def __call__(self, flown: "DecisionResult") -> Floats:
         squared = flown.distance_m**2
         near = np.where(flown.seen, self.near_k2 / (squared + self.near_k3), 0.0).sum(axis=-1)
         return (
@@ -77,7 +83,7 @@ class SharperReward:
     collision: float = -5.0
     refused: float = -0.5
 
-    def __call__(self, flown: "Flown") -> Floats:
+    def __call__(self, flown: "DecisionResult") -> Floats:
         closeness = np.maximum(1.0 - flown.nearest_m / self.near_m, 0.0) ** 2
         return (
             self.step
@@ -106,7 +112,7 @@ class SwiftReward:
     near: float = -2.0
     collision: float = -6.0
 
-    def __call__(self, flown: "Flown") -> Floats:
+    def __call__(self, flown: "DecisionResult") -> Floats:
         closeness = np.maximum(1.0 - flown.nearest_m / self.near_m, 0.0) ** 2
         saved_s = (flown.way_m + GOAL_M * flown.arrived) / self.fastest_mps
         return (
@@ -118,7 +124,7 @@ class SwiftReward:
         )
 
 
-Reward = Callable[["Flown"], Floats]
+Reward = Callable[["DecisionResult"], Floats]
 REWARDS: dict[str, Reward] = {
     "paper": PaperReward(),
     "sharper": SharperReward(),
@@ -127,7 +133,7 @@ REWARDS: dict[str, Reward] = {
 
 
 @dataclass(frozen=True)
-class Flown:
+class DecisionResult:
     """What one decision came to; arrays (E, N), distances (E, N, N)."""
 
     arrived: Floats
@@ -154,9 +160,9 @@ class Observation:
 class AvoidEnvironment:
     """`observe`, `step(actions)`; actions (E, N, 2) in [-1, 1]: heading over pi, and speed."""
 
-    world: World
+    world: AvoidanceWorld
     reward: Reward = field(default_factory=PaperReward)
-    frame: Frame = Frame.NORTH
+    frame: ViewFrame = ViewFrame.NORTH
     separation: SeparationFilter | None = None
     power_w: Callable[[Floats], Floats] | None = None
     ways: WaysAround | None = None  # without: the way is as the crow flies
@@ -221,12 +227,12 @@ class AvoidEnvironment:
         way_m: Floats,
         refused: Floats,
         wind: Floats,
-    ) -> Flown:
+    ) -> DecisionResult:
         w = self.world
         away = w.pos_m[:, :, None, :2] - w.pos_m[:, None, :, :2]
         distance = np.linalg.norm(away, axis=-1)
         others = active[:, :, None] & w.active[:, None] & ~np.eye(w.agents, dtype=bool)
-        return Flown(
+        return DecisionResult(
             arrived=(active & ~w.active).astype(float),
             progress_m=before - w.to_goal()[1],
             way_m=way_m,
@@ -253,17 +259,17 @@ def speed_of(actions: Floats) -> Floats:
     return 0.5 * (np.clip(actions[..., 1], -1.0, 1.0) + 1.0) * MAX_SPEED_MPS
 
 
-def heading_of(world: World, actions: Floats, frame: Frame) -> Floats:
+def heading_of(world: AvoidanceWorld, actions: Floats, frame: ViewFrame) -> Floats:
     """North-based headings (E, N) of actions that are taken in this frame."""
     return up_of(world, frame) + np.pi * np.clip(actions[..., 0], -1.0, 1.0)
 
 
-def up_of(world: World, frame: Frame) -> Floats:
+def up_of(world: AvoidanceWorld, frame: ViewFrame) -> Floats:
     """Which bearing is up; (E, N)."""
-    return world.to_goal()[0] if frame is Frame.GOAL else np.zeros(world.active.shape)
+    return world.to_goal()[0] if frame is ViewFrame.GOAL else np.zeros(world.active.shape)
 
 
-def observe(world: World, frame: Frame) -> Observation:
+def observe(world: AvoidanceWorld, frame: ViewFrame) -> Observation:
     """What every agent sees; views of agents that are done are left empty."""
     shape = world.active.shape
     view = np.zeros((*shape, CHANNELS, VIEW_CELLS, VIEW_CELLS), dtype=np.uint8)
@@ -288,7 +294,9 @@ def _offsets() -> Floats:
 OFFSETS_M = _offsets().astype(np.float32)
 
 
-def _obstacles(world: World, e: NDArray[np.int64], i: NDArray[np.int64], up: Floats) -> Bytes:
+def _obstacles(
+    world: AvoidanceWorld, e: NDArray[np.int64], i: NDArray[np.int64], up: Floats
+) -> Bytes:
     c, s = (f(up).astype(np.float32)[:, None, None] / CELL_M for f in (np.cos, np.sin))
     here = (world.pos_m[e, i, :2] - _origin_m()).astype(np.float32)[:, None, None] / CELL_M
     rows = (here[..., 0] + c * OFFSETS_M[..., 0] - s * OFFSETS_M[..., 1]).astype(np.int32)
@@ -307,7 +315,7 @@ def _origin_m() -> Floats:
     return -CELL_M * cells_of(corner).astype(np.float64)
 
 
-def _mark(view: Bytes, world: World, points_ne_m: Floats, up: Floats) -> None:
+def _mark(view: Bytes, world: AvoidanceWorld, points_ne_m: Floats, up: Floats) -> None:
     """Set squares about the neighbours' points in every agent's view, in place."""
     away = points_ne_m[:, None] - world.pos_m[:, :, None, :2]
     c, s = np.cos(up)[..., None], np.sin(up)[..., None]
@@ -324,7 +332,7 @@ def _mark(view: Bytes, world: World, points_ne_m: Floats, up: Floats) -> None:
             view[e, i, r[e, i, j], k[e, i, j]] = 1
 
 
-def _vectors(world: World, up: Floats) -> NDArray[np.float32]:
+def _vectors(world: AvoidanceWorld, up: Floats) -> NDArray[np.float32]:
     goal = world.goal_ne_m - world.pos_m[..., :2]
     truck = world.truck_ne_m[:, None] - world.pos_m[..., :2]
     truck = np.where(world.returning[..., None], truck, 0.0)

@@ -11,7 +11,7 @@ from companion.adapters.files.params import read_airframe
 from companion.core.separation.separation_filter import SeparationFilter
 from companion.core.vehicle.power import multirotor_power_w
 from sim_bridge.research.avoidance.scenes import make_scene
-from sim_bridge.research.avoidance.world import GOAL_M, MAX_SPEED_MPS, TICK_S, TICKS, World
+from sim_bridge.research.avoidance.world import GOAL_M, MAX_SPEED_MPS, TICK_S, TICKS, AvoidanceWorld
 from sim_bridge.research.avoidance.yardsticks import Pilot
 
 Floats = NDArray[np.float64]
@@ -40,18 +40,18 @@ class Flights:
         return Flights(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names))
 
 
-def evaluation_world(agents: int, wind: bool) -> World:
+def evaluation_world(agents: int, wind: bool) -> AvoidanceWorld:
     """Towns that training never saw."""
     scenes = [make_scene(np.random.default_rng([2, k])) for k in range(EVALUATION_SCENES)]
-    return World(scenes, agents, wind)
+    return AvoidanceWorld(scenes, agents, wind)
 
 
 def fly(
-    world: World,
+    world: AvoidanceWorld,
     pilot: Pilot,
     separation: SeparationFilter | None,
     seeds: list[int],
-    watch: Callable[[World], None] = lambda _: None,
+    watch: Callable[[AvoidanceWorld], None] = lambda _: None,
 ) -> Flights:
     """The episodes of these seeds to their end, or for 150 s."""
     world.reset(seeds)
@@ -83,7 +83,7 @@ def fly(
 
 
 def decision_us(
-    world: World,
+    world: AvoidanceWorld,
     pilot: Pilot,
     separation: SeparationFilter | None,
     seeds: list[int],
@@ -110,7 +110,7 @@ def decision_us(
     return 1e6 * np.array(costs)
 
 
-def _straight(world: World, power_w: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
+def _straight(world: AvoidanceWorld, power_w: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
     """Seconds and joules straight to the goal's edge, at full speed, in the same wind."""
     bearing, distance = world.to_goal()
     ground = world.velocity_of(bearing, np.full(bearing.shape, MAX_SPEED_MPS))[..., :2]
@@ -127,7 +127,7 @@ def upper95(count: int, of: int) -> float:
 def summary(
     policy: str, agents: int, episodes: int, found: Flights, decision_us: Floats
 ) -> dict[str, object]:
-    """The JSON of evaluation.md, 12, and half-widths of 95 % intervals by episode."""
+    """The figures of `--json` (docs/reference/benchmarks.md); 95 % intervals are by episode."""
     flights, horizontal_m = len(found.arrived), 5.0
     drones = int(found.hit_drone.sum())
     time, time_half = by_episode(found.time_ratio, agents)

@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.evaluation import Flights, fly
-from sim_bridge.research.avoidance.world import World
+from sim_bridge.research.avoidance.world import AvoidanceWorld
 from sim_bridge.research.avoidance.yardsticks import Pilot
 
 CHUNK = 25  # episodes flown side by side
@@ -40,7 +40,7 @@ class Evaluation:
 def flights_of(
     evaluation: Evaluation,
     episodes: int,
-    world: World,
+    world: AvoidanceWorld,
     pilot: Pilot,
     separation: SeparationFilter | None,
     folder: Path | None = None,

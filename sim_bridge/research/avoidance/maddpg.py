@@ -54,7 +54,7 @@ class TrainParams:
     check_episodes: int = 24
 
 
-class Encoder(nn.Module):
+class ViewEncoder(nn.Module):
     """Pooled view (B, 3, 31, 31) and two vectors (B, 4) -> (B, 64)."""
 
     def __init__(self) -> None:
@@ -76,10 +76,10 @@ def heading_and_speed(action: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Task:
+class LearningTask:
     """What is seen and done: our own, or one that another library is compared on."""
 
-    encoder: Callable[[], nn.Module] = Encoder  # (view, vectors) -> (B, 64)
+    encoder: Callable[[], nn.Module] = ViewEncoder  # (view, vectors) -> (B, 64)
     reads: Callable[[Tensor], Tensor] = heading_and_speed
     read_size: int = 3
     first_action: tuple[float, ...] = (0.0, 2.0)  # into the tanh: straight ahead and fast
@@ -87,13 +87,13 @@ class Task:
     vectors: int = 4
 
 
-AVOID = Task()
+AVOID = LearningTask()
 
 
 class Actor(nn.Module):
     """Observation -> action in [-1, 1], for us (heading, speed); begins near the first action."""
 
-    def __init__(self, task: Task = AVOID) -> None:
+    def __init__(self, task: LearningTask = AVOID) -> None:
         super().__init__()
         self.encoder = task.encoder()
         self.hidden = nn.Linear(64, 64)
@@ -112,7 +112,7 @@ class Actor(nn.Module):
 class Critic(nn.Module):
     """Everybody's observations and actions -> the value to each; flat (B * N, ...) in and out."""
 
-    def __init__(self, task: Task = AVOID) -> None:
+    def __init__(self, task: LearningTask = AVOID) -> None:
         super().__init__()
         self.encoder = task.encoder()
         self.reads = task.reads
@@ -138,7 +138,7 @@ class Critic(nn.Module):
 class Replay:
     """The last steps of all episodes; a step's successor is the next row, unless all began anew."""
 
-    def __init__(self, params: TrainParams, task: Task = AVOID) -> None:
+    def __init__(self, params: TrainParams, task: LearningTask = AVOID) -> None:
         shape = (params.replay, params.episodes, params.agents)
         self.view = np.zeros((*shape, *task.view), np.uint8)
         self.vectors_m = np.zeros((*shape, task.vectors), np.float32)
@@ -176,7 +176,7 @@ class Replay:
 class Learner:
     """Actor, critic, their slow copies and optimisers; `learn` takes one step on a batch."""
 
-    def __init__(self, params: TrainParams, task: Task = AVOID) -> None:
+    def __init__(self, params: TrainParams, task: LearningTask = AVOID) -> None:
         torch.manual_seed(params.seed)
         self.params = params
         self.actor, self.critic = Actor(task), Critic(task)

@@ -9,12 +9,12 @@ from pettingzoo import ParallelEnv
 from sim_bridge.research.avoidance.environment import (
     CHANNELS,
     AvoidEnvironment,
-    Frame,
     PaperReward,
     Reward,
+    ViewFrame,
 )
 from sim_bridge.research.avoidance.scenes import VIEW_CELLS, make_scene
-from sim_bridge.research.avoidance.world import World
+from sim_bridge.research.avoidance.world import AvoidanceWorld
 
 LONGEST_DECISIONS = 60
 
@@ -29,7 +29,7 @@ class AvoidParallelEnv(ParallelEnv[str, dict[str, np.ndarray], np.ndarray]):
     ) -> None:
         drawn = [make_scene(np.random.default_rng([515, k])) for k in range(scenes)]
         self._batch = AvoidEnvironment(
-            World(drawn, agents, wind), reward or PaperReward(), Frame.NORTH
+            AvoidanceWorld(drawn, agents, wind), reward or PaperReward(), ViewFrame.NORTH
         )
         self.possible_agents = [f"drone_{i}" for i in range(agents)]
         self.agents: list[str] = []

@@ -16,11 +16,16 @@ import torch  # pyright: ignore[reportMissingImports]
 
 from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, pooled
 from companion.core.separation.separation_filter import SeparationFilter
-from sim_bridge.research.avoidance.environment import REWARDS, AvoidEnvironment, Frame, Observation
+from sim_bridge.research.avoidance.environment import (
+    REWARDS,
+    AvoidEnvironment,
+    Observation,
+    ViewFrame,
+)
 from sim_bridge.research.avoidance.maddpg import Learner, Replay, TrainParams
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.avoidance.ways_around import ways_around
-from sim_bridge.research.avoidance.world import World
+from sim_bridge.research.avoidance.world import AvoidanceWorld
 
 TRAIN_SCENES, TRAIN_SEEDS = 24, 1_000_000  # `avoid` flies other towns and other seeds
 CHECK_SEEDS = 900_000
@@ -66,10 +71,10 @@ def environment_of(
     params: TrainParams, agents: int, filtered: bool, power_w: Callable[..., Any] | None
 ) -> AvoidEnvironment:
     scenes = [make_scene(np.random.default_rng([1, k])) for k in range(TRAIN_SCENES)]
-    world = World(scenes, agents, wind=True)
+    world = AvoidanceWorld(scenes, agents, wind=True)
     separation = SeparationFilter() if filtered else None
     reward = REWARDS[params.reward]
-    return AvoidEnvironment(world, reward, Frame.GOAL, separation, power_w, ways_around(scenes))
+    return AvoidEnvironment(world, reward, ViewFrame.GOAL, separation, power_w, ways_around(scenes))
 
 
 def flown_check(learner: Learner, env: AvoidEnvironment) -> tuple[float, float]:
@@ -248,7 +253,7 @@ def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
     card = CARD.format(
         name=name,
         sha256=_sha256_of(archive),
-        frame=Frame.GOAL.value,
+        frame=ViewFrame.GOAL.value,
         reward=params["reward"],
         behind_filter=str(params["filtered"]).lower(),
         seed=params["seed"],

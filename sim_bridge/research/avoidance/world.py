@@ -1,9 +1,9 @@
 """Many episodes of drones over a town at once: what the policies and the trainer fly in.
 
-Row 10 of the brief (paper IV-B): a decision every 2 s, in between a low-level controller at 5 Hz
-with limited acceleration. Truth is what a vehicle was told plus what gusts make of it; neighbours
-are known 200 ms late and 2 m off (evaluation.md, 12). Arrays are (episodes, agents, ...), north,
-east, down about the middle of the town; the flight height is 0.
+As in arXiv 2604.13441, IV-B, there is a decision every 2 s. Between decisions a low-level
+controller with limited acceleration runs at 5 Hz. The true motion is the commanded one plus gusts;
+neighbours are known 200 ms late and 2 m off (docs/reference/benchmarks.md). Arrays are (episodes,
+agents, ...), north, east, down about the middle of the town; the flight height is 0.
 """
 
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ LAYERS = np.array([-1.0, 1.0, 0.0, -2.0, 2.0])
 
 
 @dataclass
-class World:
+class AvoidanceWorld:
     """Episodes in step with each other; `reset` draws them, `tick` flies 0.2 s."""
 
     scenes: list[Scene]

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.separation.learned_policy import AvoidancePolicy, pooled
-from sim_bridge.research.avoidance.environment import Frame, heading_of, observe, speed_of
-from sim_bridge.research.avoidance.world import MAX_SPEED_MPS, TICK_S, TICKS, World
+from sim_bridge.research.avoidance.environment import ViewFrame, heading_of, observe, speed_of
+from sim_bridge.research.avoidance.world import MAX_SPEED_MPS, TICK_S, TICKS, AvoidanceWorld
 
 Floats = NDArray[np.float64]
 
@@ -16,13 +16,13 @@ Floats = NDArray[np.float64]
 class Pilot(Protocol):
     """Wanted velocities (E, N, 3); asked at every tick of a batch that has begun at tick 0."""
 
-    def wanted(self, world: World, tick: int) -> Floats: ...
+    def wanted(self, world: AvoidanceWorld, tick: int) -> Floats: ...
 
 
 class StraightOn:
     """To the goal as fast as one may, whoever is in the way."""
 
-    def wanted(self, world: World, tick: int) -> Floats:
+    def wanted(self, world: AvoidanceWorld, tick: int) -> Floats:
         bearing, _ = world.to_goal()
         return world.velocity_of(bearing, np.full(bearing.shape, MAX_SPEED_MPS))
 
@@ -32,11 +32,11 @@ class Learned:
     """The actor, asked every 2 s as it was trained; in between its heading and speed stand."""
 
     policy: AvoidancePolicy
-    frame: Frame = Frame.GOAL
+    frame: ViewFrame = ViewFrame.GOAL
     _heading: Floats = field(init=False)
     _speed: Floats = field(init=False)
 
-    def wanted(self, world: World, tick: int) -> Floats:
+    def wanted(self, world: AvoidanceWorld, tick: int) -> Floats:
         if tick % TICKS == 0:
             seen = observe(world, self.frame)
             flat = pooled(seen.view).reshape(-1, 3, 31, 31)
@@ -60,7 +60,7 @@ class Orca:
     a simulator of its own, of which only its own agent's answer is read.
     """
 
-    def wanted(self, world: World, tick: int) -> Floats:
+    def wanted(self, world: AvoidanceWorld, tick: int) -> Floats:
         if tick == 0:
             self._simulators = {
                 (int(e), int(i)): _simulator(world, int(e), int(i))
@@ -78,7 +78,7 @@ class Orca:
         return wanted
 
 
-def _simulator(world: World, e: int, i: int) -> Any:
+def _simulator(world: AvoidanceWorld, e: int, i: int) -> Any:
     import pyrvo  # pyright: ignore[reportMissingImports]
 
     simulator: Any = pyrvo.RVOSimulator()  # pyright: ignore[reportAttributeAccessIssue]
@@ -102,7 +102,7 @@ def _simulator(world: World, e: int, i: int) -> Any:
 
 def _step(
     simulator: Any,
-    world: World,
+    world: AvoidanceWorld,
     who: tuple[int, int],
     said_pos: Floats,
     said_vel: Floats,

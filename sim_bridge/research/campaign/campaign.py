@@ -31,8 +31,8 @@ from sim_bridge.research.planners.ber_paper import BerPaper, BerPaperParams
 from sim_bridge.research.planners.clairvoyant import Clairvoyant
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
-    Flown,
     LogWinds,
+    MissionResults,
     Outcome,
     Winds,
     fly_missions,
@@ -77,8 +77,8 @@ class CampaignParams:
             raise LeewayError(f"risk weight = {self.risk_weight!r}: expected 0 or more")
 
 
-class Row(msgspec.Struct, frozen=True):
-    """One line of the campaign's JSON (`evaluation.md`, 3)."""
+class CampaignRow(msgspec.Struct, frozen=True):
+    """One row of the campaign's JSON: counts of outcomes (docs/reference/outcomes.md), means."""
 
     scenario: str
     planner: str
@@ -116,7 +116,7 @@ class Tally(msgspec.Struct, frozen=True):
     decisions: int
 
 
-class Task(msgspec.Struct, frozen=True):
+class CampaignTask(msgspec.Struct, frozen=True):
     """Some blocks of one row; `timed` also times decisions."""
 
     scenario: int
@@ -126,7 +126,7 @@ class Task(msgspec.Struct, frozen=True):
     timed: bool
 
 
-class Done(msgspec.Struct, frozen=True):
+class TaskResult(msgspec.Struct, frozen=True):
     """What a task found."""
 
     tallies: list[Tally]
@@ -254,7 +254,9 @@ class Workbench:
         return PolicySearch(model, solve_home(model, believes), believes)
 
 
-def run_task(scenario: Scenario, params: CampaignParams, task: Task, bench: Workbench) -> Done:
+def run_task(
+    scenario: Scenario, params: CampaignParams, task: CampaignTask, bench: Workbench
+) -> TaskResult:
     """Fly the task's blocks."""
     tallies: list[Tally] = []
     decision_us: list[float] = []
@@ -272,10 +274,10 @@ def run_task(scenario: Scenario, params: CampaignParams, task: Task, bench: Work
             f"{scenario.name}: ber stays at the depot: no flight keeps P(loss) within"
             f" {params.max_loss:g}"
         )
-    return Done(tallies, decision_us, note)
+    return TaskResult(tallies, decision_us, note)
 
 
-def tally(flown: Flown, budget_wh: float) -> Tally:
+def tally(flown: MissionResults, budget_wh: float) -> Tally:
     """Sums over missions; the margin is what those that came home had left."""
     home = (flown.outcome == Outcome.SUC) | (flown.outcome == Outcome.ABRT)
     counts = np.bincount(flown.outcome, minlength=4).tolist()
@@ -349,20 +351,22 @@ def time_decisions(
     return times[1:] if len(times) > 1 else times  # the first one warms caches up
 
 
-def tasks_of(scenarios: int, planners: list[str], params: CampaignParams) -> list[Task]:
+def tasks_of(scenarios: int, planners: list[str], params: CampaignParams) -> list[CampaignTask]:
     """The campaign cut into tasks, scenario by scenario."""
     blocks = -(-params.missions // BLOCK)
     return [
-        Task(s, planner, first, min(BLOCKS_PER_TASK, blocks - first), timed=first == 0)
+        CampaignTask(s, planner, first, min(BLOCKS_PER_TASK, blocks - first), timed=first == 0)
         for s in range(scenarios)
         for planner in planners
         for first in range(0, blocks, BLOCKS_PER_TASK)
     ]
 
 
-def rows_of(scenarios: list[Scenario], tasks: list[Task], done: dict[int, Done]) -> Iterator[Row]:
+def rows_of(
+    scenarios: list[Scenario], tasks: list[CampaignTask], done: dict[int, TaskResult]
+) -> Iterator[CampaignRow]:
     """The rows, in the order of the tasks, from what every task found."""
-    grouped: dict[tuple[int, str], list[Done]] = {}
+    grouped: dict[tuple[int, str], list[TaskResult]] = {}
     for i, task in enumerate(tasks):
         grouped.setdefault((task.scenario, task.planner), []).append(done[i])
     for (scenario, planner), parts in grouped.items():
@@ -371,14 +375,16 @@ def rows_of(scenarios: list[Scenario], tasks: list[Task], done: dict[int, Done])
         yield _row(scenarios[scenario].name, planner, tallies, times)
 
 
-def _row(scenario: str, planner: str, tallies: list[Tally], decision_us: list[float]) -> Row:
+def _row(
+    scenario: str, planner: str, tallies: list[Tally], decision_us: list[float]
+) -> CampaignRow:
     counts = np.sum([t.outcomes for t in tallies], axis=0).tolist()
     missions = sum(counts)
     home = counts[Outcome.SUC] + counts[Outcome.ABRT]
     energy = _mean_std([t.energy_wh for t in tallies], missions)
     margin = _mean_std([t.margin_wh for t in tallies], home)
     time = _mean_std([t.time_s for t in tallies], missions)
-    return Row(
+    return CampaignRow(
         scenario=scenario,
         planner=planner,
         missions=missions,
@@ -408,9 +414,9 @@ def _mean_std(sums: list[tuple[float, float]], count: int) -> tuple[float | None
 
 def run_campaign(
     scenarios: list[Scenario], planners: list[str], params: CampaignParams
-) -> list[Row]:
+) -> list[CampaignRow]:
     """The whole campaign in this process."""
-    done: dict[int, Done] = {}
+    done: dict[int, TaskResult] = {}
     tasks = tasks_of(len(scenarios), planners, params)
     bench: Workbench | None = None
     for i, task in enumerate(tasks):
@@ -421,6 +427,6 @@ def run_campaign(
     return list(rows_of(scenarios, tasks, done))
 
 
-def without_timings(row: Row) -> Row:
+def without_timings(row: CampaignRow) -> CampaignRow:
     """The row as it is on any machine."""
     return msgspec.structs.replace(row, decision_us_median=0.0, decision_us_p99=0.0)

@@ -16,9 +16,9 @@ from companion.core.base.errors import LeewayError
 from companion.core.routing.scenario import Scenario, scenario_json
 from sim_bridge.research.campaign.campaign import (
     CampaignParams,
-    Done,
-    Row,
-    Task,
+    CampaignRow,
+    CampaignTask,
+    TaskResult,
     Workbench,
     rows_of,
     run_task,
@@ -32,7 +32,7 @@ PER_WORKER = 2  # tasks handed out ahead of each worker
 class Executor(Protocol):
     """Somewhere to run tasks: yields (index, result) in any order."""
 
-    def run(self, pending: list[tuple[int, Task]]) -> Iterator[tuple[int, Done]]: ...
+    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]: ...
 
 
 class InProcess:
@@ -41,7 +41,7 @@ class InProcess:
     def __init__(self, scenarios: list[Scenario], params: CampaignParams) -> None:
         self._worker = Worker(scenarios, params)
 
-    def run(self, pending: list[tuple[int, Task]]) -> Iterator[tuple[int, Done]]:
+    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
         for index, task in pending:
             yield index, self._worker.run(task)
 
@@ -54,7 +54,7 @@ class Worker:
         self._at = -1
         self._bench: Workbench | None = None
 
-    def run(self, task: Task) -> Done:
+    def run(self, task: CampaignTask) -> TaskResult:
         if self._bench is None or self._at != task.scenario:
             self._bench = Workbench(self._scenarios[task.scenario], self._params)
             self._at = task.scenario
@@ -69,7 +69,7 @@ def _begin_worker(scenarios: list[Scenario], params: CampaignParams) -> None:
     _worker[:] = [Worker(scenarios, params)]
 
 
-def _run_in_worker(task: Task) -> Done:
+def _run_in_worker(task: CampaignTask) -> TaskResult:
     return _worker[0].run(task)
 
 
@@ -79,7 +79,7 @@ class Pool:
     def __init__(self, scenarios: list[Scenario], params: CampaignParams, jobs: int) -> None:
         self._scenarios, self._params, self._jobs = scenarios, params, jobs
 
-    def run(self, pending: list[tuple[int, Task]]) -> Iterator[tuple[int, Done]]:
+    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
         pool = ProcessPoolExecutor(
             self._jobs,
             mp_context=get_context("spawn"),  # a fork would copy BLAS's threads half way
@@ -120,7 +120,7 @@ class RayCluster:
         self._shared = ray.put((encoded, params))
         self._run = ray.remote(_run_on_ray)
 
-    def run(self, pending: list[tuple[int, Task]]) -> Iterator[tuple[int, Done]]:
+    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
         ray = self._ray
         cores = int(ray.cluster_resources().get("CPU", 1))
         waiting = iter(pending)
@@ -138,7 +138,7 @@ class RayCluster:
                 yield running.pop(reference), ray.get(reference)
 
 
-def _run_on_ray(shared: tuple[list[bytes], CampaignParams], task: Task) -> Done:
+def _run_on_ray(shared: tuple[list[bytes], CampaignParams], task: CampaignTask) -> TaskResult:
     encoded, params = shared
     scenarios = [msgspec.json.decode(text, type=Scenario) for text in encoded]
     return Worker(scenarios, params).run(task)
@@ -154,10 +154,10 @@ def campaign_digest(scenarios: list[Scenario], planners: list[str], params: Camp
 
 def campaign_journal(
     out: Path, scenarios: list[Scenario], planners: list[str], params: CampaignParams
-) -> Journal[Done]:
+) -> Journal[TaskResult]:
     """The journal of this campaign beside its result."""
     digest = campaign_digest(scenarios, planners, params)
-    return Journal(out.with_name(out.name + ".partial"), digest, Done)
+    return Journal(out.with_name(out.name + ".partial"), digest, TaskResult)
 
 
 def run(
@@ -165,10 +165,10 @@ def run(
     planners: list[str],
     params: CampaignParams,
     executor: Executor,
-    journal: Journal[Done] | None = None,
+    journal: Journal[TaskResult] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     say: Callable[[str], None] = lambda note: None,
-) -> list[Row]:
+) -> list[CampaignRow]:
     """The campaign's rows; KeyboardInterrupt leaves what is done in the journal."""
     tasks = tasks_of(len(scenarios), planners, params)
     done = journal.read() if journal else {}
@@ -176,7 +176,7 @@ def run(
     pending = [(i, task) for i, task in enumerate(tasks) if i not in done]
     notes: set[str] = set()
 
-    def collect(keep: Callable[[int, Done], None]) -> None:
+    def collect(keep: Callable[[int, TaskResult], None]) -> None:
         for index, result in executor.run(pending):
             keep(index, result)
             done[index] = result

@@ -3,7 +3,7 @@
 Written apart from the planner's tables: energy costs are rounded DOWN, so that every vehicle here
 does at least as well as a real one; transition probabilities come from scipy's matrix exponential;
 the recursion runs over rings of past levels. For each Lagrange weight c it finds
-g(c) = max E[SUC - c loss]; then SUC*(loss) <= min_c g(c) + c loss (evaluation.md, 4).
+g(c) = max E[SUC - c loss]; then SUC*(loss) <= min_c g(c) + c loss (docs/reference/outcomes.md).
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """How far BER is below the frontier, at the loss that it had and at the loss that it was allowed.
 
-Random chains of several kinds on random graphs (evaluation.md, 4; issue 4, done when). Numbers
+Random chains of several kinds on random graphs (docs/reference/outcomes.md). Numbers
 "beyond noise" subtract two standard errors of the campaign: those of SUC less the frontier at the
 loss that was measured.
 """
@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from companion.core.routing.scenario import Scenario
-from sim_bridge.research.campaign.campaign import CampaignParams, Row, run_campaign
+from sim_bridge.research.campaign.campaign import CampaignParams, CampaignRow, run_campaign
 from sim_bridge.research.campaign.frontier import LOSS_WEIGHTS, Frontier, frontier
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
@@ -33,7 +33,7 @@ PLAINLY_NEAR = 0.005  # at its own loss, beyond noise
 PLAINLY_ALLOWED = 0.02  # at the loss allowed
 
 
-class Flown(msgspec.Struct, frozen=True):
+class RivalCampaign(msgspec.Struct, frozen=True):
     """One campaign of BER, and of the rival whose measured loss was its bound ("": none)."""
 
     max_loss: float
@@ -49,7 +49,7 @@ class Distance(msgspec.Struct, frozen=True):
 
     scenario: str
     budget_wh: float
-    flown: Flown
+    flown: RivalCampaign
     below_at_own: float
     below_at_allowed: float
     noise: float
@@ -138,7 +138,7 @@ def check(case: Case) -> list[Distance]:
     return found
 
 
-def _campaigns(case: Case) -> list[Flown]:
+def _campaigns(case: Case) -> list[RivalCampaign]:
     flown = [
         _flown(_row(case, "ber", max_loss, missions), max_loss) for max_loss, missions in BOUNDS
     ]
@@ -149,16 +149,18 @@ def _campaigns(case: Case) -> list[Flown]:
     return flown
 
 
-def _row(case: Case, planner: str, max_loss: float, missions: int) -> Row:
+def _row(case: Case, planner: str, max_loss: float, missions: int) -> CampaignRow:
     params = CampaignParams(seed=case.seed, max_loss=max_loss, missions=missions)
     return run_campaign([case.scenario], [planner], params)[0]
 
 
-def _flown(row: Row, max_loss: float, rival: str = "", success: float | None = None) -> Flown:
-    return Flown(max_loss, rival, row.success, row.loss, row.missions, success)
+def _flown(
+    row: CampaignRow, max_loss: float, rival: str = "", success: float | None = None
+) -> RivalCampaign:
+    return RivalCampaign(max_loss, rival, row.success, row.loss, row.missions, success)
 
 
-def _distance(scenario: Scenario, flown: Flown, limit: Frontier, levels: int) -> Distance:
+def _distance(scenario: Scenario, flown: RivalCampaign, limit: Frontier, levels: int) -> Distance:
     """The noise is that of SUC - slope x loss, by missions (delta method)."""
     success, loss = flown.success, flown.loss
     slope = limit.slope(loss)

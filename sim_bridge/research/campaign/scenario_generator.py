@@ -1,7 +1,7 @@
 """Random delivery scenarios: Erdos-Renyi graphs over a square, wind as a chain of vectors.
 
 The paper gives no graph size, edge probability, wind process or airframe numbers. The settings
-here are ours (`evaluation.md`, 5), chosen once on seeds of their own (`FITTING_SEED`) so that the
+here are ours, chosen once on seeds of their own (`FITTING_SEED`) so that the
 BASELINES come close to the paper's rows.
 """
 

@@ -117,10 +117,10 @@ def _pilot(policy: PolicyChoice, card: str) -> tuple["Pilot", str]:
             ) from error
         return yardsticks.Orca(), ""
     from companion.adapters.files.policy_file import read_policy
-    from sim_bridge.research.avoidance.environment import Frame
+    from sim_bridge.research.avoidance.environment import ViewFrame
 
     actor, said = read_policy(card)
-    return yardsticks.Learned(actor, Frame(said.frame)), said.sha256
+    return yardsticks.Learned(actor, ViewFrame(said.frame)), said.sha256
 
 
 def _table(figures: dict[str, Any], wind: bool) -> "Table":

@@ -80,7 +80,7 @@ def estimator(
     seed: Annotated[int, typer.Option(help="of winds, gusts, sensors and drag")] = 2024,
     anemometer: Annotated[
         Path | None,
-        typer.Option(help="a real flight with an anemometer, CSV at 5 Hz; left out: none"),
+        typer.Option(help="a flight with an anemometer, CSV at 5 Hz; left out: none"),
     ] = None,
     airframe: Annotated[str, typer.Option(help="of the real flight: name or file")] = "generic",
     draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from companion.core.base.errors import LeewayError
 from companion.core.routing.scenario import LogWind, Scenario, parse_scenario
-from sim_bridge.research.campaign.campaign import PLANNERS, CampaignParams, Row
+from sim_bridge.research.campaign.campaign import PLANNERS, CampaignParams, CampaignRow
 from sim_bridge.research.campaign.campaign_runner import (
     Executor,
     InProcess,
@@ -88,7 +88,7 @@ def read_scenario(path: Path) -> Scenario:
         raise LeewayError(f"{path}: {error.strerror}") from None
 
 
-def print_rows(rows: list[Row]) -> None:
+def print_rows(rows: list[CampaignRow]) -> None:
     """The rows as a table on stdout."""
     table = Table(box=None, header_style="bold")
     for head in ("scenario", "planner", "missions", "SUC %", "DEL %", "FAIL %", "ABRT %"):

@@ -28,7 +28,7 @@ def table1(
     from sim_bridge.research.tables.table1 import (
         GUSTY_PARAMS,
         NOTE,
-        Part,
+        Table1Cell,
         Table1Params,
         cells_of,
         draw,
@@ -45,7 +45,7 @@ def table1(
     title += f", recording {wind_log.stem}" if wind_log else ""
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
     work = jobs_of(params, wind)
-    kept = Journal(out / f"{stem}.partial", digest_of(work), list[Part])
+    kept = Journal(out / f"{stem}.partial", digest_of(work), list[Table1Cell])
     cells = cells_of(run_journaled(title, work, fly, jobs, kept), params)
     finish(
         sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
@@ -84,7 +84,7 @@ def table2(
             raise LeewayError(f"--llm-key {llm_key}: {error}") from None
         llm = LlmParams(llm_url, llm_model, key)
     work = experiment.trials_of(trials, seed, llm)
-    kept = Journal(out / "table2.partial", digest_of(work), experiment.Measured)
+    kept = Journal(out / "table2.partial", digest_of(work), experiment.TrialFigures)
     measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
     found = experiment.by_variant(work, measured)
     finish(experiment.sheet(found, seed), out, "table2")
@@ -103,7 +103,7 @@ def lambda_sweep(
     from sim_bridge.research.tables import lambda_sweep as experiment
 
     work = experiment.jobs_of(graphs)
-    kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.Part])
+    kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.SweepCell])
     points = experiment.points_of(run_journaled("lambda sweep", work, experiment.fly, jobs, kept))
     finish(experiment.sheet(points), out, "lambda_sweep")
     experiment.draw(points, out / "lambda_sweep.png")

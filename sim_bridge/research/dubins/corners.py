@@ -18,7 +18,7 @@ from sim_bridge.research.dubins.limits import FlightLimits, require_air_faster
 Floats = NDArray[np.float64]
 
 WINDOW_S = 2.0
-"""Max turn is the largest change of heading within this time (evaluation.md, 5)."""
+"""Max turn is the largest change of heading within this time (docs/reference/outcomes.md)."""
 
 _STRAIGHT_RAD = 1e-6
 _SAMPLES = 17

@@ -1,4 +1,4 @@
-"""Missions flown on the energy graph, many at a time: `evaluation.md` section 2 to the letter.
+"""Missions flown on the energy graph, many at a time (docs/reference/outcomes.md).
 
 The wind of a mission is a function of time that no planner's choice changes: every planner that
 is given the same `ChainWinds` or `LogWinds` meets the same wind, mission by mission.
@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 
 class Outcome(IntEnum):
-    """How a mission ended (`evaluation.md`, 1)."""
+    """How a mission ended (docs/reference/outcomes.md)."""
 
     SUC = 0
     DEL = 1
@@ -29,7 +29,7 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True)
-class Flown:
+class MissionResults:
     """What became of n missions; arrays of length n. A lost vehicle has used its whole budget."""
 
     outcome: NDArray[np.int8]
@@ -267,7 +267,9 @@ def _ground_speed_mps(course_en: Floats, wind_en_mps: Floats, airspeed_mps: floa
     return np.where((room >= 0.0) & (speed > 0.0), speed, 0.0)
 
 
-def fly_missions(graph: EnergyGraph, budget_wh: float, winds: Winds, decider: Decider) -> Flown:
+def fly_missions(
+    graph: EnergyGraph, budget_wh: float, winds: Winds, decider: Decider
+) -> MissionResults:
     """Fly every mission to its end."""
     fleet = _Fleet(graph, budget_wh, winds.count)
     most_edges = 4 * graph.vertex_count
@@ -300,7 +302,7 @@ class _Fleet:
         self.energy_wh = np.full(count, self._budget_wh)
         self.time_s = np.zeros(count)
         self._decisions = 0  # that each of them has taken
-        self.flown = Flown(
+        self.flown = MissionResults(
             np.empty(count, dtype=np.int8),
             np.empty(count),
             np.empty(count),

@@ -22,7 +22,7 @@ _FITTED = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredPower:
     """Mean electrical power in steady flight."""
 
     payload_kg: float
@@ -30,7 +30,7 @@ class Measured:
     power_w: float
 
 
-def calibrated(airframe: Airframe, measured: Sequence[Measured]) -> Airframe:
+def calibrated(airframe: Airframe, measured: Sequence[MeasuredPower]) -> Airframe:
     """The airframe with drag, parcel drag, induced factor and efficiency fitted to the powers."""
 
     def changed(x: Floats) -> Airframe:

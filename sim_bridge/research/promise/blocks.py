@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.promise.recording import Stretch
-from sim_bridge.research.promise.truth import Flown, Missions, Profile, TruePower
+from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, TruePower
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,11 +58,11 @@ def blocks_of(stretches: tuple[Stretch, ...], longest_s: float) -> tuple[Block, 
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawnMissions:
     """Missions with where they come from: block and second of each, in order of time."""
 
     block: Ints
-    flown: Flown
+    flown: TrueMissions
     asked_frac: Floats
     """Round-trip energy in the wind of the last 30 s over the budget."""
 
@@ -75,7 +75,7 @@ def draw_missions(
     tier: str,
     count: int,
     rng: np.random.Generator,
-) -> Drawn:
+) -> DrawnMissions:
     """`count` missions, starts uniform over all judged seconds, directions uniform, stratified."""
     widths = np.array([b.last - b.first + 1 for b in blocks])
     edges = np.concatenate([[0], np.cumsum(widths)])
@@ -95,7 +95,7 @@ def draw_missions(
         recent[i] = series[start[i] - BEFORE_S : start[i]].mean(axis=0)
     distance = distances_m(recent, unit, asked, power)
     missions = Missions(start, unit, distance)
-    return Drawn(block, Flown(missions, power, profile, wind), asked)
+    return DrawnMissions(block, TrueMissions(missions, power, profile, wind), asked)
 
 
 def distances_m(wind_ne_mps: Floats, unit_ne: Floats, asked: Floats, power: TruePower) -> Floats:

@@ -10,9 +10,9 @@ from all others, does at least as well as any policy that has to decide on the w
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.research.promise.planner import NOISE_MPS, Seen
-from sim_bridge.research.promise.truth import Flown, Missions
-from sim_bridge.research.promise.world import World
+from sim_bridge.research.promise.planner import NOISE_MPS, MissionView
+from sim_bridge.research.promise.truth import Missions, TrueMissions
+from sim_bridge.research.promise.world import PromiseWorld
 from sim_bridge.truth.wind_days import DayProcess
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,9 @@ Floats = NDArray[np.float64]
 FUTURES = 200
 
 
-def p_success(world: World, number: int, seen: Seen, rng: np.random.Generator) -> float:
+def p_success(
+    world: PromiseWorld, number: int, seen: MissionView, rng: np.random.Generator
+) -> float:
     """P(delivered and home) over the customer, given every noisy second until then.
 
     `rng` is the mission's own: the noise is the one that its planner sees.
@@ -43,7 +45,7 @@ def p_success(world: World, number: int, seen: Seen, rng: np.random.Generator) -
         np.tile(seen.unit_ne, (FUTURES, 1)),
         np.full(FUTURES, seen.distance_m),
     )
-    flown = Flown(missions, power, profile, wind)
+    flown = TrueMissions(missions, power, profile, wind)
     flown.arrival_s = np.zeros(FUTURES)  # over the customer already
     return float((flown.delivering_wh() <= left_wh).mean())
 

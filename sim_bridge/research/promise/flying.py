@@ -13,7 +13,7 @@ from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.process import WindProcessParams
-from sim_bridge.research.promise.believed import Measured, calibrated
+from sim_bridge.research.promise.believed import MeasuredPower, calibrated
 from sim_bridge.research.promise.blocks import BEFORE_S, TIERS, Block, distances_m
 from sim_bridge.research.promise.bound import p_success
 from sim_bridge.research.promise.calibrating import (
@@ -26,12 +26,12 @@ from sim_bridge.research.promise.calibrating import (
 from sim_bridge.research.promise.planner import (
     HISTORY_S,
     Decided,
+    MissionView,
     Planner,
     PlannerParams,
-    Seen,
 )
 from sim_bridge.research.promise.recording import Stretch
-from sim_bridge.research.promise.world import Setting, World, simulated_days
+from sim_bridge.research.promise.world import PromiseWorld, Setting, simulated_days
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 Floats = NDArray[np.float64]
@@ -57,7 +57,7 @@ LEVELS = (
 DEPARTURES = 240
 CHUNK = 20
 _HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
-_MODEL_STD_FRAC = 0.01  # what a calibrated model is off by in another wind (docs/promise.md)
+_MODEL_STD_FRAC = 0.01  # error of a calibrated model in another wind, as a share
 _COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
 _LOOKS = 48  # of a mission that flies for as long as it can
 _LEAST_BETWEEN_S = 10.0
@@ -95,7 +95,7 @@ class FlyWork:
 
 @dataclass(frozen=True, slots=True)
 class GateFlight:
-    """One mission under every policy, by the names in `World.accepted_losses`."""
+    """One mission under every policy, by the names in `PromiseWorld.accepted_losses`."""
 
     mission: int
     go: list[bool]
@@ -106,9 +106,9 @@ class GateFlight:
 
 
 @lru_cache(maxsize=1)
-def world_of(setting: Setting) -> World:
+def world_of(setting: Setting) -> PromiseWorld:
     """The world of a setting, built once in every process."""
-    return World(setting)
+    return PromiseWorld(setting)
 
 
 @lru_cache(maxsize=1)
@@ -118,7 +118,7 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
     profile, steady = world.profile, SteadyFlight(world.truth)
     hover_mps = _HOVER_WIND_OVER_AIR * profile.airspeed_mps
     measured = [
-        Measured(payload, speed, steady.level_flight_power_w(speed, payload))
+        MeasuredPower(payload, speed, steady.level_flight_power_w(speed, payload))
         for payload in (0.0, profile.payload_kg)
         for speed in (hover_mps, profile.airspeed_mps)
     ]
@@ -142,7 +142,7 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
 
 
 def planner_params(
-    world: World, process: WindProcessParams, spread: float, accepted: tuple[float, ...]
+    world: PromiseWorld, process: WindProcessParams, spread: float, accepted: tuple[float, ...]
 ) -> PlannerParams:
     """What a fold's planner believes."""
     power = world.power
@@ -177,7 +177,7 @@ def fit_fold(work: FoldWork) -> Fitted:
     return Fitted(work.fold, process, spread, accepted, said.shape[0])
 
 
-def _open_to(world: World, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch, Block]]:
+def _open_to(world: PromiseWorld, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch, Block]]:
     """Where departures may be drawn: in unjudged seconds; with too few, in simulated wind.
 
     What is said at a departure hardly depends on the wind, but on how it compares to the airspeed.
@@ -194,7 +194,7 @@ def _open_to(world: World, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch
 
 
 def _departures(
-    world: World,
+    world: PromiseWorld,
     open_to: list[tuple[Stretch, Block]],
     planner: Planner,
     rng: np.random.Generator,
@@ -218,7 +218,7 @@ def _departures(
         recent = wind[start - BEFORE_S : start].mean(axis=0)
         asked = np.array([rng.uniform(low, high)])
         distance = distances_m(recent[None, :], unit[None, :], asked, world.power)
-        seen = Seen(
+        seen = MissionView(
             wind[start - history : start + 1],
             history,
             unit,
@@ -231,7 +231,7 @@ def _departures(
     return said
 
 
-def works_of(world: World, fitted: list[Fitted]) -> list[FlyWork]:
+def works_of(world: PromiseWorld, fitted: list[Fitted]) -> list[FlyWork]:
     """The missions in pieces, from all folds in turn: a call that is stopped has seen each."""
     by_fold: list[list[FlyWork]] = []
     for fold in fitted:
@@ -255,7 +255,7 @@ def fly(work: FlyWork) -> list[GateFlight]:
     return [_flight(world, planner, number) for number in work.missions]
 
 
-def _flight(world: World, planner: Planner, number: int) -> GateFlight:
+def _flight(world: PromiseWorld, planner: Planner, number: int) -> GateFlight:
     rng = _rng_of(world, number)
     seen = seen_by(world, number)
     decided: list[Decided] = planner.fly(seen, rng)
@@ -271,12 +271,12 @@ def _flight(world: World, planner: Planner, number: int) -> GateFlight:
     )
 
 
-def _rng_of(world: World, number: int) -> np.random.Generator:
+def _rng_of(world: PromiseWorld, number: int) -> np.random.Generator:
     """A mission's own randomness; its first numbers are the noise on its wind."""
     return np.random.default_rng([world.setting.seed, 5, number])
 
 
-def seen_by(world: World, number: int) -> Seen:
+def seen_by(world: PromiseWorld, number: int) -> MissionView:
     """What the vehicle of one mission may see: its wind, as it comes."""
     flown, missions = world.drawn.flown, world.drawn.flown.missions
     block = world.blocks[world.drawn.block[number]]
@@ -284,7 +284,7 @@ def seen_by(world: World, number: int) -> Seen:
     history = min(HISTORY_S, start)
     seconds = flown.wind_ne_mps.shape[1]
     wind = world.stretches[block.stretch].wind_ne_mps
-    return Seen(
+    return MissionView(
         wind_ne_mps=wind[start - history : start + seconds],
         history_s=history,
         unit_ne=missions.unit_ne[number],

@@ -31,7 +31,7 @@ PHASES = ("departure", "half way", "delivery")
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class MissionView:
     """What one mission's vehicle may know: its wind from `history` seconds before the start on."""
 
     wind_ne_mps: Floats
@@ -93,13 +93,13 @@ class Planner:
         self._params = params
         self._gate = Gate(route_energy, GateParams(max_loss=0.01, reserve_wh=0.0))
 
-    def depart(self, seen: Seen, rng: np.random.Generator) -> list[Decision]:
+    def depart(self, seen: MissionView, rng: np.random.Generator) -> list[Decision]:
         """What is decided at the start under every accepted loss."""
         p = self._params
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
 
-    def fly(self, seen: Seen, rng: np.random.Generator) -> list[Decided]:
+    def fly(self, seen: MissionView, rng: np.random.Generator) -> list[Decided]:
         """One mission under every accepted loss."""
         p = self._params
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
@@ -128,7 +128,7 @@ class Planner:
             for turned, each in zip(turn_s, said, strict=True)
         ]
 
-    def _looks(self, seen: Seen) -> list[float]:
+    def _looks(self, seen: MissionView) -> list[float]:
         """When it decides: every so often on the way out, and over the customer."""
         arrives = math.isfinite(seen.arrival_s)
         until = seen.arrival_s if arrives else seen.out_m.size - 1.0
@@ -140,7 +140,7 @@ class Planner:
         watch: "_Watch",
         t_s: float,
         here_m: float,
-        seen: Seen,
+        seen: MissionView,
         left_wh: float,
         accepted: list[float],
     ) -> list[Decision]:
@@ -162,7 +162,7 @@ def _interpolated(by_second: Floats, t_s: float) -> float:
 class _Watch:
     """The wind as seen so far: 5-second means of noisy seconds, told to the outlook in order."""
 
-    def __init__(self, seen: Seen, rng: np.random.Generator, outlook: WindOutlook) -> None:
+    def __init__(self, seen: MissionView, rng: np.random.Generator, outlook: WindOutlook) -> None:
         noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
         self._noisy = seen.wind_ne_mps + noise
         self._history_s = seen.history_s

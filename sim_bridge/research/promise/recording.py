@@ -35,7 +35,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class WindRecording:
     """A file's good stretches, and what was wrong with the rest, in words."""
 
     path: Path
@@ -43,7 +43,7 @@ class Recording:
     troubles: tuple[str, ...]
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path) -> WindRecording:
     """Read `t_s, wind_speed_mps, wind_from_deg` (where from, clockwise from north).
 
     LeewayError where nothing can be used: no file, no text, other columns, no good stretch.
@@ -56,7 +56,7 @@ def read_recording(path: Path) -> Recording:
         raise LeewayError(
             f"{path}: no stretch of {LEAST_STRETCH_S:.0f} s without a gap to fly in ({why})"
         )
-    return Recording(path, good, tuple(f"{path}: {words}" for words in found.findings))
+    return WindRecording(path, good, tuple(f"{path}: {words}" for words in found.findings))
 
 
 def _at_whole_seconds(name: str, run: Samples) -> Stretch | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.research.promise.truth import Flown
+from sim_bridge.research.promise.truth import TrueMissions
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -47,7 +47,7 @@ class Ends:
         return self.go & ~self.home
 
 
-def ends_of(flown: Flown, turn_s: Floats, go: Bools | None = None) -> Ends:
+def ends_of(flown: TrueMissions, turn_s: Floats, go: Bools | None = None) -> Ends:
     """How missions end that turn at `turn_s` of their time (infinite: they deliver)."""
     budget_wh = flown.power.budget_wh + flown.pack_wh
     turned = np.isfinite(turn_s)
@@ -58,14 +58,14 @@ def ends_of(flown: Flown, turn_s: Floats, go: Bools | None = None) -> Ends:
     return Ends(np.ones(turned.size, np.bool_) if go is None else go, delivered, budget_wh - spent)
 
 
-def clairvoyant(flown: Flown) -> Ends:
+def clairvoyant(flown: TrueMissions) -> Ends:
     """Goes exactly where the whole trip will work out."""
     going = flown.delivering_wh() <= flown.power.budget_wh + flown.pack_wh
     ends = ends_of(flown, np.full(going.size, math.inf), going)
     return Ends(going, ends.delivered & going, ends.margin_wh)
 
 
-def px4_time(flown: Flown) -> Ends:
+def px4_time(flown: TrueMissions) -> Ends:
     """Returns when `1.1 t + 100 s` exceeds the time that the energy left lasts.
 
     `t`: distance home at cruise ground speed without wind. The mean power of the last 60 s is the
@@ -81,7 +81,7 @@ def px4_time(flown: Flown) -> Ends:
     )
 
 
-def threshold(flown: Flown, frac: float) -> Ends:
+def threshold(flown: TrueMissions, frac: float) -> Ends:
     """Returns when less than `frac` of the budget is left."""
     times = _seconds(flown)
     left = 1.0 - flown.power.loaded_w * times / 3600.0 / flown.power.budget_wh
@@ -89,11 +89,11 @@ def threshold(flown: Flown, frac: float) -> Ends:
     return ends_of(flown, _first(closed, times, flown))
 
 
-def _seconds(flown: Flown) -> Floats:
+def _seconds(flown: TrueMissions) -> Floats:
     return np.arange(flown.wind_ne_mps.shape[1], dtype=np.float64)
 
 
-def _first(closed: Bools, times_s: Floats, flown: Flown) -> Floats:
+def _first(closed: Bools, times_s: Floats, flown: TrueMissions) -> Floats:
     """The first second of each row's way out at which the rule closed; infinite for none."""
     open_yet = times_s[None, :] <= flown.arrival_s[:, None]
     hit = closed & open_yet

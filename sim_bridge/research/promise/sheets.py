@@ -11,9 +11,9 @@ from sim_bridge.research.promise.bound import most_success
 from sim_bridge.research.promise.flying import Fitted, GateFlight
 from sim_bridge.research.promise.rules import Ends, ends_of
 from sim_bridge.research.promise.verdict import (
+    PromiseVerdict,
     RuleRow,
     Statements,
-    Verdict,
     bins_of,
     go_of,
     rule_row,
@@ -21,7 +21,7 @@ from sim_bridge.research.promise.verdict import (
     said_in,
     statements_of,
 )
-from sim_bridge.research.promise.world import World, block_words
+from sim_bridge.research.promise.world import PromiseWorld, block_words
 from sim_bridge.research.results.sheet import Sheet
 
 Floats = NDArray[np.float64]
@@ -33,10 +33,10 @@ _BOOTSTRAP_SEED = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class PromiseResult:
     """Everything that a call found."""
 
-    verdict: Verdict
+    verdict: PromiseVerdict
     statements: Statements
     matched: dict[str, RuleRow]
     """The gate with a fixed rule's own loss accepted, by that rule's name."""
@@ -46,7 +46,9 @@ class Result:
     """On simulated wind: the bound's SUC count at the loss that is accepted."""
 
 
-def result_of(world: World, fitted: list[Fitted], flights: Iterable[list[GateFlight]]) -> Result:
+def result_of(
+    world: PromiseWorld, fitted: list[Fitted], flights: Iterable[list[GateFlight]]
+) -> PromiseResult:
     """Judge what was flown, all missions or those that a stopped call got to."""
     names = tuple(world.accepted_losses)
     flown = sorted((f for part in flights for f in part), key=lambda f: f.mission)
@@ -59,14 +61,14 @@ def result_of(world: World, fitted: list[Fitted], flights: Iterable[list[GateFli
     statements = statements_of(said, gate, unit)
     fixed = {name: rule_row(world.rules[name].of(numbers)) for name in RULES}
     rules = {"gate": rule_row(gate), **fixed}
-    verdict = Verdict(rules, bins_of(statements, rng), go_of(gate, unit, rng))
+    verdict = PromiseVerdict(rules, bins_of(statements, rng), go_of(gate, unit, rng))
     matched = {name: rule_row(each) for name, each in ends.items() if name != "gate"}
     best = np.array([f.p_bound for f in flown if f.p_bound is not None])
     most = most_success(best, world.setting.max_loss * float(gate.go.sum())) if best.size else None
-    return Result(verdict, statements, matched, said_by_phase(said, gate), fitted, most)
+    return PromiseResult(verdict, statements, matched, said_by_phase(said, gate), fitted, most)
 
 
-def _ends(world: World, flown: list[GateFlight], numbers: Ints, policy: int) -> Ends:
+def _ends(world: PromiseWorld, flown: list[GateFlight], numbers: Ints, policy: int) -> Ends:
     count = world.setting.missions
     turn_s, go = np.zeros(count), np.zeros(count, np.bool_)
     turn_s[numbers] = [np.inf if f.turn_s[policy] is None else f.turn_s[policy] for f in flown]
@@ -74,7 +76,7 @@ def _ends(world: World, flown: list[GateFlight], numbers: Ints, policy: int) -> 
     return ends_of(world.drawn.flown, turn_s, go).of(numbers)
 
 
-def title_of(world: World, missions: int) -> str:
+def title_of(world: PromiseWorld, missions: int) -> str:
     """What was flown, in a line."""
     setting = world.setting
     where = ", ".join(Path(name).stem for name in setting.wind_logs)
@@ -88,7 +90,7 @@ def title_of(world: World, missions: int) -> str:
     return title
 
 
-def rules_sheet(world: World, result: Result) -> Sheet:
+def rules_sheet(world: PromiseWorld, result: PromiseResult) -> Sheet:
     """The rules side by side, and the gate at each fixed rule's own loss."""
     rules = result.verdict.rules
     best = rules["clairvoyant"].SUC
@@ -149,7 +151,7 @@ def _cells(name: str, row: RuleRow, best: int) -> tuple[str, ...]:
     )
 
 
-def reliability_sheet(result: Result) -> Sheet:
+def reliability_sheet(result: PromiseResult) -> Sheet:
     """What was said against what came true."""
     rows: list[tuple[str, ...]] = []
     for each in result.verdict.reliability:
@@ -172,7 +174,7 @@ def reliability_sheet(result: Result) -> Sheet:
     return Sheet("Reliability of P(home)", head, rows, note)
 
 
-def draw(result: Result, title: str, path: Path) -> None:
+def draw(result: PromiseResult, title: str, path: Path) -> None:
     """The reliability diagram, and how often what was said."""
     import matplotlib
 

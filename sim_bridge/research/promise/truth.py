@@ -148,7 +148,7 @@ class Missions:
     distance_m: Floats
 
 
-class Flown:
+class TrueMissions:
     """Every mission's possible ends, from the recording's own seconds.
 
     `wind_ne_mps` (n, seconds + 1, 2): each mission's wind from its start on. Times are seconds

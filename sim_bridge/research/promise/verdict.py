@@ -6,12 +6,12 @@ bootstrap knows nothing of losses that it has not seen: where it is the narrower
 of the bare counts takes its place.
 """
 
-import math
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from sim_bridge.research.promise.planner import PHASES
 from sim_bridge.research.promise.rules import Ends
@@ -23,7 +23,6 @@ Bools = NDArray[np.bool_]
 RESAMPLES = 4000
 LEAST_MISSIONS = 100  # in a reliability bin
 EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
-_Z95 = 1.959964
 
 
 class RuleRow(msgspec.Struct, frozen=True):
@@ -61,8 +60,8 @@ class Go(msgspec.Struct, frozen=True):
     lower95: float
 
 
-class Verdict(msgspec.Struct, frozen=True):
-    """`--json` (evaluation.md, section 10)."""
+class PromiseVerdict(msgspec.Struct, frozen=True):
+    """What `--json` writes (docs/reference/benchmarks.md)."""
 
     rules: dict[str, RuleRow]
     reliability: list[Bin]
@@ -158,12 +157,8 @@ def interval95(hit: Bools, unit: Ints, rng: np.random.Generator) -> tuple[float,
 
 def wilson95(hits: int, count: int) -> tuple[float, float]:
     """Wilson's score interval of a share (E. B. Wilson, JASA 22, 1927)."""
-    share, z2 = hits / count, _Z95**2
-    middle = (share + z2 / (2 * count)) / (1.0 + z2 / count)
-    half = share * (1.0 - share) / count + z2 / (4.0 * count**2)
-    half = _Z95 * math.sqrt(half) / (1.0 + z2 / count)
-    low = 0.0 if hits == 0 else max(middle - half, 0.0)
-    return low, 1.0 if hits == count else min(middle + half, 1.0)
+    interval = binomtest(hits, count).proportion_ci(confidence_level=0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def said_by_phase(said: Floats, ends: Ends) -> list[tuple[str, int, float, float]]:

@@ -14,11 +14,11 @@ from sim_bridge.research.promise.blocks import (
     BLOCK_S,
     TIERS,
     Block,
-    Drawn,
+    DrawnMissions,
     blocks_of,
     draw_missions,
 )
-from sim_bridge.research.promise.recording import Recording, Stretch, read_recording
+from sim_bridge.research.promise.recording import Stretch, WindRecording, read_recording
 from sim_bridge.research.promise.rules import (
     THRESHOLDS,
     Ends,
@@ -85,13 +85,13 @@ def digest(path: Path) -> str:
         raise LeewayError(f"{path}: cannot be read ({error.strerror})") from None
 
 
-class World:
+class PromiseWorld:
     """Winds, missions and their true ends; the same in every process for the same setting."""
 
     def __init__(self, setting: Setting) -> None:
         setting.check()
         self.setting = setting
-        self.recordings: tuple[Recording, ...] = tuple(
+        self.recordings: tuple[WindRecording, ...] = tuple(
             read_recording(Path(name)) for name in setting.wind_logs
         )
         self.days, simulated = simulated_days(
@@ -105,7 +105,7 @@ class World:
         self.truth: AirframeTruth = load_airframe(Path(setting.truth_file))
         self.power = TruePower(self.truth, self.profile)
         self.blocks = blocks_of(self.stretches, self.power.endurance_s)
-        self.drawn: Drawn = draw_missions(
+        self.drawn: DrawnMissions = draw_missions(
             self.stretches,
             self.blocks,
             self.power,
@@ -201,7 +201,7 @@ def seconds_of(stretches: tuple[Stretch, ...]) -> int:
     return sum(s.seconds for s in stretches)
 
 
-def block_words(world: World) -> str:
+def block_words(world: PromiseWorld) -> str:
     """How the judging is laid out, in words."""
     count, minutes = len(world.blocks), BLOCK_S // 60
     return (

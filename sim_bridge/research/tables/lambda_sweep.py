@@ -19,7 +19,7 @@ SWEEP_SEED = 2
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """Shares of one planner at one lambda and budget on every graph; percent, arrays (graphs,)."""
 
     planner: str
@@ -39,7 +39,7 @@ class SweepJob:
     classes: int = 8
 
 
-class Part(msgspec.Struct, frozen=True):
+class SweepCell(msgspec.Struct, frozen=True):
     """SUC, DEL, FAIL, ABRT in percent of one planner at one lambda and battery on one graph."""
 
     planner: str
@@ -54,7 +54,7 @@ def jobs_of(graphs: int) -> list[SweepJob]:
     return [SweepJob(scenario) for scenario in scenario_set(graphs, params, SWEEP_SEED)]
 
 
-def fly(job: SweepJob) -> list[Part]:
+def fly(job: SweepJob) -> list[SweepCell]:
     """Every planner, lambda and battery on the same winds."""
     parts = []
     for risk_weight in LAMBDAS:
@@ -70,18 +70,18 @@ def fly(job: SweepJob) -> list[Part]:
                 decider = bench.with_budget(budget).build(planner).begin(np.zeros(job.missions))
                 flown = fly_missions(bench.graph, budget, winds, decider)
                 shares = 100.0 * np.bincount(flown.outcome, minlength=4) / job.missions
-                parts.append(Part(planner, risk_weight, budget, shares.tolist()))
+                parts.append(SweepCell(planner, risk_weight, budget, shares.tolist()))
     return parts
 
 
-def points_of(found: list[list[Part]]) -> list[Point]:
+def points_of(found: list[list[SweepCell]]) -> list[SweepPoint]:
     """The shares of all graphs, planner by planner."""
     grouped: dict[tuple[str, float, float], list[list[float]]] = {}
     for part in (part for parts in found for part in parts):
         key = (part.planner, part.risk_weight, part.budget_wh)
         grouped.setdefault(key, []).append(part.shares)
     return [
-        Point(
+        SweepPoint(
             planner,
             risk_weight,
             budget,
@@ -93,7 +93,7 @@ def points_of(found: list[list[Part]]) -> list[Point]:
     ]
 
 
-def sheet(points: list[Point]) -> Sheet:
+def sheet(points: list[SweepPoint]) -> Sheet:
     """One line for each planner, lambda and budget."""
     rows = [
         [
@@ -112,7 +112,7 @@ def sheet(points: list[Point]) -> Sheet:
     return Sheet("Sensitivity to lambda", head, rows, note)
 
 
-def draw(points: list[Point], path: Path) -> None:
+def draw(points: list[SweepPoint], path: Path) -> None:
     """SUC, ABRT and loss against the battery, one line for each lambda, the published BER."""
     import matplotlib
 

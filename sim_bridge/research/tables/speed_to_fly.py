@@ -1,4 +1,4 @@
-"""Row 21: is the speed to fly the cheapest that the simulator's truth has, and what does it save?
+"""Is the speed to fly the cheapest that the simulator's truth has, and what does it save?
 
 For every wind along and across the way and every load: the ground speed that the companion would
 command by its own model, what the simulated vehicle then truly draws per metre, and the least that

@@ -194,7 +194,7 @@ class Job:
     wind: LogWind | None
 
 
-class Part(msgspec.Struct, frozen=True):
+class Table1Cell(msgspec.Struct, frozen=True):
     """One cell of the table on one scenario: SUC, DEL, FAIL, ABRT in percent."""
 
     classes: int
@@ -211,19 +211,19 @@ def jobs_of(params: Table1Params, wind: LogWind | None = None) -> list[Job]:
     return [Job(scenario, params, wind) for scenario in scenarios]
 
 
-def fly(job: Job) -> list[Part]:
+def fly(job: Job) -> list[Table1Cell]:
     """Every cell of the table on one scenario."""
     if job.wind is None:
         cells = fly_scenario(job.scenario, job.params)
     else:
         cells = fly_recorded(job.scenario, job.wind, job.params)
     return [
-        Part(classes, budget, planner, shares.tolist())
+        Table1Cell(classes, budget, planner, shares.tolist())
         for (classes, budget, planner), shares in cells.items()
     ]
 
 
-def cells_of(found: list[list[Part]], params: Table1Params) -> dict[Cell, Shares]:
+def cells_of(found: list[list[Table1Cell]], params: Table1Params) -> dict[Cell, Shares]:
     """Percentages of every scenario in every cell; arrays (rounds, graphs x targets, 4)."""
     cells: dict[Cell, list[list[float]]] = {}
     for parts in found:

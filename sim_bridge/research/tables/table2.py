@@ -36,7 +36,12 @@ from sim_bridge.research.campaign.scenario_generator import (
     random_scenario,
 )
 from sim_bridge.research.dubins.limits import FlightLimits
-from sim_bridge.research.planners.mission_model import ChainWinds, Flown, Outcome, fly_missions
+from sim_bridge.research.planners.mission_model import (
+    ChainWinds,
+    MissionResults,
+    Outcome,
+    fly_missions,
+)
 from sim_bridge.research.planners.tuning import TuningParams
 from sim_bridge.research.results.sheet import Sheet, mean_std
 from sim_bridge.research.tables.table2_day import (
@@ -85,7 +90,7 @@ PAPER = {
 CLUSTERS = {LLM: "llm", "without LLM": "none", "with k-means": "k-means"}
 
 
-class Measured(msgspec.Struct, frozen=True):
+class TrialFigures(msgspec.Struct, frozen=True):
     """One trial of one variant: the paper's seven columns; flights a day, the truck's day, how far
     from its waypoint a flight's widest corner passes (mean), and which method clustered.
     """
@@ -188,7 +193,7 @@ class _Flights:
         self.off_m: list[float] = []
         self.mean_s: dict[Sortie, float] = {}
 
-    def add(self, sortie: Sortie, flown: Flown, winds: TurningWinds) -> None:
+    def add(self, sortie: Sortie, flown: MissionResults, winds: TurningWinds) -> None:
         home = (flown.outcome == Outcome.SUC) | (flown.outcome == Outcome.ABRT)
         flew = flown.energy_wh > 0.0
         self.outcomes += flown.outcome.tolist()
@@ -204,7 +209,7 @@ class _Flights:
         return float(np.mean(self._lists[name]))
 
 
-def fly_trial(asked: Trial) -> Measured:
+def fly_trial(asked: Trial) -> TrialFigures:
     """One day: every flight of it, in ten winds each."""
     variant = asked.variant
     random = np.random.default_rng([asked.seed, asked.number])
@@ -231,7 +236,7 @@ def fly_trial(asked: Trial) -> Measured:
         )
         flights.add(sortie, *_fly_sortie(scenario, variant, how, asked.seed))
     shares = 100.0 * np.bincount(flights.outcomes, minlength=4) / len(flights.outcomes)
-    return Measured(
+    return TrialFigures(
         success=float(shares[Outcome.SUC]),
         abort=float(shares[Outcome.ABRT]),
         fail=float(shares[Outcome.DEL] + shares[Outcome.FAIL]),
@@ -252,7 +257,7 @@ def _mean_or_none(values: list[float]) -> float | None:
 
 def _fly_sortie(
     scenario: Scenario, variant: str, how: Turning, seed: int
-) -> tuple[Flown, TurningWinds]:
+) -> tuple[MissionResults, TurningWinds]:
     params = CampaignParams(
         missions=MISSIONS_PER_CUSTOMER,
         seed=seed,
@@ -272,15 +277,15 @@ def _fly_sortie(
     return fly_missions(graph, scenario.budget_wh, winds, decider), winds
 
 
-def by_variant(trials: list[Trial], measured: list[Measured]) -> dict[str, list[Measured]]:
+def by_variant(trials: list[Trial], measured: list[TrialFigures]) -> dict[str, list[TrialFigures]]:
     """The trials of each variant."""
-    found: dict[str, list[Measured]] = {}
+    found: dict[str, list[TrialFigures]] = {}
     for trial, one in zip(trials, measured, strict=True):
         found.setdefault(trial.variant, []).append(one)
     return found
 
 
-def sheet(found: dict[str, list[Measured]], seed: int = TABLE2_SEED) -> Sheet:
+def sheet(found: dict[str, list[TrialFigures]], seed: int = TABLE2_SEED) -> Sheet:
     """The paper's table, ours beside."""
     rows = []
     for variant, paper in PAPER.items():
@@ -300,7 +305,7 @@ def _cell(values: Iterable[float | None]) -> str:
     return mean_std(known) if known else "no corner"
 
 
-def _note(found: dict[str, list[Measured]], seed: int) -> str:
+def _note(found: dict[str, list[TrialFigures]], seed: int) -> str:
     limits = FlightLimits.from_bank(SETTING.airspeed_mps, BANK_LIMIT_RAD)
     days = "; ".join(
         f"{variant}: {mean_std([m.flights for m in found[variant]])} flights,"
@@ -327,13 +332,13 @@ def _note(found: dict[str, list[Measured]], seed: int) -> str:
     )
 
 
-def _stood_in(asked: list[Measured]) -> list[str]:
+def _stood_in(asked: list[TrialFigures]) -> list[str]:
     """On how many days the LLM gave nothing usable, so that ours made its clusters."""
     without = [m for m in asked if m.method != "llm"]
     return [f"On {len(without)} of {len(asked)} days ours stood in for the LLM."] if asked else []
 
 
-def draw(found: dict[str, list[Measured]], path: Path) -> None:
+def draw(found: dict[str, list[TrialFigures]], path: Path) -> None:
     """Outcomes of the variants."""
     import matplotlib
 

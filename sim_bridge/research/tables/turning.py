@@ -1,9 +1,9 @@
 """Corners in the graph's mission model: what turning from edge to edge takes, and how sharp it is.
 
-The graph flies straight edges (evaluation.md, 2); here each corner between two of them is flown
-too, rounded (`dubins.corners`) or by losing speed and making it again. Planners know what turning
-into an edge mostly costs at worst (`EnergyGraph.turning_s`); vehicles pay for the corner that they
-fly, in the wind that they fly it in.
+The graph has straight edges only (docs/reference/outcomes.md). Here each corner between two edges
+is flown too: rounded (`dubins.corners`), or by stopping and accelerating again. Planners know a
+typical worst cost of turning into an edge (`EnergyGraph.turning_s`). Vehicles pay for the corner
+that they fly, in the wind at that moment.
 """
 
 from dataclasses import dataclass, replace

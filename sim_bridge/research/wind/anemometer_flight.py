@@ -1,8 +1,8 @@
-"""The real flight with an anemometer aboard, replayed through wind estimators.
+"""A real flight with an anemometer aboard, replayed through wind estimators.
 
-The New Mexico Tech flight of shared/data (see its README): telemetry at 5 Hz, and a reference that
-is good to 0.7 to 1.1 m/s. Judged are the airborne rows after the first 30 s of flight, by the RMSE
-of the vector against the centred 10 s mean, and the mean normalised error squared (2 is ideal).
+The flight is one of New Mexico Tech, telemetry at 5 Hz; its anemometer is good to 0.7 to 1.1 m/s.
+Scored are the airborne rows after the first 30 s of flight: the RMSE of the wind vector against the
+centred 10 s mean, and the mean normalised error squared (NEES, 2 is ideal).
 """
 
 import csv
@@ -29,7 +29,7 @@ MOVING_MPS = 0.3
 
 
 @dataclass(frozen=True)
-class Recording:
+class AnemometerFlight:
     """The flight's rows; `airborne` from take-off to the end."""
 
     observations: list[WindObservation]
@@ -51,7 +51,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Track:
+class WindTrack:
     """An estimate for every row: mean (n, 2) and covariance (n, 2, 2), NaN before there is one."""
 
     mean_ne_mps: Floats
@@ -77,7 +77,7 @@ class AirspeedError:
     seed: int
 
 
-def read_recording(path: Path, mass_kg: float) -> Recording:
+def read_recording(path: Path, mass_kg: float) -> AnemometerFlight:
     """The flight in a CSV file; LeewayError names the file, the row and the column of a mistake."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -109,7 +109,7 @@ def read_recording(path: Path, mass_kg: float) -> Recording:
         for i in range(len(rows))
     ]
     reference = np.stack([table["wind_to_n_ref_mps"], table["wind_to_e_ref_mps"]], axis=1)
-    return Recording(observations, reference)
+    return AnemometerFlight(observations, reference)
 
 
 def _number(path: Path, index: int, row: dict[str, str], name: str) -> float:
@@ -122,12 +122,12 @@ def _number(path: Path, index: int, row: dict[str, str], name: str) -> float:
     return value
 
 
-def without_airspeed(recording: Recording) -> Iterator[WindObservation]:
+def without_airspeed(recording: AnemometerFlight) -> Iterator[WindObservation]:
     """Attitude and velocity only."""
     return (replace(seen, airspeed_mps=None) for seen in recording.observations)
 
 
-def with_airspeed(recording: Recording, error: AirspeedError) -> Iterator[WindObservation]:
+def with_airspeed(recording: AnemometerFlight, error: AirspeedError) -> Iterator[WindObservation]:
     """The anemometer's magnitude as a sensor with this error would give it."""
     rng = np.random.default_rng(error.seed)
     for seen in recording.observations:
@@ -140,7 +140,7 @@ def replayed(
     airframe: Airframe,
     observations: Iterator[WindObservation],
     make: Callable[[Airframe], WindFilter] = WindEstimator,
-) -> Track:
+) -> WindTrack:
     """A wind estimator over a flight: the companion's, or the one that `make` gives."""
     estimator = make(airframe)
     means, covs = [], []
@@ -149,18 +149,18 @@ def replayed(
         belief = estimator.belief(seen.t_s)
         means.append(belief.mean_to_ne_mps)
         covs.append(belief.cov_ne_m2ps2)
-    return Track(np.array(means), np.array(covs))
+    return WindTrack(np.array(means), np.array(covs))
 
 
-def best_constant(recording: Recording) -> Track:
+def best_constant(recording: AnemometerFlight) -> WindTrack:
     """The constant wind that is nearest to the reference on the judged rows: hindsight."""
     mean = recording.reference_ne_mps[recording.is_judged].mean(axis=0)
     rows = len(recording.observations)
-    return Track(np.tile(mean, (rows, 1)), np.full((rows, 2, 2), np.nan))
+    return WindTrack(np.tile(mean, (rows, 1)), np.full((rows, 2, 2), np.nan))
 
 
 def score(
-    recording: Recording, track: Track, where: Callable[[Floats], Floats] | None = None
+    recording: AnemometerFlight, track: WindTrack, where: Callable[[Floats], Floats] | None = None
 ) -> Score:
     """Judge a track; `where` narrows the rows by their time."""
     judged = recording.is_judged

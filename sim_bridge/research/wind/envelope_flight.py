@@ -95,9 +95,9 @@ class WalkingWind:
 
 
 def mean_walk_m2ps3(wind_mps: float) -> float:
-    """How fast the mean wind walks. shared/data/wind/coast_2023_1hz.csv: half the variance of what
-    the wind, 8.4 m/s in the mean, changes by grows from 0.023 to 0.035 of its square between 30 and
-    300 s; in calm as in 3 m/s."""
+    """How fast the mean wind walks. From a recording on a coast at 1 Hz, 8.4 m/s in the mean: half
+    the variance of the wind's change grows from 0.023 to 0.035 of the squared mean between 30 and
+    300 s. Below 3 m/s it is taken as at 3 m/s."""
     return 2.0 * (0.035 - 0.023) / 270.0 * max(wind_mps, 3.0) ** 2
 
 

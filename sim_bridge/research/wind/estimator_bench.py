@@ -17,9 +17,9 @@ from companion.core.wind.estimator import WindEstimator
 from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.research.wind.anemometer_flight import (
     AirspeedError,
-    Recording,
+    AnemometerFlight,
     Score,
-    Track,
+    WindTrack,
     best_constant,
     replayed,
     score,
@@ -191,7 +191,7 @@ class FlightRow:
 
     name: str
     scores: list[Score]
-    track: Track
+    track: WindTrack
 
 
 def airspeed_draws(count: int, seed: int) -> list[AirspeedError]:
@@ -209,7 +209,7 @@ def airspeed_draws(count: int, seed: int) -> list[AirspeedError]:
 
 
 def flight_rows(
-    recording: Recording, airframe: Airframe, draws: Sequence[AirspeedError]
+    recording: AnemometerFlight, airframe: Airframe, draws: Sequence[AirspeedError]
 ) -> list[FlightRow]:
     """Everybody on the same rows."""
     tracks = [("best constant wind (hindsight)", best_constant(recording))]
@@ -227,13 +227,13 @@ def flight_rows(
     return rows
 
 
-def _px4(recording: Recording, rate_hz: float) -> Track:
+def _px4(recording: AnemometerFlight, rate_hz: float) -> WindTrack:
     seen = recording.observations
     velocity = np.array([o.vel_ned_mps for o in seen])
     attitude = np.array([[o.roll_rad, o.pitch_rad, o.yaw_rad] for o in seen], dtype=float)
     airborne = np.array([o.airborne for o in seen])
     params = DragFusionParams(fusions_per_s=rate_hz)
-    return Track(
+    return WindTrack(
         *drag_fusion(recording.t_s, velocity, attitude, airborne, FIELD_DENSITY_KGPM3, params)
     )
 
@@ -259,7 +259,9 @@ def flight_sheet(rows: Sequence[FlightRow]) -> Sheet:
     return Sheet("Wind over a real flight", head, cells, note)
 
 
-def update_us(recording: Recording, airframe: Airframe, *, airspeed: bool) -> tuple[float, float]:
+def update_us(
+    recording: AnemometerFlight, airframe: Airframe, *, airspeed: bool
+) -> tuple[float, float]:
     """CPU microseconds of one update while airborne: median and 99th percentile."""
     seen = list(
         with_airspeed(recording, AirspeedError(1.0, 0.0, AIRSPEED_NOISE_STD_MPS, 0))
@@ -275,7 +277,7 @@ def update_us(recording: Recording, airframe: Airframe, *, airspeed: bool) -> tu
     return float(np.median(taken)), float(np.percentile(taken, 99))
 
 
-def draw_flight(recording: Recording, rows: Sequence[FlightRow], path: Path) -> None:
+def draw_flight(recording: AnemometerFlight, rows: Sequence[FlightRow], path: Path) -> None:
     """Estimate with its two-sigma band against the reference, north and east."""
     import matplotlib
 

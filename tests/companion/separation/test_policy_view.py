@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from companion.core.separation.policy_view import Around, view_of
-from sim_bridge.research.avoidance.environment import Frame, observe
+from sim_bridge.research.avoidance.environment import ViewFrame, observe
 from sim_bridge.research.avoidance.scenes import CELL_M, cells_of
 
 
@@ -40,7 +40,7 @@ def trained_on(seed, obstacle_ne_m) -> Any:
 def test_view_and_vectors_are_the_training_environments(seed):
     corners = ((20.0, -60.0), (60.0, -10.0))
     world = trained_on(seed, corners)
-    seen = observe(world, Frame.GOAL)
+    seen = observe(world, ViewFrame.GOAL)
     for i in range(6):
         others = [j for j in range(6) if j != i]
         around = Around(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_bridge.app.serve.server import Host, Served, stand_up
+from sim_bridge.app.serve.server import Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -18,7 +18,7 @@ WAIT_S = 5.0
 SPEEDUP = 20.0
 
 
-def stood(flavour: AutopilotKind, system_id: int = 1) -> Served:
+def stood(flavour: AutopilotKind, system_id: int = 1) -> ServedVehicle:
     parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     return stand_up(flavour, airframe, parameters, system_id=system_id)

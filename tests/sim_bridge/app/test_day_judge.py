@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_bridge.app.day.judge import Pad, Served, Stand, Told, Track, World, judge_day
+from sim_bridge.app.day.judge import DayFacts, HandedOver, Pad, Stand, Told, VehicleTrack, judge_day
 
 PAD = (0.0, 0.0)
 CUSTOMER = (600.0, 0.0, -2.0)
@@ -24,7 +24,7 @@ def out_and_back(
     height_m: float = 40.0,
     east_m: float = 0.0,
     backwards: bool = False,
-) -> Track:
+) -> VehicleTrack:
     """60 s up at 10 m/s north to 600 m and 60 s back, parcel let go half way; samples at 5 Hz."""
     t_s = start_s + np.arange(0.0, 140.0, 0.2)
     since = t_s - start_s - 10.0
@@ -33,7 +33,7 @@ def out_and_back(
         north = 600.0 - north
     flying = (since > 0.0) & (since < 120.0)
     ned = np.column_stack([north, np.full_like(t_s, east_m), np.where(flying, -height_m, 0.0)])
-    return Track(
+    return VehicleTrack(
         vehicle=vehicle,
         autopilot="px4",
         order=order,
@@ -49,8 +49,8 @@ def out_and_back(
     )
 
 
-def day(*tracks: Track, **changes) -> World:
-    world = World(
+def day(*tracks: VehicleTrack, **changes) -> DayFacts:
+    world = DayFacts(
         customers={"o1": CUSTOMER, "o2": (600.0, 30.0, 0.0)},
         drop_height_m=6.0,
         tracks=list(tracks),
@@ -113,7 +113,7 @@ def test_an_order_that_is_flown_again_after_it_was_not_delivered_is_none():
 
 
 def test_an_order_that_drone_and_truck_both_brought_is_found():
-    assert judge_day(day(out_and_back(), served=[Served("o1", 900.0)])).twice == ["o1"]
+    assert judge_day(day(out_and_back(), served=[HandedOver("o1", 900.0)])).twice == ["o1"]
 
 
 def test_a_truck_that_leaves_a_promised_stop_is_found_and_the_vehicle_is_not_home():

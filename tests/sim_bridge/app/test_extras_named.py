@@ -13,7 +13,7 @@ from sim_bridge import main as cli
         ("torch", ["research", "train-avoid", "--steps", "1"], "leeway-uas[train]"),
         (
             "pyrvo",
-            ["research", "avoid", "--policy", "orca", "--agents", "2", "--episodes", "1"],
+            ["research", "avoid", "--policy", "orca", "--episodes", "1"],
             "leeway-uas[train]",
         ),
     ],

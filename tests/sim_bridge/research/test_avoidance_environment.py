@@ -11,9 +11,9 @@ from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance import avoid_table
 from sim_bridge.research.avoidance.environment import (
     AvoidEnvironment,
-    Frame,
     PaperReward,
     SwiftReward,
+    ViewFrame,
     heading_of,
     observe,
 )
@@ -21,7 +21,7 @@ from sim_bridge.research.avoidance.evaluation import by_episode, evaluation_worl
 from sim_bridge.research.avoidance.kept_flights import Evaluation, flights_of
 from sim_bridge.research.avoidance.scenes import CELL_M, Scene, make_scene
 from sim_bridge.research.avoidance.ways_around import ways_around
-from sim_bridge.research.avoidance.world import World
+from sim_bridge.research.avoidance.world import AvoidanceWorld
 from sim_bridge.research.avoidance.yardsticks import StraightOn
 
 SIDE = 624  # cells of a raster: 800 m, and half a view's diagonal about it
@@ -40,9 +40,9 @@ def open_ground(*boxes: tuple[float, float, float, float]) -> Scene:
 
 def placed(
     scene: Scene, starts: list[tuple[float, float]], goals: list[tuple[float, float]]
-) -> World:
+) -> AvoidanceWorld:
     """One still, windless episode with drones just there, reported without error."""
-    world = World([scene], len(starts), wind=False)
+    world = AvoidanceWorld([scene], len(starts), wind=False)
     world.reset([0])
     world.pos_m[0, :, :2], world.goal_ne_m[0] = starts, goals
     world.report_error_m[:] = 0.0
@@ -55,7 +55,7 @@ def test_the_view_shows_walls_neighbours_and_their_goals_where_they_are() -> Non
     """North up: a wall 40 to 60 m north, a neighbour 50 m east, its goal 80 m south."""
     scene = open_ground((40.0, -20.0, 60.0, 20.0))
     world = placed(scene, [(0.0, 0.0), (0.0, 50.0)], [(300.0, 0.0), (-80.0, 0.0)])
-    walls, near, goals = observe(world, Frame.NORTH).view[0, 0]
+    walls, near, goals = observe(world, ViewFrame.NORTH).view[0, 0]
     rows, columns = np.nonzero(walls)
     assert 77 - rows.max() == pytest.approx(40.0 / CELL_M, abs=1)
     assert 77 - rows.min() == pytest.approx(60.0 / CELL_M, abs=1)
@@ -67,16 +67,16 @@ def test_the_view_shows_walls_neighbours_and_their_goals_where_they_are() -> Non
 def test_with_the_goal_up_the_same_place_is_seen_turned() -> None:
     """The goal is east: a neighbour north of the drone is to the left."""
     world = placed(open_ground(), [(0.0, 0.0), (60.0, 0.0)], [(0.0, 300.0), (0.0, 300.0)])
-    seen = observe(world, Frame.GOAL)
+    seen = observe(world, ViewFrame.GOAL)
     assert np.argwhere(seen.view[0, 0, 1]).mean(axis=0) == pytest.approx([77.0, 77.0 - 30.0])
     assert seen.vectors_m[0, 0, :2] == pytest.approx([300.0, 0.0], abs=1e-3)
-    assert heading_of(world, np.zeros((1, 2, 2)), Frame.GOAL)[0, 0] == pytest.approx(np.pi / 2)
+    assert heading_of(world, np.zeros((1, 2, 2)), ViewFrame.GOAL)[0, 0] == pytest.approx(np.pi / 2)
 
 
 def test_the_trucks_vector_is_nothing_while_a_customer_is_the_goal() -> None:
     world = placed(open_ground(), [(30.0, 0.0), (60.0, 0.0)], [(200.0, 0.0), (0.0, 0.0)])
     world.returning[0, 1] = True
-    vectors = observe(world, Frame.NORTH).vectors_m[0]
+    vectors = observe(world, ViewFrame.NORTH).vectors_m[0]
     assert vectors[0] == pytest.approx([170.0, 0.0, 0.0, 0.0])
     assert vectors[1] == pytest.approx([-60.0, 0.0, -60.0, 0.0])
 
@@ -109,7 +109,7 @@ def test_an_action_is_a_heading_and_a_speed() -> None:
 
 def test_an_episode_follows_from_its_seed_whoever_flies_beside_it() -> None:
     scenes = [make_scene(np.random.default_rng(k)) for k in range(2)]
-    alone, among = World(scenes, 3), World(scenes, 3)
+    alone, among = AvoidanceWorld(scenes, 3), AvoidanceWorld(scenes, 3)
     alone.reset([7])
     among.reset([3, 7])
     for _ in range(20):
@@ -193,6 +193,6 @@ def test_the_swift_reward_is_what_a_decision_cost_in_seconds() -> None:
 def test_flights_that_are_kept_are_not_flown_again(tmp_path: Path) -> None:
     asked, world = Evaluation("none", 2, 9, wind=True), evaluation_world(2, wind=True)
     (first,) = flights_of(asked, 2, world, StraightOn(), None, tmp_path)
-    (again,) = flights_of(asked, 2, World([], 2), StraightOn(), None, tmp_path)
+    (again,) = flights_of(asked, 2, AvoidanceWorld([], 2), StraightOn(), None, tmp_path)
     assert again.time_ratio == pytest.approx(first.time_ratio, nan_ok=True)
     assert [f.suffix for f in tmp_path.iterdir()] == [".npz"]

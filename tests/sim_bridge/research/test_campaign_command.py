@@ -211,9 +211,9 @@ def test_recorded_winds_are_flown_by_every_planner():
 
 
 def test_an_unknown_planner_is_refused_where_it_is_built():
-    from sim_bridge.research.campaign.campaign import Task, Workbench
+    from sim_bridge.research.campaign.campaign import CampaignTask, Workbench
 
     scenario = scenario_set(1, SMALL, 27)[0]
     params = CampaignParams(missions=5)
     with pytest.raises(LeewayError, match="planner"):
-        run_task(scenario, params, Task(0, "x", 0, 1, False), Workbench(scenario, params))
+        run_task(scenario, params, CampaignTask(0, "x", 0, 1, False), Workbench(scenario, params))

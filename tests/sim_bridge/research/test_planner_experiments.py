@@ -160,7 +160,7 @@ def test_long_work_goes_on_where_it_stopped_and_does_nothing_twice(tmp_path):
 
 
 def test_the_frontier_check_counts_what_is_beyond_noise():
-    flown = frontier_check.Flown(0.01, "rer", success=0.80, loss=0.012, missions=10_000)
+    flown = frontier_check.RivalCampaign(0.01, "rer", success=0.80, loss=0.012, missions=10_000)
     near = frontier_check.Distance("a", 100.0, flown, 0.012, 0.03, noise=0.004, levels=500)
     assert near.beyond_noise == pytest.approx(0.004)
     # Two standard errors of a loss of 1 % over 10,000 missions are 0.199 points.

@@ -22,7 +22,7 @@ from sim_bridge.research.promise.calibrating import (
 from sim_bridge.research.promise.planner import HISTORY_S, NOISE_MPS, Planner
 from sim_bridge.research.promise.recording import Stretch
 from sim_bridge.research.promise.rules import ends_of
-from sim_bridge.research.promise.world import Setting, World
+from sim_bridge.research.promise.world import PromiseWorld, Setting
 from sim_bridge.truth.wind_days import DayProcess, day_of_wind
 
 TRUTH = str(Path(__file__).parents[3] / "params" / "truth" / "m100.toml")
@@ -45,16 +45,16 @@ PROCESS = DayProcess((-6.0, 5.0), (0.8, 0.7, 1.3), (1200.0, 180.0, 22.0))
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> PromiseWorld:
     return flying.world_of(SETTING)
 
 
-def planner(world: World, spread: float, accepted: tuple[float, ...]) -> Planner:
+def planner(world: PromiseWorld, spread: float, accepted: tuple[float, ...]) -> Planner:
     params = flying.planner_params(world, COAST, spread, accepted)
     return Planner(flying.believed_route_energy(world.setting), params)
 
 
-def test_a_mission_that_cannot_fail_is_flown_and_said_to_be_safe(world: World) -> None:
+def test_a_mission_that_cannot_fail_is_flown_and_said_to_be_safe(world: PromiseWorld) -> None:
     number = int(np.argmin(world.drawn.asked_frac))
     decided = planner(world, 1.0, (0.2,)).fly(flying.seen_by(world, number), _rng(number))[0]
     assert decided.go
@@ -62,7 +62,7 @@ def test_a_mission_that_cannot_fail_is_flown_and_said_to_be_safe(world: World) -
     assert all(p is not None and p > 0.99 for p in decided.said)
 
 
-def test_what_is_decided_does_not_depend_on_wind_to_come(world: World) -> None:
+def test_what_is_decided_does_not_depend_on_wind_to_come(world: PromiseWorld) -> None:
     number = int(np.argsort(world.drawn.asked_frac)[40])
     seen = flying.seen_by(world, number)
     storm = seen.wind_ne_mps.copy()
@@ -75,7 +75,7 @@ def test_what_is_decided_does_not_depend_on_wind_to_come(world: World) -> None:
     assert mine.depart(replace(seen, wind_ne_mps=storm), _rng(1)) != asked[0]
 
 
-def test_who_accepts_more_delivers_what_who_accepts_less_does(world: World) -> None:
+def test_who_accepts_more_delivers_what_who_accepts_less_does(world: PromiseWorld) -> None:
     mine = planner(world, 1.0, (0.01, 0.2, 0.9))
     delivered = []
     for number in np.argsort(np.abs(world.drawn.asked_frac - 0.92))[:5]:
@@ -85,7 +85,7 @@ def test_who_accepts_more_delivers_what_who_accepts_less_does(world: World) -> N
     assert sum(each[2] for each in delivered) > sum(each[0] for each in delivered)
 
 
-def test_a_gate_that_takes_the_wind_for_steady_says_too_much(world: World) -> None:
+def test_a_gate_that_takes_the_wind_for_steady_says_too_much(world: PromiseWorld) -> None:
     """The canary: with a twentieth of the spread, what it says is not what comes."""
     close = np.argsort(np.abs(world.drawn.asked_frac - 0.97))[:16]
     surprise = {}

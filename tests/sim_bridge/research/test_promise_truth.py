@@ -8,7 +8,7 @@ import pytest
 
 from sim_bridge.research.promise.blocks import distances_m
 from sim_bridge.research.promise.rules import clairvoyant, ends_of, px4_time, threshold
-from sim_bridge.research.promise.truth import Flown, Missions, Profile, TruePower
+from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, TruePower
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
@@ -23,13 +23,13 @@ LOADED_STOP_W = 0.5 * (LOADED_W + STEADY.hover_power_w(0.6))
 EMPTY_STOP_W = 0.5 * (EMPTY_W + STEADY.hover_power_w(0.0))
 
 
-def flown(wind, distance_m=1500.0, unit=(1.0, 0.0), power=POWER) -> Flown:
+def flown(wind, distance_m=1500.0, unit=(1.0, 0.0), power=POWER) -> TrueMissions:
     """One mission; `wind` is one vector or (seconds, 2)."""
     wind = np.asarray(wind, float)
     if wind.ndim == 1:
         wind = np.tile(wind, (1200, 1))
     missions = Missions(np.zeros(1, int), np.array([unit]), np.array([distance_m]))
-    return Flown(missions, power, PROFILE, wind[None])
+    return TrueMissions(missions, power, PROFILE, wind[None])
 
 
 def landing_wh(payload_kg: float, wind_mps: float, stop_w: float) -> float:
@@ -93,7 +93,7 @@ def test_the_distance_is_what_the_share_of_the_budget_pays_for() -> None:
     assert needed == pytest.approx(0.7 * POWER.budget_wh, rel=1e-3)
 
 
-def turned_at_s(ends, mission: Flown) -> float:
+def turned_at_s(ends, mission: TrueMissions) -> float:
     """The time from which the margin says that it turned."""
     for t_s in range(1200):
         spent = mission.turning_wh(np.array([float(t_s)]))[0]

@@ -10,8 +10,8 @@ from sim_bridge.research.promise.rules import Ends
 from sim_bridge.research.promise.verdict import (
     LEAST_MISSIONS,
     Go,
+    PromiseVerdict,
     Statements,
-    Verdict,
     bins_of,
     go_of,
     interval95,
@@ -119,7 +119,7 @@ def test_the_verdict_has_the_agreed_keys_and_no_others() -> None:
     row = rule_row(ends())
     names = ("gate", "px4_time", "threshold_25", "threshold_35", "clairvoyant")
     bins = bins_of(statements(np.full(200, 0.999), np.ones(200, bool)), rng())
-    verdict = Verdict(dict.fromkeys(names, row), bins, go_of(ends(), np.arange(4), rng()))
+    verdict = PromiseVerdict(dict.fromkeys(names, row), bins, go_of(ends(), np.arange(4), rng()))
     found = msgspec.json.decode(msgspec.json.encode(verdict))
     assert set(found) == {"rules", "reliability", "go"}
     assert set(found["rules"]["gate"]) == {

@@ -132,7 +132,7 @@ def test_the_truck_waits_for_the_last_of_four_drones():
 
 
 def test_the_llms_row_says_that_no_server_is_configured():
-    one = table2.Measured(90.0, 5.0, 5.0, 60.0, 10.0, 140.0, 11.0, 15, 1200.0, 30.0, "ours")
+    one = table2.TrialFigures(90.0, 5.0, 5.0, 60.0, 10.0, 140.0, 11.0, 15, 1200.0, 30.0, "ours")
     rows = {trial.variant: [one, one] for trial in table2.trials_of(1)}
     sheet = table2.sheet(rows)
     cells = {row[0]: row[1:8] for row in sheet.rows}

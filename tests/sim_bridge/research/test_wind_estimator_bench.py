@@ -12,7 +12,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
 from sim_bridge.research.wind.anemometer_flight import (
     AirspeedError,
-    Recording,
+    AnemometerFlight,
     read_recording,
     replayed,
     score,
@@ -36,14 +36,14 @@ def believed(name: str) -> Airframe:
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
+def recording() -> AnemometerFlight:
     if not FLIGHT.exists():
         pytest.skip(f"{FLIGHT} is not here")
     return read_recording(FLIGHT, believed("generic").mass.empty_kg)
 
 
 def test_tilt_alone_finds_the_wind_of_a_real_vehicle_that_nobody_calibrated(
-    recording: Recording,
+    recording: AnemometerFlight,
 ) -> None:
     # Issue 5: at most 1.6 m/s, 0.2 under PX4's drag fusion with its default coefficients on the
     # same rows, mean NEES between 1 and 3.
@@ -66,7 +66,7 @@ def test_tilt_alone_finds_the_wind_of_a_real_vehicle_that_nobody_calibrated(
 
 @pytest.mark.parametrize(("scale", "bias_mps"), [(1.0, 0.0), (1.06, 0.3), (0.92, -0.3)])
 def test_a_scalar_airspeed_of_unknown_scale_and_bias_helps(
-    recording: Recording, scale: float, bias_mps: float
+    recording: AnemometerFlight, scale: float, bias_mps: float
 ) -> None:
     # Issue 5: at most 1.1 m/s, mean NEES between 1 and 3.
     error = AirspeedError(scale, bias_mps, noise_std_mps=0.3, seed=5)
