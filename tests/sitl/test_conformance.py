@@ -183,7 +183,7 @@ def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
     commands = dict(served.autopilot.behaviour.commands)
     commands[Cmd.DO_SET_MISSION_CURRENT] = lambda *_: Result.ACCEPTED
     served.autopilot.behaviour.commands = commands
-    served.autopilot.params._bytewise = False
+    served.autopilot.params.integers_bytewise = False
     chosen = select(("mission/jump_on_ground", "parameters/integer_encoding"), reboots=False)
     assert wrong(judged(AutopilotKind.PX4, ask(served, chosen))) == [
         "parameters/integer_encoding",

@@ -1,13 +1,14 @@
 """ArduCopter's failsafes (ArduCopter/events.cpp, ekf_check.cpp, fence.cpp; AP_BattMonitor)."""
 
-from typing import TYPE_CHECKING
-
-from sim_bridge.autopilot.flight.failsafe import Failsafes
-from sim_bridge.autopilot.flight.modes import NEED_POSITION, Mode
+from sim_bridge.autopilot.base.modes import NEED_POSITION, Mode
+from sim_bridge.autopilot.flight.battery import BatteryMonitor
+from sim_bridge.autopilot.flight.commander import Commander
+from sim_bridge.autopilot.flight.failsafe import Latches
+from sim_bridge.autopilot.flight.rc_input import RcInput
 from sim_bridge.autopilot.mavlink.enums import Severity
-
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.mission.fence import Geofence
+from sim_bridge.autopilot.services.radio import Radio
+from sim_bridge.autopilot.state import VehicleState
 
 _BATTERY_ACTIONS = {
     1: Mode.LAND,
@@ -32,117 +33,152 @@ _RC_CONTINUE_AUTO, _GCS_CONTINUE_AUTO, _RC_CONTINUE_GUIDED = 1, 2, 4
 _CONTINUE_LANDING, _GCS_CONTINUE_PILOTED = 8, 16
 
 
-def _act(ap: "Autopilot", mode: Mode, reason: str) -> None:
-    """Go over to a mode, or land where that needs a position that is not there."""
-    ap.failsafe_reason = reason
-    if ap.is_landed:
-        ap.disarm()
-        return
-    if mode in NEED_POSITION and not ap.has_position:
-        mode = Mode.LAND
-    if mode is Mode.RTL and ap.mode in (Mode.RTL, Mode.LAND):
-        return
-    ap.set_mode(mode)
+class ArduPilotFailsafe:
+    """Watches what can fail, and acts."""
 
+    def __init__(
+        self,
+        state: VehicleState,
+        radio: Radio,
+        commander: Commander,
+        rc: RcInput,
+        battery: BatteryMonitor,
+        geofence: Geofence,
+    ) -> None:
+        self._state = state
+        self._radio = radio
+        self._commander = commander
+        self._rc = rc
+        self._battery = battery
+        self._geofence = geofence
+        self._latches = Latches()
 
-def watch(ap: "Autopilot", failsafes: Failsafes) -> None:
-    """Look at everything that can fail."""
-    _position(ap, failsafes)
-    _radio(ap, failsafes)
-    _ground_station(ap, failsafes)
-    _battery(ap, failsafes)
-    _fence(ap, failsafes)
+    def boot(self) -> None:
+        """Start watching afresh."""
+        self._latches = Latches()
 
+    def is_own_gcs(self, system: int) -> bool:
+        """Whether a system is the ground station that the parameters name."""
+        return system == self._state.params.value("SYSID_MYGCS", "MAV_GCS_SYSID")
 
-def _position(ap: "Autopilot", failsafes: Failsafes) -> None:
-    """EKF failsafe: a second without a position where one is needed; LAND, and it stays LAND."""
-    lost = not ap.has_position and not ap.is_landed
-    action = int(ap.params["FS_EKF_ACTION"])
-    if failsafes.position.update(lost, ap.t_s, 1.0) and action > 0:
-        ap.failsafe_reason = "EKF"
-        needs = ap.mode in NEED_POSITION or action == 3
-        if not needs:
+    def gcs_heard(self, system: int) -> None:
+        """Only the ground station that the parameters name keeps the link alive."""
+        if self.is_own_gcs(system):
+            self._latches.gcs_heard_s = self._state.t_s
+
+    def _act(self, mode: Mode, reason: str) -> None:
+        """Change to a mode, or land if that mode needs a position and there is none."""
+        state = self._state
+        self._commander.note_failsafe(reason)
+        if state.is_landed:
+            self._commander.disarm()
             return
-        mode = Mode.ALT_HOLD if action == 2 and ap.pilot.sticks() is not None else Mode.LAND
-        ap.set_mode(mode)
-        name = "LAND" if mode is Mode.LAND else "ALT_HOLD"
-        ap.say(Severity.CRITICAL, f"EKF Failsafe: changed to {name} Mode")
-    elif not lost and ap.failsafe_reason == "EKF":
-        ap.failsafe_reason = None
-        ap.say(Severity.INFO, "EKF Failsafe Cleared")
+        if mode in NEED_POSITION and not state.has_position:
+            mode = Mode.LAND
+        if mode is Mode.RTL and state.mode in (Mode.RTL, Mode.LAND):
+            return
+        self._commander.set_mode(mode)
 
+    def watch(self) -> None:
+        """Check everything that can fail."""
+        self._watch_position()
+        self._watch_radio()
+        self._watch_ground_station()
+        self._watch_battery()
+        self._watch_fence()
 
-def _radio(ap: "Autopilot", failsafes: Failsafes) -> None:
-    enable, options = int(ap.params["FS_THR_ENABLE"]), int(ap.params["FS_OPTIONS"])
-    lost = ap.pilot.lost_for_s(ap.t_s) > 0.0 and enable > 0
-    if not failsafes.rc.update(lost, ap.t_s, ap.params["RC_FS_TIMEOUT"]):
-        return
-    ap.say(Severity.WARNING, "Radio Failsafe")
-    if ap.mode is Mode.AUTO and options & _RC_CONTINUE_AUTO:
-        return
-    if ap.mode is Mode.GUIDED and options & _RC_CONTINUE_GUIDED:
-        return
-    if ap.mode is Mode.LAND and options & _CONTINUE_LANDING:
-        return
-    _act(ap, Mode.LAND if enable == 3 else _LINK_ACTIONS.get(enable, Mode.RTL), "radio")
+    def _watch_position(self) -> None:
+        """EKF failsafe: a second without a needed position; LAND, and it stays LAND."""
+        state = self._state
+        lost = not state.has_position and not state.is_landed
+        action = int(state.params["FS_EKF_ACTION"])
+        if self._latches.position.update(lost, state.t_s, 1.0) and action > 0:
+            self._commander.note_failsafe("EKF")
+            needs = state.mode in NEED_POSITION or action == 3
+            if not needs:
+                return
+            mode = Mode.ALT_HOLD if action == 2 and self._rc.sticks() is not None else Mode.LAND
+            self._commander.set_mode(mode)
+            name = "LAND" if mode is Mode.LAND else "ALT_HOLD"
+            self._radio.say(Severity.CRITICAL, f"EKF Failsafe: changed to {name} Mode")
+        elif not lost and state.failsafe_reason == "EKF":
+            self._commander.note_failsafe(None)
+            self._radio.say(Severity.INFO, "EKF Failsafe Cleared")
 
-
-def _ground_station(ap: "Autopilot", failsafes: Failsafes) -> None:
-    enable, options = int(ap.params["FS_GCS_ENABLE"]), int(ap.params["FS_OPTIONS"])
-    silent = failsafes.gcs_silent_s(ap.t_s) > ap.params["FS_GCS_TIMEOUT"] and enable > 0
-    if not failsafes.gcs.update(silent, ap.t_s, 0.0):
-        return
-    ap.say(Severity.WARNING, "GCS Failsafe")
-    if ap.mode is Mode.AUTO and options & _GCS_CONTINUE_AUTO:
-        return
-    if ap.mode is Mode.LAND and options & _CONTINUE_LANDING:
-        return
-    piloted = ap.mode in (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER)
-    if piloted and options & _GCS_CONTINUE_PILOTED:
-        return
-    _act(ap, _LINK_ACTIONS.get(enable, Mode.RTL), "ground station")
-
-
-def _battery(ap: "Autopilot", failsafes: Failsafes) -> None:
-    params, battery = ap.params, ap.battery
-    left_mah = params["BATT_CAPACITY"] - battery.consumed_mah
-
-    def is_under(volt_name: str, mah_name: str) -> tuple[bool, bool]:
-        volt, mah = params[volt_name], params[mah_name]
-        by_volt = volt > 0.0 and battery.voltage_v is not None and battery.voltage_v < volt
-        by_mah = mah > 0.0 and battery.knows_current and left_mah < mah
-        return by_volt, by_mah
-
-    timer_s = params["BATT_LOW_TIMER"]
-    for latch, prefix, label, action_name in (
-        (failsafes.battery_critical, "BATT_CRT", "critical", "BATT_FS_CRT_ACT"),
-        (failsafes.battery_low, "BATT_LOW", "low", "BATT_FS_LOW_ACT"),
-    ):
-        by_volt, by_mah = is_under(f"{prefix}_VOLT", f"{prefix}_MAH")
-        wait_s = 0.0 if by_mah else timer_s
-        if not latch.update(by_volt or by_mah, ap.t_s, wait_s):
-            continue
-        volts = 0.0 if battery.voltage_v is None else battery.voltage_v
-        ap.say(
-            Severity.WARNING,
-            f"Battery 1 is {label} {volts:.2f}V used {battery.consumed_mah:.0f} mAh",
+    def _watch_radio(self) -> None:
+        state = self._state
+        enable, options = (
+            int(state.params["FS_THR_ENABLE"]),
+            int(state.params["FS_OPTIONS"]),
         )
-        action = int(params[action_name])
-        if action == _TERMINATE:
-            ap.disarm()
-        elif action in _BATTERY_ACTIONS:
-            _act(ap, _BATTERY_ACTIONS[action], "battery")
+        lost = self._rc.lost_for_s(state.t_s) > 0.0 and enable > 0
+        if not self._latches.rc.update(lost, state.t_s, state.params["RC_FS_TIMEOUT"]):
+            return
+        self._radio.say(Severity.WARNING, "Radio Failsafe")
+        if state.mode is Mode.AUTO and options & _RC_CONTINUE_AUTO:
+            return
+        if state.mode is Mode.GUIDED and options & _RC_CONTINUE_GUIDED:
+            return
+        if state.mode is Mode.LAND and options & _CONTINUE_LANDING:
+            return
+        self._act(Mode.LAND if enable == 3 else _LINK_ACTIONS.get(enable, Mode.RTL), "radio")
 
+    def _watch_ground_station(self) -> None:
+        state = self._state
+        enable, options = (
+            int(state.params["FS_GCS_ENABLE"]),
+            int(state.params["FS_OPTIONS"]),
+        )
+        silent = (
+            self._latches.gcs_silent_s(state.t_s) > state.params["FS_GCS_TIMEOUT"] and enable > 0
+        )
+        if not self._latches.gcs.update(silent, state.t_s, 0.0):
+            return
+        self._radio.say(Severity.WARNING, "GCS Failsafe")
+        if state.mode is Mode.AUTO and options & _GCS_CONTINUE_AUTO:
+            return
+        if state.mode is Mode.LAND and options & _CONTINUE_LANDING:
+            return
+        piloted = state.mode in (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER)
+        if piloted and options & _GCS_CONTINUE_PILOTED:
+            return
+        self._act(_LINK_ACTIONS.get(enable, Mode.RTL), "ground station")
 
-def _fence(ap: "Autopilot", failsafes: Failsafes) -> None:
-    breach = None
-    if not ap.fence.is_empty and not ap.is_landed and ap.has_position:
-        north, east, _ = ap.pos_ned_m
-        home = ap.home_ned_m
-        breach = ap.fence.breach((north, east), (home[0], home[1]), ap.height_above_home_m())
-    if not failsafes.fence.update(breach is not None, ap.t_s, 0.0):
-        return
-    ap.say(Severity.NOTICE, "Fence Breached")
-    action = int(ap.params["FENCE_ACTION"])
-    if action in _FENCE_ACTIONS:
-        _act(ap, _FENCE_ACTIONS[action], "fence")
+    def _watch_battery(self) -> None:
+        params, battery = self._state.params, self._battery
+        left_mah = params["BATT_CAPACITY"] - battery.consumed_mah
+
+        def is_under(volt_name: str, mah_name: str) -> tuple[bool, bool]:
+            volt, mah = params[volt_name], params[mah_name]
+            by_volt = volt > 0.0 and battery.voltage_v is not None and battery.voltage_v < volt
+            by_mah = mah > 0.0 and battery.knows_current and left_mah < mah
+            return by_volt, by_mah
+
+        timer_s = params["BATT_LOW_TIMER"]
+        for latch, prefix, label, action_name in (
+            (self._latches.battery_critical, "BATT_CRT", "critical", "BATT_FS_CRT_ACT"),
+            (self._latches.battery_low, "BATT_LOW", "low", "BATT_FS_LOW_ACT"),
+        ):
+            by_volt, by_mah = is_under(f"{prefix}_VOLT", f"{prefix}_MAH")
+            wait_s = 0.0 if by_mah else timer_s
+            if not latch.update(by_volt or by_mah, self._state.t_s, wait_s):
+                continue
+            volts = 0.0 if battery.voltage_v is None else battery.voltage_v
+            self._radio.say(
+                Severity.WARNING,
+                f"Battery 1 is {label} {volts:.2f}V used {battery.consumed_mah:.0f} mAh",
+            )
+            action = int(params[action_name])
+            if action == _TERMINATE:
+                self._commander.disarm()
+            elif action in _BATTERY_ACTIONS:
+                self._act(_BATTERY_ACTIONS[action], "battery")
+
+    def _watch_fence(self) -> None:
+        breach = self._geofence.breach()
+        if not self._latches.fence.update(breach is not None, self._state.t_s, 0.0):
+            return
+        self._radio.say(Severity.NOTICE, "Fence Breached")
+        action = int(self._state.params["FENCE_ACTION"])
+        if action in _FENCE_ACTIONS:
+            self._act(_FENCE_ACTIONS[action], "fence")

@@ -1,16 +1,15 @@
 """What ArduCopter's parameters mean for flying, in SI."""
 
 import math
-from typing import TYPE_CHECKING
 
-from sim_bridge.autopilot.flight.fence import Fence, read_areas
 from sim_bridge.autopilot.flight.guidance import Limits
+from sim_bridge.autopilot.flight.returning import ReturnPlan
 from sim_bridge.autopilot.flight.wind import DragCoefficients
+from sim_bridge.autopilot.mavlink.enums import AMSL_FRAMES
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
-from sim_bridge.autopilot.mission.executor import FlightRules
-
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.mission.fence import Fence, read_areas
+from sim_bridge.autopilot.mission.items import MissionStore
+from sim_bridge.autopilot.state import FlightRules, VehicleState
 
 _ARMING_DELAY_S = 2.0
 _NO_SPEED_LIMIT_MPS = 40.0
@@ -33,7 +32,7 @@ class ArduPilotRules:
             corner_accel_mps2=2.0 * max(params.metres("WPNAV_ACCEL"), 0.1),
             land_above_m=radius,
             land_from_m=radius,
-            brakes_when_sent_elsewhere=True,
+            brakes_when_redirected=True,
         )
 
     def limits(self, params: ParameterStore) -> Limits:
@@ -64,14 +63,59 @@ class ArduPilotRules:
         """WP_YAW_BEHAVIOR: 1 and 2 face the next waypoint."""
         return params["WP_YAW_BEHAVIOR"] in (1.0, 2.0, 3.0)
 
-    def fence(self, ap: "Autopilot") -> Fence:
+    def fence(self, state: VehicleState, store: MissionStore) -> Fence:
         """FENCE_*: nothing unless enabled."""
-        params = ap.params
+        params = state.params
         if params["FENCE_ENABLE"] == 0.0:
             return Fence()
         kinds = int(params["FENCE_TYPE"])
         return Fence(
-            areas=read_areas(ap.store.fence, ap.frame) if kinds & 4 else (),
+            areas=read_areas(store.fence, state.frame) if kinds & 4 else (),
             radius_m=params["FENCE_RADIUS"] if kinds & 2 else None,
             height_m=params["FENCE_ALT_MAX"] if kinds & 1 else None,
         )
+
+    def return_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
+        """RTL_*: up to RTL_ALT within a cone about home, home or a nearer rally point."""
+        params, here = state.params, state.pos_ned_m
+        destination, ground, least_m = self._return_point(state, store)
+        distance = math.dist(here[:2], destination)
+        height = ground - here[2]
+        wanted = max(height, params.metres("RTL_ALT"), least_m)
+        wanted = max(wanted, height + params.metres("RTL_CLIMB_MIN"))
+        slope = params["RTL_CONE_SLOPE"]
+        if slope > 0.0:
+            wanted = max(min(wanted, max(distance * slope, 2.0)), height)
+        final = params.metres("RTL_ALT_FINAL")
+        return ReturnPlan(
+            destination_ne_m=destination,
+            cruise_down_m=ground - wanted,
+            wait_down_m=ground - wanted,
+            wait_s=math.inf if final > 0.0 else params["RTL_LOIT_TIME"] / 1000.0,
+            speed_mps=params.metres("RTL_SPEED") or state.rules.default_speed_mps,
+            climb_mps=max(params.metres("WPNAV_SPEED_UP"), 0.1),
+            descend_mps=max(params.metres("WPNAV_SPEED_DN"), 0.1),
+            accept_m=max(params.metres("WPNAV_RADIUS"), 0.3),
+            faces_home=params["WP_YAW_BEHAVIOR"] == 1.0,
+        )
+
+    def _return_point(
+        self, state: VehicleState, store: MissionStore
+    ) -> tuple[tuple[float, float], float, float]:
+        """Home, or the nearest rally point within RALLY_LIMIT_KM if it is nearer."""
+        home = state.home_ned_m
+        best = (home[0], home[1])
+        least_m = 0.0
+        here = state.pos_ned_m[:2]
+        nearest = math.dist(here, best)
+        if state.params["RALLY_INCL_HOME"] == 0.0:
+            nearest = math.inf
+        limit = state.params["RALLY_LIMIT_KM"] * 1000.0 or math.inf
+        for item in store.rally:
+            point = state.frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
+            distance = math.dist(here, point)
+            if distance < nearest and distance <= limit:
+                nearest, best = distance, point
+                up = state.frame.alt_amsl_m - item.z if item.frame in AMSL_FRAMES else None
+                least_m = item.z if up is None else home[2] - up
+        return best, home[2], least_m

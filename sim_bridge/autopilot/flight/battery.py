@@ -1,7 +1,9 @@
-"""The autopilot's battery monitor: what it measures, and what it says of what it cannot know."""
+"""The autopilot's battery monitor: voltage, current, charge used, charge remaining."""
 
 import math
 from dataclasses import dataclass
+
+from sim_bridge.autopilot.kinds import BatterySensing
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,16 +18,19 @@ class Px4Cells:
 
 
 class BatteryMonitor:
-    """Integrates what it measures since boot; unknown is None.
+    """Integrates current since boot; unknown is None.
 
-    A reboot loses the integral: the charge used before it is forgotten, as in the real ones.
+    A reboot loses the integral, as in the real autopilots: the charge used before is forgotten.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sensing: BatterySensing = BatterySensing.POWER_MODULE) -> None:
+        self.sensing = sensing
+        self.remaining_frac: float | None = None
+        """As the autopilot computed it last; a reboot keeps it until the next computation."""
         self.reset()
 
     def reset(self) -> None:
-        """Start counting from nothing, as at boot."""
+        """Start counting at zero, as at boot."""
         self.voltage_v: float | None = None
         self.current_a: float | None = None
         self.temperature_c: float | None = None
@@ -60,8 +65,13 @@ class BatteryMonitor:
         if voltage_v is not None:
             self.consumed_j += current_a * voltage_v * dt_s
 
+    @property
+    def reported_current_a(self) -> float | None:
+        """Current in the messages; PX4's SIH measures none."""
+        return None if self.sensing is BatterySensing.SIH_TIMER else self.current_a
+
     def ardupilot_remaining_frac(self, capacity_mah: float) -> float | None:
-        """Share of BATT_CAPACITY not yet drawn since boot; nothing else is looked at."""
+        """Share of BATT_CAPACITY not yet drawn since boot."""
         if not self.knows_current or capacity_mah <= 0.0:
             return None
         return min(max((capacity_mah - self.consumed_mah) / capacity_mah, 0.0), 1.0)
@@ -71,7 +81,7 @@ class BatteryMonitor:
         return max(1.0 - self.timer_s / max(drain_s, 1.0), least_frac)
 
     def px4_remaining_frac(self, cells: Px4Cells) -> float | None:
-        """Charge by resting cell voltage, joined with the charge counted where capacity is known.
+        """Charge by resting cell voltage, blended with the counted charge where capacity is known.
 
         Source: PX4, src/lib/battery/battery.cpp (calculateStateOfChargeVoltageBased,
         estimateStateOfCharge). Call it at a steady rate.

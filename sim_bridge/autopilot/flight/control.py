@@ -1,9 +1,8 @@
 """The autopilots' inner loops: which attitude and thrust follow the set-point.
 
-The usual cascade of both flight stacks, position -> velocity (speed, acceleration and jerk
-limited) -> tilt and thrust, with integrators that hold against wind and stop where tilt
-saturates. It flies by sensor readings alone: mass, wind and drag are nobody's business here,
-hover thrust is learned.
+The cascade that both flight stacks use: position -> velocity (limited in speed, acceleration and
+jerk) -> tilt and thrust. Integrators hold against wind and stop where tilt saturates. It flies by
+sensor readings alone and knows neither mass nor wind nor drag; it learns the hover thrust.
 
 Frames: NED about the depot, SI, radians; velocities over ground.
 """
@@ -11,19 +10,9 @@ Frames: NED about the depot, SI, radians; velocities over ground.
 import math
 from dataclasses import dataclass
 
-from sim_bridge.autopilot.flight.navigation import GRAVITY_MPS2, Navigator, Readings, Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class Actuation:
-    """Attitude set-point in rad, thrust as a share of the static maximum, motors, gripper."""
-
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
-    thrust_frac: float = 0.0
-    motors_on: bool = False
-    release: bool = False
+from sim_bridge.autopilot.base.geodesy import Vec3
+from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
+from sim_bridge.autopilot.flight.navigation import GRAVITY_MPS2, Navigator
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +61,10 @@ def approach_speed_mps(distance_m: float, gain_ps: float, brake_mps2: float) -> 
 
 
 class Controller:
-    """Flies one vehicle by set-points. Call exactly one of its verbs per step.
+    """Flies one vehicle by set-points. Call exactly one of its commands per step.
 
     `release` is copied into every actuation. `pos_ned_m` and `vel_ned_mps` are what navigation
-    believes, for guidance and telemetry; `saturated` says that tilt was at its limit.
+    estimates, for guidance and telemetry; `saturated` says that tilt was at its limit.
     """
 
     def __init__(self, params: ControlParams | None = None) -> None:
@@ -100,7 +89,7 @@ class Controller:
     def vel_ned_mps(self) -> Vec3:
         return self._nav.north_mps, self._nav.east_mps, self._nav.down_mps
 
-    def idle(self, readings: Readings | None = None, dt_s: float = 0.0) -> Actuation:
+    def idle(self, readings: Readings | None = None, dt_s: float = 0.0) -> AttitudeSetpoint:
         """Motors off; navigation goes on when given readings."""
         if readings is not None:
             self._nav.update(readings, dt_s, on_ground=readings.touching_ground)
@@ -108,9 +97,9 @@ class Controller:
         self._flying = False
         self._flown_thrust_frac = 0.0
         self._forget()
-        return Actuation(yaw_rad=self._yaw_rad, release=self.release)
+        return AttitudeSetpoint(yaw_rad=self._yaw_rad, release=self.release)
 
-    def spin(self, readings: Readings, dt_s: float) -> Actuation:
+    def spin(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         """Armed on the ground: motors turn and carry nothing."""
         self._begin(readings, dt_s)
         self._forget()
@@ -123,10 +112,10 @@ class Controller:
         readings: Readings,
         dt_s: float,
         accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0),
-    ) -> Actuation:
+    ) -> AttitudeSetpoint:
         """Follow a velocity over ground, within the limits of speed, acceleration and jerk.
 
-        `accel_ned_mps2` is how it is changing: fed forward, so that it is not lagged behind.
+        `accel_ned_mps2` is its rate of change, fed forward so that the vehicle does not lag.
         """
         self._begin(readings, dt_s)
         return self._track(vel_sp_ned, yaw_sp, readings, dt_s, accel_ned_mps2)
@@ -139,7 +128,7 @@ class Controller:
         dt_s: float,
         *,
         speed_mps: float | None = None,
-    ) -> Actuation:
+    ) -> AttitudeSetpoint:
         """Go to a point (at most at `speed_mps`) and stay there."""
         self._begin(readings, dt_s)
         north, east = self._towards(pos_ned[0], pos_ned[1], speed_mps)
@@ -153,7 +142,7 @@ class Controller:
         yaw: float,
         readings: Readings,
         dt_s: float,
-    ) -> Actuation:
+    ) -> AttitudeSetpoint:
         """Sink over a point at a constant rate; on the ground, let thrust die away."""
         self._begin(readings, dt_s)
         north, east = self._towards(north_m, east_m, 3.0)
@@ -169,7 +158,7 @@ class Controller:
         dt_s: float,
         *,
         stop_at_end: bool = True,
-    ) -> Actuation:
+    ) -> AttitudeSetpoint:
         """Follow the straight segment at a GROUND speed, as far as climb limits and tilt allow.
 
         Cross-track errors are flown back at up to `cross_track_mps`. With `stop_at_end` it
@@ -255,7 +244,7 @@ class Controller:
         readings: Readings,
         dt_s: float,
         lead: Vec3 = (0.0, 0.0, 0.0),
-    ) -> Actuation:
+    ) -> AttitudeSetpoint:
         p = self.params
         down = min(max(wanted[2], -p.max_climb_mps), p.max_descent_mps)
         if self._touching and down >= 0.0:
@@ -277,17 +266,19 @@ class Controller:
         thrust = min(max(thrust, p.min_thrust_frac), p.max_thrust_frac)
         return self._send(roll, pitch, yaw, thrust, dt_s)
 
-    def _settle(self, yaw: float, dt_s: float) -> Actuation:
+    def _settle(self, yaw: float, dt_s: float) -> AttitudeSetpoint:
         """On the ground and asked to stay or sink: let thrust die away within half a second."""
         self._forget()
         thrust = max(self._flown_thrust_frac - self.hover_thrust_frac * dt_s / 0.5, 0.0)
         return self._send(0.0, 0.0, yaw, max(thrust, 0.5 * self.params.min_thrust_frac), dt_s)
 
-    def _send(self, roll: float, pitch: float, yaw: float, thrust: float, dt_s: float) -> Actuation:
+    def _send(
+        self, roll: float, pitch: float, yaw: float, thrust: float, dt_s: float
+    ) -> AttitudeSetpoint:
         # the thrust that is now acting, by a motor lag of about 80 ms
         self._flown_thrust_frac += (thrust - self._flown_thrust_frac) * dt_s / (0.08 + dt_s)
         self._yaw_rad = yaw
-        return Actuation(roll, pitch, yaw, thrust, True, self.release)
+        return AttitudeSetpoint(roll, pitch, yaw, thrust, True, self.release)
 
     def _shape(self, wanted: Vec3, lead: Vec3, dt_s: float) -> None:
         """Move the velocity set-point towards the wanted one, acceleration and jerk limited.

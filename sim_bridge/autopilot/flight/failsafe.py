@@ -1,21 +1,17 @@
-"""Conditions that failsafes watch; what follows from them is each autopilot's own."""
+"""Conditions that trigger failsafes; the reaction is each autopilot's own."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
 
 
 @dataclass(slots=True)
 class Latch:
-    """A condition that has to last before it counts, and then counts once."""
+    """A condition that has to last for a time before it triggers, and then triggers once."""
 
     since_s: float | None = None
     is_on: bool = False
 
     def update(self, condition: bool, now_s: float, wait_s: float) -> bool:
-        """True at the moment at which the condition has lasted for `wait_s`."""
+        """True once, when the condition has lasted for `wait_s`."""
         if not condition:
             self.since_s = None
             self.is_on = False
@@ -29,8 +25,8 @@ class Latch:
 
 
 @dataclass(slots=True)
-class Failsafes:
-    """One latch for each thing that can fail."""
+class Latches:
+    """One latch for each failure."""
 
     rc: Latch = field(default_factory=Latch)
     gcs: Latch = field(default_factory=Latch)
@@ -41,16 +37,6 @@ class Failsafes:
     fence: Latch = field(default_factory=Latch)
     gcs_heard_s: float | None = None
 
-    def gcs_heard(self, ap: "Autopilot", system: int) -> None:
-        """A ground station's HEARTBEAT, if it is one that this autopilot listens to."""
-        if ap.behaviour.minds_gcs(ap.params, system):
-            self.gcs_heard_s = ap.t_s
-
     def gcs_silent_s(self, now_s: float) -> float:
         """Seconds without a ground station; 0 if there never was one."""
         return 0.0 if self.gcs_heard_s is None else now_s - self.gcs_heard_s
-
-    def step(self, ap: "Autopilot") -> None:
-        """Let the flavour look at everything."""
-        if ap.is_armed:
-            ap.behaviour.watch(ap, self)

@@ -1,10 +1,10 @@
-"""From a mode's goal to the controller's verbs, with the speeds and the heading that go with it."""
+"""From a mode's goal to the controller's commands, with speed and heading."""
 
 import math
 from dataclasses import dataclass, replace
 
-from sim_bridge.autopilot.flight.control import Actuation, Controller
-from sim_bridge.autopilot.flight.goals import (
+from sim_bridge.autopilot.base.geodesy import Vec3
+from sim_bridge.autopilot.base.goals import (
     Descend,
     FlyByHand,
     FlyLevel,
@@ -13,9 +13,9 @@ from sim_bridge.autopilot.flight.goals import (
     Goal,
     HoldPoint,
     Idle,
-    Vec3,
 )
-from sim_bridge.autopilot.flight.navigation import Readings
+from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
+from sim_bridge.autopilot.flight.control import Controller
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,34 @@ def corner_speed_mps(a: Vec3, b: Vec3, c: Vec3, accel_mps2: float, radius_m: flo
 
 
 class Guidance:
-    """Turns goals into actuation; keeps the heading set-point from step to step."""
+    """Turns goals into attitude set-points; keeps the heading set-point from step to step.
+
+    `fixed_yaw_rad` overrides the heading of every goal. `speed_override_mps` is the ground speed
+    that was commanded instead of the default one; both are None when not commanded.
+    """
 
     def __init__(self, controller: Controller) -> None:
+        self.restart(controller)
+
+    def restart(self, controller: Controller) -> None:
+        """Begin again with a fresh controller, as after a reboot."""
         self.controller = controller
         self.yaw_sp_rad = 0.0
         self.fixed_yaw_rad: float | None = None
+        self.speed_override_mps: float | None = None
+
+    def cruise_mps(self, default_mps: float) -> float:
+        """Ground speed to fly legs at now."""
+        return min(self.speed_override_mps or default_mps, self.controller.params.max_speed_mps)
+
+    def stopping_point(self) -> Vec3:
+        """Where the vehicle comes to rest if it brakes now."""
+        north, east, down = self.controller.pos_ned_m
+        vn, ve, vd = self.controller.vel_ned_mps
+        speed = math.hypot(vn, ve)
+        brake = 0.6 * self.controller.params.max_accel_mps2
+        ahead_s = speed / (2.0 * brake) + 0.5 if speed > 0.1 else 0.0
+        return north + vn * ahead_s, east + ve * ahead_s, down + vd * min(ahead_s, 0.8)
 
     def set_limits(self, limits: Limits) -> None:
         """Fly within these from now on."""
@@ -70,12 +92,12 @@ class Guidance:
             max_tilt_rad=limits.tilt_rad,
         )
 
-    def disarmed(self, readings: Readings, dt_s: float) -> Actuation:
+    def disarmed(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         """Motors off."""
         self.yaw_sp_rad = readings.yaw_rad
         return self.controller.idle(readings, dt_s)
 
-    def fly(self, goal: Goal, readings: Readings, dt_s: float) -> Actuation:
+    def fly(self, goal: Goal, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         """One step towards `goal`."""
         controller = self.controller
         match goal:
@@ -108,7 +130,7 @@ class Guidance:
         elif yaw_rad is not None:
             self.yaw_sp_rad = yaw_rad
 
-    def _follow(self, goal: FollowLine, readings: Readings, dt_s: float) -> Actuation:
+    def _follow(self, goal: FollowLine, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         self._turn(goal.yaw_rad)
         controller = self.controller
         pos, end = controller.pos_ned_m, goal.end
@@ -127,8 +149,8 @@ class Guidance:
             stop_at_end=goal.exit_mps <= 0.0,
         )
 
-    def _level(self, goal: FlyLevel, readings: Readings, dt_s: float) -> Actuation:
-        """Attitude as told; only the height is the controller's."""
+    def _level(self, goal: FlyLevel, readings: Readings, dt_s: float) -> AttitudeSetpoint:
+        """Attitude as commanded; the controller keeps only the climb rate."""
         self.yaw_sp_rad += goal.yaw_rate_rps * dt_s
         north, east, _ = self.controller.vel_ned_mps
         flown = self.controller.track_velocity(
@@ -136,7 +158,7 @@ class Guidance:
         )
         return replace(flown, roll_rad=goal.roll_rad, pitch_rad=goal.pitch_rad)
 
-    def _by_hand(self, goal: FlyByHand, readings: Readings, dt_s: float) -> Actuation:
+    def _by_hand(self, goal: FlyByHand, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         self.yaw_sp_rad += goal.yaw_rate_rps * dt_s
         idle = self.controller.idle(readings, dt_s)
         return replace(

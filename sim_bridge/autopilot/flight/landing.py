@@ -1,22 +1,21 @@
-"""Whether the vehicle stands on the ground, as an autopilot finds out."""
+"""Whether the vehicle stands on the ground, as an autopilot detects it."""
 
 import math
 
-from sim_bridge.autopilot.flight.control import Actuation
-from sim_bridge.autopilot.flight.goals import Descend, FlyByHand, FlyLevel, Goal, Idle
-from sim_bridge.autopilot.flight.readings import Readings
+from sim_bridge.autopilot.base.goals import Descend, FlyByHand, FlyLevel, Goal, Idle
+from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
 
 _CONFIRM_S = 1.0
-"""Both detectors want about a second (LAND_DETECTOR_TRIGGER_SEC; LNDMC_TRIG_TIME and the rest)."""
+"""Both detectors need about a second (LAND_DETECTOR_TRIGGER_SEC; LNDMC_TRIG_TIME and the rest)."""
 _LEAVE_S = 0.15
 _LEAN_FILTER_S = 2.0
 
 
 class LandingDetector:
-    """Landed when it lies still on the ground and has not been asked to climb, for a second.
+    """Landed after a second on the ground without a demand to climb.
 
-    `lean_limit_rad`: ArduCopter holds back while the attitude that the wind asked for on the way
-    down was large: in 8 m/s of uniform wind it never detected a landing (measured). None: no limit.
+    `lean_limit_rad`: ArduCopter detects no landing while the tilt on the way down was large: in
+    8 m/s of uniform wind it never did (measured). None: no limit.
     """
 
     def __init__(self, lean_limit_rad: float | None) -> None:
@@ -27,20 +26,20 @@ class LandingDetector:
         self.is_landed = True
 
     def arm(self) -> None:
-        """A new flight: what the last landing was like is over."""
+        """A new flight begins: forget the last landing."""
         self._lean_rad = 0.0
         self._still_s = 0.0
 
     def step(
         self,
         readings: Readings,
-        actuation: Actuation,
+        actuation: AttitudeSetpoint,
         goal: Goal,
         dt_s: float,
         *,
         is_armed: bool,
     ) -> None:
-        """Look at one moment."""
+        """Take one step."""
         touching = readings.touching_ground
         if not is_armed:
             if touching:

@@ -5,40 +5,18 @@ Frames: NED about the depot, SI, radians; velocities over ground.
 
 import math
 from collections import deque
-from typing import Protocol
+
+from sim_bridge.autopilot.base.geodesy import Vec3
+from sim_bridge.autopilot.base.readings import Readings
 
 GRAVITY_MPS2 = 9.80665
-Vec3 = tuple[float, float, float]
-
-
-class Readings(Protocol):
-    """The sensor readings that navigation and control look at (see ARCHITECTURE.md)."""
-
-    @property
-    def roll_rad(self) -> float: ...
-    @property
-    def pitch_rad(self) -> float: ...
-    @property
-    def yaw_rad(self) -> float: ...
-    @property
-    def accel_frd_mps2(self) -> Vec3: ...
-    @property
-    def gnss_ok(self) -> bool: ...
-    @property
-    def pos_ned_m(self) -> Vec3: ...
-    @property
-    def vel_ned_mps(self) -> Vec3: ...
-    @property
-    def alt_amsl_m(self) -> float: ...
-    @property
-    def touching_ground(self) -> bool: ...
 
 
 class Navigator:
     """Position and velocity from accelerometers, late GNSS fixes and the barometer.
 
-    Fixes are compared with what was believed `gnss_delay_s` ago; height follows the barometer
-    from where GNSS put it before take-off. Without GNSS it goes on by dead reckoning.
+    A fix is compared with the estimate of `gnss_delay_s` ago. Height follows the barometer from the
+    GNSS height before take-off. Without GNSS it goes on by dead reckoning.
     """
 
     _POSITION_SHARE = 0.2  # of the innovation, per fix
@@ -52,7 +30,7 @@ class Navigator:
         self._past: deque[tuple[float, ...]] = deque()
         self._fix: Vec3 | None = None
         self._baro_zero_m = 0.0
-        # what corrections have added up to: the past is kept without them
+        # the sum of all corrections; the past is stored without them
         self._added = [0.0] * 5
         self.north_m = self.east_m = self.down_m = 0.0
         self.north_mps = self.east_mps = self.down_mps = 0.0

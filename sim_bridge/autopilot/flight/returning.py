@@ -1,35 +1,29 @@
 """Return to launch: climb, go home, wait, come down, land.
 
-The phases are both autopilots'; heights and waits come from their parameters. Sources: ArduPilot,
-ArduCopter/mode_rtl.cpp; PX4, src/modules/navigator/rtl_direct.cpp.
+Both autopilots go through the same phases; heights and waits come from their parameters.
+Sources: ArduPilot, ArduCopter/mode_rtl.cpp; PX4, src/modules/navigator/rtl_direct.cpp.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
-from sim_bridge.autopilot.flight.goals import (
-    Descend,
-    FollowLine,
-    Goal,
-    HoldPoint,
-    Idle,
-    Vec3,
-    distance_ne_m,
-)
+from sim_bridge.autopilot.base.geodesy import Vec3, distance_ne_m
+from sim_bridge.autopilot.base.goals import Descend, FollowLine, Goal, HoldPoint, Idle
 from sim_bridge.autopilot.flight.guidance import heading_along
+from sim_bridge.autopilot.state import VehicleState
 
 
 @dataclass(frozen=True, slots=True)
 class ReturnPlan:
-    """Where to, how high, what for. Heights are `down` (minus is up), NED about the origin."""
+    """Where to and how high. Heights are `down` (minus is up), NED about the origin."""
 
     destination_ne_m: tuple[float, float]
     cruise_down_m: float
     wait_down_m: float
     """Height at which it waits above the destination before landing."""
     wait_s: float
-    """Infinite: it stays there and does not land."""
+    """Infinite: it waits there and does not land."""
     speed_mps: float
     climb_mps: float
     descend_mps: float
@@ -37,24 +31,8 @@ class ReturnPlan:
     faces_home: bool
 
 
-class ReturnVehicle(Protocol):
-    """What a return needs of the vehicle."""
-
-    t_s: float
-    home_ned_m: Vec3
-
-    @property
-    def pos_ned_m(self) -> Vec3: ...
-    @property
-    def is_landed(self) -> bool: ...
-
-    def sink_mps(self, height_m: float) -> float:
-        """Descent speed of a landing at a height above home."""
-        ...
-
-
 class ReturnPhase(Enum):
-    """How far a return has come."""
+    """The phases of a return, in order."""
 
     CLIMB = "climb"
     GO = "go"
@@ -72,13 +50,13 @@ class Returning:
         self._start = start
         self._since_s: float | None = None
 
-    def step(self, vehicle: ReturnVehicle) -> Goal | None:
-        """What to fly now; None when landed."""
-        plan, here = self.plan, vehicle.pos_ned_m
+    def step(self, state: VehicleState, sink_mps: Callable[[float], float]) -> Goal | None:
+        """What to fly now; None when landed. `sink_mps` is the descent speed at a height."""
+        plan, here = self.plan, state.pos_ned_m
         north, east = plan.destination_ne_m
         if self.phase is ReturnPhase.CLIMB:
             top = (self._start[0], self._start[1], min(plan.cruise_down_m, self._start[2]))
-            if vehicle.is_landed:
+            if state.is_landed:
                 return Idle()
             if here[2] - top[2] > 0.5:
                 return FollowLine(self._start, top, plan.climb_mps)
@@ -95,14 +73,13 @@ class Returning:
             if plan.wait_down_m - here[2] > 1.0:
                 return FollowLine(self._start, (north, east, plan.wait_down_m), plan.descend_mps)
             self.phase = ReturnPhase.WAIT
-            self._since_s = vehicle.t_s
+            self._since_s = state.t_s
             self._start = (north, east, here[2])
         if self.phase is ReturnPhase.WAIT:
             assert self._since_s is not None
-            if vehicle.t_s - self._since_s < plan.wait_s:
+            if state.t_s - self._since_s < plan.wait_s:
                 return HoldPoint(self._start)
             self.phase = ReturnPhase.LAND
-        if vehicle.is_landed:
+        if state.is_landed:
             return None
-        height = vehicle.home_ned_m[2] - here[2]
-        return Descend(plan.destination_ne_m, vehicle.sink_mps(height))
+        return Descend(plan.destination_ne_m, sink_mps(state.height_above_home_m))

@@ -1,10 +1,10 @@
-"""The autopilot's own wind estimate, where its drag-fusion parameters switch one on.
+"""The autopilot's own wind estimate, when its drag-fusion parameters switch it on.
 
 Both EKF3 and EKF2 explain the horizontal specific force of a multirotor by
 `a = -rho/2 v|v| / BCOEF - MCOEF v` along each body axis (v: airspeed along it; PX4,
 src/modules/ekf2/EKF/aid_sources/drag; ArduPilot, EK3_DRAG_*), and so get wind without a sensor.
-Here the formula is inverted and smoothed, with the coefficients that the parameters hold: wrong
-coefficients give a wrong wind, as they do there.
+Here the formula is inverted and smoothed, with the coefficients of the parameters. Wrong
+coefficients give a wrong wind, as in the real autopilots.
 """
 
 import math
@@ -23,7 +23,7 @@ class DragCoefficients:
 
     @property
     def are_usable(self) -> bool:
-        """Whether they say anything about both axes."""
+        """Whether both axes have a coefficient."""
         along = self.bcoef_x_kgpm2 > 0.0 or self.mcoef_hz > 0.0
         across = self.bcoef_y_kgpm2 > 0.0 or self.mcoef_hz > 0.0
         return along and across
@@ -42,7 +42,7 @@ def axis_airspeed_mps(accel_mps2: float, bcoef_kgpm2: float, mcoef_hz: float) ->
 
 
 class WindEstimator:
-    """Horizontal wind from drag: where the air moves to. It settles in about 15 s."""
+    """Horizontal wind (direction that it blows TO) from drag. It settles in about 15 s."""
 
     TIME_CONSTANT_S = 5.0
     ACCEL_FILTER_S = 0.5
@@ -52,7 +52,7 @@ class WindEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Know nothing, as after a reboot."""
+        """Start without an estimate, as after a reboot."""
         self.north_mps = 0.0
         self.east_mps = 0.0
         self.variance_m2ps2 = 25.0
@@ -67,7 +67,7 @@ class WindEstimator:
         vel_ned_mps: tuple[float, float, float],
         dt_s: float,
     ) -> None:
-        """Take one moment of flight (not on the ground: the gear bears forces there)."""
+        """Take one step in flight (not on the ground, where the landing gear carries forces)."""
         share = dt_s / self.ACCEL_FILTER_S
         self._accel_x += share * (accel_frd_mps2[0] - self._accel_x)
         self._accel_y += share * (accel_frd_mps2[1] - self._accel_y)
@@ -86,3 +86,14 @@ class WindEstimator:
         self.north_mps += share * (wind_north - self.north_mps)
         self.east_mps += share * (wind_east - self.east_mps)
         self.variance_m2ps2 += dt_s / self.TIME_CONSTANT_S * (0.5 - self.variance_m2ps2)
+
+
+class WindFusion:
+    """The estimator of the present boot; None while drag fusion is off."""
+
+    def __init__(self) -> None:
+        self.estimator: WindEstimator | None = None
+
+    def boot(self, drag: DragCoefficients | None) -> None:
+        """Set drag fusion up, once at each boot; None leaves it off."""
+        self.estimator = None if drag is None else WindEstimator(drag)

@@ -1,4 +1,4 @@
-"""The autopilot's MAVLink links: who was heard on each, what is streamed on each."""
+"""The autopilot's MAVLink links: who was heard and what is streamed on each."""
 
 import heapq
 from collections.abc import Iterator
@@ -16,12 +16,16 @@ class Link:
     kind: LinkKind
     encoder: Encoder
     decoder: Decoder
-    gcs_until_s: float = -1.0
-    """Until when a ground station counts as being there."""
+    gcs_until_s: float | None = None
+    """Until when a ground station counts as connected; None when none was heard."""
     peers: set[tuple[int, int]] = field(default_factory=set)
     parameters: Iterator[str] | None = None
     _intervals_s: dict[str, float] = field(default_factory=dict)
     _due: list[tuple[float, str]] = field(default_factory=list)
+
+    def has_gcs(self, now_s: float) -> bool:
+        """Whether a ground station is connected."""
+        return self.gcs_until_s is not None and now_s <= self.gcs_until_s
 
     def clear_streams(self) -> None:
         """Stream nothing any more."""

@@ -128,9 +128,11 @@ class ParameterStore:
     field and checks the type that it is given.
     """
 
-    def __init__(self, flavour: AutopilotKind, parameters: Mapping[str, Parameter]) -> None:
-        self._bytewise = flavour is AutopilotKind.PX4
-        names = sorted(parameters) if flavour is AutopilotKind.PX4 else parameters
+    def __init__(self, kind: AutopilotKind, parameters: Mapping[str, Parameter]) -> None:
+        is_px4 = kind is AutopilotKind.PX4
+        self.integers_bytewise = is_px4
+        """Whether an integer's bytes are put into the float field, as PX4 does."""
+        names = sorted(parameters) if is_px4 else parameters
         self._by_name = {name: parameters[name] for name in names}
         self._names = tuple(self._by_name)
         self.revision = 0
@@ -172,14 +174,14 @@ class ParameterStore:
         """PARAM_VALUE's param_value and param_type."""
         parameter = self._by_name[name]
         kind = MAV_PARAM_TYPES[parameter.type]
-        if self._bytewise and parameter.type != "float":
+        if self.integers_bytewise and parameter.type != "float":
             return struct.unpack("<f", struct.pack("<i", int(parameter.value)))[0], kind
         return parameter.value, kind
 
     def accept(self, name: str, param_value: float, param_type: int) -> bool:
         """Store a PARAM_SET; False if it is refused (the stored value then stays)."""
         parameter = self._by_name[name]
-        if self._bytewise:
+        if self.integers_bytewise:
             if param_type != MAV_PARAM_TYPES[parameter.type]:
                 return False
             if parameter.type != "float":

@@ -1,7 +1,7 @@
-"""Flies missions: one item after the other, as ArduPilot and as PX4 do it.
+"""Flies missions, one item after the other, as ArduPilot and as PX4 do it.
 
-ArduPilot runs navigation items and, when it goes from one to the next, the others between them;
-PX4 makes every item the current one in its turn. Sources: ArduPilot, libraries/AP_Mission
+ArduPilot flies navigation items and runs the other items on its way from one to the next. PX4
+makes every item the current one in its turn. Sources: ArduPilot, libraries/AP_Mission
 (advance_current_nav_cmd) and ArduCopter/mode_auto.cpp; PX4, src/modules/navigator/mission_base.cpp.
 """
 
@@ -11,88 +11,43 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from sim_bridge.autopilot.flight.goals import (
+from sim_bridge.autopilot.base.geodesy import Vec3, distance_ne_m
+from sim_bridge.autopilot.base.goals import (
     Descend,
     FlyVelocity,
     FollowLine,
     Goal,
     HoldPoint,
     Idle,
-    Vec3,
-    distance_ne_m,
 )
-from sim_bridge.autopilot.flight.guidance import corner_speed_mps
+from sim_bridge.autopilot.flight.guidance import Guidance, corner_speed_mps
 from sim_bridge.autopilot.flight.returning import Returning
 from sim_bridge.autopilot.mavlink.enums import Cmd, MissionState
-from sim_bridge.autopilot.mission.mission import NAVIGATING, Item
+from sim_bridge.autopilot.mission.items import NAVIGATING, Item
 from sim_bridge.autopilot.mission.plan import Plan
+from sim_bridge.autopilot.state import VehicleState
 
 
-@dataclass(frozen=True, slots=True)
-class FlightRules:
-    """What an autopilot's parameters and habits make of mission items."""
-
-    default_speed_mps: float
-    spool_s: float
-    """From arming to the first thrust."""
-    accept_radius_m: float
-    accept_height_m: float
-    takeoff_speed_mps: float
-    takeoff_min_height_m: float
-    corner_accel_mps2: float
-    land_above_m: float
-    """Nearer than this to a LAND item's place, flown to first, the descent begins."""
-    land_from_m: float
-    """Farther than this from a LAND item's place it is flown to first."""
-    ramp_s: float = 0.0
-    """From spooled up, on the ground, to thrust enough to lift (PX4)."""
-    brakes_when_sent_elsewhere: bool = False
-    """Whether a waypoint that is left unreached costs the speed (ArduCopter)."""
-    item_period_s: float = 0.0
-    """Items follow each other no faster than this, when they take no time (PX4's navigator)."""
-
-
-class MissionVehicle(Protocol):
-    """What the executor needs of the vehicle."""
-
-    t_s: float
-    home_ned_m: Vec3
-    flight_rules: FlightRules
-
-    @property
-    def pos_ned_m(self) -> Vec3: ...
-    @property
-    def vel_ned_mps(self) -> Vec3: ...
-    @property
-    def is_landed(self) -> bool: ...
-    @property
-    def is_spooled(self) -> bool: ...
-
-    def cruise_mps(self) -> float:
-        """Ground speed to fly legs at, now."""
-        ...
-
-    def stopping_point(self) -> Vec3:
-        """Where the vehicle comes to rest if it brakes now."""
-        ...
+class MissionHooks(Protocol):
+    """What the executor needs of the autopilot."""
 
     def may_take_off(self) -> bool:
         """Whether a mission may leave the ground now."""
         ...
 
     def place_of(self, item: Item) -> Vec3:
-        """Where an item is, with what it leaves open filled in."""
+        """Where an item is; the current position stands for what it leaves open."""
         ...
 
     def sink_mps(self, height_m: float) -> float:
         """Descent speed of a landing at a height above home."""
         ...
 
-    def run_item(self, item: Item, seq: int) -> float:
-        """Do what a non-navigating item says; returns how long the mission waits for it."""
+    def run_item(self, item: Item) -> float:
+        """Carry out a non-navigating item; returns how long the mission waits for it."""
         ...
 
-    def leg_yaw_rad(self, start: Vec3, end: Vec3, item: Item) -> float | None:
+    def leg_yaw_rad(self, start: Vec3, end: Vec3) -> float | None:
         """Heading to fly a leg with."""
         ...
 
@@ -109,11 +64,11 @@ class MissionVehicle(Protocol):
         ...
 
     def begin_guided(self) -> None:
-        """Set-points are obeyed from now on, as an item says."""
+        """Set-points are followed from now on, as an item says."""
         ...
 
     def guided_in_mission(self, leg: "Leg") -> Goal | None:
-        """What set-points want; None when a limit of theirs is passed."""
+        """What set-points ask for; None when one of their limits is passed."""
         ...
 
     def mission_ended(self) -> None:
@@ -122,7 +77,7 @@ class MissionVehicle(Protocol):
 
 
 class Phase(Enum):
-    """What is being done about the current item."""
+    """The phases of the current item."""
 
     CLIMB = "climb"
     MOVE = "move"
@@ -134,7 +89,7 @@ class Phase(Enum):
 
 @dataclass(slots=True)
 class Leg:
-    """The current item under way."""
+    """The current item in progress."""
 
     item: Item
     phase: Phase
@@ -146,14 +101,14 @@ class Leg:
     yaw_rad: float | None = None
     returning: Returning | None = None
     brake_to_mps: float | None = None
-    """Ground speed to come down to before the leg is flown."""
+    """Ground speed to brake to before the leg is flown."""
 
 
 _SPEED_KEPT = 0.29
-"""Of the ground speed, where the next leg begins before the last is done, by ArduCopter: 9.5 to
-2.9, 10.9 to 3.1, 11.3 to 3.3 m/s (measured)."""
-_BRAKES_ON_BY_MPS = 0.9
-"""What it still loses while the acceleration turns round."""
+"""Share of the ground speed that ArduCopter keeps when it is sent to another item before it has
+reached the present one: 9.5 to 2.9, 10.9 to 3.1, 11.3 to 3.3 m/s (measured)."""
+_LOST_AFTER_BRAKING_MPS = 0.9
+"""What it still loses while the acceleration changes its sign."""
 _BRAKING_LIMIT_S = 8.0
 _HOLDING = {Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME}
 _PLACED_LEGS = {
@@ -165,10 +120,20 @@ _PLACED_LEGS = {
 
 
 class MissionExecutor:
-    """The mission's state: which item, how far with it. `sequential` is PX4's way."""
+    """The mission's progress: which item, which phase of it. `sequential` is PX4's way."""
 
-    def __init__(self, vehicle: MissionVehicle, plan: Plan, *, sequential: bool) -> None:
+    def __init__(
+        self,
+        vehicle: VehicleState,
+        guidance: Guidance,
+        hooks: MissionHooks,
+        plan: Plan,
+        *,
+        sequential: bool,
+    ) -> None:
         self._vehicle = vehicle
+        self._guidance = guidance
+        self._hooks = hooks
         self._sequential = sequential
         self.plan = plan
         self.index = plan.first
@@ -185,7 +150,7 @@ class MissionExecutor:
     # --- control ------------------------------------------------------------------------------
 
     def load(self, items: Sequence[Item], *, keep_jumps: bool = False) -> None:
-        """Take over other items; the index is kept where it still exists."""
+        """Take over new items; the index is kept if it still exists."""
         self.plan.items = tuple(items)
         if not keep_jumps:
             self.plan.jumps_done.clear()
@@ -199,7 +164,7 @@ class MissionExecutor:
             self.state = MissionState.NOT_STARTED
 
     def restart(self) -> None:
-        """Back to the first item, jumps uncounted."""
+        """Back to the first item; jumps count from zero."""
         self.index = self.plan.first
         self.plan.jumps_done.clear()
         self.leg = None
@@ -207,7 +172,7 @@ class MissionExecutor:
             self.state = MissionState.NOT_STARTED
 
     def start(self) -> None:
-        """The mission mode begins: go on at the current item, from where the vehicle is."""
+        """The mission mode begins: go on with the current item from the present position."""
         self.is_active = True
         self.is_paused = False
         self._line_start = None
@@ -233,7 +198,7 @@ class MissionExecutor:
             return True
         if self.index >= len(self.plan):
             return False
-        self._go_elsewhere(self.index, consume=False)
+        self._redirect(self.index, consume=False)
         return True
 
     @property
@@ -242,7 +207,7 @@ class MissionExecutor:
         return self.leg is not None and self.leg.phase in (Phase.MOVE, Phase.STAY)
 
     def set_current(self, seq: int) -> bool:
-        """Jump to an item; False if there is none such."""
+        """Jump to an item; False if there is no such item."""
         plan = self.plan
         if seq == 0 and plan.first == 1 and not plan.is_empty:
             plan.jumps_done.clear()
@@ -258,13 +223,13 @@ class MissionExecutor:
             self.index = seq if landing is None else landing
             return True
         self.state = MissionState.ACTIVE
-        self._go_elsewhere(seq, consume=not self._sequential)
+        self._redirect(seq, consume=not self._sequential)
         return True
 
-    def _go_elsewhere(self, index: int, *, consume: bool) -> None:
-        """Make an item the current one before the last is done.
+    def _redirect(self, index: int, *, consume: bool) -> None:
+        """Make another item the current one before the present one is done.
 
-        ArduCopter then plans its way anew from a stopping point, at rest (AC_WPNav.cpp,
+        ArduCopter then plans a new path from a stopping point, at rest (AC_WPNav.cpp,
         set_wp_destination_NEU_cm: the previous destination was interrupted).
         """
         is_unreached = self.leg is not None and self.leg.phase is Phase.MOVE
@@ -273,15 +238,15 @@ class MissionExecutor:
         leg, vehicle = self.leg, self._vehicle
         if leg is None or leg.phase is not Phase.MOVE or not is_unreached:
             return
-        if vehicle.flight_rules.brakes_when_sent_elsewhere:
+        if vehicle.rules.brakes_when_redirected:
             north, east, _ = vehicle.vel_ned_mps
-            leg.brake_to_mps = _SPEED_KEPT * math.hypot(north, east) + _BRAKES_ON_BY_MPS
+            leg.brake_to_mps = _SPEED_KEPT * math.hypot(north, east) + _LOST_AFTER_BRAKING_MPS
             leg.since_s = vehicle.t_s
 
     # --- flying -------------------------------------------------------------------------------
 
     def step(self) -> Goal:
-        """Advance by one step and say what to fly."""
+        """Advance by one step; returns what to fly."""
         vehicle = self._vehicle
         if self.state != MissionState.ACTIVE or self.leg is None:
             return self._rest()
@@ -297,8 +262,8 @@ class MissionExecutor:
             return goal
         if vehicle.t_s < self._next_item_s - 1e-6:
             return self._rest()
-        self._next_item_s = vehicle.t_s + vehicle.flight_rules.item_period_s
-        vehicle.item_reached(self.index)
+        self._next_item_s = vehicle.t_s + vehicle.rules.item_period_s
+        self._hooks.item_reached(self.index)
         if self._sequential and not leg.item.autocontinue:
             return self._rest()
         self._line_start = leg.target if leg.phase in (Phase.MOVE, Phase.STAY) else None
@@ -317,9 +282,12 @@ class MissionExecutor:
             self._line_start = None
             self._go_to(self.index, consume=False)
 
+    def _cruise_mps(self) -> float:
+        return self._guidance.cruise_mps(self._vehicle.rules.default_speed_mps)
+
     def _hold_point(self) -> Vec3:
         if self._hold is None:
-            self._hold = self._vehicle.stopping_point()
+            self._hold = self._guidance.stopping_point()
         return self._hold
 
     def _rest(self) -> Goal:
@@ -330,8 +298,8 @@ class MissionExecutor:
         return HoldPoint(self._hold_point())
 
     def _go_to(self, index: int, *, consume: bool) -> None:
-        """Make the item at `index` the current one, or the first after it that can be."""
-        plan, vehicle = self.plan, self._vehicle
+        """Make the item at `index` the current one, or the next one that can be."""
+        plan = self.plan
         landing = plan.landing_at(index, consume=consume)
         self._dos.clear()
         if self._sequential:
@@ -350,7 +318,7 @@ class MissionExecutor:
                 self.index = landing
                 self._begin(item)
                 self._run_dos()
-                vehicle.item_started(item, landing)
+                self._hooks.item_started(item, landing)
                 return
             self._dos.append(landing)
             landing = plan.landing_at(landing + 1, consume=consume)
@@ -360,17 +328,17 @@ class MissionExecutor:
         self.state = MissionState.COMPLETE
         if self.leg is not None and self.leg.phase not in (Phase.MOVE, Phase.STAY):
             self.leg = None
-        self._vehicle.mission_ended()
+        self._hooks.mission_ended()
 
     def _run_dos(self) -> None:
-        """ArduPilot: the items between two navigation items, each when its turn has come."""
+        """ArduPilot: run the items between two navigation items, each when it is due."""
         vehicle = self._vehicle
         while self._dos and vehicle.t_s >= self._do_until_s:
             seq = self._dos.pop(0)
             item = self.plan.items[seq]
-            vehicle.item_started(item, seq)
-            wait_s = vehicle.run_item(item, seq)
-            vehicle.item_reached(seq)
+            self._hooks.item_started(item, seq)
+            wait_s = self._hooks.run_item(item)
+            self._hooks.item_reached(seq)
             self._do_until_s = vehicle.t_s + wait_s
 
     def _begin(self, item: Item) -> None:
@@ -380,17 +348,17 @@ class MissionExecutor:
         now = vehicle.t_s
         command = item.command
         if self._sequential:
-            vehicle.item_started(item, self.index)
+            self._hooks.item_started(item, self.index)
         if command == Cmd.NAV_RETURN_TO_LAUNCH and not self._sequential:
-            self.leg = Leg(item, Phase.RETURN, here, here, returning=vehicle.plan_return())
+            self.leg = Leg(item, Phase.RETURN, here, here, returning=self._hooks.plan_return())
         elif command == Cmd.NAV_GUIDED_ENABLE:
-            vehicle.begin_guided()
+            self._hooks.begin_guided()
             self.leg = Leg(item, Phase.GUIDED, here, here, since_s=now)
         elif command == Cmd.NAV_DELAY:
             stay_s = item.param1 if math.isfinite(item.param1) else 0.0
             self.leg = Leg(item, Phase.STAY, here, self._stop_point(), stay_s, now)
         elif command not in NAVIGATING or command == Cmd.NAV_RETURN_TO_LAUNCH:
-            wait_s = vehicle.run_item(item, self.index)
+            wait_s = self._hooks.run_item(item)
             self.leg = Leg(item, Phase.STAY, here, self._stop_point(), wait_s, now)
         elif command == Cmd.NAV_LAND:
             self.leg = self._landing(item, here)
@@ -400,54 +368,54 @@ class MissionExecutor:
             self.leg = self._move(item, self._line_start or here)
 
     def _stop_point(self) -> Vec3:
-        """Where to wait: at the last leg's end if it was reached, else here."""
-        return self._line_start or self._vehicle.stopping_point()
+        """Where to wait: at the end of the last leg if it was reached, else here."""
+        return self._line_start or self._guidance.stopping_point()
 
     def _climb(self, item: Item, here: Vec3) -> Leg:
         """Straight up; PX4 then goes on to the item's place."""
         vehicle = self._vehicle
-        place = vehicle.place_of(item)
+        place = self._hooks.place_of(item)
         down = place[2]
         if self._sequential and vehicle.is_landed:
-            least = vehicle.home_ned_m[2] - vehicle.flight_rules.takeoff_min_height_m
+            least = vehicle.home_ned_m[2] - vehicle.rules.takeoff_min_height_m
             down = min(down, least)
         return Leg(item, Phase.CLIMB, here, (here[0], here[1], down), since_s=vehicle.t_s)
 
     def _move(self, item: Item, start: Vec3) -> Leg:
         vehicle = self._vehicle
-        target = vehicle.place_of(item)
+        target = self._hooks.place_of(item)
         stay_s = item.param1 if item.command in _HOLDING else 0.0
         if item.command == Cmd.NAV_LOITER_UNLIM:
             stay_s = math.inf
         stay_s = stay_s if stay_s > 0.0 else 0.0
         leg = Leg(item, Phase.MOVE, start, target, stay_s)
-        leg.yaw_rad = vehicle.leg_yaw_rad(vehicle.pos_ned_m, target, item)
+        leg.yaw_rad = self._hooks.leg_yaw_rad(vehicle.pos_ned_m, target)
         if stay_s == 0.0:
             leg.exit_mps = self._exit_mps(start, target)
         return leg
 
     def _landing(self, item: Item, here: Vec3) -> Leg:
-        place = self._vehicle.place_of(item)
+        place = self._hooks.place_of(item)
         above = (place[0], place[1], here[2])
         leg = Leg(item, Phase.MOVE, self._line_start or here, above)
         leg.start = (leg.start[0], leg.start[1], here[2])
-        leg.yaw_rad = self._vehicle.leg_yaw_rad(here, above, item)
-        near = self._vehicle.flight_rules.land_from_m
+        leg.yaw_rad = self._hooks.leg_yaw_rad(here, above)
+        near = self._vehicle.rules.land_from_m
         if distance_ne_m(here, place) <= near:
             leg.phase = Phase.DESCEND
         return leg
 
     def _exit_mps(self, start: Vec3, target: Vec3) -> float:
-        """Speed to pass the end of a leg with, for what comes next."""
+        """Speed at the end of a leg, so that the next item can be flown."""
         vehicle = self._vehicle
-        rules = vehicle.flight_rules
+        rules = vehicle.rules
         for item in self.plan.ahead(self.index):
             if item.command in _PLACED_LEGS:
-                beyond = vehicle.place_of(item)
+                beyond = self._hooks.place_of(item)
                 corner = corner_speed_mps(
                     start, target, beyond, rules.corner_accel_mps2, rules.accept_radius_m
                 )
-                return min(corner, vehicle.cruise_mps())
+                return min(corner, self._cruise_mps())
             if item.command in NAVIGATING or item.command == Cmd.DO_GRIPPER:
                 return 0.0
         return 0.0
@@ -465,15 +433,15 @@ class MissionExecutor:
                 return self._fly_descend(leg)
             case Phase.RETURN:
                 assert leg.returning is not None
-                return leg.returning.step(self._vehicle)
+                return leg.returning.step(self._vehicle, self._hooks.sink_mps)
             case Phase.GUIDED:
-                return self._vehicle.guided_in_mission(leg)
+                return self._hooks.guided_in_mission(leg)
 
     def _fly_climb(self, leg: Leg) -> Goal | None:
         vehicle = self._vehicle
-        rules = vehicle.flight_rules
+        rules = vehicle.rules
         if vehicle.is_landed:
-            is_ready = vehicle.is_spooled and vehicle.may_take_off()
+            is_ready = vehicle.is_spooled and self._hooks.may_take_off()
             if not is_ready:
                 leg.since_s = vehicle.t_s
             if not is_ready or vehicle.t_s - leg.since_s < rules.ramp_s:
@@ -486,7 +454,7 @@ class MissionExecutor:
         if not self._sequential:
             self._line_start = leg.target
             return None
-        place = vehicle.place_of(leg.item)
+        place = self._hooks.place_of(leg.item)
         if leg.item.command == Cmd.NAV_TAKEOFF:
             if distance_ne_m(vehicle.pos_ned_m, place) <= rules.accept_radius_m:
                 return None
@@ -497,7 +465,7 @@ class MissionExecutor:
         return self._fly(self.leg)
 
     def _brake(self, leg: Leg, brake_to_mps: float) -> Goal | None:
-        """Slow down before a leg; None when that is done."""
+        """Slow down before a leg; None when slow enough."""
         vehicle = self._vehicle
         north, east, _ = vehicle.vel_ned_mps
         is_slow = math.hypot(north, east) <= brake_to_mps
@@ -511,7 +479,7 @@ class MissionExecutor:
 
     def _fly_move(self, leg: Leg) -> Goal | None:
         vehicle = self._vehicle
-        rules = vehicle.flight_rules
+        rules = vehicle.rules
         if leg.brake_to_mps is not None:
             braking = self._brake(leg, leg.brake_to_mps)
             if braking is not None:
@@ -526,7 +494,7 @@ class MissionExecutor:
             if distance_ne_m(here, target) <= rules.land_above_m:
                 leg.phase = Phase.DESCEND
                 if self._sequential:  # the way there is an item of its own, with this number
-                    vehicle.item_reached(self.index)
+                    self._hooks.item_reached(self.index)
                 return self._fly_descend(leg)
         elif (near and level) or self._is_passed(leg, here, radius):
             if leg.stay_s <= 0.0:
@@ -534,10 +502,10 @@ class MissionExecutor:
             leg.phase = Phase.STAY
             leg.since_s = vehicle.t_s
             return HoldPoint(target, leg.yaw_rad)
-        return FollowLine(leg.start, target, vehicle.cruise_mps(), leg.exit_mps, leg.yaw_rad)
+        return FollowLine(leg.start, target, self._cruise_mps(), leg.exit_mps, leg.yaw_rad)
 
     def _is_passed(self, leg: Leg, here: Vec3, radius_m: float) -> bool:
-        """Whether a leg flown through is done; passed too far beside, it is gone back to."""
+        """Whether a leg without a stop is done; if it was missed by far, the vehicle turns back."""
         if leg.exit_mps <= 0.0 or not _is_past_end(leg, here):
             return False
         if math.dist(here, leg.target) <= 4.0 * radius_m:
@@ -556,8 +524,8 @@ class MissionExecutor:
         vehicle = self._vehicle
         if vehicle.is_landed:
             return None
-        height = vehicle.home_ned_m[2] - vehicle.pos_ned_m[2]
-        return Descend((leg.target[0], leg.target[1]), vehicle.sink_mps(height))
+        sink = self._hooks.sink_mps(vehicle.height_above_home_m)
+        return Descend((leg.target[0], leg.target[1]), sink)
 
 
 def _is_past_end(leg: Leg, here: Vec3) -> bool:

@@ -1,10 +1,10 @@
-"""The order in which mission items come: jumps, their counters, and what lies ahead."""
+"""The order of mission items: jumps, their counters, and the items ahead."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from sim_bridge.autopilot.mavlink.enums import Cmd
-from sim_bridge.autopilot.mission.mission import PX4_JUMP_FOREVER, Item
+from sim_bridge.autopilot.mission.items import Item
 
 _JUMPS_AT_ONCE = 255
 """DO_JUMPs in a row after which an autopilot gives up on a mission that only jumps."""
@@ -12,12 +12,12 @@ _JUMPS_AT_ONCE = 255
 
 @dataclass(slots=True)
 class Plan:
-    """The items that are being flown. `first` is 1 where item 0 is the home position."""
+    """The items that are being flown. `first` is 1 if item 0 is the home position."""
 
+    first: int
+    forever: int
+    """The repeat count that means without end."""
     items: Sequence[Item] = ()
-    first: int = 0
-    forever: int = PX4_JUMP_FOREVER
-    """The repeat count that stands for no end."""
     jumps_done: dict[int, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -29,7 +29,7 @@ class Plan:
         return len(self.items) <= self.first
 
     def landing_at(self, index: int, *, consume: bool) -> int | None:
-        """The item that comes when the turn is at `index`: DO_JUMPs are followed.
+        """The item that is flown at `index`, after following DO_JUMPs.
 
         `consume` counts the jumps; None is the end of the mission, or a jump to nowhere.
         """

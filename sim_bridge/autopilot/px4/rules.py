@@ -1,20 +1,18 @@
 """What PX4's parameters mean for flying, in SI."""
 
 import math
-from typing import TYPE_CHECKING
 
-from sim_bridge.autopilot.flight.fence import Fence, read_areas
 from sim_bridge.autopilot.flight.guidance import Limits
+from sim_bridge.autopilot.flight.returning import ReturnPlan
 from sim_bridge.autopilot.flight.wind import DragCoefficients
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
-from sim_bridge.autopilot.mission.executor import FlightRules
-
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.mission.fence import Fence, read_areas
+from sim_bridge.autopilot.mission.items import MissionStore
+from sim_bridge.autopilot.state import FlightRules, VehicleState
 
 _LIFT_RAMP_S = 0.6
-"""Thrust ramps up (MPC_TKO_RAMP_T): it lifts 0.9 s after that began (measured), of which our
-vehicle takes 0.3 s."""
+"""Thrust ramps up (MPC_TKO_RAMP_T): PX4 lifts off 0.9 s after the ramp began (measured), of which
+the simulated vehicle takes 0.3 s."""
 _NAVIGATOR_PERIOD_S = 0.05
 """navigator_main.cpp: the position is polled at 20 Hz."""
 
@@ -68,11 +66,45 @@ class Px4Rules:
         """MPC_YAW_MODE 0: towards the waypoint."""
         return params["MPC_YAW_MODE"] == 0.0
 
-    def fence(self, ap: "Autopilot") -> Fence:
+    def fence(self, state: VehicleState, store: MissionStore) -> Fence:
         """GF_* and the uploaded areas."""
-        radius, height = ap.params["GF_MAX_HOR_DIST"], ap.params["GF_MAX_VER_DIST"]
+        radius, height = state.params["GF_MAX_HOR_DIST"], state.params["GF_MAX_VER_DIST"]
         return Fence(
-            areas=read_areas(ap.store.fence, ap.frame),
+            areas=read_areas(store.fence, state.frame),
             radius_m=radius if radius > 0.0 else None,
             height_m=height if height > 0.0 else None,
+        )
+
+    def return_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
+        """RTL_*: a cone about the destination, home or the nearest safe point."""
+        params, here, home = state.params, state.pos_ned_m, state.home_ned_m
+        destination = (home[0], home[1])
+        nearest = math.dist(here[:2], destination)
+        for item in store.rally:
+            point = state.frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
+            if math.dist(here[:2], point) < nearest:
+                nearest, destination = math.dist(here[:2], point), point
+        height = home[2] - here[2]
+        return_alt, descend_alt = params["RTL_RETURN_ALT"], params["RTL_DESCEND_ALT"]
+        angle = math.radians(min(max(params["RTL_CONE_ANG"], 0.0), 90.0))
+        if params["RTL_CONE_ANG"] > 0.0:
+            if nearest <= params["RTL_MIN_DIST"]:
+                wanted = descend_alt
+            else:
+                inside = nearest / math.tan(angle) if angle < 1.57 else 0.0
+                wanted = max(min(inside, return_alt), descend_alt)
+        else:
+            wanted = return_alt
+        wanted = max(wanted, height)
+        delay = params["RTL_LAND_DELAY"]
+        return ReturnPlan(
+            destination_ne_m=destination,
+            cruise_down_m=home[2] - wanted,
+            wait_down_m=home[2] - min(descend_alt, wanted),
+            wait_s=math.inf if delay < 0.0 else delay,
+            speed_mps=state.rules.default_speed_mps,
+            climb_mps=max(params["MPC_Z_V_AUTO_UP"], 0.1),
+            descend_mps=max(params["MPC_Z_V_AUTO_DN"], 0.1),
+            accept_m=min(params["NAV_ACC_RAD"], 3.0),
+            faces_home=True,
         )

@@ -1,16 +1,28 @@
-"""What PX4 sends: the messages that only it has, and what flows unasked on which link."""
+"""What PX4 sends: its own messages and figures, and what it streams by default on which link."""
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from sim_bridge.autopilot.flight.battery import Px4Cells
-from sim_bridge.autopilot.flight.modes import px4_custom_mode
+from sim_bridge.autopilot.base.goals import Descend
+from sim_bridge.autopilot.base.modes import Mode
+from sim_bridge.autopilot.flight.battery import BatteryMonitor, Px4Cells
+from sim_bridge.autopilot.flight.rc_input import RcInput
+from sim_bridge.autopilot.flight.wind import WindFusion
 from sim_bridge.autopilot.kinds import BatterySensing, LinkKind
-from sim_bridge.autopilot.mavlink import status
+from sim_bridge.autopilot.mavlink.enums import LandedState
+from sim_bridge.autopilot.mavlink.links import Link
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
-
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
+from sim_bridge.autopilot.mission.executor import MissionExecutor, Phase
+from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
+from sim_bridge.autopilot.px4.mission import mission_total
+from sim_bridge.autopilot.px4.mode_numbers import (
+    base_mode_of,
+    custom_mode_of,
+    high_latency_custom_mode_of,
+)
+from sim_bridge.autopilot.services.radio import Builder, Fields
+from sim_bridge.autopilot.services.status import CommonTelemetry, ekf_flags
+from sim_bridge.autopilot.state import VehicleState
 
 _WIND_SHOWN_AFTER_S = 3.0
 
@@ -26,91 +38,8 @@ def cells(params: ParameterStore) -> Px4Cells:
     )
 
 
-def battery_status(ap: "Autopilot") -> status.Fields:
-    """BATTERY_STATUS: energy is never known; SIH knows no current and has consumed 0."""
-    fields = status.battery_status(ap)
-    fields["energy_consumed"] = -1
-    if ap.battery_sensing is BatterySensing.SIH_TIMER:
-        fields["current_consumed"] = 0
-        return fields
-    capacity, current = ap.params["BAT1_CAPACITY"], ap.battery.current_avg_a
-    remaining = ap.battery_remaining_frac
-    if capacity > 0.0 and current > 0.1 and remaining is not None and ap.is_armed:
-        fields["time_remaining"] = round(remaining * capacity * 3.6 / current)
-    return fields
-
-
-def wind_cov(ap: "Autopilot") -> status.Fields | None:
-    """WIND_COV: where it blows TO; only with drag fusion, and only once it flies."""
-    wind = ap.wind
-    if wind is None or wind.flown_s < _WIND_SHOWN_AFTER_S:
-        return None
-    return {
-        "time_usec": ap.time_boot_ms * 1000,
-        "wind_x": wind.north_mps,
-        "wind_y": wind.east_mps,
-        "wind_z": 0.0,
-        "var_horiz": wind.variance_m2ps2,
-        "var_vert": 0.0,
-        "wind_alt": ap.frame.alt_amsl_m - ap.pos_ned_m[2],
-        "horiz_accuracy": 0.0,
-        "vert_accuracy": 0.0,
-    }
-
-
-def altitude(ap: "Autopilot") -> status.Fields:
-    """ALTITUDE."""
-    down = ap.pos_ned_m[2]
-    return {
-        "time_usec": ap.time_boot_ms * 1000,
-        "altitude_monotonic": ap.frame.alt_amsl_m - down,
-        "altitude_amsl": ap.frame.alt_amsl_m - down,
-        "altitude_local": ap.ekf_origin_ned_m[2] - down,
-        "altitude_relative": ap.home_ned_m[2] - down,
-        "altitude_terrain": math.nan,
-        "bottom_clearance": math.nan,
-    }
-
-
-def estimator_status(ap: "Autopilot") -> status.Fields:
-    """ESTIMATOR_STATUS."""
-    good = ap.has_position
-    return {
-        "time_usec": ap.time_boot_ms * 1000,
-        "flags": int(status.ekf_flags(ap)),
-        "vel_ratio": 0.05,
-        "pos_horiz_ratio": 0.05,
-        "pos_vert_ratio": 0.02,
-        "mag_ratio": 0.03,
-        "hagl_ratio": 0.0,
-        "tas_ratio": 0.0,
-        "pos_horiz_accuracy": 0.8 if good else 50.0,
-        "pos_vert_accuracy": 1.0,
-    }
-
-
-def current_mode(ap: "Autopilot") -> status.Fields:
-    """CURRENT_MODE."""
-    return {
-        "standard_mode": 0,
-        "custom_mode": px4_custom_mode(ap.mode),
-        "intended_custom_mode": px4_custom_mode(ap.px4.intended_mode(ap)),
-    }
-
-
-STREAMS: dict[str, status.Builder] = {
-    **status.COMMON,
-    "BATTERY_STATUS": battery_status,
-    "WIND_COV": wind_cov,
-    "ALTITUDE": altitude,
-    "ESTIMATOR_STATUS": estimator_status,
-    "CURRENT_MODE": current_mode,
-    "HIGHRES_IMU": status.highres_imu,
-}
-del STREAMS["NAV_CONTROLLER_OUTPUT"]
-
 NOT_ON_REQUEST = frozenset({"MISSION_CURRENT", "HEARTBEAT"})
-"""Sent, but at a rate of its own: no interval can be set for it (flown on PX4 1.18)."""
+"""Sent at a fixed rate: no interval can be set for it (flown on PX4 1.18)."""
 
 DEFAULT_RATES_HZ = {
     LinkKind.ONBOARD: {
@@ -146,6 +75,198 @@ DEFAULT_RATES_HZ = {
         "ALTITUDE": 1.0,
     },
 }
-"""The rates in the measured facts; the others from PX4, src/modules/mavlink/mavlink_main.cpp
+"""Measured rates; the others from PX4, src/modules/mavlink/mavlink_main.cpp
 (configure_streams_to_default). Of its onboard profile, HIGHRES_IMU, ATTITUDE_QUATERNION, RC and
-servo streams are left out: 130 messages a second that carry nothing a companion lacks."""
+servo streams are left out: 130 messages a second that a companion does not need."""
+
+
+class Px4LinkHabits:
+    """How PX4 uses its links."""
+
+    def default_streams(self, kind: LinkKind) -> dict[str, float]:
+        """The profile of the link."""
+        return {name: 1.0 / rate for name, rate in DEFAULT_RATES_HZ[kind].items()}
+
+    def status_text(
+        self, text: str, links: Mapping[int, Link], t_s: float
+    ) -> tuple[str, list[int]]:
+        """Only where a ground station's HEARTBEAT was heard; texts end with a tab."""
+        return text + "\t", [link.id for link in links.values() if link.has_gcs(t_s)]
+
+    def parameter_names(self, params: ParameterStore) -> list[str]:
+        """A list begins with the checksum."""
+        names = [name for i in range(len(params)) if (name := params.name_at(i)) is not None]
+        return ["_HASH_CHECK", *names]
+
+    def hash_check(self, params: ParameterStore) -> float:
+        """The checksum's bytes, as a float's."""
+        return params.digest_as_float()
+
+
+class Px4Telemetry:
+    """PX4's figures in the common messages, and its own messages; all builders in `streams`."""
+
+    autopilot_id = 12
+
+    def __init__(
+        self,
+        state: VehicleState,
+        executor: MissionExecutor,
+        battery: BatteryMonitor,
+        wind: WindFusion,
+        rc: RcInput,
+        failsafe: Px4Failsafe,
+    ) -> None:
+        self._state = state
+        self._executor = executor
+        self._battery = battery
+        self._wind = wind
+        self._failsafe = failsafe
+        self._common = CommonTelemetry(state, executor, battery, rc, self)
+        self.streams: dict[str, Builder] = {
+            **self._common.streams,
+            "BATTERY_STATUS": self.battery_status,
+            "WIND_COV": self.wind_cov,
+            "ALTITUDE": self.altitude,
+            "ESTIMATOR_STATUS": self.estimator_status,
+            "CURRENT_MODE": self.current_mode,
+            "HIGHRES_IMU": self._common.highres_imu,
+        }
+        del self.streams["NAV_CONTROLLER_OUTPUT"]
+
+    def base_mode(self, mode: Mode, armed: bool) -> int:
+        """HEARTBEAT.base_mode."""
+        return base_mode_of(mode, armed)
+
+    def custom_mode(self, mode: Mode) -> int:
+        """HEARTBEAT.custom_mode."""
+        return custom_mode_of(mode)
+
+    def high_latency_mode(self, mode: Mode) -> int:
+        """HIGH_LATENCY2.custom_mode: packed otherwise."""
+        return high_latency_custom_mode_of(mode)
+
+    def hud_airspeed_mps(self) -> float:
+        """VFR_HUD.airspeed: NaN on a multirotor without a sensor."""
+        readings = self._state.readings
+        if readings is None or readings.airspeed_mps is None:
+            return math.nan
+        return readings.airspeed_mps
+
+    def high_latency_airspeed(self) -> int:
+        """HIGH_LATENCY2.airspeed: always 0."""
+        return 0
+
+    def high_latency_wind(self) -> tuple[float, int]:
+        """Speed, and where it blows TO in units of 2 degrees."""
+        wind = self._wind.estimator
+        if wind is None:
+            return 0.0, 0
+        heading = math.degrees(math.atan2(wind.east_mps, wind.north_mps)) % 360.0
+        return math.hypot(wind.north_mps, wind.east_mps), round(heading / 2.0) % 180
+
+    def cell_voltages_mv(self, voltage_v: float | None) -> tuple[int, ...]:
+        """Each cell's mean where their number is known, else the total in the first place."""
+        count = min(int(self._state.params["BAT1_N_CELLS"]), 10)
+        if voltage_v is None:
+            return (65535,) * 10
+        if count <= 0:
+            return (min(round(voltage_v * 1000.0), 65534), *(65535,) * 9)
+        cells = int(self._state.params["BAT1_N_CELLS"])
+        return (round(voltage_v * 1000.0 / cells),) * count + (65535,) * (10 - count)
+
+    def remaining_frac(self) -> float | None:
+        """By voltage and counted charge; SIH's is a timer."""
+        state = self._state
+        if self._battery.sensing is BatterySensing.SIH_TIMER:
+            least = state.params["SIM_BAT_MIN_PCT"] / 100.0
+            return self._battery.sih_remaining_frac(state.params["SIM_BAT_DRAIN"], least)
+        return self._battery.px4_remaining_frac(cells(state.params))
+
+    def airborne_state(self) -> LandedState:
+        """Taking off, landing, or in the air."""
+        state = self._state
+        if isinstance(state.goal, Descend):
+            return LandedState.LANDING
+        leg = self._executor.leg
+        climbing = state.mode is Mode.AUTO and leg is not None and leg.phase is Phase.CLIMB
+        if state.mode is Mode.TAKEOFF or climbing:
+            return LandedState.TAKEOFF
+        return LandedState.IN_AIR
+
+    def prearm_ok(self) -> bool:
+        """SYS_STATUS's pre-arm bit: everything that does not depend on the mode."""
+        return self._state.is_armed or self._state.ekf_is_ready
+
+    def battery_status(self) -> Fields:
+        """BATTERY_STATUS: energy is never known; SIH knows no current and has consumed 0."""
+        fields = self._common.battery_status()
+        fields["energy_consumed"] = -1
+        if self._battery.sensing is BatterySensing.SIH_TIMER:
+            fields["current_consumed"] = 0
+            return fields
+        capacity, current = self._state.params["BAT1_CAPACITY"], self._battery.current_avg_a
+        remaining = self._battery.remaining_frac
+        if capacity > 0.0 and current > 0.1 and remaining is not None and self._state.is_armed:
+            fields["time_remaining"] = round(remaining * capacity * 3.6 / current)
+        return fields
+
+    def wind_cov(self) -> Fields | None:
+        """WIND_COV: where it blows TO; only with drag fusion, and only once it flies."""
+        state = self._state
+        wind = self._wind.estimator
+        if wind is None or wind.flown_s < _WIND_SHOWN_AFTER_S:
+            return None
+        return {
+            "time_usec": state.time_boot_ms * 1000,
+            "wind_x": wind.north_mps,
+            "wind_y": wind.east_mps,
+            "wind_z": 0.0,
+            "var_horiz": wind.variance_m2ps2,
+            "var_vert": 0.0,
+            "wind_alt": state.frame.alt_amsl_m - state.pos_ned_m[2],
+            "horiz_accuracy": 0.0,
+            "vert_accuracy": 0.0,
+        }
+
+    def altitude(self) -> Fields:
+        """ALTITUDE."""
+        state = self._state
+        down = state.pos_ned_m[2]
+        return {
+            "time_usec": state.time_boot_ms * 1000,
+            "altitude_monotonic": state.frame.alt_amsl_m - down,
+            "altitude_amsl": state.frame.alt_amsl_m - down,
+            "altitude_local": state.ekf_origin_ned_m[2] - down,
+            "altitude_relative": state.home_ned_m[2] - down,
+            "altitude_terrain": math.nan,
+            "bottom_clearance": math.nan,
+        }
+
+    def estimator_status(self) -> Fields:
+        """ESTIMATOR_STATUS."""
+        good = self._state.has_position
+        return {
+            "time_usec": self._state.time_boot_ms * 1000,
+            "flags": int(ekf_flags(self._state)),
+            "vel_ratio": 0.05,
+            "pos_horiz_ratio": 0.05,
+            "pos_vert_ratio": 0.02,
+            "mag_ratio": 0.03,
+            "hagl_ratio": 0.0,
+            "tas_ratio": 0.0,
+            "pos_horiz_accuracy": 0.8 if good else 50.0,
+            "pos_vert_accuracy": 1.0,
+        }
+
+    def current_mode(self) -> Fields:
+        """CURRENT_MODE."""
+        return {
+            "standard_mode": 0,
+            "custom_mode": custom_mode_of(self._state.mode),
+            "intended_custom_mode": custom_mode_of(self._failsafe.interrupted or self._state.mode),
+        }
+
+    def mission_total(self, count: int) -> int:
+        """All items; none at all is 65535."""
+        return mission_total(count)

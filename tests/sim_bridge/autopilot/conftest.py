@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mavlink.message_table import SPECS
@@ -46,6 +46,7 @@ class Rig:
         payload_kg: float = 0.0,
         pitot: bool = False,
         link: LinkKind = LinkKind.ONBOARD,
+        names: str = "4.6",
         **options: Any,
     ) -> None:
         self.vehicle = Vehicle(
@@ -56,9 +57,10 @@ class Rig:
             payload_kg=payload_kg,
             pitot=pitot,
         )
-        names = PARAMS / "autopilots" / f"{flavour.value}.toml"
+        path = PARAMS / "autopilots" / f"{flavour.value}.toml"
         options.setdefault("boot_age_s", 60.0)
-        self.ap = Autopilot(flavour, HOME, read_parameters(names, settings), **options)
+        parameters = read_parameters(path, settings, names=names)
+        self.ap = Autopilot(flavour, HOME, parameters, **options)
         self.ap.add_link(0, link)
         self.flavour = flavour
         self.heard: list[Message] = []
@@ -147,7 +149,7 @@ class Rig:
 
     def at(self, north_m: float, east_m: float) -> dict[str, int]:
         """x and y of a place."""
-        lat, lon = self.ap.frame.to_lat_lon_deg(north_m, east_m)
+        lat, lon = self.ap.state.frame.to_lat_lon_deg(north_m, east_m)
         return {"x": round(lat * 1e7), "y": round(lon * 1e7)}
 
     def place(self, command: int, n: float, e: float, up: float, **more: Any) -> dict[str, Any]:

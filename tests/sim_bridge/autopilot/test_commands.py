@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
@@ -200,7 +200,7 @@ def test_px4_takes_35_m_relative_for_amsl_and_comes_down(airborne):
 
 def test_px4_repositions_by_command_long_too(airborne):
     rig = airborne(PX4)
-    lat, lon = rig.ap.frame.to_lat_lon_deg(0.0, 25.0)
+    lat, lon = rig.ap.state.frame.to_lat_lon_deg(0.0, 25.0)
     params = (-1, 1, 0, math.nan, lat, lon, HOME_ALT_M + 20)
     assert rig.command(192, *params) == ACCEPTED
     rig.step(12.0)
@@ -393,7 +393,10 @@ def test_rally_points_that_are_nearer_than_home_are_where_a_return_ends(airborne
     assert rig.until(lambda: rig.ne_m[0] > 75.0, 60.0)
     rig.command(20)
     rig.step(0.2)
-    assert rig.ap.returning.plan.destination_ne_m == pytest.approx((100.0, 0.0), abs=0.1)
+    assert rig.ap.mode is Mode.RTL
+    assert rig.ap.behaviour.mission.plan_return().plan.destination_ne_m == pytest.approx(
+        (100.0, 0.0), abs=0.1
+    )
 
 
 def test_in_eight_metres_of_uniform_wind_ardupilot_never_notices_that_it_has_landed(make_rig):

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim_bridge.autopilot.base.readings import AttitudeSetpoint
 from sim_bridge.autopilot.flight.control import (
-    Actuation,
     Controller,
     ControlParams,
     approach_speed_mps,
@@ -22,7 +22,7 @@ from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
 
 FOLDER = Path(__file__).parents[3] / "params" / "truth"
 DT_S = 0.01
-Verb = Callable[[SensorReadings], Actuation]
+Verb = Callable[[SensorReadings], AttitudeSetpoint]
 
 
 class Harness:
@@ -221,7 +221,7 @@ def test_navigation_makes_up_for_the_delay_of_gnss() -> None:
 
 def test_idle_stops_the_motors_and_spin_does_not_lift() -> None:
     world = Harness(_steady(0.0))
-    assert world.control.idle() == Actuation(yaw_rad=world.control.idle().yaw_rad)
+    assert world.control.idle() == AttitudeSetpoint(yaw_rad=world.control.idle().yaw_rad)
     world.fly(lambda r: world.control.spin(r, DT_S), 5.0)
     assert not world.vehicle.truth.airborne
     assert world.vehicle.truth.power_w > 15.0

@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
@@ -67,7 +67,7 @@ def test_px4_acts_on_its_battery_levels_as_told(airborne, act, at_critical, at_e
     settings = {**PX4_PACK, "COM_LOW_BAT_ACT": act, "COM_FAIL_ACT_T": 1.0}
     rig = airborne(PX4, settings)
     rig.step(1.0)
-    left = rig.ap.battery_remaining_frac
+    left = rig.ap.battery.remaining_frac
     rig.ap.params.set("BAT_CRIT_THR", left + 0.05)
     rig.step(0.4)
     assert rig.ap.mode is Mode.HOLD  # it holds first, so that a pilot can step in
@@ -356,4 +356,4 @@ def test_a_watchdog_reboot_in_flight_flies_on_and_forgets_what_was_drawn(airborn
     north = rig.ne_m[0]
     rig.step(5.0)
     assert rig.ne_m[0] > north + 10.0
-    assert math.hypot(*rig.ap.home_ned_m[:2]) < 3.0
+    assert math.hypot(*rig.ap.state.home_ned_m[:2]) < 3.0

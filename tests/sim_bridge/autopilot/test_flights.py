@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
@@ -204,11 +204,11 @@ def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, flavour):
 
 def watched(rig, step_s=0.1, limit_s=120.0):
     """Fly on; times of landed, of the next lift-off or of disarming, whichever is first."""
-    assert rig.until(lambda: not rig.ap.is_landed, limit_s)
-    while not rig.ap.is_landed:
+    assert rig.until(lambda: not rig.ap.state.is_landed, limit_s)
+    while not rig.ap.state.is_landed:
         rig.step(step_s)
     landed_s = rig.ap.t_s
-    while rig.ap.is_armed and rig.ap.is_landed and rig.ap.t_s - landed_s < 20.0:
+    while rig.ap.is_armed and rig.ap.state.is_landed and rig.ap.t_s - landed_s < 20.0:
         rig.step(step_s)
     return landed_s, rig.ap.t_s
 
@@ -263,7 +263,7 @@ def test_px4_never_disarms_at_a_landing_that_it_may_not_go_on_from(make_rig):
     landed_s, later_s = watched(rig)
     assert later_s - landed_s == pytest.approx(20.0, abs=0.2)
     assert rig.ap.is_armed
-    assert rig.ap.is_landed
+    assert rig.ap.state.is_landed
 
 
 def test_px4_that_was_in_another_mode_waits_its_two_seconds_before_it_disarms(make_rig):
@@ -297,7 +297,7 @@ def test_headwind_near_the_limit_saturates_the_tilt_and_slows_the_flight(make_ri
     rig.upload([rig.place(WAYPOINT, 300, 0, 10), rig.place(WAYPOINT, 400, 0, 10)])
     rig.set_mode(Mode.AUTO)
     rig.step(20.0)
-    assert rig.vehicle.truth.vel_ned_mps[0] < 0.75 * rig.ap.cruise_mps()
+    assert rig.vehicle.truth.vel_ned_mps[0] < 0.75 * rig.ap.cruise_mps
 
 
 def test_set_points_in_a_mission_end_by_themselves_as_arducopters_do(make_rig):
@@ -337,11 +337,11 @@ def test_set_points_in_a_mission_end_by_themselves_as_arducopters_do(make_rig):
             rig.step(0.2)
 
     fly(0.0, 4.0, 1.0)
-    assert abs(ap.vel_ned_mps[1]) < 0.5
+    assert abs(ap.state.vel_ned_mps[1]) < 0.5
     assert rig.command(224, 3.0) == 0
     fly(0.0, 4.0, 6.0)
     assert ap.mode is Mode.AUTO
-    assert ap.vel_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.6)
+    assert ap.state.vel_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.6)
     assert rig.command(224, 3.0) == 0  # asked again: ten seconds more
     renewed_s = ap.t_s
     fly(0.0, 4.0, 8.0)
@@ -350,5 +350,5 @@ def test_set_points_in_a_mission_end_by_themselves_as_arducopters_do(make_rig):
     assert ap.t_s - renewed_s == pytest.approx(10.0, abs=0.3)
     east_m = rig.ne_m[1]
     rig.step(5.0)
-    assert ap.vel_ned_mps[0] > 2.0
+    assert ap.state.vel_ned_mps[0] > 2.0
     assert rig.ne_m[1] < east_m + 10.0

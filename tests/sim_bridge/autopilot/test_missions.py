@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mission.mission import NO_COORDINATE
+from sim_bridge.autopilot.mission.items import NO_COORDINATE
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
@@ -354,7 +354,7 @@ def test_straight_legs_are_flown_through_at_speed_and_corners_are_not(airborne, 
         if rig.ap.executor.leg is None or index == len(items) - (flavour is PX4):
             break
     straight, corner = (3, 4) if flavour is AP else (2, 3)
-    cruise = rig.ap.cruise_mps()
+    cruise = rig.ap.cruise_mps
     assert speeds[straight] > 0.85 * cruise
     if flavour is AP:
         assert speeds[corner] < 0.6 * cruise

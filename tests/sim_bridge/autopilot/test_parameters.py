@@ -71,10 +71,7 @@ def test_ardupilot_4_7_serves_its_new_names_in_metres():
 
 
 def test_an_autopilot_with_the_new_names_flies(make_rig):
-    rig = make_rig(AP)
-    parameters = read_parameters(FOLDER / "ardupilot.toml", names="4.7")
-    rig.ap.params = ParameterStore(AP, parameters)
-    rig.ap.params.revision = 99
+    rig = make_rig(AP, names="4.7")
     rig.take_off(8.0)
     assert rig.command(20) == 0
     assert rig.until(lambda: not rig.ap.is_armed, 90.0)

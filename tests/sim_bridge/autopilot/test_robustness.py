@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_bridge.autopilot.flight.geodesy import LocalFrame
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.geodesy import LocalFrame
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 from sim_bridge.autopilot.mavlink.enums import Cmd
@@ -214,7 +214,7 @@ def test_timesync_is_answered_and_lockstep_answers_are_noted(make_rig, flavour):
     rig.send("TIMESYNC", tc1=0, ts1=123456789)
     answer = rig.last("TIMESYNC")
     assert answer.ts1 == 123456789
-    assert answer.tc1 == pytest.approx(rig.ap.time_boot_ns, abs=1_000_000)
+    assert answer.tc1 == pytest.approx(rig.ap.state.time_boot_ns, abs=1_000_000)
     rig.ap.request_timesync(0, 700_000_000)
     request = rig.last("TIMESYNC")
     assert (request.tc1, request.ts1) == (0, 700_000_000)

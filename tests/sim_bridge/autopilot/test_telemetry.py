@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim_bridge.autopilot.flight.modes import Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.flight.wind import axis_airspeed_mps
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
@@ -142,7 +142,7 @@ def test_long_texts_come_in_chunks_with_one_id(make_rig):
     rig = make_rig(AP)
     rig.step(0.2)
     rig.forget()
-    rig.ap.say(4, "a" * 60)
+    rig.ap.radio.say(4, "a" * 60)
     first, second = rig.all("STATUSTEXT")
     assert (first.text + second.text, first.chunk_seq, second.chunk_seq) == ("a" * 60, 0, 1)
     assert first.id == second.id != 0
@@ -217,12 +217,12 @@ def test_wrong_drag_coefficients_give_a_wrong_wind(make_rig):
 def test_drag_parameters_set_in_flight_do_nothing_before_a_reboot(airborne):
     rig = airborne(AP, AP_DRAG)
     rig.step(3.0)
-    assert rig.ap.wind is None
+    assert rig.ap.wind.estimator is None
 
 
 def test_ardupilots_airspeed_sensor_feeds_the_forward_axis_and_no_wind(make_rig):
     rig = in_wind(make_rig, AP, {"ARSPD_TYPE": 1}, pitot=True)
-    readings = rig.ap.readings
+    readings = rig.ap.state.readings
     assert rig.last("VFR_HUD").airspeed == pytest.approx(readings.airspeed_mps, abs=3.0)
     assert rig.all("AIRSPEED")
     assert rig.last("WIND").speed == 0.0
@@ -258,7 +258,7 @@ def test_px4_with_a_power_module_knows_current_and_charge_but_no_energy(airborne
     rig = airborne(PX4)
     rig.step(5.0)
     status = rig.last("BATTERY_STATUS")
-    assert status.current_battery / 100.0 == pytest.approx(rig.ap.readings.current_a, rel=0.2)
+    assert status.current_battery / 100.0 == pytest.approx(rig.ap.state.readings.current_a, rel=0.2)
     assert status.current_consumed > 50
     assert status.energy_consumed == -1
 
@@ -273,7 +273,7 @@ def test_px4_reads_charge_from_cells_and_capacity(make_rig):
     rig = make_rig(PX4, {"BAT1_N_CELLS": 6, "BAT1_CAPACITY": 5700})
     rig.step(2.2)
     status = rig.last("BATTERY_STATUS")
-    assert status.voltages[5] == pytest.approx(rig.ap.readings.voltage_v * 1000 / 6, abs=60)
+    assert status.voltages[5] == pytest.approx(rig.ap.state.readings.voltage_v * 1000 / 6, abs=60)
     assert status.voltages[6] == 65535
     assert 80 <= status.battery_remaining <= 100
 
@@ -286,10 +286,10 @@ def test_ardupilot_integrates_current_and_takes_capacity_from_its_parameter(airb
     before, at_s = rig.last("BATTERY_STATUS"), rig.ap.t_s
     rig.step(10.0)
     after = rig.last("BATTERY_STATUS")
-    mean_a = rig.ap.readings.current_a
+    mean_a = rig.ap.state.readings.current_a
     drawn_mah = mean_a * (rig.ap.t_s - at_s) / 3.6
     assert after.current_consumed - before.current_consumed == pytest.approx(drawn_mah, rel=0.15)
-    drawn_hj = drawn_mah * 3.6 * rig.ap.readings.voltage_v / 100.0
+    drawn_hj = drawn_mah * 3.6 * rig.ap.state.readings.voltage_v / 100.0
     assert after.energy_consumed - before.energy_consumed == pytest.approx(drawn_hj, rel=0.15)
     assert after.time_remaining == 0
     left = 100.0 * (1.0 - after.current_consumed / 5700.0)

@@ -1,17 +1,22 @@
-"""The autopilot's end of its links: sending, streaming, texts, parameters, forwarding."""
+"""The autopilot's links: sending, streaming, texts, parameters, forwarding."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message, Signer
 from sim_bridge.autopilot.mavlink.commands import Command
 from sim_bridge.autopilot.mavlink.enums import Result, Severity
 from sim_bridge.autopilot.mavlink.links import Link
+from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mavlink.router import Router
+from sim_bridge.autopilot.state import VehicleState
 
-if TYPE_CHECKING:
-    from sim_bridge.autopilot.autopilot import Autopilot
+Fields = dict[str, Any]
+"""Fields of one message by name, in their wire units."""
+Builder = Callable[[], Fields | None]
+"""Builds one message from the present state; None when there is nothing to send."""
 
 _TEXT_SIZE = 50
 _PARAMETERS_PER_STEP = 4
@@ -19,7 +24,7 @@ _PARAMETERS_PER_STEP = 4
 
 @dataclass(slots=True)
 class _OwnCommand:
-    """A command that the autopilot itself sent to whoever is there, and may send again."""
+    """A command that the autopilot itself sent to companions, and may send again."""
 
     number: int
     params: tuple[float, ...]
@@ -27,12 +32,35 @@ class _OwnCommand:
     next_s: float
 
 
-class Radio:
-    """All links of one autopilot, and what waits to be sent on them."""
+class LinkHabits(Protocol):
+    """How an autopilot uses its links."""
 
-    def __init__(self, ap: "Autopilot", router: Router) -> None:
-        self._ap = ap
+    def default_streams(self, kind: LinkKind) -> dict[str, float]:
+        """Seconds between two messages of each name that is streamed unasked."""
+        ...
+
+    def status_text(
+        self, text: str, links: Mapping[int, Link], t_s: float
+    ) -> tuple[str, list[int]]:
+        """A STATUSTEXT as it is sent, and the links that it is sent on."""
+        ...
+
+    def parameter_names(self, params: ParameterStore) -> list[str]:
+        """Names in the order of a parameter list."""
+        ...
+
+    def hash_check(self, params: ParameterStore) -> float:
+        """The value of _HASH_CHECK."""
+        ...
+
+
+class Radio:
+    """All links of one autopilot, and the frames that wait to be sent on them."""
+
+    def __init__(self, state: VehicleState, router: Router, habits: LinkHabits) -> None:
+        self._state = state
         self._router = router
+        self._habits = habits
         self.links: dict[int, Link] = {}
         self._outbox: list[tuple[int, bytes]] = []
         self._own_commands: list[_OwnCommand] = []
@@ -42,7 +70,7 @@ class Radio:
         self, link_id: int, kind: LinkKind, *, stream: bool, signing: Signer | None
     ) -> None:
         """Bring a link up with its kind's streams."""
-        system = self._ap.system_id
+        system = self._state.system_id
         link = Link(
             link_id,
             kind,
@@ -59,11 +87,11 @@ class Radio:
         self._router.drop_link(link_id)
 
     def reboot(self) -> None:
-        """Forget everything that was asked and heard."""
+        """Forget every request and every peer."""
         self._own_commands.clear()
         self._text_id = 0
         for link in self.links.values():
-            link.gcs_until_s = -1.0
+            link.gcs_until_s = None
             link.peers.clear()
             link.parameters = None
             self._start_streams(link)
@@ -76,7 +104,7 @@ class Radio:
     def take_in(self, link_id: int, datagram: bytes) -> list[Message]:
         """Messages for this autopilot; those for others are passed on."""
         link = self.links[link_id]
-        mine = (self._ap.system_id, 1)
+        mine = (self._state.system_id, 1)
         messages = []
         for message in link.decoder.feed(datagram):
             if (message.src_system, message.src_component) == mine:
@@ -102,8 +130,8 @@ class Radio:
             self.send(link_id, name, **fields)
 
     def say(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT where the flavour sends them, in chunks of 50 bytes."""
-        text, link_ids = self._ap.behaviour.status_text(self._ap, text)
+        """Queue a STATUSTEXT where the autopilot sends them, in chunks of 50 bytes."""
+        text, link_ids = self._habits.status_text(text, self.links, self._state.t_s)
         chunks = [text[at : at + _TEXT_SIZE] for at in range(0, len(text), _TEXT_SIZE)]
         text_id = 0
         if len(chunks) > 1:
@@ -133,67 +161,70 @@ class Radio:
 
     def send_parameter(self, link_id: int, name: str, index: int | None = None) -> None:
         """Queue a PARAM_VALUE."""
+        state = self._state
         if name == "_HASH_CHECK":
-            value, kind, index = self._ap.behaviour.hash_check(self._ap.params), 5, 65535
+            value, kind, index = self._habits.hash_check(state.params), 5, 65535
         else:
-            value, kind = self._ap.params.wire(name)
+            value, kind = state.params.wire(name)
             if index is None:
-                index = self._ap.params.index_of(name)
+                index = state.params.index_of(name)
         self.send(
             link_id,
             "PARAM_VALUE",
             param_id=name,
             param_value=value,
             param_type=kind,
-            param_count=len(self._ap.params),
+            param_count=len(state.params),
             param_index=index,
         )
 
     def start_parameter_list(self, link_id: int) -> None:
-        """Begin to send all parameters on a link, as fast as a link may bear."""
-        self.links[link_id].parameters = iter(self._ap.behaviour.parameter_names(self._ap.params))
+        """Begin to send all parameters on a link, a few at each step."""
+        self.links[link_id].parameters = iter(self._habits.parameter_names(self._state.params))
 
     def ask_companions(self, number: int, *params: float) -> None:
-        """Send a command of our own to whoever is on the links; repeated until answered."""
+        """Send a command to the companions on the links; repeated until answered."""
         padded = (*params, *(0.0,) * (7 - len(params)))
         self.forget_own_command(number)
-        self._own_commands.append(_OwnCommand(number, padded, 3, self._ap.t_s))
+        self._own_commands.append(_OwnCommand(number, padded, 3, self._state.t_s))
 
     def forget_own_command(self, number: int) -> None:
-        """Somebody answered, whatever they said."""
+        """Stop repeating a command: somebody answered."""
         self._own_commands = [c for c in self._own_commands if c.number != number]
 
     def repeat_own_commands(self) -> None:
-        for command in [c for c in self._own_commands if c.next_s <= self._ap.t_s]:
+        """Send unanswered commands again, three times in all."""
+        state = self._state
+        for command in [c for c in self._own_commands if c.next_s <= state.t_s]:
             for link in self.links.values():
-                if not any(system == self._ap.system_id for system, _ in link.peers):
+                if not any(system == state.system_id for system, _ in link.peers):
                     continue
                 fields = {f"param{i + 1}": value for i, value in enumerate(command.params)}
                 self.send(
                     link.id,
                     "COMMAND_LONG",
-                    target_system=self._ap.system_id,
+                    target_system=state.system_id,
                     target_component=0,
                     command=command.number,
                     confirmation=3 - command.tries,
                     **fields,
                 )
             command.tries -= 1
-            command.next_s = self._ap.t_s + 0.2
+            command.next_s = state.t_s + 0.2
         self._own_commands = [c for c in self._own_commands if c.tries > 0]
 
     def _start_streams(self, link: Link) -> None:
         link.clear_streams()
-        for name, interval_s in self._ap.behaviour.default_streams(link.kind).items():
-            link.set_interval(name, interval_s, self._ap.t_s)
+        for name, interval_s in self._habits.default_streams(link.kind).items():
+            link.set_interval(name, interval_s, self._state.t_s)
 
-    def talk(self) -> None:
-        """Send what is due."""
+    def stream(self, builders: Mapping[str, Builder]) -> None:
+        """Send what is due on each link."""
         built: dict[str, Message | None] = {}
         for link in self.links.values():
-            for name in link.due(self._ap.t_s + 1e-6):
+            for name in link.due(self._state.t_s + 1e-6):
                 if name not in built:
-                    fields = self._ap.behaviour.streams[name](self._ap)
+                    fields = builders[name]()
                     built[name] = None if fields is None else Message(name, **fields)
                 message = built[name]
                 if message is not None:

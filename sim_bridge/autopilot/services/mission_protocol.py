@@ -1,7 +1,7 @@
 """The mission protocol's server side: uploads, downloads, partial writes, clearing.
 
-A table of what each autopilot does differently is its `MissionRules`; the vehicle hears of changes
-through `MissionOwner`. Sources: mavlink.io/en/services/mission.html; ArduPilot,
+What each autopilot does differently is in its `MissionRules`; it is told of changes through
+`MissionWatcher`. Sources: mavlink.io/en/services/mission.html; ArduPilot,
 libraries/GCS_MAVLink/MissionItemProtocol.cpp; PX4, src/modules/mavlink/mavlink_mission.cpp.
 """
 
@@ -10,39 +10,73 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Frame, MissionResult, MissionType, Severity
-from sim_bridge.autopilot.mission.mission import (
-    NO_COORDINATE,
-    PLACED,
-    Item,
-    MissionRules,
-    MissionStore,
-)
+from sim_bridge.autopilot.mavlink.enums import Cmd, Frame, MissionResult, MissionType, Severity
+from sim_bridge.autopilot.mission.items import NO_COORDINATE, PLACED, Item, MissionStore
+from sim_bridge.autopilot.services.radio import Radio
+from sim_bridge.autopilot.state import VehicleState
 
 
-class MissionOwner(Protocol):
-    """What the protocol needs of the vehicle."""
+class MissionRules(Protocol):
+    """How an autopilot takes part in the mission protocol."""
 
-    t_s: float
-
-    def send(self, link_id: int, name: str, **fields: Any) -> None:
-        """Queue one message on one link."""
+    @property
+    def request_name(self) -> str:
+        """Name of the message by which an upload asks for the next item."""
         ...
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT."""
+    @property
+    def unknown_type(self) -> MissionResult:
+        """The answer to an upload of a type that there is not."""
         ...
 
-    def home_item(self) -> Item:
-        """The home position as an item."""
+    @property
+    def has_home_item(self) -> bool:
+        """Whether index 0 of a mission is the home position, whatever was uploaded there."""
         ...
+
+    @property
+    def is_atomic(self) -> bool:
+        """Whether an upload takes effect as a whole, after its last item."""
+        ...
+
+    @property
+    def takes_partial_writes(self) -> bool:
+        """Whether MISSION_WRITE_PARTIAL_LIST is answered."""
+        ...
+
+    @property
+    def retry_s(self) -> float:
+        """Seconds after which an item is asked for again."""
+        ...
+
+    @property
+    def timeout_s(self) -> float:
+        """Seconds of silence after which a transfer is given up."""
+        ...
+
+    @property
+    def capacity(self) -> int:
+        """Items that storage holds."""
+        ...
+
+    def take(self, item: Item, mission_type: int) -> Item | MissionResult:
+        """The item as it is stored, or why it is refused."""
+        ...
+
+    def give(self, item: Item) -> Item:
+        """The item as it is read back in a MISSION_ITEM_INT."""
+        ...
+
+
+class MissionWatcher(Protocol):
+    """The autopilot whose missions these are."""
 
     def may_clear_mission(self) -> bool:
         """Whether a mission may be cleared now."""
         ...
 
-    def mission_written(self, mission_type: int, *, whole: bool) -> None:
-        """Items have changed; `whole` when a complete upload or clearing has taken effect."""
+    def mission_written(self, *, whole: bool) -> None:
+        """The mission has changed; `whole` when a complete upload or clearing has taken effect."""
         ...
 
 
@@ -65,14 +99,21 @@ class _Transfer:
 class MissionProtocol:
     """One mission protocol server; all the vehicle's links share it."""
 
-    def __init__(self, owner: MissionOwner, rules: MissionRules, store: MissionStore) -> None:
-        self._owner = owner
+    def __init__(
+        self,
+        state: VehicleState,
+        radio: Radio,
+        watcher: MissionWatcher,
+        rules: MissionRules,
+        store: MissionStore,
+    ) -> None:
+        self._state = state
+        self._radio = radio
+        self._watcher = watcher
         self._rules = rules
         self._store = store
         self._upload: _Transfer | None = None
         self._download: _Transfer | None = None
-        self.flagged_current: int | None = None
-        """Number of the item that the last mission upload marked as the current one."""
 
     def reset(self) -> None:
         """Forget transfers under way, as a reboot does."""
@@ -83,7 +124,7 @@ class MissionProtocol:
 
     def count(self, link_id: int, message: Message) -> None:
         """MISSION_COUNT: an upload begins, or with 0 items is over."""
-        owner, rules = self._owner, self._rules
+        rules = self._rules
         kind = message.mission_type
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
             self._ack(link_id, message, rules.unknown_type)
@@ -105,7 +146,7 @@ class MissionProtocol:
         if message.count == 0:
             self._upload = None
             self._store.of(kind).clear()
-            owner.mission_written(kind, whole=True)
+            self._written(kind, whole=True)
             self._ack(link_id, message, MissionResult.ACCEPTED)
             return
         self._begin(link_id, message, kind, 0, message.count - 1)
@@ -142,7 +183,7 @@ class MissionProtocol:
             self._ack(link_id, message, MissionResult.UNSUPPORTED)
             return
         total = len(self._store.of(kind))
-        now = self._owner.t_s
+        now = self._state.t_s
         self._download = _Transfer(
             link_id,
             message.src_system,
@@ -177,7 +218,7 @@ class MissionProtocol:
     def clear_all(self, link_id: int, message: Message) -> None:
         """MISSION_CLEAR_ALL; PX4 does not answer amid a download."""
         if self._rules.is_atomic and self._download is not None:
-            self._owner.say(Severity.CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+            self._radio.say(Severity.CRITICAL, "WPM: IGN CLEAR CMD: Busy")
             return
         kind = message.mission_type
         kinds = (
@@ -188,13 +229,13 @@ class MissionProtocol:
         if kind not in tuple(MissionType):
             self._ack(link_id, message, MissionResult.UNSUPPORTED)
             return
-        if MissionType.MISSION in kinds and not self._owner.may_clear_mission():
+        if MissionType.MISSION in kinds and not self._watcher.may_clear_mission():
             self._ack(link_id, message, MissionResult.ERROR)
             return
         self._upload = None
         for each in kinds:
             self._store.of(each).clear()
-            self._owner.mission_written(each, whole=True)
+            self._written(each, whole=True)
         self._ack(link_id, message, MissionResult.ACCEPTED)
 
     def ack(self, link_id: int, message: Message) -> None:
@@ -215,13 +256,13 @@ class MissionProtocol:
         """Ask again for what did not come, and give up after the time-out."""
         upload = self._upload
         if upload is not None:
-            now = self._owner.t_s
+            now = self._state.t_s
             if now - upload.heard_s > self._rules.timeout_s:
                 self._upload = None
                 if self._rules.is_atomic:
-                    self._owner.say(Severity.CRITICAL, "Operation timeout")
+                    self._radio.say(Severity.CRITICAL, "Operation timeout")
                 else:
-                    self._owner.say(Severity.WARNING, "Mission upload timeout")
+                    self._radio.say(Severity.WARNING, "Mission upload timeout")
                     self._send_ack(
                         upload.link_id,
                         upload.system,
@@ -232,7 +273,7 @@ class MissionProtocol:
             elif now - upload.asked_s > self._rules.retry_s:
                 self._ask(upload)
         download = self._download
-        if download is not None and self._owner.t_s - download.heard_s > self._rules.timeout_s:
+        if download is not None and self._state.t_s - download.heard_s > self._rules.timeout_s:
             self._download = None
 
     # --- parts --------------------------------------------------------------------------------
@@ -243,14 +284,14 @@ class MissionProtocol:
         """Send one stored item."""
         item = self._store.of(kind)[seq]
         if kind == MissionType.MISSION and seq == 0 and self._rules.has_home_item:
-            item = self._owner.home_item()
+            item = self._home_item()
         item = self._rules.give(item)
         as_float = asked_by == "MISSION_REQUEST"
         scale = 1e-7 if item.command in PLACED else 1.0
         frame = item.frame
         if as_float and frame in (Frame.GLOBAL_INT, Frame.GLOBAL_RELATIVE_ALT_INT):
             frame = Frame.GLOBAL if frame == Frame.GLOBAL_INT else Frame.GLOBAL_RELATIVE_ALT
-        self._owner.send(
+        self._radio.send(
             link_id,
             "MISSION_ITEM" if as_float else "MISSION_ITEM_INT",
             target_system=system,
@@ -271,9 +312,9 @@ class MissionProtocol:
         )
 
     def _begin(self, link_id: int, message: Message, kind: int, first: int, last: int) -> None:
-        now = self._owner.t_s
+        now = self._state.t_s
         if kind == MissionType.MISSION:
-            self.flagged_current = None
+            self._store.marked_current = None
         self._upload = _Transfer(
             link_id,
             message.src_system,
@@ -288,8 +329,8 @@ class MissionProtocol:
         self._ask(self._upload)
 
     def _ask(self, upload: _Transfer) -> None:
-        upload.asked_s = self._owner.t_s
-        self._owner.send(
+        upload.asked_s = self._state.t_s
+        self._radio.send(
             upload.link_id,
             self._rules.request_name,
             target_system=upload.system,
@@ -308,7 +349,7 @@ class MissionProtocol:
             if not self._rules.is_atomic:
                 self._ack(link_id, message, MissionResult.INVALID_SEQUENCE)
             return
-        upload.heard_s = self._owner.t_s
+        upload.heard_s = self._state.t_s
         item = Item(
             message.command,
             message.frame,
@@ -322,13 +363,13 @@ class MissionProtocol:
             bool(message.autocontinue),
         )
         is_home = self._rules.has_home_item and kind == MissionType.MISSION and message.seq == 0
-        taken = self._owner.home_item() if is_home else self._rules.take(item, kind)
+        taken = self._home_item() if is_home else self._rules.take(item, kind)
         if isinstance(taken, MissionResult):
             self._upload = None
             self._ack(link_id, message, taken)
             return
         if kind == MissionType.MISSION and message.current == 1:
-            self.flagged_current = message.seq
+            self._store.marked_current = message.seq
         self._keep(upload, taken)
         upload.next_seq += 1
         if upload.next_seq <= upload.last:
@@ -337,7 +378,7 @@ class MissionProtocol:
         self._upload = None
         if self._rules.is_atomic:
             self._store.of(kind)[:] = upload.items
-        self._owner.mission_written(kind, whole=True)
+        self._written(kind, whole=True)
         self._ack(link_id, message, MissionResult.ACCEPTED)
 
     def _keep(self, upload: _Transfer, item: Item) -> None:
@@ -351,7 +392,7 @@ class MissionProtocol:
         else:
             items.append(item)
         if upload.next_seq < upload.last:
-            self._owner.mission_written(upload.mission_type, whole=False)
+            self._written(upload.mission_type, whole=False)
 
     def _in_order(self, link_id: int, message: Message) -> bool:
         """PX4: requests belong to a download and come in order, or again."""
@@ -360,7 +401,7 @@ class MissionProtocol:
             return False
         if message.mission_type != download.mission_type:
             return False
-        download.heard_s = self._owner.t_s
+        download.heard_s = self._state.t_s
         if message.seq == download.next_seq and message.seq <= download.last:
             download.next_seq += 1
             return True
@@ -368,11 +409,27 @@ class MissionProtocol:
             return True
         self._download = None
         self._ack(link_id, message, MissionResult.ERROR)
-        self._owner.say(Severity.CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected")
+        self._radio.say(Severity.CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected")
         return False
 
+    def _written(self, kind: int, *, whole: bool) -> None:
+        if kind == MissionType.MISSION:
+            self._watcher.mission_written(whole=whole)
+        else:
+            self._store.areas_revision += 1
+
+    def _home_item(self) -> Item:
+        """The home position as a mission item (ArduPilot's item 0)."""
+        state = self._state
+        if not state.home_is_set:
+            return Item(Cmd.NAV_WAYPOINT, Frame.GLOBAL)
+        north, east, down = state.home_ned_m
+        lat, lon = state.frame.to_lat_lon_deg(north, east)
+        z = round((state.frame.alt_amsl_m - down) * 100.0) / 100.0
+        return Item(Cmd.NAV_WAYPOINT, Frame.GLOBAL, x=round(lat * 1e7), y=round(lon * 1e7), z=z)
+
     def _reply(self, link_id: int, message: Message, name: str, **fields: Any) -> None:
-        self._owner.send(
+        self._radio.send(
             link_id,
             name,
             target_system=message.src_system,
@@ -388,7 +445,7 @@ class MissionProtocol:
     def _send_ack(
         self, link_id: int, system: int, component: int, result: MissionResult, kind: int
     ) -> None:
-        self._owner.send(
+        self._radio.send(
             link_id,
             "MISSION_ACK",
             target_system=system,

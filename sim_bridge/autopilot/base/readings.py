@@ -1,8 +1,9 @@
-"""What the sensors tell an autopilot (ARCHITECTURE.md, `SensorReadings`)."""
+"""What the sensors tell an autopilot, and what it tells the airframe to do."""
 
+from dataclasses import dataclass
 from typing import Protocol
 
-Vec3 = tuple[float, float, float]
+from sim_bridge.autopilot.base.geodesy import Vec3
 
 
 class Readings(Protocol):
@@ -42,3 +43,15 @@ class Readings(Protocol):
     def temperature_c(self) -> float: ...
     @property
     def touching_ground(self) -> bool: ...
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSetpoint:
+    """Attitude in rad, thrust as a share of the static maximum, motors, gripper."""
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+    thrust_frac: float = 0.0
+    motors_on: bool = False
+    release: bool = False

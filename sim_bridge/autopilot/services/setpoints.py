@@ -1,43 +1,16 @@
 """Set-points from outside: what SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT ask for."""
 
 import math
-from dataclasses import dataclass
 
-from sim_bridge.autopilot.flight.geodesy import LocalFrame
-from sim_bridge.autopilot.flight.goals import Vec3
+from sim_bridge.autopilot.base.geodesy import Vec3
+from sim_bridge.autopilot.base.goals import Setpoint
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import AMSL_FRAMES, RELATIVE_FRAMES, Frame, TypeMask
+from sim_bridge.autopilot.state import VehicleState
 
 _LOCAL_FRAMES = frozenset(
     {Frame.LOCAL_NED, Frame.LOCAL_OFFSET_NED, Frame.BODY_NED, Frame.BODY_OFFSET_NED}
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Setpoint:
-    """A position, a velocity, or both, NED about the site's origin; None is not given.
-
-    An acceleration only ever goes with a velocity.
-    """
-
-    t_s: float
-    pos_ned_m: Vec3 | None
-    vel_ned_mps: Vec3 | None
-    yaw_rad: float | None
-    yaw_rate_rps: float
-    accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Here:
-    """The vehicle's state that set-points may be relative to."""
-
-    t_s: float
-    pos_ned_m: Vec3
-    yaw_rad: float
-    home_ned_m: Vec3
-    origin_ned_m: Vec3
-    frame: LocalFrame
 
 
 def _turned(vector: Vec3, yaw_rad: float) -> Vec3:
@@ -46,18 +19,18 @@ def _turned(vector: Vec3, yaw_rad: float) -> Vec3:
     return (x * cos_yaw - y * sin_yaw, x * sin_yaw + y * cos_yaw, z)
 
 
-def _common(message: Message, here: Here, pos: Vec3 | None) -> Setpoint | None:
+def _common(message: Message, state: VehicleState, pos: Vec3 | None) -> Setpoint | None:
     mask = message.type_mask
     vel: Vec3 | None = None
     if mask & TypeMask.IGNORE_VELOCITY != TypeMask.IGNORE_VELOCITY:
         vel = (message.vx, message.vy, message.vz)
         if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
-            vel = _turned(vel, here.yaw_rad)
+            vel = _turned(vel, state.yaw_rad)
     accel = (0.0, 0.0, 0.0)
     if vel is not None and not mask & TypeMask.IGNORE_ACCELERATION:
         accel = (message.afx, message.afy, message.afz)
         if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
-            accel = _turned(accel, here.yaw_rad)
+            accel = _turned(accel, state.yaw_rad)
     if mask & TypeMask.IGNORE_POSITION == TypeMask.IGNORE_POSITION:
         pos = None
     numbers = (*(pos or ()), *(vel or ()))
@@ -69,35 +42,35 @@ def _common(message: Message, here: Here, pos: Vec3 | None) -> Setpoint | None:
     rate = 0.0 if mask & TypeMask.IGNORE_YAW_RATE else message.yaw_rate
     if yaw is not None and not math.isfinite(yaw):
         yaw = None
-    return Setpoint(here.t_s, pos, vel, yaw, rate if math.isfinite(rate) else 0.0, accel)
+    return Setpoint(state.t_s, pos, vel, yaw, rate if math.isfinite(rate) else 0.0, accel)
 
 
-def local_setpoint(message: Message, here: Here) -> Setpoint | None:
+def local_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
     """From SET_POSITION_TARGET_LOCAL_NED; None if it asks for nothing that can be flown."""
     frame = message.coordinate_frame
     if frame not in _LOCAL_FRAMES:
         return None
     given = (message.x, message.y, message.z)
     if frame == Frame.LOCAL_NED:
-        base = here.origin_ned_m
+        base = state.ekf_origin_ned_m
     else:
-        base = here.pos_ned_m
+        base = state.pos_ned_m
         if frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
-            given = _turned(given, here.yaw_rad)
+            given = _turned(given, state.yaw_rad)
     pos = (base[0] + given[0], base[1] + given[1], base[2] + given[2])
-    return _common(message, here, pos)
+    return _common(message, state, pos)
 
 
-def global_setpoint(message: Message, here: Here) -> Setpoint | None:
+def global_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
     """From SET_POSITION_TARGET_GLOBAL_INT; None if it asks for nothing that can be flown."""
     frame = message.coordinate_frame
     if frame in AMSL_FRAMES:
-        down = here.frame.alt_amsl_m - message.alt
+        down = state.frame.alt_amsl_m - message.alt
     elif frame in RELATIVE_FRAMES:
-        down = here.home_ned_m[2] - message.alt
+        down = state.home_ned_m[2] - message.alt
     else:
         return None
     if abs(message.lat_int) > 900_000_000 or abs(message.lon_int) > 1_800_000_000:
         return None
-    north, east = here.frame.to_ne_m(message.lat_int * 1e-7, message.lon_int * 1e-7)
-    return _common(message, here, (north, east, down))
+    north, east = state.frame.to_ne_m(message.lat_int * 1e-7, message.lon_int * 1e-7)
+    return _common(message, state, (north, east, down))

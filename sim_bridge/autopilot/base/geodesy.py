@@ -2,6 +2,9 @@
 
 import math
 
+Vec3 = tuple[float, float, float]
+"""North, east, down (or forward, right, down)."""
+
 SEMI_MAJOR_M = 6378137.0
 """WGS 84 (NIMA TR8350.2, table 3.1)."""
 FLATTENING = 1.0 / 298.257223563
@@ -76,3 +79,8 @@ class LocalFrame:
             from_axis - ECCENTRICITY2 * SEMI_MAJOR_M * math.cos(reduced) ** 3,
         )
         return math.degrees(lat), math.degrees(math.atan2(y, x))
+
+
+def distance_ne_m(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    """Horizontal distance of two points."""
+    return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5

@@ -1,8 +1,8 @@
-"""What a mode wants of the flight controller at this moment. NED about the site's origin, SI."""
+"""What a mode asks of the flight controller now. NED about the site's origin, SI."""
 
 from dataclasses import dataclass
 
-Vec3 = tuple[float, float, float]
+from sim_bridge.autopilot.base.geodesy import Vec3
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class FlyVelocity:
 
 @dataclass(frozen=True, slots=True)
 class Descend:
-    """Straight down above a point (north, east) until the ground is met."""
+    """Straight down over a point (north, east) to the ground."""
 
     point: tuple[float, float]
     rate_mps: float
@@ -49,7 +49,7 @@ class Descend:
 
 @dataclass(frozen=True, slots=True)
 class FlyLevel:
-    """An attitude, and a climb rate (down is minus): by hand, or level where nobody knows where."""
+    """An attitude and a climb rate (minus is down): by the sticks, or level without a position."""
 
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
@@ -70,6 +70,16 @@ class FlyByHand:
 Goal = Idle | FollowLine | HoldPoint | FlyVelocity | Descend | FlyLevel | FlyByHand
 
 
-def distance_ne_m(a: tuple[float, ...], b: tuple[float, ...]) -> float:
-    """Horizontal distance of two points."""
-    return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """A position, a velocity, or both, from outside. None is not given.
+
+    An acceleration comes only with a velocity.
+    """
+
+    t_s: float
+    pos_ned_m: Vec3 | None
+    vel_ned_mps: Vec3 | None
+    yaw_rad: float | None
+    yaw_rate_rps: float
+    accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0)

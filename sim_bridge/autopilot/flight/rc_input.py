@@ -1,4 +1,4 @@
-"""The pilot's radio control as the autopilot receives it: sticks, mode switch, loss."""
+"""Radio control as the autopilot receives it: sticks, mode switch, loss of signal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,26 +19,30 @@ class Sticks:
 
 
 def stick(pulse_us: int) -> float:
-    """-1 to 1 from a servo pulse of 1100 to 1900 us, dead in the middle 40 us."""
+    """-1 to 1 from a servo pulse of 1100 to 1900 us; the middle 40 us are the dead zone."""
     offset = pulse_us - 1500
     if abs(offset) <= 20:
         return 0.0
     return max(-1.0, min(1.0, offset / 400.0))
 
 
-class PilotInput:
+class RcInput:
     """Channels of a receiver, or overridden over MAVLink for a while."""
 
     def __init__(self) -> None:
         self._receiver: list[int] | None = None
         self._override = [_RELEASE] * _CHANNELS
-        self._override_until_s = [-1.0] * _CHANNELS
+        self._override_until_s: list[float | None] = [None] * _CHANNELS
         self.lost_since_s: float | None = None
         self.was_present = False
         self.channels: list[int] | None = None
 
+    def reboot(self) -> None:
+        """A signal that was present before the boot is not missed."""
+        self.was_present = False
+
     def set_receiver(self, channels: Sequence[int] | None) -> None:
-        """What the receiver puts out from now on, in microseconds; None is no signal."""
+        """Set the receiver's output from now on, in microseconds; None is no signal."""
         if channels is None:
             self._receiver = None
             return
@@ -51,11 +55,11 @@ class PilotInput:
             if value == _IGNORE:
                 continue
             self._override[index] = value
-            self._override_until_s[index] = until_s if value != _RELEASE else -1.0
+            self._override_until_s[index] = until_s if value != _RELEASE else None
 
     def step(self, t_s: float) -> None:
-        """Join receiver and overrides into `channels`; notice when both are gone."""
-        live = [until > t_s for until in self._override_until_s]
+        """Merge receiver and overrides into `channels`; note when both are lost."""
+        live = [until is not None and until > t_s for until in self._override_until_s]
         if self._receiver is None and not any(live):
             self.channels = None
             if self.was_present and self.lost_since_s is None:
@@ -70,7 +74,7 @@ class PilotInput:
         self.lost_since_s = None
 
     def lost_for_s(self, t_s: float) -> float:
-        """Seconds since the signal went; 0 while it is there or never was."""
+        """Seconds since the signal was lost; 0 while it is present or never was."""
         return 0.0 if self.lost_since_s is None else t_s - self.lost_since_s
 
     def sticks(self) -> Sticks | None:

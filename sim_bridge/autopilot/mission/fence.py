@@ -1,13 +1,14 @@
-"""Geofences: cylinder, polygons and circles, and which of them a position breaks."""
+"""Geofences: cylinder, polygons and circles, and which of them a position breaches."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from sim_bridge.autopilot.flight.geodesy import LocalFrame
+from sim_bridge.autopilot.base.geodesy import LocalFrame
 from sim_bridge.autopilot.mavlink.enums import Cmd
-from sim_bridge.autopilot.mission.mission import Item
+from sim_bridge.autopilot.mission.items import Item
+from sim_bridge.autopilot.state import VehicleState
 
 PointNE = tuple[float, float]
 
@@ -19,7 +20,7 @@ _VERTICES = (
 
 
 class Breach(Enum):
-    """What was broken, by its MAVLink FENCE_BREACH number."""
+    """What was breached, by its MAVLink FENCE_BREACH number."""
 
     MAX_HEIGHT = 2
     BOUNDARY = 3
@@ -87,7 +88,7 @@ class Fence:
         return not self.areas and self.radius_m is None and self.height_m is None
 
     def breach(self, point: PointNE, home: PointNE, height_m: float) -> Breach | None:
-        """What a position breaks; `height_m` is above home.
+        """What a position breaches; `height_m` is above home.
 
         With several inclusion areas one suffices (PX4); ArduPilot wants them all unless
         FENCE_OPTIONS says otherwise, and one is the usual number.
@@ -102,3 +103,20 @@ class Fence:
         if any(area.contains(point) for area in self.areas if not area.is_inclusion):
             return Breach.BOUNDARY
         return None
+
+
+class Geofence:
+    """The fence in force, and whether the vehicle breaches it."""
+
+    def __init__(self, state: VehicleState) -> None:
+        self._state = state
+        self.fence = Fence()
+
+    def breach(self) -> Breach | None:
+        """What the vehicle breaches now; nothing on the ground or without a position."""
+        state = self._state
+        if self.fence.is_empty or state.is_landed or not state.has_position:
+            return None
+        north, east, _ = state.pos_ned_m
+        home = state.home_ned_m
+        return self.fence.breach((north, east), (home[0], home[1]), state.height_above_home_m)

@@ -1,0 +1,125 @@
+"""What ArduPilot accepts and stores of mission, fence and rally items.
+
+Source: libraries/AP_Mission/AP_Mission.cpp (mavlink_int_to_mission_cmd and back,
+sanity_check_params).
+"""
+
+import math
+from dataclasses import dataclass
+
+from sim_bridge.autopilot.mavlink.enums import (
+    AMSL_FRAMES,
+    RELATIVE_FRAMES,
+    TERRAIN_FRAMES,
+    Cmd,
+    Frame,
+    MissionResult,
+    MissionType,
+)
+from sim_bridge.autopilot.mission.items import (
+    FENCE_COMMANDS,
+    NAVIGATING,
+    NO_COORDINATE,
+    PLACED,
+    YAW_MAY_BE_NAN,
+    Item,
+    place_error,
+)
+
+_COMMANDS = frozenset(
+    {
+        *NAVIGATING,
+        Cmd.CONDITION_DELAY,
+        Cmd.CONDITION_YAW,
+        Cmd.DO_JUMP,
+        Cmd.DO_CHANGE_SPEED,
+        Cmd.DO_SET_HOME,
+        Cmd.DO_SET_SERVO,
+        Cmd.DO_LAND_START,
+        Cmd.DO_SET_ROI_LOCATION,
+        Cmd.DO_SET_ROI_NONE,
+        Cmd.DO_SET_ROI,
+        Cmd.DO_SET_CAM_TRIGG_DIST,
+        Cmd.DO_FENCE_ENABLE,
+        Cmd.DO_GRIPPER,
+        Cmd.DO_GUIDED_LIMITS,
+    }
+) - {Cmd.NAV_LOITER_TO_ALT}
+_KEPT = {
+    Cmd.NAV_WAYPOINT: 0b0001,
+    Cmd.NAV_LOITER_UNLIM: 0b0000,
+    Cmd.NAV_LOITER_TIME: 0b0001,
+    Cmd.NAV_RETURN_TO_LAUNCH: 0b0000,
+    Cmd.NAV_LAND: 0b0001,
+    Cmd.NAV_TAKEOFF: 0b0001,
+    Cmd.DO_JUMP: 0b0011,
+    Cmd.DO_CHANGE_SPEED: 0b0111,
+    Cmd.DO_SET_SERVO: 0b0011,
+    Cmd.DO_GRIPPER: 0b0011,
+    Cmd.NAV_GUIDED_ENABLE: 0b0001,
+    Cmd.DO_FENCE_ENABLE: 0b0001,
+    Cmd.CONDITION_DELAY: 0b0001,
+}
+"""Bit i: parameter i+1 survives storage; commands not named keep all four."""
+_WHOLE_SECONDS = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME})
+_STORED_FRAMES = {
+    **dict.fromkeys(AMSL_FRAMES, Frame.GLOBAL),
+    **dict.fromkeys(RELATIVE_FRAMES, Frame.GLOBAL_RELATIVE_ALT),
+    **dict.fromkeys(TERRAIN_FRAMES, Frame.GLOBAL_TERRAIN_ALT),
+    Frame.MISSION: Frame.GLOBAL,
+}
+_ALT_MAX_M = 83_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class ArduPilotMissionRules:
+    """Items are squeezed into ArduPilot's 15 bytes: what has no room there does not come back."""
+
+    request_name: str = "MISSION_REQUEST"
+    unknown_type: MissionResult = MissionResult.UNSUPPORTED
+    has_home_item: bool = True
+    is_atomic: bool = False
+    takes_partial_writes: bool = True
+    retry_s: float = 1.0
+    timeout_s: float = 8.0
+    capacity: int = 724
+
+    def take(self, item: Item, mission_type: int) -> Item | MissionResult:
+        """The item as it is stored, or why it is refused."""
+        supported = {
+            MissionType.MISSION: _COMMANDS,
+            MissionType.FENCE: FENCE_COMMANDS,
+            MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
+        }.get(MissionType(mission_type), frozenset())
+        if item.command not in supported:
+            return MissionResult.UNSUPPORTED
+        for number, value in enumerate(item.params):
+            yaw = number == 3 and item.command in YAW_MAY_BE_NAN
+            if not math.isfinite(value) and not yaw:
+                return MissionResult(MissionResult.INVALID_PARAM1 + number)
+        error = place_error(item)
+        if error is not None:
+            return error
+        frame = int(Frame.GLOBAL)
+        if item.command in PLACED:
+            if item.frame not in _STORED_FRAMES:
+                return MissionResult.UNSUPPORTED_FRAME
+            if NO_COORDINATE in (item.x, item.y):
+                return MissionResult.INVALID_PARAM5_X
+            if not abs(item.z) <= _ALT_MAX_M:
+                return MissionResult.INVALID_PARAM7
+            frame = int(_STORED_FRAMES[Frame(item.frame)])
+        kept = _KEPT.get(Cmd(item.command), 0b1111)
+        params = [
+            value if kept >> number & 1 and math.isfinite(value) else 0.0
+            for number, value in enumerate(item.params)
+        ]
+        if item.command in _WHOLE_SECONDS:
+            params[0] = float(min(65535, max(0, int(params[0]))))
+        z = round(item.z * 100.0) / 100.0 if item.command in PLACED else 0.0
+        x, y = (item.x, item.y) if item.command in PLACED else (0, 0)
+        return Item(item.command, frame, *params, x=x, y=y, z=z)
+
+    def give(self, item: Item) -> Item:
+        """The item as it is read back in a MISSION_ITEM_INT."""
+        return item

@@ -1,0 +1,168 @@
+"""The commands that both autopilots answer alike."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from sim_bridge.autopilot.flight.commander import Commander
+from sim_bridge.autopilot.mavlink.commands import Command, as_int
+from sim_bridge.autopilot.mavlink.enums import Cmd, Result
+from sim_bridge.autopilot.mavlink.message_table import SPECS_BY_ID
+from sim_bridge.autopilot.services.radio import Builder, LinkHabits, Radio
+from sim_bridge.autopilot.state import STEP_S, VehicleState
+
+Handler = Callable[[Command], Result | None]
+"""None: no acknowledgement is sent (now)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """What an autopilot says of its firmware, and how it refuses requests for messages."""
+
+    version: int
+    git_hash: bytes
+    capabilities: int
+    refused_interval: Result
+    refused_request: Result
+
+
+class CommonCommands:
+    """Handlers of the common commands by number, in `handlers`."""
+
+    def __init__(
+        self,
+        state: VehicleState,
+        radio: Radio,
+        commander: Commander,
+        streams: Mapping[str, Builder],
+        habits: LinkHabits,
+        firmware: Firmware,
+    ) -> None:
+        self._state = state
+        self._radio = radio
+        self._commander = commander
+        self._streams = streams
+        self._habits = habits
+        self._firmware = firmware
+        self.handlers: dict[int, Handler] = {
+            Cmd.SET_MESSAGE_INTERVAL: self.set_message_interval,
+            Cmd.GET_MESSAGE_INTERVAL: self.get_message_interval,
+            Cmd.REQUEST_MESSAGE: self.request_message,
+            Cmd.REQUEST_AUTOPILOT_CAPABILITIES: self.autopilot_version,
+            Cmd.REQUEST_PROTOCOL_VERSION: self.protocol_version,
+            Cmd.GET_HOME_POSITION: self.get_home_position,
+            Cmd.DO_SET_HOME: self.set_home,
+        }
+
+    def set_message_interval(self, command: Command) -> Result:
+        """SET_MESSAGE_INTERVAL: messages that the autopilot does not stream are refused."""
+        state = self._state
+        spec = SPECS_BY_ID.get(as_int(command.param1))
+        link = self._radio.links.get(command.link_id)
+        if spec is None or link is None or spec.name not in self._streams:
+            return self._firmware.refused_interval
+        if not math.isfinite(command.param2):
+            return Result.DENIED
+        if command.param2 < 0.0:
+            link.set_interval(spec.name, None, state.t_s)
+        elif command.param2 == 0.0:
+            default = self._habits.default_streams(link.kind).get(spec.name)
+            link.set_interval(spec.name, default, state.t_s)
+        else:
+            link.set_interval(spec.name, max(command.param2 * 1e-6, STEP_S), state.t_s)
+        return Result.ACCEPTED
+
+    def get_message_interval(self, command: Command) -> Result:
+        """GET_MESSAGE_INTERVAL: answered by a MESSAGE_INTERVAL."""
+        spec = SPECS_BY_ID.get(as_int(command.param1))
+        link = self._radio.links.get(command.link_id)
+        if link is None:
+            return Result.FAILED
+        known = spec is not None and spec.name in self._streams
+        interval = link.interval_of(spec.name) if known and spec is not None else None
+        self._radio.send(
+            command.link_id,
+            "MESSAGE_INTERVAL",
+            message_id=max(as_int(command.param1), 0) & 0xFFFF,
+            interval_us=0 if not known else -1 if interval is None else round(interval * 1e6),
+        )
+        return Result.ACCEPTED if known else Result.FAILED
+
+    def request_message(self, command: Command) -> Result:
+        """REQUEST_MESSAGE: one message, now."""
+        spec = SPECS_BY_ID.get(as_int(command.param1))
+        if spec is None:
+            return self._firmware.refused_request
+        if spec.name == "AUTOPILOT_VERSION":
+            return self.autopilot_version(command)
+        if spec.name == "PROTOCOL_VERSION":
+            return self.protocol_version(command)
+        builder = self._streams.get(spec.name)
+        if builder is None:
+            return self._firmware.refused_request
+        fields = builder()
+        if fields is None:
+            return self._firmware.refused_request
+        self._radio.send(command.link_id, spec.name, **fields)
+        return Result.ACCEPTED
+
+    def autopilot_version(self, command: Command) -> Result:
+        """AUTOPILOT_VERSION: what it can do, and which firmware it is."""
+        firmware = self._firmware
+        self._radio.send(
+            command.link_id,
+            "AUTOPILOT_VERSION",
+            capabilities=firmware.capabilities,
+            flight_sw_version=firmware.version,
+            middleware_sw_version=0,
+            os_sw_version=0,
+            board_version=0,
+            flight_custom_version=firmware.git_hash,
+            middleware_custom_version=bytes(8),
+            os_custom_version=bytes(8),
+            vendor_id=0,
+            product_id=0,
+            uid=self._state.system_id,
+            uid2=bytes([self._state.system_id]) + bytes(17),
+        )
+        return Result.ACCEPTED
+
+    def protocol_version(self, command: Command) -> Result:
+        """PROTOCOL_VERSION: MAVLink 2."""
+        self._radio.send(
+            command.link_id,
+            "PROTOCOL_VERSION",
+            version=200,
+            min_version=100,
+            max_version=200,
+            spec_version_hash=bytes(8),
+            library_version_hash=bytes(8),
+        )
+        return Result.ACCEPTED
+
+    def get_home_position(self, command: Command) -> Result:
+        """GET_HOME_POSITION."""
+        fields = self._streams["HOME_POSITION"]()
+        if fields is None:
+            return Result.FAILED
+        self._radio.send(command.link_id, "HOME_POSITION", **fields)
+        return Result.ACCEPTED
+
+    def set_home(self, command: Command) -> Result:
+        """DO_SET_HOME: here (param1 = 1), or a place with an AMSL altitude."""
+        state = self._state
+        if not state.has_position:
+            return Result.FAILED
+        if command.param1 == 1.0:
+            self._commander.set_home(state.pos_ned_m)
+            return Result.ACCEPTED
+        place = (command.lat_deg, command.lon_deg, command.param7)
+        if not all(math.isfinite(number) for number in place) or abs(place[0]) > 90.0:
+            return Result.DENIED
+        if command.lat_deg == 0.0 and command.lon_deg == 0.0:
+            return Result.DENIED
+        north, east = state.frame.to_ne_m(command.lat_deg, command.lon_deg)
+        self._commander.set_home(
+            (north, east, state.frame.alt_amsl_m - command.param7), locked=True
+        )
+        return Result.ACCEPTED
