@@ -1,5 +1,6 @@
 """Results pages: their commands exist, their text is plain, and an old page survives a stop."""
 
+import json
 import os
 import re
 import signal
@@ -15,9 +16,9 @@ from rich.table import Table
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.reference.programs import PROGRAMS, root_command
-from sim_bridge.research.result_pages import write
+from sim_bridge.research.result_pages import tables, write
 from sim_bridge.research.result_pages.markdown import MarkdownConsole, sheet_markdown
-from sim_bridge.research.result_pages.page import DATA, OUT, Page, PageCommand
+from sim_bridge.research.result_pages.page import DATA, OUT, CommandOutput, Page, PageCommand
 from sim_bridge.research.result_pages.registry import PAGES
 
 COMMANDS = [(page.name, command) for page in PAGES for command in page.commands]
@@ -181,6 +182,25 @@ def test_a_table_of_a_terminal_becomes_a_markdown_table() -> None:
         "**flights**\n\n| used Wh | clairvoyant |\n| ---: | --- |\n| 5.0 | a \\| b |\n\nall of them"
         "\n\n1 decided: land"
     )
+
+
+def test_what_commands_write_as_json_becomes_markdown(tmp_path: Path) -> None:
+    done = CommandOutput(tmp_path, None, "", 1.0, 1.0)
+    flight = {"outcome": "SUC"}
+    near = {"who": ["d1", "d2"], "separations": 1.5, "horizontal_m": 9.0, "vertical_m": 0.5}
+    row = {"seed": 3, "kept": True, "nearest": near | {"t_s": 50.0}, "flights": [flight, flight]}
+    time = {"p50": 1.0, "p99": 2.0, "max": 3.0}
+    speed = {"what": "px4", "values": [28.9], "unit": "x", "goal": ">= 20"}
+    for name, content in (
+        ("cross.json", {"crossings": [row, row | {"kept": False}]}),
+        ("dispatch.json", {"vehicles": 100, "of it on the network": time}),
+        ("bench.json", {"rows": [speed]}),
+    ):
+        (tmp_path / name).write_text(json.dumps(content))
+    assert "separation broken, seeds 3" in tables.crossings(done)
+    assert "- seed 3: BROKEN, 1.50 separations: d1 and d2" in tables.crossings(done)
+    assert "| of it on the network | 1.0 | 2.0 | 3.0 |" in tables.dispatch(done)
+    assert "| px4 | 28.9 x | >= 20 |" in tables.speeds(done)
 
 
 def test_a_sheet_goes_one_level_down() -> None:

@@ -62,4 +62,4 @@ def _row(cells: Any) -> str:
 def plain(one: Any) -> str:
     """Words of a terminal on one line, without marks of colour."""
     text = one.plain if isinstance(one, Text) else Text.from_markup(str(one)).plain
-    return " ".join(text.replace("-\n", "").split())
+    return " ".join(text.replace("-\n", "").replace("/\n", "/").split())
