@@ -76,7 +76,9 @@ def solve_row(row: BenchRow, params: BenchParams) -> Row:
         raise LeewayError(f"vehicle file {row.vehicles}: drones that differ are not in the rules")
     problem = mfstsp_problem(data, drone, row.drones, fleet.deliver_s)
     seed = int(hashlib.sha256(f"{params.seed} {row.folder.name}".encode()).hexdigest()[:15], 16)
-    schedule, seconds = plan_row(problem, np.random.default_rng(seed), params)
+    schedule, seconds = plan_row(
+        problem, np.random.default_rng(seed), params.policy, params.seconds
+    )
     report = {
         "problem": row.folder.name,
         "vehicles": row.vehicles,

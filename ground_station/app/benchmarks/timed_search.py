@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ground_station.app.benchmarks.mfstsp_bench import BenchParams
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.policy import Policy
 from ground_station.core.truck_drones.problem import TruckAndDrones
@@ -95,19 +94,22 @@ def _round_until(
 
 
 def plan_row(
-    problem: TruckAndDrones, rng: np.random.Generator, params: BenchParams
+    problem: TruckAndDrones, rng: np.random.Generator, policy_name: str, seconds: float | None
 ) -> tuple[Schedule, float]:
-    """The schedule and the processor seconds that the plan took, compiling aside."""
+    """The schedule by this policy, and the processor seconds that it took, without compiling.
+
+    `seconds`: at most so many, for the search; None: its default trials.
+    """
     policies: dict[str, Policy] = {
         "search": SearchPolicy(),
         "dynamic-assignment": DynamicAssignment(),
     }
-    policy = policies[params.policy]
+    policy = policies[policy_name]
     SearchPolicy(trials=WARM_UP_TRIALS).plan(problem, np.random.default_rng(0))
-    if params.seconds is not None and params.policy == "search":
-        timed = plan_within(problem, rng, SearchParams(), params.seconds)
+    if seconds is not None and policy_name == "search":
+        timed = plan_within(problem, rng, SearchParams(), seconds)
         return schedule_of(problem, timed.plan), timed.seconds
     begin_s = time.process_time()
     plan = policy.plan(problem, rng)
-    seconds = time.process_time() - begin_s
-    return schedule_of(problem, plan), seconds
+    spent_s = time.process_time() - begin_s
+    return schedule_of(problem, plan), spent_s

@@ -38,7 +38,7 @@ def recall(exchange: Exchange, vehicle: str | None, wait_s: float) -> set[str]:
     return {name for id_, name in asked.items() if answers.get(id_) is not Answered.DONE}
 
 
-def _is_heard(exchange: Exchange, vehicle: str) -> set[str]:
+def _is_heard(exchange: Exchange, vehicle: str) -> bool:
     seen = exchange.status.of(vehicle)
     return seen.state is not None and bool(seen.lives) and vehicle != TRUCK
 
