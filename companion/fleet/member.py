@@ -31,6 +31,10 @@ from companion.fleet.network import Ask, Asked, MemberLink
 
 BOOK, EVENTS = "commands.json", "events.jsonl"
 
+# What a member keeps in its folder, as JSON: a record is written whole or not at all, with a
+# checksum. `ground_station`'s truck keeps its tasks this way too.
+read_record, write_record = read_whole, write_whole
+
 
 @dataclass(slots=True)
 class FleetMember:

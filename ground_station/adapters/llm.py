@@ -21,7 +21,7 @@ class LlmParams:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class LlmAnswer:
     """What the model answered."""
 
     text: str
@@ -34,7 +34,7 @@ class NoAnswer:
     reason: str
 
 
-def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> Said | NoAnswer:
+def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> LlmAnswer | NoAnswer:
     """Ask once, whatever the server does: no longer than `timeout_s`, no more than 1 MiB."""
     body = {
         "model": params.model,
@@ -78,9 +78,9 @@ async def _bounded(params: LlmParams, body: dict[str, Any]) -> bytes | NoAnswer:
         return raw
 
 
-def _content(raw: bytes) -> Said | NoAnswer:
+def _content(raw: bytes) -> LlmAnswer | NoAnswer:
     try:
         text = json.loads(raw)["choices"][0]["message"]["content"]
     except (ValueError, KeyError, IndexError, TypeError, RecursionError):
         return NoAnswer("not an OpenAI-compatible answer")
-    return Said(text) if isinstance(text, str) else NoAnswer("an answer without content")
+    return LlmAnswer(text) if isinstance(text, str) else NoAnswer("an answer without content")

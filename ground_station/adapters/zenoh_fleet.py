@@ -1,12 +1,12 @@
-"""A fleet over zenoh, as the desk hears it: everything that arrives waits in one queue, decoded.
+"""The desk's end of a fleet over zenoh: everything that arrives is decoded into one queue.
 
-zenoh's threads only put; the desk's one thread takes. Asking never blocks: answers come as `Heard`.
+zenoh's threads only put into the queue; the desk's one thread takes from it. Nothing that asks
+blocks: answers come through the same queue.
 """
 
 import os
 import queue
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -27,31 +27,31 @@ from companion.fleet.messages import (
 )
 from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
 from ground_station.core.fleet.fleet_link import (
-    Alive,
     CommandAnswered,
-    EventsHeard,
-    Heard,
-    Nonsense,
-    StateHeard,
+    EventsReceived,
+    FleetInput,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
 )
 
-WAITING = 100_000
+QUEUE_SIZE = 100_000
 
 
 class ZenohFleet:
     """The desk's end of one fleet."""
 
     opened = 0
-    """Sessions that this process ever had (`leave_process`)."""
+    """Sessions that this process has ever opened (see `leave_process`)."""
 
     def __init__(self, fleet: str, config: Path | None) -> None:
         """Join with this configuration file (JSON5), or as a peer found by multicast.
 
-        Raises LeewayError where the file is none, or the network refuses us.
+        Raises LeewayError where the file is not valid, or the network refuses us.
         """
         self._keys = VehicleKeys(fleet, "*")
         self._fleet = fleet
-        self._queue: queue.Queue[Heard] = queue.Queue(WAITING)
+        self._queue: queue.Queue[FleetInput] = queue.Queue(QUEUE_SIZE)
         where = str(config) if config is not None else "zenoh"
         try:
             settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
@@ -60,15 +60,15 @@ class ZenohFleet:
         except zenoh.ZError as error:
             raise LeewayError(f"{where}: {error}") from error
         liveliness = self._session.liveliness()
-        self._held = (  # a declaration that nobody holds is undeclared
-            self._session.declare_subscriber(self._keys.state, self._hear_state),
-            self._session.declare_subscriber(self._keys.event, self._hear_event),
-            liveliness.declare_subscriber(self._keys.alive(), self._hear_alive, history=True),
+        self._held = (  # zenoh undeclares what nobody holds
+            self._session.declare_subscriber(self._keys.state, self._on_state),
+            self._session.declare_subscriber(self._keys.event, self._on_event),
+            liveliness.declare_subscriber(self._keys.alive(), self._on_liveliness, history=True),
         )
 
-    def heard(self, wait_s: float) -> list[Heard]:
-        """What has arrived; waits so long for the first."""
-        found: list[Heard] = []
+    def receive(self, wait_s: float) -> list[FleetInput]:
+        """Everything that has come; waits this long for the first."""
+        found: list[FleetInput] = []
         try:
             found.append(self._queue.get(timeout=wait_s))
             while True:
@@ -77,11 +77,11 @@ class ZenohFleet:
             return found
 
     def ask_states(self, wait_s: float) -> None:
-        """Ask every vehicle for its newest state: the picture at once."""
-        self._session.get(self._keys.state, self._reply_state, timeout=wait_s)
+        """Ask every member for its newest state."""
+        self._session.get(self._keys.state, self._on_state_reply, timeout=wait_s)
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
-        """Ask a vehicle for the events that it keeps after this number."""
+        """Ask a member for the events that it keeps after this number."""
         events: list[FleetEvent] = []
 
         def take(reply: zenoh.Reply) -> None:
@@ -92,7 +92,7 @@ class ZenohFleet:
         def done() -> None:
             events.sort(key=lambda event: event.seq)
             if events:
-                self._queue.put(EventsHeard(vehicle, events, replayed=True))
+                self._queue.put(EventsReceived(vehicle, events, replayed=True))
 
         selector = f"{VehicleKeys(self._fleet, vehicle).event}?after={after}"
         self._session.get(
@@ -103,7 +103,7 @@ class ZenohFleet:
         )
 
     def send(self, command: Command, wait_s: float) -> None:
-        """Send a command; its answer, or that there was none, is heard."""
+        """Send a command. Its answer, or the time-out, is received."""
         results: list[Result] = []
 
         def take(reply: zenoh.Reply) -> None:
@@ -129,29 +129,29 @@ class ZenohFleet:
         """Leave the network."""
         self._session.close()
 
-    def _hear_alive(self, sample: zenoh.Sample) -> None:
+    def _on_liveliness(self, sample: zenoh.Sample) -> None:
         seen = life_of(str(sample.key_expr))
         if seen is not None:
-            self._queue.put(Alive(*seen, up=sample.kind == zenoh.SampleKind.PUT))
+            self._queue.put(LivelinessChanged(*seen, up=sample.kind == zenoh.SampleKind.PUT))
 
-    def _hear_state(self, sample: zenoh.Sample) -> None:
+    def _on_state(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         state = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_state)
         if isinstance(state, State):
-            self._queue.put(StateHeard(state))
+            self._queue.put(StateReceived(state))
 
-    def _hear_event(self, sample: zenoh.Sample) -> None:
+    def _on_event(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         event = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_event)
         if isinstance(event, FleetEvent):
-            self._queue.put(EventsHeard(event.vehicle, [event]))
+            self._queue.put(EventsReceived(event.vehicle, [event]))
 
-    def _reply_state(self, reply: zenoh.Reply) -> None:
+    def _on_state_reply(self, reply: zenoh.Reply) -> None:
         sample = reply.ok
         vehicle = vehicle_of(str(sample.key_expr)) if sample is not None else None
         state = self._decoded(reply, vehicle, decode_state)
         if isinstance(state, State):
-            self._queue.put(StateHeard(state))
+            self._queue.put(StateReceived(state))
 
     def _decoded(
         self, reply: zenoh.Reply, vehicle: str | None, decode: Callable[[bytes], Any]
@@ -164,46 +164,22 @@ class ZenohFleet:
     def _decoded_from(
         self, key: str, raw: bytes, vehicle: str | None, decode: Callable[[bytes], Any]
     ) -> Any:
-        """A message that speaks for the vehicle whose key it came by; anything else is said."""
+        """A message of the vehicle whose key it came by; anything else is rejected."""
         message = decode(raw)
         if isinstance(message, Refused):
-            self._queue.put(Nonsense(key, message.reason))
+            self._queue.put(MessageRejected(key, message.reason))
             return None
         if message.vehicle != vehicle:
-            self._queue.put(Nonsense(key, f"speaks for {message.vehicle}"))
+            self._queue.put(MessageRejected(key, f"speaks for {message.vehicle}"))
             return None
         return message
 
 
-def monotonic_s() -> float:
-    """The desk's clock for silences and waits: it never goes back."""
-    return time.monotonic()
-
-
-def epoch_us() -> int:
-    """Microseconds since 1970, for stamps that people read."""
-    return time.time_ns() // 1000
-
-
-class WallClock:
-    """`core.fleet.Clock` of a running desk: its stamps do not jump where the wall clock is set."""
-
-    def __init__(self) -> None:
-        self._offset_us = epoch_us() - round(1e6 * monotonic_s())
-
-    def monotonic_s(self) -> float:
-        """For silences and waits."""
-        return monotonic_s()
-
-    def epoch_us(self) -> int:
-        """By the wall clock as it stood when this desk began."""
-        return self._offset_us + round(1e6 * monotonic_s())
-
-
 def leave_process(code: int) -> NoReturn:
-    """End the process; past the interpreter's own shutdown where it was ever on zenoh.
+    """End the process; without the interpreter's own shutdown where it has used zenoh.
 
-    Threads of zenoh's runtime may still want Python's lock then, which aborts the process.
+    During that shutdown threads of zenoh's runtime may still ask for Python's lock, which aborts
+    the process.
     """
     if not ZenohFleet.opened:
         sys.exit(code)

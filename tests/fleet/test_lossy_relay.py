@@ -9,7 +9,12 @@ import pytest
 
 from companion.fleet.messages import Answered, Command, Recall
 from ground_station.adapters.zenoh_fleet import ZenohFleet
-from ground_station.core.fleet.fleet_link import Alive, CommandAnswered, Heard, StateHeard
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    FleetInput,
+    LivelinessChanged,
+    StateReceived,
+)
 from sim_bridge.app.day.processes import DESK, MEMBER, ZenohNetwork
 from tests.fleet.zenoh_net import FLEET, Vehicle
 
@@ -35,31 +40,33 @@ def net(tmp_path: Path) -> Iterator[Callable[[float], tuple[Vehicle, ZenohFleet,
         one.close()
 
 
-def until(desk: ZenohFleet, there: Callable[[list[Heard]], bool]) -> list[Heard]:
-    found: list[Heard] = []
+def until(desk: ZenohFleet, there: Callable[[list[FleetInput]], bool]) -> list[FleetInput]:
+    found: list[FleetInput] = []
     end_s = time.monotonic() + PATIENCE_S
     while not there(found):
         assert time.monotonic() < end_s, found[-5:]
-        found += desk.heard(0.1)
+        found += desk.receive(0.1)
     return found
 
 
-def recall(desk: ZenohFleet, id_: str, states: list[Heard], wait_s: float) -> None:
-    state = next(h.state for h in reversed(states) if isinstance(h, StateHeard))
+def recall(desk: ZenohFleet, id_: str, states: list[FleetInput], wait_s: float) -> None:
+    state = next(h.state for h in reversed(states) if isinstance(h, StateReceived))
     command = Command(
         id=id_, vehicle="d1", life=state.life, as_of_s=state.uptime_s, by="desk", deed=Recall()
     )
     desk.send(command, wait_s)
 
 
-def is_state(heard: Heard) -> bool:
-    return isinstance(heard, StateHeard)
+def is_state(heard: FleetInput) -> bool:
+    return isinstance(heard, StateReceived)
 
 
 def test_without_loss_states_liveliness_and_answers_come_through(net):
     """Without a relay, as with one: the world that listens in hears what the desk hears."""
     vehicle, desk, network = net(0.0)
-    heard = until(desk, lambda h: any(map(is_state, h)) and any(isinstance(x, Alive) for x in h))
+    heard = until(
+        desk, lambda h: any(map(is_state, h)) and any(isinstance(x, LivelinessChanged) for x in h)
+    )
     recall(desk, "c1", heard, 5.0)
     (answer,) = (
         h
@@ -73,7 +80,7 @@ def test_without_loss_states_liveliness_and_answers_come_through(net):
     assert set(network.states) == {"d1"}  # the judge of promises lives on it
     assert network.lost == 0
     vehicle.close()
-    until(desk, lambda h: Alive("d1", vehicle.port.life, up=False) in h)
+    until(desk, lambda h: LivelinessChanged("d1", vehicle.port.life, up=False) in h)
 
 
 def test_what_is_lost_is_not_answered_and_what_is_sent_again_is_carried_out_once(net):

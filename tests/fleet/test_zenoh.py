@@ -5,18 +5,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from companion.core.mission.actions import TellPlace
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command, Deed, EventKind, Launch, Recall
-from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import (
-    Alive,
     CommandAnswered,
-    EventsHeard,
-    Heard,
-    Nonsense,
-    StateHeard,
+    EventsReceived,
+    FleetInput,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
 )
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
@@ -28,13 +30,13 @@ class Desk:
 
     def __init__(self, config: Path) -> None:
         self.fleet = ZenohFleet(FLEET, config)
-        self.heard: list[Heard] = []
+        self.heard: list[FleetInput] = []
 
-    def until(self, wanted: Callable[[Heard], Any]) -> Any:
+    def until(self, wanted: Callable[[FleetInput], Any]) -> Any:
         """Wait for the first thing heard that is wanted."""
         seen, limit_s = 0, monotonic_s() + PATIENCE_S
         while monotonic_s() < limit_s:
-            self.heard += self.fleet.heard(0.05)
+            self.heard += self.fleet.receive(0.05)
             for heard in self.heard[seen:]:
                 found = wanted(heard)
                 if found is not None:
@@ -42,11 +44,11 @@ class Desk:
             seen = len(self.heard)
         raise AssertionError(f"not heard within {PATIENCE_S} s; last: {self.heard[-3:]}")
 
-    def state(self, **fields: object) -> StateHeard:
+    def state(self, **fields: object) -> StateReceived:
         return self.until(
             lambda h: (
                 h
-                if isinstance(h, StateHeard)
+                if isinstance(h, StateReceived)
                 and all(getattr(h.state, k) == v for k, v in fields.items())
                 else None
             )
@@ -88,8 +90,8 @@ def a_command(vehicle: Vehicle, deed: Deed, id_: str = "c1") -> Command:
     )
 
 
-def alive(life: str, up: bool) -> Callable[[Heard], Any]:
-    return lambda h: h if h == Alive("d1", life, up) else None
+def alive(life: str, up: bool) -> Callable[[FleetInput], Any]:
+    return lambda h: h if h == LivelinessChanged("d1", life, up) else None
 
 
 def test_a_vehicle_comes_tells_its_state_and_goes(net):
@@ -99,7 +101,7 @@ def test_a_vehicle_comes_tells_its_state_and_goes(net):
     desk.until(alive(vehicle.port.life, True))
     assert desk.state(phase="standby").state.airframe == "m100"
     desk.state(life=vehicle.port.life)
-    assert Alive("d1", vehicle.port.life, up=False) not in desk.heard
+    assert LivelinessChanged("d1", vehicle.port.life, up=False) not in desk.heard
     vehicle.close()
     desk.until(alive(vehicle.port.life, False))
 
@@ -114,7 +116,7 @@ def test_a_desk_that_comes_late_gets_picture_and_past_at_once(net):
     desk.fleet.ask_states(2.0)
     state = desk.state(last_seq=5).state
     desk.fleet.ask_events("d1", 2, 2.0)
-    replay = desk.until(lambda h: h if isinstance(h, EventsHeard) and h.replayed else None)
+    replay = desk.until(lambda h: h if isinstance(h, EventsReceived) and h.replayed else None)
     assert [(e.seq, e.text) for e in replay.events] == [(n, f"words {n - 1}") for n in (3, 4, 5)]
     assert replay.events[0].log == state.log
 
@@ -176,7 +178,7 @@ def test_a_ground_that_was_away_hears_what_happened_meanwhile(net):
     back = make_desk()
     back.state(last_seq=1)
     back.fleet.ask_events("d1", 0, 2.0)
-    replay = back.until(lambda h: h if isinstance(h, EventsHeard) and h.replayed else None)
+    replay = back.until(lambda h: h if isinstance(h, EventsReceived) and h.replayed else None)
     assert [e.outcome for e in replay.events] == ["SUC"]
 
 
@@ -188,21 +190,32 @@ def test_two_companions_of_one_name_are_both_seen_and_say_so(net):
         desk.until(alive(life, True))
     desk.until(
         lambda h: (
-            h if isinstance(h, EventsHeard) and "another life of d1" in h.events[0].text else None
+            h
+            if isinstance(h, EventsReceived) and "another life of d1" in h.events[0].text
+            else None
         )
     )
 
 
-def test_bytes_that_are_no_message_are_said_and_break_neither_end(net):
+def answer_to_bytes(config: Path, payload: bytes) -> bytes:
+    """What d1 answers a stranger who sends it these bytes as a command."""
+    key, limit_s = f"leeway/{FLEET}/vehicle/d1/command", monotonic_s() + PATIENCE_S
+    with zenoh.open(zenoh.Config.from_file(str(config))) as stranger:
+        while monotonic_s() < limit_s:
+            for reply in stranger.get(key, payload=payload, timeout=1.0):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+    raise AssertionError(f"not answered within {PATIENCE_S} s")
+
+
+def test_bytes_that_are_no_message_are_said_and_break_neither_end(net, tmp_path):
     make_vehicle, make_desk = net
     desk, vehicle = make_desk(), make_vehicle()
     desk.state()
     vehicle.port.link.publish_state(b'{"v": 9}')
-    said = desk.until(lambda h: h if isinstance(h, Nonsense) else None)
+    said = desk.until(lambda h: h if isinstance(h, MessageRejected) else None)
     assert "version 9, expected 1" in said.reason
-    session = desk.fleet._session
-    replies = list(session.get(f"leeway/{FLEET}/vehicle/d1/command", payload=b"\xff" * 100))
-    assert b'"refused"' in replies[0].ok.payload.to_bytes()
+    assert b'"refused"' in answer_to_bytes(tmp_path / "vehicle.json5", b"\xff" * 100)
     assert desk.answer(a_command(vehicle, Recall())).result.answer is Answered.DONE
 
 

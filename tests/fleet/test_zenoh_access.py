@@ -17,8 +17,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from companion.fleet.messages import Answered, Command, Recall, encode
-from ground_station.adapters.zenoh_fleet import ZenohFleet, monotonic_s
-from ground_station.core.fleet.fleet_link import Alive, CommandAnswered, Heard, StateHeard
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    FleetInput,
+    LivelinessChanged,
+    StateReceived,
+)
 from tests.fleet.zenoh_net import FLEET, Vehicle, free_port
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "zenoh"
@@ -120,18 +126,20 @@ def desk(site: Site) -> Iterator[ZenohFleet]:
     fleet.close()
 
 
-def hears(fleet: ZenohFleet, wanted: Callable[[Heard], Any], wait_s: float) -> Any:
+def hears(fleet: ZenohFleet, wanted: Callable[[FleetInput], Any], wait_s: float) -> Any:
     limit_s = monotonic_s() + wait_s
     while monotonic_s() < limit_s:
-        for heard in fleet.heard(0.05):
+        for heard in fleet.receive(0.05):
             found = wanted(heard)
             if found:
                 return found
     return None
 
 
-def state_of(vehicle: str) -> Callable[[Heard], Any]:
-    return lambda h: h.state if isinstance(h, StateHeard) and h.state.vehicle == vehicle else None
+def state_of(vehicle: str) -> Callable[[FleetInput], Any]:
+    return lambda h: (
+        h.state if isinstance(h, StateReceived) and h.state.vehicle == vehicle else None
+    )
 
 
 def recall(vehicle: str, life: str = "x") -> Command:
@@ -142,7 +150,7 @@ def test_a_vehicle_with_its_certificate_is_seen_commanded_and_missed(site, desk,
     vehicle = Vehicle("d1", tmp_path / "d1", site.vehicle())
     life = vehicle.port.life
     try:
-        assert hears(desk, lambda h: h == Alive("d1", life, True), PATIENCE_S)
+        assert hears(desk, lambda h: h == LivelinessChanged("d1", life, True), PATIENCE_S)
         assert hears(desk, state_of("d1"), PATIENCE_S)
         desk.send(recall("d1", life), 5.0)
         answer = hears(desk, lambda h: h if isinstance(h, CommandAnswered) else None, PATIENCE_S)
@@ -150,7 +158,7 @@ def test_a_vehicle_with_its_certificate_is_seen_commanded_and_missed(site, desk,
         assert answer.result.answer is Answered.DONE
     finally:
         vehicle.close()
-    assert hears(desk, lambda h: h == Alive("d1", life, False), PATIENCE_S)
+    assert hears(desk, lambda h: h == LivelinessChanged("d1", life, False), PATIENCE_S)
 
 
 def test_a_certificate_of_another_authority_is_not_let_in(site, desk, tmp_path):
@@ -166,12 +174,16 @@ def test_a_vehicle_cannot_speak_for_another_nor_one_without_a_rule_at_all(site, 
     stranger = Vehicle("d2", tmp_path / "d2", site.vehicle("d2"))
     honest = Vehicle("d1", tmp_path / "d1", site.vehicle("d1"))
     try:
-        assert hears(desk, lambda h: h == Alive("d1", honest.port.life, True), PATIENCE_S)
+        assert hears(
+            desk, lambda h: h == LivelinessChanged("d1", honest.port.life, True), PATIENCE_S
+        )
         lives = {liar.port.life, stranger.port.life}
 
-        def foul(heard: Heard) -> bool:
-            state_life = heard.state.life if isinstance(heard, StateHeard) else None
-            return state_life in lives or (isinstance(heard, Alive) and heard.life in lives)
+        def foul(heard: FleetInput) -> bool:
+            state_life = heard.state.life if isinstance(heard, StateReceived) else None
+            return state_life in lives or (
+                isinstance(heard, LivelinessChanged) and heard.life in lives
+            )
 
         assert not hears(desk, foul, REFUSED_S)
     finally:

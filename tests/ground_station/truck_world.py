@@ -24,13 +24,19 @@ from companion.fleet.messages import (
     Withdraw,
 )
 from ground_station.core.fleet.fleet_link import (
-    Alive,
     CommandAnswered,
-    EventsHeard,
-    Heard,
-    StateHeard,
+    EventsReceived,
+    FleetInput,
+    LivelinessChanged,
+    StateReceived,
 )
-from ground_station.core.fleet.truck_state import TaskKind, Truck, confirmed, impossible, taken
+from ground_station.core.fleet.truck_state import (
+    TaskKind,
+    TruckState,
+    after_command,
+    cannot_do,
+    confirmed,
+)
 
 FULL_V = 25.2
 SWITCHED_ON_S, READY_S, TASK_S, DRIVE_S = 8.0, 20.0, 10.0, 90.0
@@ -163,12 +169,12 @@ class Drone(Member):
 class Driver(Member):
     """The truck with its driver: one thing at a time, each takes its time."""
 
-    truck: Truck = field(default_factory=lambda: Truck(stop="depot"))
+    truck: TruckState = field(default_factory=lambda: TruckState(stop="depot"))
     begun_s: float | None = None
     late_s: float = 0.0
 
     def carry_out(self, command: Command) -> Verdict:
-        self.truck, verdict = taken(self.truck, command.deed)
+        self.truck, verdict = after_command(self.truck, command.deed)
         return verdict
 
     def state(self) -> State:
@@ -193,31 +199,33 @@ class World:
         self.delivered: list[str] = []
         self.flown: list[str] = []
         self.wrong: list[str] = []
-        self.waiting: list[Heard] = []
+        self.waiting: list[FleetInput] = []
         self.told_seq: dict[str, int] = {}
         self.quits: set[str] = set()
         self.slow_s: dict[str, float] = {}
 
     # --- Fleet ---------------------------------------------------------------------------------
 
-    def heard(self, wait_s: float) -> list[Heard]:
+    def receive(self, wait_s: float) -> list[FleetInput]:
         del wait_s
         waiting, self.waiting = self.waiting, []
         return waiting
 
     def ask_states(self, wait_s: float) -> None:
         del wait_s
-        self.waiting += [StateHeard(member.state()) for member in self.members()]
+        self.waiting += [StateReceived(member.state()) for member in self.members()]
 
     def join(self) -> None:
         """A desk starts: it hears who is there, and nothing of before."""
-        self.waiting = [Alive(member.name, member.name, True) for member in self.members()]
+        self.waiting = [
+            LivelinessChanged(member.name, member.name, True) for member in self.members()
+        ]
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         del wait_s
         member = next(m for m in self.everybody() if m.name == vehicle)
         if member.on and not self.lost():
-            self.waiting.append(EventsHeard(vehicle, member.events[after:], replayed=True))
+            self.waiting.append(EventsReceived(vehicle, member.events[after:], replayed=True))
 
     def send(self, command: Command, wait_s: float) -> None:
         del wait_s
@@ -281,19 +289,19 @@ class World:
             if isinstance(member, Drone) and member.mood == "unheard":
                 continue
             if not self.lost():
-                self.waiting.append(StateHeard(member.state()))
+                self.waiting.append(StateReceived(member.state()))
             seq = self.told_seq.get(member.name, 0)
             if seq < len(member.events):
                 self.told_seq[member.name] = len(member.events)
                 if not self.lost():
-                    self.waiting.append(EventsHeard(member.name, member.events[seq:]))
+                    self.waiting.append(EventsReceived(member.name, member.events[seq:]))
 
     def fly(self, drone: Drone) -> None:
         t_s = self.clock.t_s
         if self.switch_on_s.get(drone.name, math.inf) <= t_s:
             del self.switch_on_s[drone.name]
             drone.on = True
-            self.waiting.append(Alive(drone.name, drone.name, True))
+            self.waiting.append(LivelinessChanged(drone.name, drone.name, True))
         if drone.asked is not None and drone.asked[1] <= t_s:
             drone.home, drone.asked = drone.asked[0], None
         if drone.launched_s is None or drone.flight is None:
@@ -303,7 +311,7 @@ class World:
         if drone.mood == "lost" and up_s > drone.flies_s / 2.0:
             drone.lost, drone.on = True, False
             drone.launched_s = None
-            self.waiting.append(Alive(drone.name, drone.name, False))
+            self.waiting.append(LivelinessChanged(drone.name, drone.name, False))
         elif up_s >= drone.flies_s:
             self.land(drone, drone.flight)
 
@@ -341,7 +349,7 @@ class World:
         if task.kind is TaskKind.RECOVER and drone is not None and drone.in_air:
             self.wrong.append(f"the driver is told to take {drone.name} aboard from the air")
         if task.kind is TaskKind.SERVE and task.order in self.quits:
-            self.end_task(impossible(driver.truck, task, "nobody at home"))
+            self.end_task(cannot_do(driver.truck, task, "nobody at home"))
             return
         if task.kind is TaskKind.SERVE:
             if task.order in self.delivered:
@@ -358,9 +366,9 @@ class World:
             self.switch_on_s.pop(drone.name, None)
             drone.end("ABRT", False)
             drone.on = False
-            self.waiting.append(Alive(drone.name, drone.name, False))
+            self.waiting.append(LivelinessChanged(drone.name, drone.name, False))
 
-    def end_task(self, after: tuple[Truck, object]) -> None:
+    def end_task(self, after: tuple[TruckState, object]) -> None:
         self.driver.truck, told = after
         fields = msgspec.structs.asdict(told)  # type: ignore[arg-type]
         kind, text = fields.pop("kind"), fields.pop("text")

@@ -14,25 +14,25 @@ from companion.core.base.geo import obstacles_from_geojson
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
-from ground_station.core.schema.day import DataProblems, Day, Depot, Problem
+from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
 from ground_station.core.schema.orders import Order
-from ground_station.core.schema.table_errors import faults_of
+from ground_station.core.schema.table_errors import table_errors
 
 
 def read_day(path: Path) -> DayData:
-    """Read a day and all its files. Raises DataProblems with everything that is wrong in them."""
+    """Read a day and all its files. Raises DayFilesError with everything that is wrong in them."""
     try:
         table = read_toml(path)
     except LeewayError as error:
-        raise DataProblems([Problem(str(path), None, None, _said(error, path))]) from error
+        raise DayFilesError([FileProblem(str(path), None, None, _said(error, path))]) from error
     try:
         day = msgspec.convert(table, Day)
     except (msgspec.ValidationError, LeewayError) as error:
-        words = faults_of(table, Day) or [str(error)]
-        raise DataProblems([Problem(str(path), None, None, one) for one in words]) from error
-    problems: list[Problem] = []
+        words = table_errors(table, Day) or [str(error)]
+        raise DayFilesError([FileProblem(str(path), None, None, one) for one in words]) from error
+    problems: list[FileProblem] = []
     rows: list[tuple[str, int, Order]] = []
     for name in day.orders:
         rows += _read_orders(path.parent / name, day.depot, problems)
@@ -43,29 +43,29 @@ def read_day(path: Path) -> DayData:
     ids = {order.id for order in orders}
     roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
-        raise DataProblems(problems)
+        raise DayFilesError(problems)
     return DayData(day, orders, no_fly, airframes, roads)
 
 
 def read_orders(path: Path, depot: Depot | None) -> list[Order]:
-    """Orders of one CSV or GeoJSON file. Raises DataProblems with everything that is wrong."""
-    problems: list[Problem] = []
+    """Orders of one CSV or GeoJSON file. Raises DayFilesError with everything that is wrong."""
+    problems: list[FileProblem] = []
     rows = _read_orders(path, depot, problems)
     problems += duplicates(rows)
     if problems:
-        raise DataProblems(problems)
+        raise DayFilesError(problems)
     return [order for _, _, order in rows]
 
 
 def _read_orders(
-    path: Path, depot: Depot | None, problems: list[Problem]
+    path: Path, depot: Depot | None, problems: list[FileProblem]
 ) -> list[tuple[str, int, Order]]:
     file = str(path)
     try:
         read = _geojson_rows if path.suffix in (".geojson", ".json") else _csv_rows
         table = read(path, problems)
     except LeewayError as error:
-        problems.append(Problem(file, None, None, _said(error, path)))
+        problems.append(FileProblem(file, None, None, _said(error, path)))
         return []
     found: list[tuple[str, int, Order]] = []
     for row, cells in table:
@@ -77,7 +77,7 @@ def _read_orders(
     return found
 
 
-def _csv_rows(path: Path, problems: list[Problem]) -> list[tuple[int, dict[str, str]]]:
+def _csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
     """Rows with the line each starts in; a header that is wrong ends it there."""
     reader = csv.reader(io.StringIO(_text(path)), strict=True)
     found: list[tuple[int, dict[str, str]]] = []
@@ -94,15 +94,15 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[tuple[int, dict[str, 
                 continue
             if len(cells) != len(header):
                 words = f"{len(cells)} cells, expected {len(header)} as in the header"
-                problems.append(Problem(str(path), row, None, words))
+                problems.append(FileProblem(str(path), row, None, words))
                 continue
             found.append((row, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
-        problems.append(Problem(str(path), reader.line_num, None, str(error)))
+        problems.append(FileProblem(str(path), reader.line_num, None, str(error)))
     return found
 
 
-def _geojson_rows(path: Path, problems: list[Problem]) -> list[tuple[int, dict[str, str]]]:
+def _geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
     """Points of a FeatureCollection; row n is its n-th feature."""
     document = read_json(path)
     features = document.get("features")
@@ -117,14 +117,14 @@ def _geojson_rows(path: Path, problems: list[Problem]) -> list[tuple[int, dict[s
                 raise ValueError
         except (KeyError, TypeError, ValueError):
             words = "expected a Point [lon, lat] with properties"
-            problems.append(Problem(str(path), row, "geometry", words))
+            problems.append(FileProblem(str(path), row, "geometry", words))
             continue
         cells = {name: _cell(value) for name, value in properties.items()}
         cells |= {"lat_deg": _cell(lat), "lon_deg": _cell(lon)}
         if up:
             cells["alt_amsl_m"] = _cell(up[0])
         wrong = [
-            Problem(str(path), row, problem.column, problem.words)
+            FileProblem(str(path), row, problem.column, problem.words)
             for problem in check_columns(str(path), list(cells))
         ]
         problems += wrong
@@ -137,11 +137,11 @@ def _cell(value: Any) -> str:
     return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
-def _read_no_fly(path: Path, day: Day, problems: list[Problem]) -> dict[str, Any] | None:
+def _read_no_fly(path: Path, day: Day, problems: list[FileProblem]) -> dict[str, Any] | None:
     try:
         document = read_json(path)
     except LeewayError as error:
-        problems.append(Problem(str(path), None, None, _said(error, path)))
+        problems.append(FileProblem(str(path), None, None, _said(error, path)))
         return None
     features = document.get("features")
     if not isinstance(features, list):
@@ -152,56 +152,56 @@ def _read_no_fly(path: Path, day: Day, problems: list[Problem]) -> dict[str, Any
             obstacles_from_geojson(frame, document | {"features": [feature]})
         except LeewayError as error:
             words = str(error).replace("obstacles.features[0]: ", "")
-            problems.append(Problem(str(path), row, "geometry", words))
+            problems.append(FileProblem(str(path), row, "geometry", words))
     return document
 
 
-def _read_airframes(day: Day, path: Path, problems: list[Problem]) -> dict[str, Airframe]:
+def _read_airframes(day: Day, path: Path, problems: list[FileProblem]) -> dict[str, Airframe]:
     found: dict[str, Airframe] = {}
     for name in sorted({drone.airframe for drone in day.drones}):
         try:
             found[name] = read_airframe(name)
         except LeewayError as error:
-            problems.append(Problem(str(path), None, "drones.airframe", str(error)))
+            problems.append(FileProblem(str(path), None, "drones.airframe", str(error)))
     return found
 
 
 def _read_roads(
-    path: Path, ids: set[str], problems: list[Problem]
+    path: Path, ids: set[str], problems: list[FileProblem]
 ) -> dict[tuple[str, str], float] | None:
     """A square table of seconds: first row and first column name `depot` and orders."""
     file = str(path)
     try:
         table = list(csv.reader(io.StringIO(_text(path)), strict=True))
     except (LeewayError, csv.Error) as error:
-        problems.append(Problem(file, None, None, _said(error, path)))
+        problems.append(FileProblem(file, None, None, _said(error, path)))
         return None
     names = [name.strip() for name in table[0][1:]] if table else []
     before = len(problems)
     for twice in sorted({name for name in names if names.count(name) > 1}):
-        problems.append(Problem(file, 1, twice, "column more than once"))
+        problems.append(FileProblem(file, 1, twice, "column more than once"))
     for missing in sorted({DEPOT, *ids} - set(names)):
-        problems.append(Problem(file, 1, missing, "column missing"))
+        problems.append(FileProblem(file, 1, missing, "column missing"))
     roads: dict[tuple[str, str], float] = {}
     seen: set[str] = set()
     for row, cells in enumerate(table[1:], start=2):
         start = cells[0].strip() if cells else ""
         if start in seen:
-            problems.append(Problem(file, row, None, f"row {start} more than once"))
+            problems.append(FileProblem(file, row, None, f"row {start} more than once"))
         seen.add(start)
         if start not in names or len(cells) != len(names) + 1:
             words = f"expected a name of the header and {len(names)} numbers"
-            problems.append(Problem(file, row, None, words))
+            problems.append(FileProblem(file, row, None, words))
             continue
         for name, text in zip(names, cells[1:], strict=True):
             seconds = _seconds(text)
             if seconds is None:
                 words = f"{text!r}: expected seconds, 0 or more"
-                problems.append(Problem(file, row, name, words))
+                problems.append(FileProblem(file, row, name, words))
             else:
                 roads[start, name] = seconds
     for missing in sorted({DEPOT, *ids} - seen):
-        problems.append(Problem(file, None, None, f"row {missing} missing"))
+        problems.append(FileProblem(file, None, None, f"row {missing} missing"))
     return roads if len(problems) == before else None
 
 

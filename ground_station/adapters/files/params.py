@@ -1,4 +1,4 @@
-"""Files that dispatchers give: TOML and GeoJSON. Errors name the file."""
+"""The params folder, and files that dispatchers write (TOML, GeoJSON). Errors name the file."""
 
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,38 @@ _ROOT = Path(__file__).resolve().parents[3]
 
 
 def params_dir() -> Path:
-    """The repository's params folder, or the one packaged beside the companion."""
+    """The repository's params folder, or the one that is installed with the companion."""
     for folder in map(Path, params_folders(_ROOT)):
         if folder.is_dir():
             return folder
     raise LeewayError("no params folder beside the installed packages")
+
+
+def day_file(path_or_name: str) -> Path:
+    """A day's file by its path, or by the name of a bundled day (params/days/NAME.toml)."""
+    return _bundled(path_or_name, "days", "day")
+
+
+def flight_file(path_or_name: str) -> Path:
+    """A flight's file by its path, or by the name of a bundled flight
+    (params/flights/NAME.toml).
+    """
+    return _bundled(path_or_name, "flights", "flight")
+
+
+def _bundled(path_or_name: str, folder: str, noun: str) -> Path:
+    """What has a suffix or a folder, or exists, is a path; anything else is a bundled name.
+
+    Raises LeewayError, with the names that there are, for a name that is not bundled.
+    """
+    path = Path(path_or_name)
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return path
+    bundled = {found.stem: found for found in sorted((params_dir() / folder).glob("*.toml"))}
+    if path_or_name not in bundled:
+        names = ", ".join(bundled)
+        raise LeewayError(f"{noun} {path_or_name!r}: expected a file, or one of {names}")
+    return bundled[path_or_name]
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A database by its URL: SQLite (WAL) or PostgreSQL; its transactions, its errors in words."""
+"""A database by its URL, SQLite (WAL) or PostgreSQL: transactions, and errors in words."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,25 +13,29 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.store import tables
 
 BUSY_MS = 10_000
-"""How long one desk waits for another's transaction; they take milliseconds."""
+"""How long a desk waits for another desk's transaction; they take milliseconds."""
 
 SCHEMA_LOCK = 0x4C454557
-"""PostgreSQL's advisory lock under which desks that start together make the tables once."""
+"""PostgreSQL's advisory lock: desks that start together create the tables once."""
 
 
 class StoreError(LeewayError):
-    """The store could not do it: nothing of it was written."""
+    """The store could not do it; nothing was written."""
 
 
 class Database:
-    """Transactions on the store's tables, which it makes where they are not there yet."""
+    """Transactions on the store's tables, which are created where they are missing."""
 
-    def __init__(self, url: str) -> None:
-        """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError."""
+    def __init__(self, url: str, *, durable: bool = True) -> None:
+        """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError.
+
+        Without `durable`, SQLite does not wait for the disk: faster, but a power cut may lose what
+        was acknowledged.
+        """
         self.shown = url
         try:
-            self._engine = _engine(url, "FULL")
-            self._unsettled = _engine(url, "NORMAL")
+            self._engine = _engine(url, "FULL" if durable else "OFF")
+            self._unsettled = _engine(url, "NORMAL" if durable else "OFF")
             self.shown = self._engine.url.render_as_string(hide_password=True)
         except (ArgumentError, NoSuchModuleError) as error:
             raise StoreError(
@@ -50,10 +54,10 @@ class Database:
 
     @contextmanager
     def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
-        """A transaction: on the disk when it ends well, undone when it does not.
+        """A transaction: on the disk when it ends well, undone otherwise.
 
-        Without `settle` it outlives this process, but not a power cut before the next that does
-        settle: for what would be heard again.
+        Without `settle` it survives this process, but perhaps not a power cut: for what the fleet
+        would send again.
         """
         engine = self._engine if settle else self._unsettled
         with self._translated("written"), engine.begin() as db:
@@ -63,7 +67,7 @@ class Database:
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
-        """One consistent look; waits for nobody in SQLite."""
+        """A consistent read; in SQLite it waits for nobody."""
         with self._translated("read"), self._engine.connect() as db:
             yield db.execution_options(reading=True)
 
@@ -103,12 +107,12 @@ def _engine(url: str, synchronous: str) -> sa.Engine:
 
 
 def _prepare_sqlite(synchronous: str, raw: Any, record: Any) -> None:
-    raw.isolation_level = None  # transactions are begun by us, see `_begin_sqlite`
+    raw.isolation_level = None  # `_begin_sqlite` begins transactions
     cursor = raw.cursor()
     for pragma in (
         f"busy_timeout = {BUSY_MS}",
         "journal_mode = WAL",
-        f"synchronous = {synchronous}",  # FULL: an acknowledged order outlives a power cut
+        f"synchronous = {synchronous}",  # FULL: an acknowledged order survives a power cut
         "foreign_keys = ON",
     ):
         cursor.execute(f"PRAGMA {pragma}")
@@ -116,6 +120,6 @@ def _prepare_sqlite(synchronous: str, raw: Any, record: Any) -> None:
 
 
 def _begin_sqlite(db: sa.Connection) -> None:
-    """Writers take the lock at once: a transaction never finds out half way that it lost."""
+    """A writer takes the lock at once, so no transaction fails half way."""
     reading = db.get_execution_options().get("reading", False)
     db.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")

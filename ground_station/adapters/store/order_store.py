@@ -39,7 +39,7 @@ _OUTBOX = (
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class IntakeResult:
     """What became of orders that were handed in; `conflicts` have a known id and other content."""
 
     added: tuple[str, ...]
@@ -65,14 +65,14 @@ class Store:
 
     # --- orders --------------------------------------------------------------------------------
 
-    def add_orders(self, orders: list[Order]) -> Taken:
+    def add_orders(self, orders: list[Order]) -> IntakeResult:
         """Take orders: all of them or, where an id comes with other content, none."""
         try:
             return self._add_orders(orders)
         except IntegrityError:  # another desk took one of them at this moment: now it is known
             return self._add_orders(orders)
 
-    def _add_orders(self, orders: list[Order]) -> Taken:
+    def _add_orders(self, orders: list[Order]) -> IntakeResult:
         with self._database.write() as db:
             found = db.execute(
                 sa.select(t.orders.c.id, t.orders.c.content).where(
@@ -108,7 +108,7 @@ class Store:
                     ],
                 )
         added = () if conflicts else tuple(fresh)
-        return Taken(added, tuple(known), tuple(conflicts))
+        return IntakeResult(added, tuple(known), tuple(conflicts))
 
     def orders(self) -> list[OrderRow]:
         """All orders as they came."""

@@ -1,8 +1,8 @@
-"""`ground-station benchmark day-plan`: how long a whole day's plan takes, on a day that is drawn.
+"""`ground-station benchmark day-plan`: how long the plan of a whole day takes, on a random day.
 
-Customers evenly over a disc about the depot, roads as the crow flies times a detour, drones of the
-shipped airframe with the energy model that they fly with, under a stated wind. Timed is everything
-that `ground-station plan` does from the day's data to its plan, compiling aside.
+Customers lie evenly over a disc about the depot. Roads are straight lines times a detour. Drones
+are of the bundled airframe, with the energy model that they fly with, in a stated wind. The time is
+that of `ground-station plan` from the day's data to the plan, without compiling.
 """
 
 import time
@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from ground_station.adapters.files.params import read_airframe
 from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
@@ -26,13 +28,13 @@ from ground_station.core.truck_drones.tour import truck_alone
 AIRFRAME = "m100"
 PARCEL_KG = (0.1, 1.6)
 RADIUS_M_PER_SQRT_CUSTOMER = 350.0
-"""As dense a town whatever the number of customers: 200 of them on a disc of 5 km radius."""
+"""The same density for any number of customers: 200 of them on a disc of 5 km radius."""
 METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of 6371.0 km
 
 
 @dataclass(frozen=True, slots=True)
 class DayParams:
-    """A drawn day."""
+    """A random day."""
 
     customers: int
     drones: int
@@ -54,7 +56,7 @@ class DayResult:
 
 
 def drawn_day(params: DayParams) -> DayData:
-    """The day's data."""
+    """The random day's data."""
     rng = np.random.default_rng(params.seed)
     count = params.customers
     radius_m = RADIUS_M_PER_SQRT_CUSTOMER * np.sqrt(count) * np.sqrt(rng.random(count))
@@ -109,4 +111,28 @@ def bench_day(
         dynamic_seconds,
         search,
         search_seconds,
+    )
+
+
+def print_day(console: Console, params: DayParams, found: DayResult) -> None:
+    """Makespan and processor time of each policy."""
+    table = Table(title=f"{params.customers} customers, {params.drones} drones")
+    for name in ("plan", "makespan s", "over the truck alone %", "cpu s"):
+        table.add_column(name, justify="left" if name == "plan" else "right")
+    for name, makespan_s, seconds in (
+        ("truck alone", found.truck_alone_s, None),
+        ("first plan (no layers yet)", found.first_s, found.first_seconds),
+        ("dynamic assignment (paper)", found.dynamic.makespan_s, found.dynamic_seconds),
+        ("search (default)", found.search.makespan_s, found.search_seconds),
+    ):
+        over = 100.0 * (makespan_s / found.truck_alone_s - 1.0)
+        spent = "-" if seconds is None else f"{seconds:.2f}"
+        table.add_row(name, f"{makespan_s:.0f}", f"{over:+.1f}", spent)
+    console.print(table)
+    plan = found.search
+    by_truck = sum(len(stop.serves) for stop in plan.stops)
+    console.print(
+        f"{by_truck} customers by truck, {len(plan.sorties)} by drone,"
+        f" {len(plan.unplanned)} by nobody; {plan.trials} trials",
+        highlight=False,
     )

@@ -1,7 +1,7 @@
-"""The benchmark's rows: each problem, vehicle file and number of drones planned, checked, kept.
+"""The rows of the mFSTSP benchmark: each is planned, checked, and kept.
 
-Rows that are done lie in a journal beside OUT until all are, so that Ctrl-C loses none but those
-under way.
+A row is a problem, a vehicle file and a number of drones. Rows that are done are kept in a journal
+until all are, so Ctrl-C loses only those under way.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.files.mfstsp_files import read_problem, read_vehicles
 from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone, mfstsp_problem
-from ground_station.core.benchmark.schedule_check import CheckedDrone, CheckedProblem, faults_of
+from ground_station.core.benchmark.schedule_check import CheckedDrone, CheckedProblem, violations_of
 
 Row = dict[str, Any]
 
@@ -37,7 +37,7 @@ class BenchRow:
 
 @dataclass(frozen=True, slots=True)
 class BenchParams:
-    """What decides the rows' values; `seconds` None: the default policy's trials."""
+    """What decides the rows' values. `seconds` None: the default policy's trials."""
 
     seconds: float | None
     seed: int
@@ -55,17 +55,17 @@ def settings_of(rows: list[BenchRow], params: BenchParams) -> str:
     folders = sorted({row.folder for row in rows})
     inputs = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
     core = Path(next(iter(ground_station.core.__path__)))
-    inputs += [core / "mfstsp.py", *sorted((core / "truck_drones").glob("*.py"))]
+    inputs += [core / "benchmark" / "mfstsp.py", *sorted((core / "truck_drones").glob("*.py"))]
     for path in [*inputs, *sorted(folders[0].parent.glob("tbl_vehicles_*.csv"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
 def solve_row(row: BenchRow, params: BenchParams) -> Row:
-    """Plan one row; LeewayError where the independent checker finds a fault."""
+    """Plan one row. LeewayError where the independent checker finds a violation."""
     keep_compiled_code()
-    # Only now: compiled code must know its folder before it is defined.
-    from ground_station.app.benchmarks.row_plan import plan_row
+    # Imported late: the folder of the compiled code must be set before.
+    from ground_station.app.benchmarks.timed_search import plan_row
 
     data = read_problem(row.folder)
     fleet = read_vehicles(row.folder.parent / f"tbl_vehicles_{row.vehicles}.csv")
@@ -76,7 +76,9 @@ def solve_row(row: BenchRow, params: BenchParams) -> Row:
         raise LeewayError(f"vehicle file {row.vehicles}: drones that differ are not in the rules")
     problem = mfstsp_problem(data, drone, row.drones, fleet.deliver_s)
     seed = int(hashlib.sha256(f"{params.seed} {row.folder.name}".encode()).hexdigest()[:15], 16)
-    schedule, seconds = plan_row(problem, np.random.default_rng(seed), params)
+    schedule, seconds = plan_row(
+        problem, np.random.default_rng(seed), params.policy, params.seconds
+    )
     report = {
         "problem": row.folder.name,
         "vehicles": row.vehicles,
@@ -88,7 +90,7 @@ def solve_row(row: BenchRow, params: BenchParams) -> Row:
         "driver": [_with_number(asdict(task)) for task in schedule.driver],
         "truck": [asdict(stop) for stop in schedule.stops],
     }
-    faults = faults_of(checked_problem(data, drone, fleet.deliver_s, row.drones), report)
+    faults = violations_of(checked_problem(data, drone, fleet.deliver_s, row.drones), report)
     if faults:
         name = f"{row.folder.name}, vehicles {row.vehicles}, {row.drones} drones"
         raise LeewayError(f"{name}: the schedule breaks the rules: {'; '.join(faults[:3])}")
@@ -96,7 +98,7 @@ def solve_row(row: BenchRow, params: BenchParams) -> Row:
 
 
 def _with_number(part: Row) -> Row:
-    """Drones are numbered from 1, as people count them."""
+    """Drones are numbered from 1 in reports."""
     if part["drone"] is not None:
         part["drone"] += 1
     return part
@@ -105,7 +107,7 @@ def _with_number(part: Row) -> Row:
 def checked_problem(
     data: MfstspData, drone: MfstspDrone, deliver_s: float, drones: int
 ) -> CheckedProblem:
-    """The files' own numbers, as the checker takes them."""
+    """The files' own numbers for the checker."""
     return CheckedProblem(
         places_deg=list(zip(data.lat_deg.tolist(), data.lon_deg.tolist(), strict=True)),
         parcels_lb=data.parcel_lb.tolist(),
@@ -117,14 +119,14 @@ def checked_problem(
 
 
 class RowJournal:
-    """Rows that are done, one JSON line each, after a line that says for which settings."""
+    """Rows that are done, one JSON line each, below a line with the digest of the settings."""
 
     def __init__(self, out: Path | None, settings: str) -> None:
         self._path = None if out is None else out.with_name(out.name + ".journal")
         self._head = f"{settings}\n".encode()
 
     def read(self) -> dict[int, Row]:
-        """Rows of these very settings by their number; none where the journal is another's."""
+        """Rows of the same settings by number; none where the journal is of other settings."""
         if self._path is None or not self._path.exists():
             return {}
         head, _, rest = self._path.read_bytes().partition(b"\n")
@@ -140,7 +142,7 @@ class RowJournal:
         return done
 
     def start(self, done: dict[int, Row]) -> None:
-        """Begin the file anew with what is done."""
+        """Begin the file again with the rows that are done."""
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             lines = [msgspec.json.encode(item) + b"\n" for item in done.items()]
@@ -155,7 +157,7 @@ class RowJournal:
                 file.write(msgspec.json.encode((number, row)) + b"\n")
 
     def remove(self) -> None:
-        """The rows are in OUT now."""
+        """Delete it: the rows are in the JSON file now."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
@@ -167,7 +169,7 @@ def run_rows(
     journal: RowJournal,
     tell: Callable[[int, Row], None],
 ) -> list[Row]:
-    """All rows in order, on `jobs` processes; `tell` hears of each as it is done."""
+    """All rows in order, on `jobs` processes. `tell` is called for each when it is done."""
     done = journal.read()
     journal.start(done)
     for number, row in done.items():

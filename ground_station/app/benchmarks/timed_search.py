@@ -1,6 +1,7 @@
-"""Searches under a stop watch: the only place where the planner's budget is seconds.
+"""Plans by processor time: the only place where the planner's budget is seconds.
 
-Processor time of this one core, so that a busy machine costs time and not quality.
+Processor time of this one core, so a busy machine costs time and not quality. Import this module
+late: it contains compiled code.
 """
 
 import time
@@ -9,24 +10,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
+from ground_station.core.truck_drones.policy import Policy
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.search import Search, SearchParams
+from ground_station.core.truck_drones.schedule import Schedule, schedule_of
+from ground_station.core.truck_drones.search import Search, SearchParams, SearchPolicy
 from ground_station.core.truck_drones.tables import Plan
 
 FIRST_TRIALS = 2_000
 STEP_S = 0.05
 MOST_TRIALS_PER_CUSTOMER = 400_000
-"""Where seconds would allow more, the search ends: what more brought was not worth the wait."""
+"""The search ends here even if there is time left: more trials gained too little."""
 ROUND_TRIALS_PER_CUSTOMER = 80_000
-"""Trials that one cooling gives a customer before a second cooling pays."""
+"""Trials for each customer in one cooling, before a second cooling pays."""
 MOST_ROUNDS = 5
+WARM_UP_TRIALS = 10
 KEPT_FRAC = 0.01
-"""Of the seconds, so that the last step ends in time."""
+"""Share of the seconds that is kept back, so that the last step ends in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimedPlan:
-    """A plan and what it took."""
+    """A plan and its cost."""
 
     plan: Plan
     seconds: float
@@ -42,7 +47,9 @@ def plan_within(
     seconds: float,
     tell: Callable[[float, float], None] = lambda done_frac, best_s: None,
 ) -> TimedPlan:
-    """The best plan in so many seconds; rounds of equal time, fewer trials than the cap allows."""
+    """The best plan within this time, in rounds of equal time. May end early: see
+    MOST_TRIALS_PER_CUSTOMER.
+    """
     begin_s = time.process_time()
     seconds *= 1.0 - KEPT_FRAC
     search = Search(problem, rng, params)
@@ -84,3 +91,25 @@ def _round_until(
         frac = min(1.0, (now_s - start_s) / max(end_s - start_s, 1e-9))
         tell(frac)
     return done
+
+
+def plan_row(
+    problem: TruckAndDrones, rng: np.random.Generator, policy_name: str, seconds: float | None
+) -> tuple[Schedule, float]:
+    """The schedule by this policy, and the processor seconds that it took, without compiling.
+
+    `seconds`: at most so many, for the search; None: its default trials.
+    """
+    policies: dict[str, Policy] = {
+        "search": SearchPolicy(),
+        "dynamic-assignment": DynamicAssignment(),
+    }
+    policy = policies[policy_name]
+    SearchPolicy(trials=WARM_UP_TRIALS).plan(problem, np.random.default_rng(0))
+    if seconds is not None and policy_name == "search":
+        timed = plan_within(problem, rng, SearchParams(), seconds)
+        return schedule_of(problem, timed.plan), timed.seconds
+    begin_s = time.process_time()
+    plan = policy.plan(problem, rng)
+    spent_s = time.process_time() - begin_s
+    return schedule_of(problem, plan), spent_s

@@ -1,4 +1,4 @@
-"""`ground-station benchmark`: the planner against published results and against the clock."""
+"""`ground-station benchmark`: the planner against published results, and its speed."""
 
 import json
 from pathlib import Path
@@ -40,15 +40,16 @@ def mfstsp(
         float | None,
         typer.Option(
             min=0.05,
-            help="At most so many processor seconds a row. Without: a fixed number of trials, "
+            help="Processor seconds for each row. Default: a fixed number of trials, which gives "
             "the same plan every time.",
         ),
     ] = None,
     json_out: Annotated[
-        Path | None, typer.Option("--json", help="Write the rows here; also makes it resumable.")
+        Path | None,
+        typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Rows at a time, one core each.")] = 1,
-    seed: Annotated[int, typer.Option(help="Another seed, other plans.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Rows at a time, each on one core.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     policy: Annotated[str, typer.Option(help=f"One of {', '.join(POLICIES)}.")] = "search",
     problems: Annotated[
         str | None, typer.Option(help="Only these problems: names, or first:step as in 1:3.")
@@ -57,11 +58,12 @@ def mfstsp(
         Path | None, typer.Option(help="Draw the last row's plan into this PNG.")
     ] = None,
 ) -> None:
-    """Murray & Raj's mFSTSP: plan every row, check it, print the table against their makespans.
+    """Murray and Raj's mFSTSP: plan every row, check it, compare it with the published makespans.
 
-    Example: ground-station benchmark mfstsp ../shared/data/mfstsp --seconds 60 --json mfstsp.json
+    ground-station benchmark mfstsp mfstsp/ --seconds 60 --json mfstsp.json
 
-    Ctrl-C keeps what is done in OUT.journal; the same command goes on from there.
+    Ctrl-C keeps the rows that are done in a journal beside the JSON file; the same command goes on
+    from there.
     """
     console = Console()
     if policy not in POLICIES:
@@ -71,7 +73,7 @@ def mfstsp(
     params = BenchParams(seconds, seed, policy)
     heuristic, program = read_published(folder / RESULTS)
     if not keep_compiled_code():
-        console.print("first run of these sources: compiling, some 20 s", highlight=False)
+        console.print("first run: compiling the planner, some 20 s", highlight=False)
     journal = RowJournal(json_out, settings_of(rows, params))
     try:
         done = _with_progress(console, rows, params, jobs, journal)
@@ -110,7 +112,7 @@ def _with_progress(
 
 
 def _write(path: Path, rows: list[Row]) -> None:
-    """Whole or not at all."""
+    """Write the file whole or not at all."""
     fresh = path.with_name(path.name + ".new")
     fresh.write_text(json.dumps({"rows": rows}) + "\n", encoding="utf-8")
     fresh.replace(path)
@@ -131,7 +133,7 @@ def _numbers(text: str) -> list[int]:
 
 
 def _chosen(folders: list[Path], text: str | None) -> list[Path]:
-    """All, those named, or every so many-th: first:step, counted from 0 by name."""
+    """All, those named, or first:step: every step-th, counted from 0 in order of names."""
     if text is None:
         return folders
     if ":" in text:
@@ -156,23 +158,22 @@ def day_plan(
     customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
     drones: Annotated[int, typer.Option(min=1, help="Drones on the truck.")] = 8,
     trials: Annotated[
-        int | None, typer.Option(min=1, help="Trials of the search. Without: by the day's size.")
+        int | None, typer.Option(min=1, help="Trials of the search. Default: by the day's size.")
     ] = None,
     wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
-    seed: Annotated[int, typer.Option(help="Another seed, another day.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the day.")] = 0,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the default's plan into this PNG.")
     ] = None,
 ) -> None:
-    """How long the whole plan of a drawn day takes, and what each policy makes of it.
+    """How long the plan of a random day takes, and the makespan of each policy.
 
-    Example: ground-station benchmark day-plan --customers 1000
+    ground-station benchmark day-plan --customers 1000
     """
     console = Console()
     if not keep_compiled_code():
-        console.print("first run of these sources: compiling, some 20 s", highlight=False)
-    from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day
-    from ground_station.app.benchmarks.day_report import print_day
+        console.print("first run: compiling the planner, some 20 s", highlight=False)
+    from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day, print_day
     from ground_station.app.pictures.day_picture import draw_day_plan
 
     params = DayParams(customers, drones, wind_mps, seed)

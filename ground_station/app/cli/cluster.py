@@ -10,16 +10,16 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.llm import LlmParams
+from ground_station.app.cli.options import DayArgument, open_day
 from ground_station.app.planning.clusters import BUILT_IN, cluster_by_llm, problem_of
-from ground_station.core.clustering.problem import Clustered, Problem
+from ground_station.core.clustering.problem import Clustered, ClusteringProblem
 
 app = typer.Typer()
 
 
 class MethodName(StrEnum):
-    """Who clusters."""
+    """The clustering method."""
 
     OURS = "ours"
     KMEANS = "kmeans"
@@ -29,9 +29,9 @@ class MethodName(StrEnum):
 
 @app.command()
 def cluster(
-    day: Annotated[Path, typer.Argument(help="The day, a day/1 TOML file.")],
-    method: Annotated[MethodName, typer.Option(help="Who clusters.")] = MethodName.OURS,
-    groups: Annotated[int, typer.Option(min=1, help="How many groups to aim at.")] = 3,
+    day: DayArgument,
+    method: Annotated[MethodName, typer.Option(help="Clustering method.")] = MethodName.OURS,
+    groups: Annotated[int, typer.Option(min=1, help="Number of groups to aim at.")] = 3,
     voltage: Annotated[
         float | None, typer.Option(min=1.0, help="Resting voltage of the weakest drone, V.")
     ] = None,
@@ -40,16 +40,18 @@ def cluster(
     ] = None,
     llm_model: Annotated[str | None, typer.Option(help="The model's name there.")] = None,
     llm_key: Annotated[Path | None, typer.Option(help="A file with the key, if any.")] = None,
-    llm_timeout: Annotated[float, typer.Option(min=1.0, help="Then ours stands in.")] = 30.0,
-    llm_log: Annotated[Path, typer.Option(help="Prompt, answer and repair are appended.")] = Path(
-        "llm.jsonl"
-    ),
+    llm_timeout: Annotated[
+        float, typer.Option(min=1.0, help="Time-out of the LLM, s; then ours is used.")
+    ] = 30.0,
+    llm_log: Annotated[
+        Path, typer.Option(help="Prompt, answer and repair are appended to this file.")
+    ] = Path("llm.jsonl"),
 ) -> None:
-    """Group the day's customers; what a method proposes is checked and repaired before use.
+    """Group the day's customers. A method's proposal is checked and repaired before it is used.
 
-    ground-station cluster params/days/harbour.toml --method ours --groups 2
+    ground-station cluster harbour --method ours --groups 2
     """
-    data = read_day(day)
+    data = open_day(day)
     console = Console()
     with console.status("energy of every delivery from every stop"):
         problem = problem_of(data, groups, voltage)
@@ -65,7 +67,7 @@ def cluster(
     _show(console, problem, made)
 
 
-def _show(console: Console, problem: Problem, made: Clustered) -> None:
+def _show(console: Console, problem: ClusteringProblem, made: Clustered) -> None:
     index = problem.index()
     table = Table("stop", "customers", "kg", "mean Wh", title=f"by {made.method}")
     total_wh = 0.0
@@ -81,7 +83,7 @@ def _show(console: Console, problem: Problem, made: Clustered) -> None:
     to_n, to_e = seen.wind_to_ne_mps
     typer.echo(
         f"coverage {seen.coverage_m:.0f} m, wind to ({to_n:.1f}, {to_e:.1f}) m/s,"
-        f" voltage {seen.voltage_v or 'not told'}, lines blocked {100 * seen.obstacle_frac:.0f} %"
+        f" voltage {seen.voltage_v or 'unknown'}, lines blocked {100 * seen.obstacle_frac:.0f} %"
     )
     for note in made.notes:
         typer.echo(note)
@@ -95,4 +97,6 @@ def _key(path: Path | None) -> str | None:
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise LeewayError(f"{path}: expected an ASCII key, byte {error.start} is none") from error
+        raise LeewayError(
+            f"{path}: expected an ASCII key, but byte {error.start} is not ASCII"
+        ) from error

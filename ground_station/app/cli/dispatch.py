@@ -1,7 +1,6 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
-import secrets
 from pathlib import Path
 from typing import Annotated
 
@@ -11,21 +10,29 @@ from rich.live import Live
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.messages import Answered, Recall
-from ground_station.adapters.direct_line import return_to_launch
-from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.adapters.files.plan_files import read_day_plan
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.zenoh_fleet import ZenohFleet, epoch_us, monotonic_s
-from ground_station.app.cli.options import DEFAULT_STORE, FleetName, StoreUrl, ZenohFile, open_store
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.app.cli.options import (
+    DEFAULT_STORE,
+    DayArgument,
+    FleetName,
+    StoreUrl,
+    ZenohFile,
+    open_day,
+    open_store,
+)
 from ground_station.app.cli.order import list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.desk.desk import Desk, DeskOptions
-from ground_station.app.desk.open_desk import is_done, is_idle, left_over, open_desk, why_left
+from ground_station.app.desk.depot_dispatcher import DepotParams
+from ground_station.app.desk.desk import Desk
+from ground_station.app.desk.exchange import Exchange
+from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+from ground_station.app.desk.recall import recall as recall_fleet
+from ground_station.app.desk.recall import recall_past_companion
 from ground_station.app.views.day_report import report_of, report_view
 from ground_station.app.views.watch_view import day_shown, watch_view
-from ground_station.core.fleet.truck_state import TRUCK
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
@@ -37,49 +44,58 @@ app = typer.Typer()
 
 @app.command()
 def dispatch(
-    day: Annotated[Path, typer.Argument(help="The day, a day/1 TOML file.")],
+    day: DayArgument,
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
     plan: Annotated[
         Path | None,
         typer.Option(
-            help="A day-plan/1 JSON file (ground-station plan): drones from a truck; default: from"
-            " the depot, nearest feasible first."
+            help="A day-plan/1 JSON file of `ground-station plan`: drones ride on a truck. Default:"
+            " drones start from the depot, the nearest feasible order first."
         ),
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
-    launch: Annotated[bool, typer.Option(help="Authorise what is aboard and ready.")] = True,
+    launch: Annotated[bool, typer.Option(help="Authorise launches that are ready.")] = True,
     launch_gap: Annotated[
-        float, typer.Option(min=0.0, help="Seconds between two launches at the depot.")
+        float, typer.Option(min=0.0, help="Least time between two launches at the depot, s.")
     ] = 20.0,
     until_done: Annotated[
         bool,
         typer.Option(
-            "--until-done", help="End when nothing is left to do; exit code 3: orders are left."
+            "--until-done", help="End when nothing is left to do. Exit code 3: orders are left."
         ),
     ] = False,
     idle: Annotated[
         float,
-        typer.Option(min=1.0, help="With --until-done: end, too, when nothing moved for so long."),
+        typer.Option(min=1.0, help="With --until-done: end also after so long without news, s."),
     ] = 300.0,
 ) -> None:
-    """Run the day: watch the fleet, assign, launch, keep everything. Ctrl-C stops the desk only:
-    what flies flies on, and the same command carries on where it was.
+    """Run the day: watch the fleet, assign, launch, keep everything.
 
-    ground-station dispatch params/days/town.toml --plan plan.json --store sqlite:///desk.db
+    Ctrl-C stops the desk only: what flies goes on, and the same command carries on.
+
+    ground-station plan town --out plan.json
+    ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
-    data = read_day(day)
+    data = open_day(day)
     chosen = None if plan is None else read_day_plan(plan)
     opened = open_store(store)
     try:
         take_orders(opened, data.orders)
         impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
-        options = DeskOptions(assigns=assign, launches=launch, launch_gap_s=launch_gap)
+        params = DepotParams(assigns=assign, launches=launch, launch_gap_s=launch_gap)
         fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
-            desk = open_desk(data, chosen, opened, fleet, _say, options)
+            if chosen is None:
+                desk = open_depot_desk(data, opened, fleet, _say, params, impossible)
+            elif assign and launch:
+                desk = open_truck_desk(data, chosen, opened, fleet, _say)
+            else:
+                raise LeewayError(
+                    "a day with a truck is run whole: expected no --no-assign, no --no-launch"
+                )
             typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
-            through = _run(desk, impossible, idle if until_done else None)
+            through = _run(desk, idle if until_done else None)
         finally:
             fleet.close()
         if through:
@@ -88,30 +104,29 @@ def dispatch(
         opened.close()
 
 
-def _run(desk: Desk, impossible: frozenset[str], idle_s: float | None) -> bool:
-    """Turn until stopped, or (`idle_s` given) through; whether it was."""
+def _run(desk: Desk, idle_s: float | None) -> bool:
+    """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     desk.begin()
     try:
         with stop_signals() as stopped:
             while not stopped:
-                if idle_s is not None and (is_done(desk, impossible) or is_idle(desk, idle_s)):
+                if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)
     finally:
-        if desk.day is not None:
-            desk.day.close()
+        desk.close()
     return False
 
 
 def _end(desk: Desk) -> None:
-    """Say what is left, and end by it."""
-    left = left_over(desk)
+    """Say what is left over; that decides the exit code."""
+    left = desk.left_over()
     if not left:
         typer.echo("every order is delivered or cancelled")
         return
-    table = Table("order", "state", "why", title="left")
+    table = Table("order", "state", "why", title="left over")
     for row in left:
-        table.add_row(row.order.id, row.state.value, why_left(desk, row))
+        table.add_row(row.order.id, row.state.value, desk.why_left(row))
     Console().print(table)
     raise typer.Exit(ORDERS_LEFT)
 
@@ -122,30 +137,30 @@ def watch(
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Watch so long, then print once and end.")
+        float | None, typer.Option(min=0.1, help="Watch for so long, print once, end.")
     ] = None,
 ) -> None:
-    """See the fleet live: phase, margin, P(home), what each brings; commands nothing.
+    """Watch the fleet live: phase, margin, P(home), orders. It commands nothing.
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
     opened = open_store(store)
     ears = ZenohFleet(fleet, zenoh)
-    desk = Desk(opened, ears, lambda words: None, DeskOptions(assigns=False))
-    desk.begin()
+    exchange = Exchange(opened, ears, lambda words: None)
+    exchange.begin()
     console, day = Console(), DayStore(opened.database, epoch_us)
 
     def view() -> RenderableType:
         rows = opened.assignments(in_force=True)
         shown = day_shown(day, epoch_us())
-        return watch_view(desk.picture, rows, opened.orders(), monotonic_s(), shown)
+        return watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown)
 
     try:
         with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
             with Live(view(), console=console, auto_refresh=False, transient=True) as live:
                 while not stopped and (until_s is None or monotonic_s() < until_s):
-                    desk.listen(TURN_S)
+                    exchange.listen(TURN_S)
                     live.update(view(), refresh=console.is_terminal)
         console.print(view())
     finally:
@@ -160,22 +175,21 @@ def recall(
     everybody: Annotated[bool, typer.Option("--all", help="Every vehicle that is heard.")] = False,
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
-    wait: Annotated[
-        float, typer.Option(min=1.0, help="Seconds in which an answer is waited for.")
-    ] = 10.0,
+    wait: Annotated[float, typer.Option(min=1.0, help="Time-out of an answer, s.")] = 10.0,
     direct: Annotated[
         str | None,
         typer.Option(
-            help="Where its autopilot is, for MAVSDK (udpin://0.0.0.0:14550): used only when the"
+            help="Address of its autopilot for MAVSDK (udpin://0.0.0.0:14550). Used only when the"
             " companion has been silent for --silent-for."
         ),
     ] = None,
     silent_for: Annotated[
-        float, typer.Option(min=LEAST_SILENT_S, help="Seconds of silence that allow --direct.")
+        float, typer.Option(min=LEAST_SILENT_S, help="Silence that allows --direct, s.")
     ] = 15.0,
 ) -> None:
-    """Bring a vehicle home by its companion, by the way home that its gate finds safe; exit code 3
-    where one did not answer.
+    """Recall a vehicle through its companion, which chooses the safe way home.
+
+    Exit code 3: at least one has not answered.
 
     ground-station recall d1 --fleet harbour
     """
@@ -185,12 +199,12 @@ def recall(
         raise LeewayError("--direct: expected one vehicle, not --all")
     opened = open_store(store)
     ears = ZenohFleet(fleet, zenoh)
-    desk = Desk(opened, ears, _say, DeskOptions(assigns=False, launches=False))
-    desk.begin()
+    exchange = Exchange(opened, ears, _say)
+    exchange.begin()
     try:
-        missing = _recall(desk, opened, vehicle, wait)
+        missing = recall_fleet(exchange, vehicle, wait)
         if direct is not None and vehicle in missing:
-            missing -= _past_the_companion(desk, vehicle or "", direct, silent_for)
+            missing -= recall_past_companion(exchange, vehicle, direct, silent_for)
     finally:
         ears.close()
         opened.close()
@@ -203,10 +217,10 @@ def recall(
 def report(
     store: StoreUrl = DEFAULT_STORE,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures there.")
+        Path | None, typer.Option("--json", help="Write the figures into this file.")
     ] = None,
 ) -> None:
-    """The day in numbers: orders, flights, promises and what became of them.
+    """The day in figures: orders, flights, promises and their outcomes.
 
     ground-station report --store sqlite:///desk.db
     """
@@ -216,50 +230,6 @@ def report(
     Console().print(report_view(figures))
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=1))
-
-
-def _recall(desk: Desk, store: Store, vehicle: str | None, wait_s: float) -> set[str]:
-    """Recall over zenoh; the names of those that did not take it."""
-    heard_until_s = monotonic_s() + min(wait_s, 2.0)
-    while monotonic_s() < heard_until_s and (vehicle is None or not _here(desk, vehicle)):
-        desk.listen(TURN_S)
-    names = {vehicle} if vehicle else {name for name in desk.picture.vehicles if _here(desk, name)}
-    if not names:
-        typer.echo("no vehicle is heard")
-    asked = {f"recall-{name}-{secrets.token_hex(6)}": name for name in names if name}
-    for id_, name in asked.items():
-        store.command(id_, name, Recall(), "operator")
-    until_s = monotonic_s() + wait_s
-    waiting = dict(asked)
-    while waiting and monotonic_s() < until_s:
-        desk.listen(TURN_S)
-        desk.send_outbox(only=set(waiting))
-        pending = {row.id for row in store.outbox()}
-        waiting = {id_: name for id_, name in waiting.items() if id_ in pending}
-    for id_ in waiting:
-        store.give_up(id_, "not answered in time")  # a recall must not come as a surprise later
-    answers = store.answers(list(asked))
-    return {name for id_, name in asked.items() if answers.get(id_) is not Answered.DONE}
-
-
-def _here(desk: Desk, vehicle: str) -> bool:
-    seen = desk.picture.of(vehicle)
-    return seen.state is not None and bool(seen.lives) and vehicle != TRUCK
-
-
-def _past_the_companion(desk: Desk, vehicle: str, url: str, silent_for_s: float) -> set[str]:
-    """Return to launch by MAVSDK, once the companion has said nothing for the stated time."""
-    typer.echo(f"{vehicle}: listening {silent_for_s:.0f} s for its companion first")
-    begin_s = monotonic_s()
-    while monotonic_s() - begin_s < silent_for_s:
-        desk.listen(TURN_S)
-        seen = desk.picture.of(vehicle)
-        if seen.lives or (seen.heard_s is not None and seen.heard_s > begin_s):
-            typer.echo(f"{vehicle}: its companion lives: recalled by it, or not at all")
-            return set()
-    done = return_to_launch(url)
-    typer.echo(f"{vehicle}: autopilot {done.system} returns to launch, told past its companion")
-    return {vehicle}
 
 
 def _say(words: str) -> None:

@@ -1,19 +1,24 @@
-"""What several of the desk's commands are told: the store, the network, the day."""
+"""Arguments and options that several commands share: the day, the store, the network."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.files.params import day_file
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.zenoh_fleet import epoch_us
+from ground_station.core.schema.day_data import DayData
 
+DayArgument = Annotated[
+    str, typer.Argument(help="The day: a day/1 TOML file, or the name of a bundled day (town).")
+]
 StoreUrl = Annotated[
     str,
     typer.Option(
-        "--store",
-        help="Where the day's truth lies: sqlite:///FILE or postgresql://USER@HOST/NAME.",
+        "--store", help="Where the day is kept: sqlite:///FILE or postgresql://USER@HOST/NAME."
     ),
 ]
 DEFAULT_STORE = "sqlite:///leeway-desk.db"
@@ -21,12 +26,17 @@ DEFAULT_STORE = "sqlite:///leeway-desk.db"
 ZenohFile = Annotated[
     Path | None,
     typer.Option(
-        "--zenoh", help="zenoh's configuration (JSON5); default: a peer, found by multicast."
+        "--zenoh", help="zenoh's configuration (JSON5). Default: a peer, found by multicast."
     ),
 ]
 FleetName = Annotated[str, typer.Option("--fleet", help="The fleet's name, as in the day file.")]
 
 
+def open_day(day: str) -> DayData:
+    """The day and all its files. DayFilesError lists everything that is wrong in them."""
+    return read_day(day_file(day))
+
+
 def open_store(url: str) -> Store:
-    """The store; StoreError in one line where it cannot be had."""
+    """The store. StoreError says in one line why it cannot be opened."""
     return Store(Database(url), epoch_us)

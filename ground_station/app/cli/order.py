@@ -1,4 +1,4 @@
-"""`ground-station order`: orders in, and what has become of them."""
+"""`ground-station order`: take orders in, and see what has become of them."""
 
 from collections import Counter
 from pathlib import Path
@@ -10,34 +10,34 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.day_files import read_day, read_orders
+from ground_station.adapters.files.day_files import read_orders
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_store
-from ground_station.core.dispatch.depot_assignment import Chooser
+from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_day, open_store
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, OrderState, Service
 
 app = typer.Typer(
     no_args_is_help=True,
     help=(
-        "Orders in, and what has become of them.\n\n"
-        "ground-station order import params/days/harbour.toml --store sqlite:///desk.db"
+        "Take orders in, and see what has become of them.\n\n"
+        "ground-station order import harbour --store sqlite:///desk.db"
     ),
 )
 
 
 @app.command()
 def add(
-    order_id: Annotated[str, typer.Argument(help="The order's own id, for example H-101.")],
+    order_id: Annotated[str, typer.Argument(help="The order's id, for example H-101.")],
     lat: Annotated[float, typer.Option(help="Latitude, degrees.")],
     lon: Annotated[float, typer.Option(help="Longitude, degrees.")],
-    alt: Annotated[float, typer.Option(help="Height of the GROUND there, metres AMSL.")],
-    mass: Annotated[float, typer.Option(help="Parcel, kg.")],
-    service: Annotated[Service, typer.Option(help="Who may bring it.")] = Service.ANY,
-    note: Annotated[str, typer.Option(help="For people.")] = "",
+    alt: Annotated[float, typer.Option(help="Height of the ground there, metres AMSL.")],
+    mass: Annotated[float, typer.Option(help="Mass of the parcel, kg.")],
+    service: Annotated[Service, typer.Option(help="Who may deliver it.")] = Service.ANY,
+    note: Annotated[str, typer.Option(help="A note for people.")] = "",
     store: StoreUrl = DEFAULT_STORE,
 ) -> None:
-    """Take one order; acknowledged means on the disk. Given again it is known, not doubled.
+    """Take one order; when this returns it is on the disk. Taking it again changes nothing.
 
     ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
     """
@@ -63,15 +63,21 @@ def add(
 
 @app.command(name="import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="Orders (.csv, .geojson), or a day (.toml).")],
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Orders (.csv, .geojson), a day (.toml), or the name of a bundled day."
+        ),
+    ],
     store: StoreUrl = DEFAULT_STORE,
 ) -> None:
-    """Take all orders of a file, or none: everything that is wrong in it is listed at once.
+    """Take all orders of a file, or none. Everything that is wrong in it is listed at once.
 
-    ground-station order import params/days/harbour.toml
+    ground-station order import harbour
     """
-    data = read_day(file) if file.suffix == ".toml" else None
-    orders = read_orders(file, None) if data is None else data.orders
+    path = Path(file)
+    data = None if path.suffix and path.suffix != ".toml" else open_day(file)
+    orders = read_orders(path, None) if data is None else data.orders
     opened = open_store(store)
     try:
         take_orders(opened, orders)
@@ -83,10 +89,10 @@ def import_(
 
 @app.command(name="list")
 def list_(
-    state: Annotated[OrderState | None, typer.Option(help="Only those in this state.")] = None,
+    state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
     store: StoreUrl = DEFAULT_STORE,
 ) -> None:
-    """Every order, as they came, with what has become of it."""
+    """List the orders with their states."""
     opened = open_store(store)
     rows = [row for row in opened.orders() if state is None or row.state is state]
     opened.close()
@@ -102,26 +108,26 @@ def list_(
 
 @app.command()
 def cancel(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
-    """Take an order back that no vehicle has yet."""
+    """Cancel an order that no vehicle has yet."""
     _move(order_id, (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED, store)
 
 
 @app.command()
 def reopen(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
-    """Let a stuck or cancelled order be dispatched again: only who knows where the parcel is."""
+    """Dispatch a stuck or cancelled order again. Only for who knows where the parcel is."""
     _move(order_id, (OrderState.STUCK, OrderState.CANCELLED), OrderState.OPEN, store)
 
 
 @app.command()
 def brought(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
-    """A stuck order has been brought after all: only who has asked its customer, or has looked at
-    the drone.
+    """Mark a stuck order as delivered. Only for who has asked the customer or looked at the
+    drone.
     """
     _move(order_id, (OrderState.STUCK,), OrderState.DELIVERED, store)
 
 
 def take_orders(store: Store, orders: list[Order]) -> None:
-    """Put orders into the store and say what became of them."""
+    """Put orders into the store, and say which are new."""
     taken = store.add_orders(orders)
     if taken.conflicts:
         words = ", ".join(taken.conflicts)
@@ -131,12 +137,12 @@ def take_orders(store: Store, orders: list[Order]) -> None:
 
 
 def list_impossible(data: DayData) -> list[str]:
-    """Say which orders no drone can bring from the depot, and what would make them possible."""
-    chooser = Chooser(data.day, data.airframes)
+    """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
+    assigner = DepotAssigner(data.day, data.airframes)
     found: list[str] = []
     table = Table("order", "no drone from the depot", "possible with")
     for order in data.orders:
-        cannot = chooser.impossible(order)
+        cannot = assigner.impossible(order)
         if cannot is not None:
             found.append(order.id)
             table.add_row(order.id, cannot.why, cannot.remedy)

@@ -1,6 +1,5 @@
-"""The plan that a day with a truck is in, the data that it is made from, how it is made anew."""
+"""The active plan of a day with a truck, the data that it was made from, and how it is replaced."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -9,13 +8,14 @@ import msgspec
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.app.desk.replanner import NoPlan, Replanner
-from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView
+from ground_station.core.dispatch.day_snapshot import DaySnapshot
+from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.dispatch.replanning import (
+    broken_promise,
     day_now,
-    postponed,
     replan_reason,
-    standing,
-    unfit,
+    shifted,
+    standing_state,
 )
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
@@ -25,14 +25,14 @@ from ground_station.core.schema.orders import OrderRow
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """The last plan that came to an end: when, from which situation, and why it was asked for.
+class ReplanAttempt:
+    """The last re-planning that has ended: when, from which situation, and for which reason.
 
-    `refused`: nothing came of it, the same reason is not asked again. `died`: so often in a row
-    has its planner ended without an answer.
+    `refused`: no new plan came of it, so the same reason is not tried again. `died`: how often in a
+    row its planner has ended without an answer.
     """
 
-    at_s: float = -1e9
+    at_s: float | None = None
     situation: object = None
     why: str | None = None
     refused: bool = False
@@ -40,28 +40,28 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class _Question:
-    view: DayView
+class _Request:
+    snapshot: DaySnapshot
     why: str
     wind: Forecast
-    """Planned with before."""
+    """The forecast before it."""
 
 
 @dataclass(slots=True)
-class PlanInForce:
-    """`plan` and `data` as they are now; `mind` has them made anew, `changed` counts how often."""
+class ActivePlan:
+    """`plan` and `data` as they are now. `review` replaces them; `version` counts how often."""
 
     day: DayStore
     data: DayData
     plan: DayPlan
     replanner: Replanner
     say: Callable[[str], None]
-    params: DayRunParams = field(default_factory=DayRunParams)
+    params: DispatchParams = field(default_factory=DispatchParams)
     stops: dict[str, PlannedStop] = field(default_factory=dict)
-    """Every stop that any plan ever had, with every pad that it ever had."""
-    trial: Trial = field(default_factory=Trial)
-    changed: int = 0
-    _asked: _Question | None = None
+    """All stops of all plans of the day, each with all its pads."""
+    attempt: ReplanAttempt = field(default_factory=ReplanAttempt)
+    version: int = 0
+    _request: _Request | None = None
 
     def __post_init__(self) -> None:
         wind = self.day.wind()
@@ -83,101 +83,107 @@ class PlanInForce:
         )
 
     def note_orders(self, orders: list[OrderRow]) -> None:
-        """What the store has taken since is part of the day."""
+        """Orders that the store has taken meanwhile are part of the day."""
         if len(orders) != len(self.data.orders):
             data, taken = self.data, [row.order for row in orders]
             self.data = DayData(data.day, taken, data.no_fly, data.airframes, data.roads_s)
-            self.changed += 1
+            self.version += 1
 
     @property
-    def is_asked(self) -> bool:
-        """A plan is being made."""
-        return self._asked is not None
+    def is_replanning(self) -> bool:
+        """Whether a new plan is being made."""
+        return self._request is not None
 
-    def mind(self, view: DayView, measured: Callable[[Forecast], Forecast]) -> None:
+    def review(self, snapshot: DaySnapshot, measured: Callable[[Forecast], Forecast]) -> None:
         """Ask for a new plan when the day departs from this one; take it when it is made.
 
-        `measured` makes of the forecast what is known of the wind by now.
+        `measured` returns the forecast by the wind that the fleet measures now.
         """
-        if self._asked is None:
-            self._ask(view, measured)
+        if self._request is None:
+            self._request_plan(snapshot, measured)
             return
         made = self.replanner.made()
         if made is None:
             return
-        asked, self._asked = self._asked, None
-        if self._is_asked_again(made, asked.why, view):
-            if self.data.day.forecast != asked.wind:  # else the reason would be gone
-                self._plan_with(asked.wind)
+        request, self._request = self._request, None
+        if self._asks_again(made, request.why, snapshot):
+            if self.data.day.forecast != request.wind:  # else the reason would be gone
+                self._plan_with(request.wind)
         else:
-            self._take(made, asked, view)
+            self._take(made, request, snapshot)
 
-    def is_wanted(self, view: DayView) -> bool:
-        """Whether something asks for a plan that has not been refused, now or after a while."""
-        return self._reason(view, replace(self.params, replan_again_s=-math.inf)) is not None
+    def is_wanted(self, snapshot: DaySnapshot) -> bool:
+        """Whether there is a reason for a new plan that has not been refused, now or later."""
+        return self._reason(replace(snapshot, tried_s=None)) is not None
 
-    def _reason(self, view: DayView, params: DayRunParams) -> str | None:
-        why = replan_reason(view, params)
-        return None if self.trial.refused and why == self.trial.why else why
+    def _reason(self, snapshot: DaySnapshot) -> str | None:
+        why = replan_reason(snapshot, self.params)
+        return None if self.attempt.refused and why == self.attempt.why else why
 
-    def _ask(self, view: DayView, measured: Callable[[Forecast], Forecast]) -> None:
-        why = self._reason(view, self.params)
+    def _request_plan(
+        self, snapshot: DaySnapshot, measured: Callable[[Forecast], Forecast]
+    ) -> None:
+        why = self._reason(snapshot)
         if why is None:
             return
         wind = self.data.day.forecast
         if "wind" in why:
             self._plan_with(measured(wind))
         self.say(f"a new plan: {why}")
-        self._asked = _Question(view, why, wind)
-        self.replanner.ask(day_now(self.data, view), self._standing(view))
+        self._request = _Request(snapshot, why, wind)
+        self.replanner.ask(day_now(self.data, snapshot), self._standing_state(snapshot))
 
-    def _standing(self, view: DayView) -> DayState:
+    def _standing_state(self, snapshot: DaySnapshot) -> DayState:
         drones = [drone.id for drone in self.data.day.drones]
-        return standing(view, drones, self.data.day.truck.recover_s)
+        return standing_state(snapshot, drones, self.data.day.truck.recover_s)
 
     def _plan_with(self, wind: Forecast) -> None:
         self.data = self._with_forecast(wind)
-        self.changed += 1
+        self.version += 1
 
-    def _is_asked_again(self, made: DayPlan | NoPlan, why: str, view: DayView) -> bool:
-        """Whether a planner ended without an answer, and not too often for this reason."""
+    def _asks_again(self, made: DayPlan | NoPlan, why: str, snapshot: DaySnapshot) -> bool:
+        """Whether the planner has ended without an answer, and is asked once more."""
         if not isinstance(made, NoPlan) or not made.again:
             return False
-        times = self.trial.died + 1 if self.trial.why == why else 1
+        times = self.attempt.died + 1 if self.attempt.why == why else 1
         again = times < self.params.replan_tries
         if again:
-            self.trial = replace(self.trial, at_s=view.now_s, why=why, refused=False, died=times)
+            self.attempt = replace(
+                self.attempt, at_s=snapshot.now_s, why=why, refused=False, died=times
+            )
             wait_s = self.params.replan_again_s
             self.say(f"no new plan ({made.reason}): asked again in {wait_s:.0f} s")
         return again
 
-    def _take(self, made: DayPlan | NoPlan, asked: _Question, view: DayView) -> None:
-        start = self._standing(asked.view)
-        wrong = made.reason if isinstance(made, NoPlan) else unfit(made, start)
+    def _take(self, made: DayPlan | NoPlan, request: _Request, snapshot: DaySnapshot) -> None:
+        start = self._standing_state(request.snapshot)
+        wrong = made.reason if isinstance(made, NoPlan) else broken_promise(made, start)
         refused = wrong is not None or isinstance(made, NoPlan)
-        self.trial = Trial(view.now_s, asked.view.situation, asked.why, refused)
+        self.attempt = ReplanAttempt(
+            snapshot.now_s, request.snapshot.situation, request.why, refused
+        )
         if refused or isinstance(made, NoPlan):
             self.say(f"no new plan ({wrong}): the old one goes on")
             return
-        wind = self.data.day.forecast if "wind" in asked.why else None
-        took_s = max(0.0, view.now_s - asked.view.now_s)
-        late = postponed(made, start, asked.view.now_s, took_s)
-        self.day.take_plan(late, asked.why, wind)
+        wind = self.data.day.forecast if "wind" in request.why else None
+        took_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
+        late = shifted(made, start, request.snapshot.now_s, took_s)
+        self.day.take_plan(late, request.why, wind)
         in_force = self.day.plan()
         assert in_force is not None
         self.plan = in_force
-        self.changed += 1
+        self.version += 1
         self._note_stops(in_force)
         left = f", {len(made.unplanned)} by nobody" if made.unplanned else ""
         self.say(f"plan {made.revision} in force: {len(made.stops)} stops{left}")
 
     def close(self) -> None:
-        """Give up a plan that is being made."""
+        """Give up the plan that is being made."""
         self.replanner.close()
 
 
 def check_plan(data: DayData, plan: DayPlan) -> None:
-    """Raise LeewayError where a plan is not one of this day."""
+    """Raise LeewayError, with everything that is wrong, where a plan does not fit the day."""
     orders = {order.id for order in data.orders}
     stops = {stop.id: stop for stop in plan.stops}
     wrong: list[str] = []

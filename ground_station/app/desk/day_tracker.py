@@ -1,4 +1,4 @@
-"""What the desk sees of a day with a truck: the store's rows and the live picture, a `DayView`."""
+"""Tracks a day with a truck: members' states and the store's rows become a `DaySnapshot`."""
 
 from dataclasses import dataclass, field
 
@@ -6,12 +6,12 @@ from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.active_plan import PlanInForce
-from ground_station.core.dispatch.day_snapshot import DayView, DroneView, TruckView
+from ground_station.app.desk.active_plan import ActivePlan
+from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_rules import distance_m
 from ground_station.core.dispatch.measured_wind import MeasuredWind
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import STANDBY, Picture, VehicleSeen
+from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
@@ -20,14 +20,13 @@ from ground_station.core.schema.sortie_rows import SortieRow, Visit
 OFF_PAD_M = 30.0
 OFF_GROUND_M = 2.0
 
-
 ROWS_S = 5.0
-"""So old may be what was read of the store, where this desk has heard and done nothing since."""
+"""Rows of the store are read again after this time, also where nothing has come."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """What was read of the store at `read_s`."""
+    """Rows of the store, read at `read_s`."""
 
     read_s: float
     open: frozenset[str]
@@ -39,14 +38,14 @@ class _Rows:
 
 
 @dataclass(slots=True)
-class DaySight:
-    """Hears members, reads the store, and says how the day stands."""
+class DayTracker:
+    """Keeps what only members report: winds, energies, who has taken off, who waits since when."""
 
     store: Store
     day: DayStore
-    plans: PlanInForce
+    active: ActivePlan
     clock: Clock
-    view: DayView | None = None
+    snapshot: DaySnapshot | None = None
     _wind: MeasuredWind = field(default_factory=MeasuredWind)
     _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
     _off_ground: set[str] = field(default_factory=set)
@@ -59,33 +58,35 @@ class DaySight:
     def __post_init__(self) -> None:
         self._from_us = self.clock.epoch_us()
 
-    def forget_rows(self) -> None:
-        """Something was written, or may have been: read the store anew."""
+    def reload(self) -> None:
+        """Read the store again for the next snapshot: something has been written, or may have
+        been.
+        """
         self._rows = None
 
-    def forget_old_rows(self) -> None:
-        """Now and then it is read anew all the same: others write to it, too."""
+    def reload_old(self) -> None:
+        """Read it again now and then in any case: others write to it too."""
         rows = self._rows
         if rows is not None and self.clock.monotonic_s() - rows.read_s > ROWS_S:
             self._rows = None
 
-    def hear(self, state: State) -> None:
-        """Take what a member tells."""
+    def on_state(self, state: State) -> None:
+        """Take a state that a member has published."""
         if state.vehicle == TRUCK:
-            self._hear_truck(state)
+            self._on_truck_state(state)
             return
         if state.armed and state.assignment:
             if state.wind_to_n_mps is not None and state.wind_to_e_mps is not None:
                 t_s = self.clock.monotonic_s()
-                self._wind.hear(t_s, state.wind_to_n_mps, state.wind_to_e_mps)
+                self._wind.add(t_s, state.wind_to_n_mps, state.wind_to_e_mps)
             if state.energy_left_wh is not None:
                 first = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
                 self._energy_wh[state.assignment] = (first, state.energy_left_wh)
             if (state.height_rel_m or 0.0) > OFF_GROUND_M:
                 self._off_ground.add(state.assignment)
 
-    def _hear_truck(self, state: State) -> None:
-        """Its arrivals and departures, for the plan's times."""
+    def _on_truck_state(self, state: State) -> None:
+        """Note its arrivals and departures in the store."""
         if state.stop is None:
             return
         now = (state.stop, state.phase == DRIVING)
@@ -94,35 +95,36 @@ class DaySight:
             self._rows = None
             self._truck_stop = now
 
-    def look(self, picture: Picture) -> DayView:
-        """The day as it is now."""
+    def observe(self, status: FleetStatus) -> DaySnapshot:
+        """The snapshot of this moment."""
         now_s = self.clock.monotonic_s()
-        truck = picture.vehicles.get(TRUCK)
+        truck = status.vehicles.get(TRUCK)
         began_us = self._begun_us(truck is not None and truck.present(now_s))
         rows = self._rows = self._rows or self._read(now_s)
         drones = {
-            d.id: self._drone_view(picture.of(d.id), now_s) for d in self.plans.data.day.drones
+            d.id: self._drone_status(status.of(d.id), status.charge_frac_at_rest(d.id), now_s)
+            for d in self.active.data.day.drones
         }
-        self.view = DayView(
+        self.snapshot = DaySnapshot(
             now_s=max(0.0, (self.clock.epoch_us() - began_us) / 1e6),
             began_us=began_us,
-            plan=self.plans.plan,
-            truck=_truck_view(truck, now_s),
+            plan=self.active.plan,
+            truck=_truck_status(truck, now_s),
             drones=drones,
             open=rows.open,
             sorties=rows.sorties,
             serves=rows.serves,
             told=rows.told,
             visits=rows.visits,
-            replanning=self.plans.is_asked,
+            replanning=self.active.is_replanning,
             plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
-            tried_s=self.plans.trial.at_s,
-            tried=self.plans.trial.situation,
+            tried_s=self.active.attempt.at_s,
+            tried=self.active.attempt.situation,
             waited_s=self._waited(rows.sorties, drones, now_s),
-            wind_off_sigmas=self._wind.off_sigmas(now_s, self.plans.data.day.forecast),
+            wind_off_sigmas=self._wind.off_sigmas(now_s, self.active.data.day.forecast),
             desk_from_s=(self._from_us - began_us) / 1e6,
         )
-        return self.view
+        return self.snapshot
 
     def _begun_us(self, truck_here: bool) -> int:
         """The day begins when its truck is first heard."""
@@ -132,7 +134,7 @@ class DaySight:
 
     def _read(self, now_s: float) -> _Rows:
         orders = self.store.orders()
-        self.plans.note_orders(orders)
+        self.active.note_orders(orders)
         return _Rows(
             read_s=now_s,
             open=_open(orders),
@@ -144,24 +146,22 @@ class DaySight:
         )
 
     def _waited(
-        self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneView], now_s: float
+        self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneStatus], now_s: float
     ) -> dict[str, float]:
-        """How long each drone on its pad has not been ready, as far as this desk has seen."""
+        """By assignment: how long a drone on its pad has not been ready, since this desk began."""
         waiting = (AssignmentState.ORDERED, AssignmentState.ABOARD)
         on_pads = [r for r in sorties if r.placed and r.row.state in waiting]
         late = [r.id for r in on_pads if r.vehicle in drones and not drones[r.vehicle].ready]
         self._waits_s = {id_: self._waits_s.get(id_, now_s) for id_ in late}
         return {id_: now_s - since_s for id_, since_s in self._waits_s.items()}
 
-    def _drone_view(self, seen: VehicleSeen, now_s: float) -> DroneView:
+    def _drone_status(
+        self, seen: VehicleStatus, charge_frac: float | None, now_s: float
+    ) -> DroneStatus:
         state = seen.state
         if state is None:
-            return DroneView(seen.vehicle)
-        airframe = self.plans.data.airframes.get(state.airframe)
-        charge = None
-        if airframe is not None and state.voltage_v and state.armed is False:
-            charge = airframe.battery.charge_frac_at_rest(state.voltage_v)
-        return DroneView(
+            return DroneStatus(seen.vehicle)
+        return DroneStatus(
             vehicle=seen.vehicle,
             present=seen.present(now_s),
             doubtful=bool(seen.doubts),
@@ -172,13 +172,13 @@ class DaySight:
             home=state.home,
             lat_deg=state.lat_deg,
             lon_deg=state.lon_deg,
-            charge_frac=charge,
+            charge_frac=charge_frac,
             silent_s=seen.silent_s(now_s),
         )
 
     def _left_pad(self, state: State) -> bool:
-        """Through a restart of the desk too: it is elsewhere than where it started."""
-        rows = self.view.sorties if self.view is not None else ()
+        """Whether it is away from its launch pad: known also after a restart of the desk."""
+        rows = self.snapshot.sorties if self.snapshot is not None else ()
         row = next((row for row in rows if row.id == state.assignment), None)
         if row is None:
             return False
@@ -186,15 +186,17 @@ class DaySight:
         return away_m is not None and away_m > OFF_PAD_M
 
     def still_open(self) -> frozenset[str]:
-        """Orders that nobody has, by the store."""
+        """Orders without an assignment, by the store."""
         return _open(self.store.orders())
 
-    def measured_wind(self, before: Forecast) -> Forecast:
-        """To plan with now, by what drones in flight tell; `before` where that is too little."""
+    def forecast_now(self, before: Forecast) -> Forecast:
+        """The forecast by the wind that drones in flight report; `before` where they are too
+        few.
+        """
         return self._wind.forecast(self.clock.monotonic_s(), before)
 
     def energy_used_wh(self, assignment: str) -> float | None:
-        """What a flight that is over has told of its energy, once; None: nothing."""
+        """Energy used by a flight that is over, once; None: it has reported none."""
         told = self._energy_wh.pop(assignment, None)
         return None if told is None else max(0.0, told[0] - told[1])
 
@@ -203,8 +205,8 @@ def _open(orders: list[OrderRow]) -> frozenset[str]:
     return frozenset(row.order.id for row in orders if row.state is OrderState.OPEN)
 
 
-def _truck_view(seen: VehicleSeen | None, now_s: float) -> TruckView | None:
+def _truck_status(seen: VehicleStatus | None, now_s: float) -> TruckStatus | None:
     state = seen.state if seen is not None else None
     if seen is None or state is None or state.stop is None:
         return None
-    return TruckView(seen.present(now_s), state.phase == DRIVING, state.stop)
+    return TruckStatus(seen.present(now_s), state.phase == DRIVING, state.stop)

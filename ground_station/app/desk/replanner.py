@@ -1,4 +1,4 @@
-"""Re-planning beside the running desk: in a process of its own, or at once (simulated days)."""
+"""Re-planning for a running desk: in a process of its own, or inline (simulated days)."""
 
 import multiprocessing
 import os
@@ -20,8 +20,8 @@ from ground_station.core.schema.day_state import DayState
 
 @dataclass(frozen=True, slots=True)
 class NoPlan:
-    """Why none was made. `again`: its process ended before it had an answer, so that the same
-    question may have one.
+    """Why no plan was made. `again`: the process ended without an answer, so a second try may
+    help.
     """
 
     reason: str
@@ -32,7 +32,7 @@ class Replanner(Protocol):
     """Makes one plan at a time."""
 
     def ask(self, data: DayData, start: DayState) -> None:
-        """Begin."""
+        """Begin to plan."""
         ...
 
     def made(self) -> DayPlan | NoPlan | None:
@@ -40,29 +40,29 @@ class Replanner(Protocol):
         ...
 
     def close(self) -> None:
-        """Give up what is being made."""
+        """Give up the plan that is being made."""
         ...
 
 
-def replanned(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
-    """A plan from where the day stands, by the default policy."""
+def make_plan(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
+    """A plan from the day's present state, by the default policy."""
     keep_compiled_code()
-    from ground_station.core.planning.day_planner import PlanParams, plan_day  # compiles
+    from ground_station.core.planning.day_planner import PlanParams, plan_day  # it compiles
 
     return plan_day(data, start, PlanParams("search", trials, seed))
 
 
 @dataclass(slots=True)
-class ReplannerAtOnce:
-    """In the caller's own time: for simulated days, where time stands meanwhile."""
+class InlineReplanner:
+    """Plans in the caller's thread: for simulated days, whose time stands still meanwhile."""
 
     seed: int = 0
     trials: int | None = None
-    plan: Callable[[DayData, DayState, int, int | None], DayPlan] = replanned
+    plan: Callable[[DayData, DayState, int, int | None], DayPlan] = make_plan
     _made: DayPlan | NoPlan | None = None
 
     def ask(self, data: DayData, start: DayState) -> None:
-        """Make it now."""
+        """Make the plan now."""
         try:
             self._made = self.plan(data, start, self.seed, self.trials)
         except LeewayError as error:
@@ -74,45 +74,45 @@ class ReplannerAtOnce:
         return made
 
     def close(self) -> None:
-        """Nothing is left."""
+        """Nothing runs."""
 
 
 LIMIT_S = 900.0
-"""A thousand customers take five minutes; what takes three times that has hung."""
+"""A thousand customers take five minutes; a planner that takes three times as long has hung."""
 END_S = 5.0
 
 
 class Readable(Protocol):
-    """This side's end of the pipe."""
+    """The desk's end of the pipe."""
 
     def poll(self) -> bool:
-        """Is there something, or the end?"""
+        """Whether there is something to read, or the end."""
         ...
 
     def recv(self) -> DayPlan | NoPlan:
-        """What was sent. Raises EOFError at the end."""
+        """What was sent. EOFError at the end."""
         ...
 
     def close(self) -> None:
-        """Read no more."""
+        """Close this end."""
         ...
 
 
-def _plan_beside(
+def _plan_in_process(
     pipe: Connection, data: DayData, start: DayState, seed: int, trials: int | None
 ) -> None:
-    """The planner's process: one plan, or why there is none, into the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the desk's, which ends this process
+    """The planner's process: puts one plan, or why there is none, into the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the desk, which ends this process
     threading.Thread(target=_end_with_the_desk, name="desk", daemon=True).start()
     try:
-        made: DayPlan | NoPlan = replanned(data, start, seed, trials)
+        made: DayPlan | NoPlan = make_plan(data, start, seed, trials)
     except LeewayError as error:
         made = NoPlan(str(error))
     pipe.send(made)
 
 
 def _end_with_the_desk() -> None:
-    """Also where it is killed: nobody would take the plan."""
+    """End with the desk, also where it is killed: nobody would take the plan."""
     desk = multiprocessing.parent_process()
     assert desk is not None
     desk.join()
@@ -120,11 +120,11 @@ def _end_with_the_desk() -> None:
 
 
 @dataclass(slots=True)
-class ReplannerBeside:
-    """In a process of its own for each plan: the desk goes on meanwhile, and ends it with itself.
+class ProcessReplanner:
+    """Plans in a process of its own, one for each plan; the desk goes on meanwhile.
 
-    While a plan is made the truck stays, so a process that dies or hangs must not hold the day: the
-    one is heard at once, the other is ended after `limit_s`.
+    The truck stays while a plan is made, so a process that dies or hangs must not hold up the day:
+    its death is noticed at once, and it is killed after `limit_s`.
     """
 
     clock: Clock
@@ -136,23 +136,23 @@ class ReplannerBeside:
     _asked_s: float = 0.0
 
     def ask(self, data: DayData, start: DayState) -> None:
-        """Begin."""
+        """Begin to plan."""
         self.close()
         spawn = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
         ours, theirs = spawn.Pipe(duplex=False)
         self._pipe = ours
         self.process = spawn.Process(
-            target=_plan_beside, args=(theirs, data, start, self.seed, self.trials), daemon=True
+            target=_plan_in_process, args=(theirs, data, start, self.seed, self.trials), daemon=True
         )
         self.process.start()
-        theirs.close()  # else the end of the process would not be heard
+        theirs.close()  # else the end of the process would not be noticed
         self._asked_s = self.clock.monotonic_s()
 
     def made(self) -> DayPlan | NoPlan | None:
         """The plan, once."""
         if self._pipe is None or self.process is None:
             return None
-        alive = self.process.is_alive()  # asked first: what it sent before it ended is there then
+        alive = self.process.is_alive()  # first: what it sent before its end is in the pipe then
         if alive and not self._pipe.poll():
             if self.clock.monotonic_s() - self._asked_s < self.limit_s:
                 return None

@@ -1,7 +1,7 @@
-"""A day with a truck at the running desk: what it sees becomes what `DayRun` decides, and that
-becomes transactions; plans are made anew.
+"""Dispatch of a day with a truck: drones ride on it, start from its stops and come back to it.
 
-Nothing here must survive a kill: plan, promises and orders to the truck are the store's.
+Each turn takes a snapshot of the day, lets `DispatchRules` decide, and carries out the actions as
+transactions. Plan, promises and the truck's orders are in the store; nothing here must survive.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,150 +11,162 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.active_plan import PlanInForce
-from ground_station.app.desk.day_tracker import DaySight
-from ground_station.core.dispatch.day_snapshot import DayView
-from ground_station.core.dispatch.depot_assignment import sortie_table
-from ground_station.core.dispatch.dispatch_rules import (
-    AskHome,
-    Away,
-    DayDeed,
-    DayRun,
-    DriveOn,
-    HomeIs,
-    Lapse,
-    LaunchFlight,
+from ground_station.app.desk.active_plan import ActivePlan
+from ground_station.app.desk.day_tracker import DayTracker
+from ground_station.app.desk.dispatcher import Progress
+from ground_station.core.dispatch.day_snapshot import DaySnapshot
+from ground_station.core.dispatch.dispatch_actions import (
+    AuthoriseLaunch,
+    ConfirmHomeChange,
+    DeclareOffSite,
+    DeclareOverdue,
+    DispatchAction,
+    DriveToStop,
     PutDroneOut,
     RecoverDrone,
+    RequestHomeChange,
     SendMission,
-    ServeHere,
-    TakeBack,
+    ServeOrder,
+    WithdrawAssignment,
 )
+from ground_station.core.dispatch.dispatch_rules import DispatchRules
+from ground_station.core.dispatch.flight_tables import sortie_table
 from ground_station.core.dispatch.replanning import candidate_pads
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import Picture
+from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.orders import AssignmentRow
 
-CHARGE_READ_FRAC = 0.05
-"""How well a resting voltage tells a charge; the companion finds out for itself before it flies."""
+CHARGE_ERROR_FRAC = 0.05
+"""Error of a charge read from the resting voltage; the companion checks it before the flight."""
 
 
 @dataclass(slots=True)
-class DayDesk:
-    """The truck's part of one desk."""
+class TruckDispatcher:
+    """`Dispatcher` for a day with a truck. `holds`: why the truck does not leave its stop now."""
 
     store: Store
     day: DayStore
-    plans: PlanInForce
+    active: ActivePlan
     clock: Clock
     say: Callable[[str], None]
     by: str = "desk"
     holds: list[str] = field(default_factory=list)
-    _sight: DaySight = field(init=False)
-    _made_for: int = -1
+    _tracker: DayTracker = field(init=False)
+    _made_for: int | None = None
     _airspace: Airspace | None = None
     _reach: dict[str, Reach] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._sight = DaySight(self.store, self.day, self.plans, self.clock)
+        self._tracker = DayTracker(self.store, self.day, self.active, self.clock)
 
     @property
-    def view(self) -> DayView | None:
-        """The day as it was seen last."""
-        return self._sight.view
+    def snapshot(self) -> DaySnapshot | None:
+        """The last snapshot of the day."""
+        return self._tracker.snapshot
 
-    def hear(self, state: State) -> None:
-        """Take what a member tells."""
-        self._sight.hear(state)
+    def begin(self) -> None:
+        """Nothing: the store has everything."""
 
-    def turn(self, picture: Picture, *, stirred: bool) -> bool:
-        """Do what is due; whether anything was. `stirred`: the store may have changed."""
-        sight = self._sight
-        if stirred:
-            sight.forget_rows()
-        sight.forget_old_rows()
-        view = sight.look(picture)
-        truck = view.truck
-        self._note_energies(view)
+    def on_state(self, state: State) -> None:
+        """Take a state that a drone or the truck has published."""
+        self._tracker.on_state(state)
+
+    def on_ready(self, assignment: AssignmentRow) -> None:
+        """Nothing: launches are due by the plan, in `turn`."""
+
+    def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
+        """Do everything that is due now."""
+        tracker = self._tracker
+        if changed:
+            tracker.reload()
+        tracker.reload_old()
+        snapshot = tracker.observe(status)
+        truck = snapshot.truck
+        self._note_energies(snapshot)
         if truck is None:
-            return False
-        self.plans.mind(view, sight.measured_wind)
-        self._forget_what_was_made_for_another_plan()
-        if self.plans.is_asked and not view.replanning:
-            view = sight.view = replace(view, replanning=True)  # asked just now: the truck stays
-        run = DayRun(self.plans.params, self._may_launch, self._charged)
-        deeds = run.decide(view)
-        for deed in deeds:
-            self._carry_out(deed)
-        if deeds:
-            sight.forget_rows()
-        self.holds = run.holds(view)
-        under_way = view.here is None or bool(self.holds)
-        return bool(deeds) or view.replanning or (truck.present and under_way)
+            return Progress.NONE
+        self.active.review(snapshot, tracker.forecast_now)
+        self._forget_other_plans()
+        if self.active.is_replanning and not snapshot.replanning:
+            # Asked for just now: the truck stays from this turn on.
+            snapshot = tracker.snapshot = replace(snapshot, replanning=True)
+        rules = DispatchRules(self.active.params, self._may_launch, self._charged)
+        actions = rules.decide(snapshot)
+        for action in actions:
+            self._carry_out(action)
+        if actions:
+            tracker.reload()
+        self.holds = rules.holds(snapshot)
+        waits = truck.present and (snapshot.here is None or bool(self.holds))
+        under_way = bool(actions) or snapshot.replanning or waits
+        return Progress.UNDER_WAY if under_way else Progress.NONE
 
-    def _forget_what_was_made_for_another_plan(self) -> None:
-        if self._made_for != self.plans.changed:
-            self._made_for, self._airspace = self.plans.changed, None
+    def _forget_other_plans(self) -> None:
+        """What was worked out for an earlier plan."""
+        if self._made_for != self.active.version:
+            self._made_for, self._airspace = self.active.version, None
             self._reach.clear()
-            self._sight.forget_rows()
+            self._tracker.reload()
 
-    def _note_energies(self, view: DayView) -> None:
-        for row in view.sorties:
-            used_wh = self._sight.energy_used_wh(row.id) if row.over else None
+    def _note_energies(self, snapshot: DaySnapshot) -> None:
+        for row in snapshot.sorties:
+            used_wh = self._tracker.energy_used_wh(row.id) if row.over else None
             if used_wh is not None:
                 self.day.note(row.id, used_wh=used_wh)
 
-    def _carry_out(self, deed: DayDeed) -> None:
-        """One transaction; what is to be said of it, where it was one."""
-        words = self._done(deed)
+    def _carry_out(self, action: DispatchAction) -> None:
+        """One transaction, and what the operator should be told of it."""
+        words = self._done(action)
         if words:
             self.say(words)
 
-    def _done(self, deed: DayDeed) -> str | None:
+    def _done(self, action: DispatchAction) -> str | None:
         day, by = self.day, self.by
-        match deed:
+        match action:
             case PutDroneOut():
-                return self._put_out(deed.sortie)
+                return self._put_out(action.sortie)
             case SendMission():
-                done = day.release(deed.assignment)
-                return f"{deed.assignment}: on its pad" if done else None
-            case LaunchFlight():
-                done = self.store.launch(deed.assignment, by)
-                return f"{deed.assignment}: launch ordered" if done else None
-            case TakeBack():
-                done = day.withdraw(deed.assignment, by, deed.why)
-                return f"{deed.assignment}: withdrawn: {deed.why}" if done else None
+                done = day.release(action.assignment)
+                return f"{action.assignment}: on its pad" if done else None
+            case AuthoriseLaunch():
+                done = self.store.launch(action.assignment, by)
+                return f"{action.assignment}: launch ordered" if done else None
+            case WithdrawAssignment():
+                done = day.withdraw(action.assignment, by, action.why)
+                return f"{action.assignment}: withdrawn: {action.why}" if done else None
             case RecoverDrone():
-                done = day.recover(deed.assignment, deed.pad, by)
-                return f"{deed.assignment}: to be taken aboard" if done else None
-            case AskHome():
-                done = day.ask_home(deed.assignment, deed.stop, by)
-                return f"{deed.assignment}: asked to {deed.stop}: {deed.why}" if done else None
-            case HomeIs():
-                done = day.home_is(deed.assignment, deed.stop)
-                return f"{deed.assignment}: its home is {deed.stop} now" if done else None
-            case Lapse():
-                day.note(deed.assignment, lapsed=True)
-                return f"{deed.assignment}: not heard for longer than it can fly: look for it"
-            case Away():
-                day.note(deed.assignment, away=True)
-                return f"{deed.assignment}: down, but at none of the truck's stops: fetch it"
-            case ServeHere():
-                id_ = self.day.serve(deed.order, by)
-                return f"truck: to bring {deed.order} ({id_})" if id_ else None
-            case DriveOn():
-                done = day.drive(deed.here, deed.stop, by)
-                return f"truck: from {deed.here} to {deed.stop.id}" if done else None
+                done = day.recover(action.assignment, action.pad, by)
+                return f"{action.assignment}: recovery ordered" if done else None
+            case RequestHomeChange():
+                id_, stop = action.assignment, action.stop
+                done = day.ask_home(id_, stop, by)
+                return f"{id_}: asked to land at {stop}: {action.why}" if done else None
+            case ConfirmHomeChange():
+                done = day.home_is(action.assignment, action.stop)
+                return f"{action.assignment}: its home is now {action.stop}" if done else None
+            case DeclareOverdue():
+                day.note(action.assignment, lapsed=True)
+                return f"{action.assignment}: overdue: not heard for longer than it can fly"
+            case DeclareOffSite():
+                day.note(action.assignment, away=True)
+                return f"{action.assignment}: down, but at none of the truck's stops: fetch it"
+            case ServeOrder():
+                id_ = self.day.serve(action.order, by)
+                return f"truck: to bring {action.order} ({id_})" if id_ else None
+            case DriveToStop():
+                done = day.drive(action.here, action.stop, by)
+                return f"truck: from {action.here} to {action.stop.id}" if done else None
 
     def _put_out(self, sortie: PlannedSortie) -> str | None:
-        data = self.plans.data
+        data = self.active.data
         order = next((o for o in data.orders if o.id == sortie.order), None)
         drone = data.day.drone(sortie.vehicle)
         if order is None or drone is None:
             return None
-        pads = candidate_pads(self.plans.plan, sortie, self.plans.stops)
+        pads = candidate_pads(self.active.plan, sortie, self.active.stops)
         table = sortie_table(data.day, drone, order, sortie, pads)
         id_ = self.day.assign(
             sortie, pads, lambda assignment: table | {"name": assignment}, data.no_fly, self.by
@@ -163,22 +175,22 @@ class DayDesk:
 
     def _may_launch(self, sortie: PlannedSortie, in_air: Sequence[PlannedSortie]) -> str | None:
         if self._airspace is None:
-            self._airspace = Airspace(self.plans.data)
+            self._airspace = Airspace(self.active.data)
         try:
-            return self._airspace.may_launch(sortie, in_air, self.plans.stops)
-        except KeyError as missing:  # a pad that no plan has: nobody can say that they stay apart
+            return self._airspace.may_launch(sortie, in_air, self.active.stops)
+        except KeyError as missing:  # a pad of no plan: separation cannot be checked
             return f"unknown pad {missing}"
 
     def _charged(self, sortie: PlannedSortie, charge_frac: float) -> bool:
         reach = self._reach.get(sortie.vehicle) or self._reach_of(sortie.vehicle)
-        order = next((o for o in self.plans.data.orders if o.id == sortie.order), None)
+        order = next((o for o in self.active.data.orders if o.id == sortie.order), None)
         if order is None:
             return False
-        read_frac = min(1.0, charge_frac + CHARGE_READ_FRAC)
+        read_frac = min(1.0, charge_frac + CHARGE_ERROR_FRAC)
         return reach.budget_wh(order.mass_kg, read_frac)[0] >= sortie.sure_wh
 
     def _reach_of(self, vehicle: str) -> Reach:
-        data = self.plans.data
+        data = self.active.data
         day, drone = data.day, data.day.drone(vehicle)
         assert drone is not None
         airframe = data.airframes[drone.airframe]
@@ -187,18 +199,24 @@ class DayDesk:
         return self._reach[vehicle]
 
     @property
-    def is_over(self) -> bool:
-        """The truck stands at its last stop and nothing is left that the plan would do."""
-        view = self.view
-        if view is None or view.here is None or view.replanning or self.holds:
+    def is_done(self) -> bool:
+        """Whether the truck stands at its last stop and nothing of the plan is left."""
+        snapshot = self.snapshot
+        if snapshot is None or snapshot.here is None or snapshot.replanning or self.holds:
             return False
-        taken_meanwhile = self._sight.still_open() != view.open
-        if taken_meanwhile:
+        if self._tracker.still_open() != snapshot.open:  # new orders have come
             return False
-        last = view.plan.stops[-1].id == view.here.id
-        under_way = any(not (row.aboard or row.gone) for row in view.sorties)
-        return last and not under_way and not self.plans.is_wanted(view)
+        last = snapshot.plan.stops[-1].id == snapshot.here.id
+        under_way = any(not (row.aboard or row.gone) for row in snapshot.sorties)
+        return last and not under_way and not self.active.is_wanted(snapshot)
+
+    def why_left(self, order_id: str) -> str | None:
+        """What the plan says of an order that nobody can bring."""
+        for line in self.active.plan.unplanned:
+            if line.order == order_id:
+                return f"{line.why}; possible with {line.remedy}"
+        return None
 
     def close(self) -> None:
-        """Give up a plan that is being made."""
-        self.plans.close()
+        """Give up the plan that is being made."""
+        self.active.close()

@@ -11,11 +11,11 @@ from matplotlib.patches import Polygon
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
 from companion.core.mission.flight_plan import frame_at
-from ground_station.core.feasibility.obstacle_routes import Ways
+from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.order_parsing import place_of
+from ground_station.core.schema.orders import place_of
 
 COLOURS = (
     "tab:blue",
@@ -91,7 +91,7 @@ def _draw_sorties(axes: Axes, frame: LocalFrame, data: DayData, plan: DayPlan) -
         label = None if drone in named else drone
         named.add(drone)
         points = np.array([launch, customer, home])[:, :2]
-        ways = Ways(obstacles, points, data.day.mission.cruise_height_m)
+        ways = ObstacleRoutes(obstacles, points, data.day.mission.cruise_height_m)
         for start, end, style in ((0, 1, "-"), (1, 2, "--")):
             way = np.array([points[start], *ways.via(start, end), points[end]])
             shown = label if style == "-" else None

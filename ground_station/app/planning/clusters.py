@@ -14,14 +14,14 @@ from ground_station.core.clustering.energies import energy_matrix
 from ground_station.core.clustering.methods import conditioned, k_means, no_clusters
 from ground_station.core.clustering.problem import (
     Clustered,
+    ClusteringProblem,
     Conditions,
     Method,
-    Problem,
     faults,
     repair,
 )
 from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
-from ground_station.core.dispatch.depot_assignment import Chooser
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
@@ -34,10 +34,10 @@ site, whose longest side is 60 m, on legs of 100 to 300 m.
 """
 
 
-def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> Problem:
+def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> ClusteringProblem:
     """The drones' orders of a day as a clustering problem."""
     orders = [order for order in data.orders if order.service is not Service.TRUCK]
-    chooser = Chooser(data.day, data.airframes)
+    chooser = DepotAssigner(data.day, data.airframes)
     places = [chooser.ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
     airframe = data.airframes[drone.airframe]
@@ -54,7 +54,7 @@ def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> Pro
         voltage_v=voltage_v,
         obstacle_frac=float(lines.mean()) if lines.size else 0.0,
     )
-    return Problem(
+    return ClusteringProblem(
         ids=tuple(order.id for order in orders),
         places_ne_m=places_ne_m,
         mass_kg=mass_kg,
@@ -65,7 +65,9 @@ def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> Pro
     )
 
 
-def cluster_by_llm(problem: Problem, params: LlmParams, log: Path | None = None) -> Clustered:
+def cluster_by_llm(
+    problem: ClusteringProblem, params: LlmParams, log: Path | None = None
+) -> Clustered:
     """What the model proposes, checked and repaired; ours where it proposes nothing usable.
 
     Prompt, answer and repair are appended to `log`, a JSON line each time.

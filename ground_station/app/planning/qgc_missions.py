@@ -11,7 +11,7 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from ground_station.adapters.files.plan_files import write_json
-from ground_station.core.planning.sortie_flight import flight_of
+from ground_station.core.dispatch.flight_tables import planned_flight
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 
@@ -23,16 +23,16 @@ def write_missions(data: DayData, plan: DayPlan, folder: Path) -> int:
     except OSError as error:
         raise LeewayError(f"{folder}: {error.strerror}") from error
     for sortie in plan.sorties:
-        flown = planned_flight(data, plan, sortie)
+        flown = companion_plan(data, plan, sortie)
         speeds = data.airframes[_airframe(data, sortie)].speeds
         document = plan_document(_items(flown), flown.site.frame, "px4", speeds.cruise_airspeed_mps)
         write_json(folder / f"{sortie.order}.plan", document)
     return len(plan.sorties)
 
 
-def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> FlightPlan:
+def companion_plan(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> FlightPlan:
     """The sortie as its companion plans it on the ground, with a full pack and no wind known."""
-    flight = flight_of(data, plan, sortie)
+    flight = planned_flight(data, plan, sortie)
     depot = flight.site.depot
     if depot is None:
         raise LeewayError(f"{sortie.order}: a flight without a launch pad")

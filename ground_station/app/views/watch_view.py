@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.core.fleet.fleet_status import Picture, VehicleSeen
+from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
@@ -71,7 +71,7 @@ def _clock(seconds: float) -> str:
 
 
 def watch_view(
-    picture: Picture,
+    picture: FleetStatus,
     rows: list[AssignmentRow],
     orders: list[OrderRow],
     t_s: float,
@@ -112,7 +112,7 @@ def _title(orders: list[OrderRow], day: DayShown | None) -> str:
 
 
 def _below(
-    picture: Picture, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
+    picture: FleetStatus, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
 ) -> Iterator[str]:
     yield from (f"LOOK: {words}" for words in wrong)
     stuck = [row for row in orders if row.state is OrderState.STUCK]
@@ -135,7 +135,7 @@ def _below(
 class _Line:
     """One vehicle."""
 
-    seen: VehicleSeen
+    seen: VehicleStatus
     row: AssignmentRow | None
     day: DayShown | None
     t_s: float

@@ -51,7 +51,7 @@ class CheckedProblem:
         return 0 if node == self.end else node
 
 
-def faults_of(problem: CheckedProblem, row: Row) -> list[str]:
+def violations_of(problem: CheckedProblem, row: Row) -> list[str]:
     """Everything that the rules forbid in this row; nothing where it is right."""
     route, sorties = row["truck_route"], row["sorties"]
     faults = [*_route_faults(problem, route, sorties)]

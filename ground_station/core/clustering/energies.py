@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Need, Reach
+from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, SortieNeed
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def _of_class(
     return np.where(flyable & (spare_wh >= 0.0), mean_wh, np.inf)
 
 
-def _sortie(reach: Reach, payload_kg: float, length_m: float, course_rad: float) -> Need:
+def _sortie(reach: Reach, payload_kg: float, length_m: float, course_rad: float) -> SortieNeed:
     there = (length_m * math.cos(course_rad), length_m * math.sin(course_rad), 0.0)
     return reach.need(payload_kg, (0.0, 0.0, 0.0), there, (0.0, 0.0, 0.0))
 
@@ -79,8 +79,8 @@ def _along(
     fan: FloatArray,
     course: FloatArray,
     length_m: FloatArray,
-    short: list[Need],
-    long: list[Need],
+    short: list[SortieNeed],
+    long: list[SortieNeed],
     name: str,
 ) -> FloatArray:
     """A straight line in length through both sorties of each course."""

@@ -7,7 +7,7 @@ from scipy.cluster.vq import kmeans2
 from ground_station.core.clustering.problem import (
     Cluster,
     Clustered,
-    Problem,
+    ClusteringProblem,
     clusters_of,
     faults,
     repair,
@@ -18,14 +18,14 @@ OUT_OF_REACH_WH = 1e6
 """What a delivery out of reach counts as while stops are chosen: worse than any sum of others."""
 
 
-def no_clusters(problem: Problem) -> Clustered:
+def no_clusters(problem: ClusteringProblem) -> Clustered:
     """All customers in one group, reach and capacity notwithstanding."""
     if not problem.ids:
         return Clustered((), "none")
     return Clustered((Cluster(problem.ids[0], problem.ids),), "none")
 
 
-def k_means(problem: Problem) -> Clustered:
+def k_means(problem: ClusteringProblem) -> Clustered:
     """Lloyd's k-means over metres (scipy), started from customers far apart; then repaired.
 
     It knows nothing of wind, energy or load: what of its groups will not do is repaired, and said.
@@ -40,7 +40,7 @@ def k_means(problem: Problem) -> Clustered:
     return _done(problem, clusters_of(problem, stops, label.astype(np.intp)), "k-means")
 
 
-def conditioned(problem: Problem) -> Clustered:
+def conditioned(problem: ClusteringProblem) -> Clustered:
     """Ours: k-medoids over the energy of each delivery from each possible stop.
 
     `energy_wh` holds the four conditions: wind (out against it, loaded, costs more than home),
@@ -67,7 +67,7 @@ def conditioned(problem: Problem) -> Clustered:
     return _done(problem, clusters_of(problem, stops, label), "ours")
 
 
-def _done(problem: Problem, clusters: tuple[Cluster, ...], method: str) -> Clustered:
+def _done(problem: ClusteringProblem, clusters: tuple[Cluster, ...], method: str) -> Clustered:
     wrong = faults(problem, clusters)
     if not wrong:
         return Clustered(clusters, method)

@@ -25,7 +25,7 @@ class Conditions:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ClusteringProblem:
     """Customers by id: `places_ne_m` (n, 2), `mass_kg` (n,), and `energy_wh` (n, n): a delivery to
     j launched and landed at i, infinite where it is out of reach at the accepted loss.
     """
@@ -69,10 +69,10 @@ class Clustered:
 class Method(Protocol):
     """One way to cluster; the same problem gives the same answer."""
 
-    def __call__(self, problem: Problem) -> Clustered: ...
+    def __call__(self, problem: ClusteringProblem) -> Clustered: ...
 
 
-def faults(problem: Problem, clusters: tuple[Cluster, ...]) -> list[str]:
+def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[str]:
     """Everything that is wrong with clusters: each customer once, capacity, reach."""
     known = problem.index()
     found: list[str] = []
@@ -102,7 +102,7 @@ def faults(problem: Problem, clusters: tuple[Cluster, ...]) -> list[str]:
     return found
 
 
-def repair(problem: Problem, clusters: tuple[Cluster, ...]) -> tuple[Cluster, ...]:
+def repair(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> tuple[Cluster, ...]:
     """The nearest clusters that will do: what is wrong is taken out and put where it costs least.
 
     A customer that no stop reaches within capacity gets a cluster of its own.
@@ -129,7 +129,7 @@ def repair(problem: Problem, clusters: tuple[Cluster, ...]) -> tuple[Cluster, ..
     )
 
 
-def _that_fit(problem: Problem, stop: int, members: list[int]) -> list[int]:
+def _that_fit(problem: ClusteringProblem, stop: int, members: list[int]) -> list[int]:
     """The stop itself, then the cheapest others, as far as reach and capacity go."""
     kept, mass_kg = [stop], float(problem.mass_kg[stop])
     for i in sorted(members, key=lambda i: (problem.energy_wh[stop, i], i)):
@@ -142,7 +142,7 @@ def _that_fit(problem: Problem, stop: int, members: list[int]) -> list[int]:
     return kept
 
 
-def _put(problem: Problem, groups: list[tuple[int, list[int]]], i: int) -> None:
+def _put(problem: ClusteringProblem, groups: list[tuple[int, list[int]]], i: int) -> None:
     """Into the cheapest cluster that can take it, else into one of its own."""
     best, best_wh = None, np.inf
     for number, (stop, members) in enumerate(groups):
@@ -156,14 +156,16 @@ def _put(problem: Problem, groups: list[tuple[int, list[int]]], i: int) -> None:
         groups[best][1].append(i)
 
 
-def _medoid(problem: Problem, members: list[int]) -> int:
+def _medoid(problem: ClusteringProblem, members: list[int]) -> int:
     """The member from which all are served most cheaply; what it cannot reach costs a lot."""
     energy = problem.energy_wh[np.ix_(members, members)]
     costly = np.where(np.isfinite(energy), energy, 1e9).sum(axis=1)
     return members[int(np.argmin(costly))]
 
 
-def clusters_of(problem: Problem, stops: list[int], label: NDArray[np.intp]) -> tuple[Cluster, ...]:
+def clusters_of(
+    problem: ClusteringProblem, stops: list[int], label: NDArray[np.intp]
+) -> tuple[Cluster, ...]:
     """Clusters from an assignment of customers to stops; empty ones are left out."""
     found: list[Cluster] = []
     for number, stop in enumerate(stops):

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from ground_station.core.clustering.problem import Cluster, Problem
+from ground_station.core.clustering.problem import Cluster, ClusteringProblem
 
 SYSTEM = """You group the customers of one day's drone deliveries. A truck stops at one customer of
 each group; drones fly from that stop to the group's other customers and back. Weigh four factors:
@@ -53,7 +53,7 @@ class _Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clusters: list[_Group]
 
 
-def user_message(problem: Problem) -> str:
+def user_message(problem: ClusteringProblem) -> str:
     """The problem as JSON: conditions, and each customer's alias, place and mass."""
     seen = problem.conditions
     table = {
@@ -76,7 +76,7 @@ def alias(index: int) -> str:
     return f"c{index + 1}"
 
 
-def clusters_from(text: str, problem: Problem) -> tuple[Cluster, ...] | str:
+def clusters_from(text: str, problem: ClusteringProblem) -> tuple[Cluster, ...] | str:
     """The model's groups with the real ids; or in words why its answer is none.
 
     Unknown aliases stay as they are: `faults` names them and `repair` takes them out.

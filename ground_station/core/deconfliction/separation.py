@@ -22,7 +22,7 @@ SLACK_S = 30.0
 
 
 @dataclass(frozen=True)
-class Filled:
+class OperationalVolume:
     """What one sortie may fill: `ground_ne_m` are the points between which it moves level,
     `columns_ne_m` where it goes up and down; heights above the depot. Times as planned.
     """
@@ -48,7 +48,7 @@ class Filled:
 
 
 @dataclass(frozen=True, slots=True)
-class Near:
+class Proximity:
     """What of two sorties comes near one another as seen from above."""
 
     layers: bool
@@ -57,7 +57,7 @@ class Near:
     """A column of the second stands under the first's way: the first must be the higher one."""
     under_second: bool
 
-    def clash(self, first: tuple[float, float], second: tuple[float, float]) -> str | None:
+    def conflict(self, first: tuple[float, float], second: tuple[float, float]) -> str | None:
         """Why they cannot both be in the air in these layers (lowest, highest); None: they can."""
         if self.columns:
             return "they go up and down too near one another"
@@ -74,9 +74,9 @@ def _above(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return one[0] >= other[1] + LAYER_GAP_M - 1e-6
 
 
-def near(first: Filled, second: Filled) -> Near:
+def proximity(first: OperationalVolume, second: OperationalVolume) -> Proximity:
     """What of these two comes near."""
-    return Near(
+    return Proximity(
         layers=_close(first.ground, second.ground),
         columns=_close(first.columns, second.columns),
         under_first=_close(first.ground, second.columns),
@@ -88,13 +88,13 @@ def _close(one: shapely.Geometry, other: shapely.Geometry) -> bool:
     return bool(shapely.dwithin(one, other, APART_M))
 
 
-def clash(first: Filled, second: Filled) -> str | None:
+def conflict(first: OperationalVolume, second: OperationalVolume) -> str | None:
     """Why these two cannot be in the air at once; None: they can."""
     layers = (first.low_m, first.high_m), (second.low_m, second.high_m)
-    return near(first, second).clash(*layers)
+    return proximity(first, second).conflict(*layers)
 
 
-def may_launch(sortie: Filled, in_air_now: Iterable[Filled]) -> str | None:
+def may_launch(sortie: OperationalVolume, in_air_now: Iterable[OperationalVolume]) -> str | None:
     """The desk's last check: why this one must wait; None: it may go, whatever the others do.
 
     The same check, with the sortie as it would be then, is asked before its home is moved.
@@ -102,7 +102,7 @@ def may_launch(sortie: Filled, in_air_now: Iterable[Filled]) -> str | None:
     for other in in_air_now:
         if other.vehicle == sortie.vehicle:
             return f"{sortie.vehicle} is in the air already, with {other.order}"
-        why = clash(sortie, other)
+        why = conflict(sortie, other)
         if why is not None:
             return f"{other.vehicle} with {other.order} is in the air: {why}"
     return None

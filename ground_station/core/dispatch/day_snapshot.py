@@ -1,4 +1,4 @@
-"""What the desk knows of a day with a truck, now: the store's rows and the live picture."""
+"""One moment of a day with a truck: the store's rows and the fleet's status."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,30 +9,8 @@ from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 
 @dataclass(frozen=True, slots=True)
-class DayRunParams:
-    """When the desk departs from the plan. `late_s`: the truck is so much later than planned;
-    `silent_s`: a drone says nothing; `take_off_s`: a launched drone leaves the ground in this time;
-    `lapse_s`: after its launch no drone can still be in the air (its time limit, and more);
-    `ready_s`: put on its pad, a drone is ready in this time, or taken back; `replan_tries`: so
-    often a planner whose process ends without an answer is asked about one reason,
-    `replan_again_s` apart.
-    """
-
-    late_s: float = 120.0
-    silent_s: float = 60.0
-    take_off_s: float = 60.0
-    lapse_s: float = 2100.0
-    move_home_s: float = 60.0
-    replan_again_s: float = 60.0
-    replan_tries: int = 3
-    launches: int = 3
-    ready_s: float = 300.0
-    wind_sigmas: float = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class TruckView:
-    """The truck as it was last heard."""
+class TruckStatus:
+    """The truck by its last state."""
 
     present: bool
     driving: bool
@@ -40,9 +18,11 @@ class TruckView:
 
 
 @dataclass(frozen=True, slots=True)
-class DroneView:
-    """A drone as it was last heard. `idle`: stands by, disarmed; `ready`: its assignment waits for
-    its launch; `off_ground`: it has left its pad. `silent_s` None: never heard.
+class DroneStatus:
+    """A drone by its last state.
+
+    `idle`: on standby, disarmed. `ready`: its assignment waits for the launch. `off_ground`: it has
+    left its pad. `silent_s`: since its last state; None: there was none.
     """
 
     vehicle: str
@@ -60,20 +40,22 @@ class DroneView:
 
 
 @dataclass(frozen=True, slots=True)
-class DayView:
-    """The day now. `now_s`: since it began; `open`: orders that nobody has; `told`: the stop that
-    the truck was last told to drive to. `wind_off_sigmas`: how far the measured wind is from the
-    planned one, in the forecast's standard deviations; `tried_s`: when a new plan was made last,
-    and `tried` from what (`situation` then);
-    `desk_from_s`: since when this desk listens;
-    `waited_s`: how long each drone on its pad has not been ready, by assignment.
+class DaySnapshot:
+    """The day now; `now_s` counts from its beginning.
+
+    `open`: orders without an assignment. `told`: the stop that the truck was last told to drive to.
+    `serves`: the driver's own deliveries. `replanning`: a new plan is being made. `tried_s`: when
+    the last re-planning ended, and `tried`: from which `situation`. `waited_s`: by assignment, how
+    long a drone on its pad has not been ready. `wind_off_sigmas`: distance of the measured wind
+    from the planned one, in the forecast's standard deviations. `desk_from_s`: since when this desk
+    listens.
     """
 
     now_s: float
     began_us: int
     plan: DayPlan
-    truck: TruckView | None
-    drones: Mapping[str, DroneView]
+    truck: TruckStatus | None
+    drones: Mapping[str, DroneStatus]
     open: frozenset[str]
     sorties: tuple[SortieRow, ...]
     serves: tuple[AssignmentRow, ...]
@@ -81,23 +63,23 @@ class DayView:
     visits: Mapping[str, Visit] = field(default_factory=dict)
     replanning: bool = False
     plan_made_s: float = 0.0
-    tried_s: float = -1e9
+    tried_s: float | None = None
     tried: object = None
     waited_s: Mapping[str, float] = field(default_factory=dict)
     wind_off_sigmas: float = 0.0
     desk_from_s: float = 0.0
 
-    def drone(self, vehicle: str) -> DroneView:
-        """A drone, heard or not."""
-        return self.drones.get(vehicle) or DroneView(vehicle)
+    def drone(self, vehicle: str) -> DroneStatus:
+        """The status of a drone, heard or not."""
+        return self.drones.get(vehicle) or DroneStatus(vehicle)
 
     def day_s(self, epoch_us: int) -> float:
-        """A stamp as seconds of the day."""
+        """A time stamp as seconds of the day."""
         return (epoch_us - self.began_us) / 1e6
 
     @property
     def index(self) -> int | None:
-        """Where in the plan the truck stands, or drives to; None: not in it, or not heard."""
+        """The number of the stop where the truck is or drives to; None: not in the plan."""
         if self.truck is None:
             return None
         ids = [stop.id for stop in self.plan.stops]
@@ -105,14 +87,14 @@ class DayView:
 
     @property
     def here(self) -> PlannedStop | None:
-        """The stop where the truck stands, heard just now, and not told to leave; else None."""
+        """The stop where the truck stands: heard just now and not told to leave; else None."""
         truck, index = self.truck, self.index
         if truck is None or index is None or not truck.present or truck.driving:
             return None
         return self.plan.stops[index] if self.told in (None, truck.stop) else None
 
     def out(self, vehicle: str) -> str | None:
-        """Why a drone is out of service; None: it is not."""
+        """Why a drone is out of service; None: it is in service."""
         if self.drone(vehicle).doubtful:
             return "doubtful"
         mine = [row for row in self.sorties if row.vehicle == vehicle]
@@ -125,20 +107,19 @@ class DayView:
         return None
 
     def free(self, vehicle: str) -> bool:
-        """It is on the truck with a fresh pack."""
+        """Whether a drone is on the truck, with a fresh pack, and in service."""
         mine = [row for row in self.sorties if row.vehicle == vehicle]
         return all(row.aboard for row in mine) and self.out(vehicle) is None
 
     def pending(self) -> list[PlannedSortie]:
-        """Planned flights that are still to be begun, as they are to be launched."""
+        """Planned sorties that are not begun, in order of launch."""
         begun = [row.sortie for row in self.sorties]
         left = [s for s in self.plan.sorties if s.order in self.open and s not in begun]
         return sorted(left, key=lambda s: s.launch_s)
 
     @property
     def situation(self) -> object:
-        """All that a plan is made from, but for the clock: where the truck is, what is open, what
-        became of each flight, who is out of service."""
+        """Everything that a plan depends on, except the time: to compare, nothing else."""
         truck = self.truck
         flights = [
             (row.id, row.row.state, row.aboard, row.gone, row.promised, row.asked)
@@ -149,7 +130,7 @@ class DayView:
         return where, self.open, tuple(flights), out
 
     def lands_s(self, row: SortieRow) -> float:
-        """When a flight is expected to be down: as long after its launch as planned."""
+        """Expected touchdown of a sortie: as long after its launch as planned."""
         if row.launched_us is None:
             return self._would_land_s(row.sortie)
         return self.day_s(row.launched_us) + row.sortie.land_s - row.sortie.launch_s
@@ -158,12 +139,12 @@ class DayView:
         return max(self.now_s, sortie.launch_s) + sortie.land_s - sortie.launch_s
 
     def serving(self) -> bool:
-        """The driver has orders in hand."""
+        """Whether the driver is bringing an order."""
         return any(row.state in IN_FORCE for row in self.serves)
 
     def held_s(self) -> float:
-        """How much later than planned the truck leaves where it stands, for flights that are still
-        to land there: in the air, on their pads, or planned (negative: none so late).
+        """How much later than planned the truck leaves its stop because of drones that still land
+        there: in the air, on their pads, or planned. Negative: they land earlier than that.
         """
         here = self.here
         if here is None:
@@ -175,14 +156,12 @@ class DayView:
         return max(lands_s, default=here.depart_s) - here.depart_s
 
     def _is_or_comes(self, vehicle: str, stop: str) -> bool:
-        """Whether a drone is on the truck, or ends its flight at this stop: else no plan can use it
-        here, and nothing may wait for it.
-        """
+        """Whether a drone is on the truck or lands at this stop: nothing may wait for another."""
         mine = [row for row in self.sorties if row.vehicle == vehicle and not row.aboard]
         return self.out(vehicle) is None and all(row.promised == stop for row in mine)
 
     def delay_s(self) -> float:
-        """How much later (negative: earlier) the truck is than planned."""
+        """Delay of the truck against the plan; negative: it is early."""
         index = self.index
         if self.truck is None or index is None:
             return 0.0

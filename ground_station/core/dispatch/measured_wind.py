@@ -1,4 +1,4 @@
-"""The wind as the fleet measures it now, against the wind that the day was planned with."""
+"""The wind that the fleet measures now, against the forecast that the day was planned with."""
 
 import math
 from collections import deque
@@ -7,31 +7,33 @@ from dataclasses import dataclass, field
 from ground_station.core.schema.day import Forecast
 
 WINDOW_S = 120.0
-LEAST_S = 60.0
-"""Gusts and turns even out over this; the companions' own filters remember half a minute."""
+MIN_SPAN_S = 60.0
+"""Gusts and turns average out over this time; the companions' filters remember half a minute."""
 
 
 @dataclass(slots=True)
 class MeasuredWind:
-    """Winds told by drones in flight, of the last two minutes."""
+    """Winds that drones in flight have reported in the last two minutes."""
 
-    _told: deque[tuple[float, float, float]] = field(default_factory=deque)
+    _samples: deque[tuple[float, float, float]] = field(default_factory=deque)
 
-    def hear(self, t_s: float, to_n_mps: float, to_e_mps: float) -> None:
-        """A drone in flight tells its wind."""
-        self._told.append((t_s, to_n_mps, to_e_mps))
+    def add(self, t_s: float, to_n_mps: float, to_e_mps: float) -> None:
+        """Add the wind that a drone in flight reports: where the air moves to."""
+        self._samples.append((t_s, to_n_mps, to_e_mps))
 
     def mean_to_ne_mps(self, t_s: float) -> tuple[float, float] | None:
-        """Where the air moves to; None: too little was told."""
-        while self._told and t_s - self._told[0][0] > WINDOW_S:
-            self._told.popleft()
-        if not self._told or self._told[-1][0] - self._told[0][0] < LEAST_S:
+        """The mean, where the air moves to; None: too few reports."""
+        while self._samples and t_s - self._samples[0][0] > WINDOW_S:
+            self._samples.popleft()
+        if not self._samples or self._samples[-1][0] - self._samples[0][0] < MIN_SPAN_S:
             return None
-        count = len(self._told)
-        return sum(w[1] for w in self._told) / count, sum(w[2] for w in self._told) / count
+        count = len(self._samples)
+        return sum(w[1] for w in self._samples) / count, sum(w[2] for w in self._samples) / count
 
     def off_sigmas(self, t_s: float, forecast: Forecast) -> float:
-        """How far from the forecast, in its standard deviations; 0 where too little was told."""
+        """Distance from the forecast in its standard deviations; 0 where there are too few
+        reports.
+        """
         mean = self.mean_to_ne_mps(t_s)
         if mean is None:
             return 0.0
@@ -39,7 +41,7 @@ class MeasuredWind:
         return math.hypot(mean[0] - north, mean[1] - east) / forecast.std_mps
 
     def forecast(self, t_s: float, before: Forecast) -> Forecast:
-        """To plan with from now; as wrong as the forecast was said to be."""
+        """The forecast to plan with from now on; its standard deviation is the old one's."""
         mean = self.mean_to_ne_mps(t_s)
         if mean is None:
             return before

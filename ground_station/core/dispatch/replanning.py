@@ -1,6 +1,6 @@
-"""When a day with a truck is planned anew, from which state, and whether the new plan may be taken.
+"""Re-planning of a day with a truck: when, from which state, and whether a new plan is acceptable.
 
-Promises bind whatever the plan is; a new plan goes on behind the last of them.
+Promises bind whatever the plan says: a new plan begins after the last promised stop.
 """
 
 from collections.abc import Mapping
@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import msgspec
 
 from companion.core.base.place import Place
-from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView
+from ground_station.core.dispatch.day_snapshot import DaySnapshot
+from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.day_state import DayState
@@ -16,72 +17,72 @@ from ground_station.core.schema.orders import Service
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def replan_reason(view: DayView, params: DayRunParams) -> str | None:
-    """Why the plan in force will not do; None: it will.
+def replan_reason(day: DaySnapshot, params: DispatchParams) -> str | None:
+    """Why the day needs a new plan; None: it does not.
 
-    The same words while the same is wrong: a reason for which no plan was found is not tried again,
-    and does not keep a day from ending.
+    The reason is the same text as long as the same thing is wrong. So a reason for which no plan
+    was found is not tried again, and does not keep the day from ending.
     """
-    if view.truck is None or view.index is None or view.replanning:
+    if day.truck is None or day.index is None or day.replanning:
         return None
-    if view.now_s - view.tried_s < params.replan_again_s:
+    if day.tried_s is not None and day.now_s - day.tried_s < params.replan_again_s:
         return None
-    for sortie in view.pending():
-        why = view.out(sortie.vehicle)
+    for sortie in day.pending():
+        why = day.out(sortie.vehicle)
         if why is not None:
             return f"{sortie.vehicle} is out of service ({why})"
-    left_out = sorted(view.open - _work_ahead(view) - {line.order for line in view.plan.unplanned})
+    left_out = sorted(day.open - _work_ahead(day) - {line.order for line in day.plan.unplanned})
     if left_out:
         return f"{left_out[0]} is open and not in the plan"
-    if view.delay_s() > params.late_s and view.situation != view.tried:
+    if day.delay_s() > params.late_s and day.situation != day.tried:
         return f"the truck is more than {params.late_s:.0f} s late"
-    if view.wind_off_sigmas > params.wind_sigmas:
+    if day.wind_off_sigmas > params.wind_sigmas:
         return f"the wind is {params.wind_sigmas:g} standard deviations from the forecast, or more"
     return None
 
 
-def _work_ahead(view: DayView) -> set[str]:
-    """Orders that the plan still brings."""
-    index = view.index or 0
-    ahead = view.plan.stops[index:]
+def _work_ahead(day: DaySnapshot) -> set[str]:
+    """Orders that the plan still delivers."""
+    index = day.index or 0
+    ahead = day.plan.stops[index:]
     serves = {order for stop in ahead for order in stop.serves}
     stops = {stop.id for stop in ahead}
-    return serves | {s.order for s in view.pending() if s.launch in stops}
+    return serves | {s.order for s in day.pending() if s.launch in stops}
 
 
-def standing(view: DayView, drones: list[str], recover_s: float) -> DayState:
-    """What of the day stands: stops done and promised with times as expected, and what flies."""
-    held = [row for row in view.sorties if not (row.aboard or row.gone)]
-    last = max([view.index or 0, *(_last_index(row, view) for row in held)])
-    delay_s = view.delay_s()
-    stops = [_expected(view, n, delay_s) for n in range(last + 1)]
-    serves = {order for stop in stops[view.index or 0 :] for order in stop.serves}
-    flying = tuple(_expected_flight(row, view) for row in held if not row.over)
-    left = sorted(view.open - serves - {sortie.order for sortie in flying})
-    free = {drone: view.now_s for drone in drones if view.free(drone)}
+def standing_state(day: DaySnapshot, drones: list[str], recover_s: float) -> DayState:
+    """The part of the day that stays: past and promised stops, and the sorties in the air."""
+    held = [row for row in day.sorties if not (row.aboard or row.gone)]
+    last = max([day.index or 0, *(_last_index(row, day) for row in held)])
+    delay_s = day.delay_s()
+    stops = [_expected(day, n, delay_s) for n in range(last + 1)]
+    serves = {order for stop in stops[day.index or 0 :] for order in stop.serves}
+    flying = tuple(_expected_flight(row, day) for row in held if not row.over)
+    left = sorted(day.open - serves - {sortie.order for sortie in flying})
+    free = {drone: day.now_s for drone in drones if day.free(drone)}
     for row in held:
-        if view.out(row.vehicle) is None:
-            lands_s = view.now_s if row.over else _expected_flight(row, view).land_s
-            free[row.vehicle] = max(view.now_s, lands_s) + recover_s
-    return DayState(tuple(stops), flying, tuple(left), free, view.plan.revision + 1)
+        if day.out(row.vehicle) is None:
+            lands_s = day.now_s if row.over else _expected_flight(row, day).land_s
+            free[row.vehicle] = max(day.now_s, lands_s) + recover_s
+    return DayState(tuple(stops), flying, tuple(left), free, day.plan.revision + 1)
 
 
-def _last_index(row: SortieRow, view: DayView) -> int:
-    ids = [stop.id for stop in view.plan.stops]
+def _last_index(row: SortieRow, day: DaySnapshot) -> int:
+    ids = [stop.id for stop in day.plan.stops]
     bound = [s for s in (row.sortie.launch, row.promised, row.asked) if s in ids]
     return max((ids.index(s) for s in bound), default=0)
 
 
-def _expected(view: DayView, number: int, delay_s: float) -> PlannedStop:
-    """A stop with the times that it had, or is expected to have."""
-    stop, index = view.plan.stops[number], view.index or 0
-    visit = view.visits.get(stop.id)
+def _expected(day: DaySnapshot, number: int, delay_s: float) -> PlannedStop:
+    """A stop with its actual times, or those expected now."""
+    stop, index = day.plan.stops[number], day.index or 0
+    visit = day.visits.get(stop.id)
     if number < index and visit is not None:
-        left_s = view.day_s(visit.left_us or visit.arrived_us)
-        return _timed(stop, view.day_s(visit.arrived_us), left_s)
-    if number == index and view.truck is not None and not view.truck.driving:
-        return _timed(stop, view.now_s, max(view.now_s, stop.depart_s + min(0.0, delay_s)))
-    arrive_s = max(view.now_s, stop.arrive_s + delay_s)
+        left_s = day.day_s(visit.left_us or visit.arrived_us)
+        return _timed(stop, day.day_s(visit.arrived_us), left_s)
+    if number == index and day.truck is not None and not day.truck.driving:
+        return _timed(stop, day.now_s, max(day.now_s, stop.depart_s + min(0.0, delay_s)))
+    arrive_s = max(day.now_s, stop.arrive_s + delay_s)
     return _timed(stop, arrive_s, arrive_s + stop.depart_s - stop.arrive_s)
 
 
@@ -90,23 +91,23 @@ def _timed(stop: PlannedStop, arrive_s: float, depart_s: float) -> PlannedStop:
     return msgspec.structs.replace(stop, arrive_s=arrive_s, depart_s=max(arrive_s, depart_s))
 
 
-def _expected_flight(row: SortieRow, view: DayView) -> PlannedSortie:
+def _expected_flight(row: SortieRow, day: DaySnapshot) -> PlannedSortie:
     sortie = row.sortie
     if row.launched_us is None:
-        launch_s = max(view.now_s, sortie.launch_s)
+        launch_s = max(day.now_s, sortie.launch_s)
     else:
-        launch_s = max(0.0, view.day_s(row.launched_us))
+        launch_s = max(0.0, day.day_s(row.launched_us))
     return msgspec.structs.replace(
         sortie,
         home=row.promised,
         others=[row.asked] if row.asked else [],
         launch_s=launch_s,
-        land_s=max(view.now_s, launch_s + sortie.land_s - sortie.launch_s),
+        land_s=max(day.now_s, launch_s + sortie.land_s - sortie.launch_s),
     )
 
 
-def unfit(plan: DayPlan, start: DayState) -> str | None:
-    """Why a new plan may not be taken (it breaks what stands); None: it may."""
+def broken_promise(plan: DayPlan, start: DayState) -> str | None:
+    """Why a new plan is not acceptable (it breaks a promise); None: it is."""
     if plan.revision != start.revision:
         return f"revision {plan.revision}, expected {start.revision}"
     ids = [stop.id for stop in plan.stops]
@@ -126,10 +127,11 @@ def unfit(plan: DayPlan, start: DayState) -> str | None:
     return f"{lost[0]} has no such stop" if lost else None
 
 
-def postponed(plan: DayPlan, start: DayState, asked_s: float, by_s: float) -> DayPlan:
-    """The plan that was asked for at `asked_s`, taken `by_s` later: what had not begun then comes
-    as much later, for the truck stays while a plan is made. Else a slow machine's plans are late
-    the moment they are there, and made anew for ever.
+def shifted(plan: DayPlan, start: DayState, asked_s: float, by_s: float) -> DayPlan:
+    """The plan that was asked for at `asked_s`, shifted by the time `by_s` that it took to make.
+
+    The truck stays while a plan is made, so everything that had not begun comes later. Without the
+    shift a slow machine's plans would be late at once, and be made again for ever.
     """
     flying = {sortie.order for sortie in start.flying}
     stops = [
@@ -154,8 +156,8 @@ def postponed(plan: DayPlan, start: DayState, asked_s: float, by_s: float) -> Da
 def candidate_pads(
     plan: DayPlan, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]
 ) -> dict[str, Place]:
-    """Where a flight may be asked to land, by stop: home, launch, and the next stop behind its home
-    that has a pad for it. More would make the mission aboard long.
+    """Pads where a sortie may land, by stop: its home, its launch, and the next stop after its home
+    that has a pad for it. More would make the mission aboard too long.
     """
     ids = [stop.id for stop in plan.stops]
     behind = plan.stops[ids.index(sortie.home) + 1 :] if sortie.home in ids else []
@@ -164,11 +166,9 @@ def candidate_pads(
     return {stop: stops[stop].pads[sortie.vehicle] for stop in wanted}
 
 
-def day_now(data: DayData, view: DayView) -> DayData:
-    """The day's data to plan the rest with: what a drone has brought back goes by the truck, where
-    it may.
-    """
-    came_back = {row.sortie.order for row in view.sorties if row.over and not row.row.delivered}
+def day_now(data: DayData, day: DaySnapshot) -> DayData:
+    """The day's data for re-planning: a parcel that came back goes by the truck, where it may."""
+    came_back = {row.sortie.order for row in day.sorties if row.over and not row.row.delivered}
     orders = [
         msgspec.structs.replace(order, service=Service.TRUCK)
         if order.id in came_back and order.service is Service.ANY

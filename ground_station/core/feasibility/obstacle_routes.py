@@ -41,7 +41,7 @@ PriceOf = Callable[[Floats, Floats], Price]
 """Straight legs from (a, 2) to (b, 2) places, north and east."""
 
 
-class Ways:
+class ObstacleRoutes:
     """The ways at one height between places (north, east), m."""
 
     def __init__(self, obstacles: ObstacleMap, ne_m: Floats, height_m: float) -> None:

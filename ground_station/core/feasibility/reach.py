@@ -19,7 +19,7 @@ from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Drone, Forecast
 
-Ways = tuple[tuple[float, float], ...]
+Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a way around what stands in it."""
 
 PAYLOAD_STEP_KG = 0.1
@@ -27,7 +27,7 @@ PAYLOAD_STEP_KG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Need:
+class SortieNeed:
     """What a delivery takes: mean and standard deviation of its energy, and its mean time."""
 
     mean_wh: float
@@ -37,7 +37,7 @@ class Need:
 
 
 @dataclass(frozen=True, slots=True)
-class CanBring:
+class Feasible:
     """It can, with this much to spare at the accepted loss."""
 
     spare_wh: float
@@ -45,7 +45,7 @@ class CanBring:
 
 
 @dataclass(frozen=True, slots=True)
-class CannotBring:
+class Infeasible:
     """It cannot, why, and what would make it possible."""
 
     why: str
@@ -86,9 +86,9 @@ class Reach:
         customer: Ned,
         end: Ned,
         height_m: float | None = None,
-        out_via: Ways = (),
-        back_via: Ways = (),
-    ) -> Need:
+        out_via: Waypoints = (),
+        back_via: Waypoints = (),
+    ) -> SortieNeed:
         """A delivery's energy and time; `customer` is the GROUND point there, NED about the depot.
 
         `start` and `end` are ground points too: the depot, or stops of the truck. Flown `height_m`
@@ -101,7 +101,7 @@ class Reach:
         wind_wh = self.energy.route_std_wh(legs, self.wind_to_ne_mps, self.wind_cov_ne_m2ps2)
         model_wh = self.airframe.power_rotor.model_std_frac * mean_wh
         std_wh = math.hypot(wind_wh, model_wh)
-        return Need(mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()))
+        return SortieNeed(mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()))
 
     def can_bring(
         self,
@@ -110,18 +110,18 @@ class Reach:
         start: Ned = (0.0, 0.0, 0.0),
         end: Ned = (0.0, 0.0, 0.0),
         charge_frac: float | None = None,
-    ) -> CanBring | CannotBring:
+    ) -> Feasible | Infeasible:
         """Whether payload, wind and energy allow this delivery at the accepted loss."""
         most_kg = self.airframe.mass.max_payload_kg
         if payload_kg > most_kg:
-            return CannotBring(
+            return Infeasible(
                 f"{payload_kg:g} kg, {self.drone.airframe} carries {most_kg:g} kg",
                 f"a parcel of at most {most_kg:g} kg, or the truck",
             )
         need = self.need(payload_kg, start, customer, end)
         spare_wh = self._spare_wh(need, payload_kg, charge_frac)
         if need.flyable and spare_wh >= 0.0:
-            return CanBring(spare_wh, need.time_s)
+            return Feasible(spare_wh, need.time_s)
         return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
 
     def time_s(
@@ -142,14 +142,14 @@ class Reach:
         customer: Ned,
         end: Ned,
         height_m: float,
-        out_via: Ways = (),
-        back_via: Ways = (),
-    ) -> Need | None:
+        out_via: Waypoints = (),
+        back_via: Waypoints = (),
+    ) -> SortieNeed | None:
         """What a delivery takes, where the energy is there at the accepted loss."""
         need = self.need(payload_kg, start, customer, end, height_m, out_via, back_via)
         return need if need.flyable and self._spare_wh(need, payload_kg, None) >= 0.0 else None
 
-    def _spare_wh(self, need: Need, payload_kg: float, charge_frac: float | None) -> float:
+    def _spare_wh(self, need: SortieNeed, payload_kg: float, charge_frac: float | None) -> float:
         budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
         return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)
 
@@ -164,19 +164,24 @@ class Reach:
         ) / speed_mps
 
     def _cannot(
-        self, need: Need, spare_wh: float, payload_kg: float, customer: Ned, charge: float | None
-    ) -> CannotBring:
+        self,
+        need: SortieNeed,
+        spare_wh: float,
+        payload_kg: float,
+        customer: Ned,
+        charge: float | None,
+    ) -> Infeasible:
         if not need.flyable:
-            return CannotBring("the wind is too strong to make way", "less wind, or the truck")
+            return Infeasible("the wind is too strong to make way", "less wind, or the truck")
         why = f"{-spare_wh:.0f} Wh short at the accepted loss of {self.mission.max_loss:g}"
         full = self._spare_wh(need, payload_kg, 1.0)
         at = self.drone.charge_frac if charge is None else charge
         if at < 1.0 and full >= 0.0:
-            return CannotBring(why, "a full battery")
+            return Infeasible(why, "a full battery")
         stop_m = self.radius_m(payload_kg, customer)
         if stop_m <= 0.0:
-            return CannotBring(why, "less wind, or the truck")
-        return CannotBring(why, f"a launch and landing within {stop_m:.0f} m of it, or the truck")
+            return Infeasible(why, "less wind, or the truck")
+        return Infeasible(why, f"a launch and landing within {stop_m:.0f} m of it, or the truck")
 
     def radius_m(self, payload_kg: float, customer: Ned, charge_frac: float = 1.0) -> float:
         """How far from this customer, towards the depot, it may start and land."""
@@ -196,8 +201,8 @@ class Reach:
         payload_kg: float,
         grounds: tuple[Ned, Ned, Ned],
         height_m: float,
-        out_via: Ways,
-        back_via: Ways,
+        out_via: Waypoints,
+        back_via: Waypoints,
     ) -> tuple[Leg, ...]:
         start, customer, end = grounds
         mission, up = self.mission, -height_m
@@ -221,7 +226,7 @@ class Reach:
         return self.mission.wind_settle_s + SETTLE_SLACK_S
 
 
-def _cruise(start: Ned, via: Ways, end: Ned, payload_kg: float) -> list[Leg]:
+def _cruise(start: Ned, via: Waypoints, end: Ned, payload_kg: float) -> list[Leg]:
     points = [start, *((north, east, start[2]) for north, east in via), end]
     return [Leg(LegKind.CRUISE, a, b, payload_kg) for a, b in pairwise(points)]
 

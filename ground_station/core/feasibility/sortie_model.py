@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.routing.leg_energy import Leg, LegKind
-from ground_station.core.feasibility.obstacle_routes import Price, Ways
+from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
 from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach
 from ground_station.core.truck_drones.problem import Floats, Legs
 
@@ -77,7 +77,7 @@ class WindSorties:
         payload_kg: Floats,
         height_m: Floats,
         reaches: Sequence[Reach],
-        ways: Ways,
+        ways: ObstacleRoutes,
         beside_m: float = 0.0,
     ) -> None:
         """`height_m`: above the depot, of the flight to each place. `beside_m`: how far pads may

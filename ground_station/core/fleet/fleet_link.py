@@ -1,4 +1,4 @@
-"""What the desk needs of a network: zenoh, or a bus within one process."""
+"""What the desk needs of a network and of a clock: zenoh, or a bus within one process."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,8 +7,8 @@ from companion.fleet.messages import Command, FleetEvent, Result, State
 
 
 @dataclass(frozen=True, slots=True)
-class Alive:
-    """A life of a vehicle's companion came (`up`) or went."""
+class LivelinessChanged:
+    """A life of a member (one run of its process) has joined (`up`) or left the network."""
 
     vehicle: str
     life: str
@@ -16,14 +16,14 @@ class Alive:
 
 
 @dataclass(frozen=True, slots=True)
-class StateHeard:
-    """A vehicle told its state."""
+class StateReceived:
+    """A member has published its state."""
 
     state: State
 
 
 @dataclass(frozen=True, slots=True)
-class EventsHeard:
+class EventsReceived:
     """Events as they happened, or (`replayed`) all that were asked for, in order."""
 
     vehicle: str
@@ -33,40 +33,40 @@ class EventsHeard:
 
 @dataclass(frozen=True, slots=True)
 class CommandAnswered:
-    """The answer to a command; `None`: nobody answered."""
+    """The answer to a command; `result` None: nobody answered in time."""
 
     command_id: str
     result: Result | None
 
 
 @dataclass(frozen=True, slots=True)
-class Nonsense:
-    """Bytes that are no message of ours, and why."""
+class MessageRejected:
+    """Bytes that are no valid message, and why."""
 
     key: str
     reason: str
 
 
-Heard = Alive | StateHeard | EventsHeard | CommandAnswered | Nonsense
+FleetInput = LivelinessChanged | StateReceived | EventsReceived | CommandAnswered | MessageRejected
 
 
-class Fleet(Protocol):
-    """The desk's end of one fleet. Asking never blocks: answers come as `Heard`."""
+class FleetLink(Protocol):
+    """The desk's end of one fleet's network. Nothing that asks blocks: answers are received."""
 
-    def heard(self, wait_s: float) -> list[Heard]:
-        """What has arrived; waits so long for the first."""
+    def receive(self, wait_s: float) -> list[FleetInput]:
+        """Everything that has come; waits this long for the first."""
         ...
 
     def ask_states(self, wait_s: float) -> None:
-        """Ask every vehicle for its newest state."""
+        """Ask every member for its newest state."""
         ...
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
-        """Ask a vehicle for the events that it keeps after this number."""
+        """Ask a member for the events that it keeps after this number."""
         ...
 
     def send(self, command: Command, wait_s: float) -> None:
-        """Send a command; its answer, or that there was none in this time, is heard."""
+        """Send a command. Its answer, or the time-out, is received."""
         ...
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class Clock(Protocol):
     """The desk's two clocks; a simulated day brings its own."""
 
     def monotonic_s(self) -> float:
-        """For silences and waits: it never goes back."""
+        """Seconds of a clock that never goes back, for silences and time-outs."""
         ...
 
     def epoch_us(self) -> int:
@@ -87,18 +87,19 @@ class Clock(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class LaterClock:
-    """A clock whose stamps are so much later: the day's time goes on where a desk comes back with
-    a clock that was set back.
+class OffsetClock:
+    """A clock whose time stamps are later by an offset.
+
+    After a restart the wall clock may be behind the store's last entry; the day's time must go on.
     """
 
     clock: Clock
-    later_us: int
+    offset_us: int
 
     def monotonic_s(self) -> float:
-        """For silences and waits."""
+        """The clock's own."""
         return self.clock.monotonic_s()
 
     def epoch_us(self) -> int:
-        """Later than the clock's."""
-        return self.clock.epoch_us() + self.later_us
+        """The clock's, and the offset."""
+        return self.clock.epoch_us() + self.offset_us

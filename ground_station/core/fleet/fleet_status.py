@@ -1,8 +1,8 @@
-"""What the desk knows of its vehicles now: who lives, what each last said, and what is doubtful.
+"""The fleet's status now: who is alive, what each member last reported, and what is doubtful.
 
-Silence is counted on the desk's own clock; the vehicles' clocks are only shown. A vehicle that is
-doubtful (two companions of one name, a battery that cannot be) gets no new work until a person has
-looked; it can always be recalled.
+Silence is counted on the desk's own clock; the vehicles' clocks are only shown. A doubtful vehicle
+(two companions of one name, an impossible battery) gets no new work until a person has looked at
+it. It can always be recalled.
 """
 
 from collections.abc import Mapping
@@ -17,17 +17,17 @@ SILENT_S = 5.0
 
 STANDBY = "standby"
 RISE_FRAC = 0.02
-"""Energy left may wander by this share of the pack in flight: it is an estimate; it never rises."""
+"""Energy left is an estimate: it may rise in flight by this share of the pack, not by more."""
 
 OVER_FRAC = 1.05
 CELL_V = (2.0, 4.5)
-"""Outside of any lithium cell's voltage: no reading of a pack of this airframe."""
+"""Voltages of a lithium cell: a reading outside is not of a pack of this airframe."""
 
 CLOCK_OFF_S = 5.0
 
 
 @dataclass(slots=True)
-class VehicleSeen:
+class VehicleStatus:
     """One vehicle. `doubts` are the reasons why it gets no new work."""
 
     vehicle: str
@@ -38,11 +38,11 @@ class VehicleSeen:
     clock_off_s: float = 0.0
 
     def silent_s(self, t_s: float) -> float | None:
-        """Since when it has said nothing; `None`: it never has."""
+        """Seconds since its last state; None: there was none."""
         return None if self.heard_s is None else t_s - self.heard_s
 
     def present(self, t_s: float) -> bool:
-        """One companion lives, and has just been heard."""
+        """Exactly one companion of this name is alive, and its states arrive."""
         silent_s = self.silent_s(t_s)
         return len(self.lives) == 1 and silent_s is not None and silent_s <= SILENT_S
 
@@ -54,18 +54,26 @@ class VehicleSeen:
 
 
 @dataclass(slots=True)
-class Picture:
+class FleetStatus:
     """All vehicles of a fleet. `airframes` by name: what their batteries can hold."""
 
     airframes: Mapping[str, Airframe] = field(default_factory=dict)
-    vehicles: dict[str, VehicleSeen] = field(default_factory=dict)
+    vehicles: dict[str, VehicleStatus] = field(default_factory=dict)
 
-    def of(self, vehicle: str) -> VehicleSeen:
-        """What is known of a vehicle."""
-        return self.vehicles.setdefault(vehicle, VehicleSeen(vehicle))
+    def of(self, vehicle: str) -> VehicleStatus:
+        """The status of a vehicle, heard or not."""
+        return self.vehicles.setdefault(vehicle, VehicleStatus(vehicle))
 
-    def alive(self, vehicle: str, life: str, *, up: bool) -> str | None:
-        """A life came or went; returns what is to be said about it."""
+    def charge_frac_at_rest(self, vehicle: str) -> float | None:
+        """Its charge by its resting voltage; None where that is not known, or it is armed."""
+        state = self.of(vehicle).state
+        airframe = self.airframes.get(state.airframe) if state is not None else None
+        if state is None or airframe is None or not state.voltage_v or state.armed is not False:
+            return None
+        return airframe.battery.charge_frac_at_rest(state.voltage_v)
+
+    def on_liveliness(self, vehicle: str, life: str, *, up: bool) -> str | None:
+        """A life has joined or left the network; returns what the operator should be told."""
         seen = self.of(vehicle)
         (seen.lives.add if up else seen.lives.discard)(life)
         twins = "two companions announce themselves as it"
@@ -77,8 +85,8 @@ class Picture:
             return f"{vehicle}: one companion again"
         return None
 
-    def hear(self, state: State, t_s: float, epoch_us: int) -> list[str]:
-        """Take a state; returns new doubts about it, in words."""
+    def on_state(self, state: State, t_s: float, epoch_us: int) -> list[str]:
+        """Take a state; returns new doubts about the vehicle, in words."""
         seen = self.of(state.vehicle)
         said = [f"{state.vehicle}: {doubt}" for doubt in self._doubts(seen.state, state)]
         seen.doubts += [doubt.partition(": ")[2] for doubt in said]
@@ -111,10 +119,10 @@ def _battery_doubts(airframe: Airframe, state: State) -> list[str]:
     found: list[str] = []
     left_wh, voltage_v = state.energy_left_wh, state.voltage_v
     if left_wh is not None and left_wh > OVER_FRAC * battery.nominal_wh:
-        found.append(f"tells more energy than its pack of {battery.nominal_wh:g} Wh holds")
+        found.append(f"reports more energy than its pack of {battery.nominal_wh:g} Wh holds")
     low_v, high_v = (battery.cells * v for v in CELL_V)
     if voltage_v is not None and voltage_v > 0.0 and not low_v <= voltage_v <= high_v:
-        found.append(f"tells a voltage that no pack of {battery.cells} cells has")
+        found.append(f"reports a voltage that no pack of {battery.cells} cells has")
     return found
 
 

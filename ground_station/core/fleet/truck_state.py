@@ -1,7 +1,8 @@
-"""A truck as the fleet sees it: where it stands or drives to, and what its driver has to do.
+"""The truck as a member of the fleet: where it stands or drives to, and its driver's tasks.
 
-Commands add tasks, the driver's word ends them; both are functions from one `Truck` to the next, so
-that terminal and simulated truck behave alike, and a restart takes up what was kept.
+A command adds a task; the driver confirms it or says that it cannot be done. Both are functions
+from one `TruckState` to the next. So the driver's terminal and the simulated truck behave alike,
+and a restart takes up the tasks that were kept.
 """
 
 from enum import Enum
@@ -30,15 +31,15 @@ from companion.fleet.messages import (
 )
 
 TRUCK = "truck"
-"""Airframe of every truck, and the name of the day's one."""
+"""Airframe name of every truck, and the member's name of the day's truck."""
 
 DRIVING, AT_STOP = "driving", "at_stop"
 KEPT = 2000
-"""Tasks remembered as done: a day's work many times over."""
+"""Tasks remembered as done: many times a day's work."""
 
 
 class TaskKind(Enum):
-    """What a driver does."""
+    """What the driver does."""
 
     ARRIVE = "arrive"
     SERVE = "serve"
@@ -47,7 +48,7 @@ class TaskKind(Enum):
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One thing to do. `id` is the assignment's, or, to arrive, the stop's."""
+    """One task. `id` is the assignment; of an arrival it is the stop."""
 
     kind: TaskKind
     id: str
@@ -56,7 +57,7 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     lat_deg: float | None = None
     lon_deg: float | None = None
     parcel: str | None = None
-    """To be looked for on the drone: nobody knows whether it was dropped."""
+    """To be looked for on the drone: it is not known whether it was dropped."""
 
     @property
     def words(self) -> str:
@@ -76,10 +77,10 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
                 return f"take {self.vehicle} aboard{where}; swap its pack{look}"
 
 
-class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A truck (`truck/1`, what its folder keeps). `stop`: where it stands or drives to.
+class TruckState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The truck (`truck/1`, the file in its folder). `stop`: where it stands or drives to.
 
-    On its way its place is unknown, but for what a receiver tells.
+    While it drives its position is known only by a receiver on board.
     """
 
     format: Literal["truck/1"] = "truck/1"
@@ -92,12 +93,12 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def phase(self) -> str:
-        """As its state tells it."""
+        """As its state reports it."""
         return DRIVING if self.driving else AT_STOP
 
 
-class Told(msgspec.Struct, frozen=True):
-    """An event that follows from the driver's word."""
+class DriverReport(msgspec.Struct, frozen=True):
+    """The event that follows from the driver's word."""
 
     kind: EventKind
     text: str
@@ -108,8 +109,8 @@ class Told(msgspec.Struct, frozen=True):
     home: bool | None = None
 
 
-def taken(truck: Truck, deed: Deed) -> tuple[Truck, Verdict]:
-    """What a command makes of the truck, and its answer. The same twice is the same as once."""
+def after_command(truck: TruckState, deed: Deed) -> tuple[TruckState, Verdict]:
+    """The truck after a command, and the answer. The same command twice is the same as once."""
     match deed:
         case Drive():
             return _driven(truck, deed)
@@ -119,7 +120,7 @@ def taken(truck: Truck, deed: Deed) -> tuple[Truck, Verdict]:
         case PutOut() | Recover():
             return _with(truck, _pad_task(deed))
         case Withdraw():
-            # Not its recovery: that may have been asked for before this one got through.
+            # Not its recovery: that may have been ordered before this command got through.
             left = [t for t in truck.tasks if t.id != deed.assignment or t.kind is TaskKind.RECOVER]
             return _replace(truck, tasks=left), Verdict(Answered.DONE, "no longer to be done")
         case Recall():
@@ -141,7 +142,7 @@ def _pad_task(deed: PutOut | Recover) -> Task:
     )
 
 
-def _driven(truck: Truck, deed: Drive) -> tuple[Truck, Verdict]:
+def _driven(truck: TruckState, deed: Drive) -> tuple[TruckState, Verdict]:
     if not truck.driving and truck.stop == deed.stop:
         return truck, Verdict(Answered.DONE, "it stands there")
     left = [task for task in truck.tasks if task.kind is not TaskKind.ARRIVE]
@@ -154,7 +155,7 @@ def _driven(truck: Truck, deed: Drive) -> tuple[Truck, Verdict]:
     return after, Verdict(Answered.DONE, f"driving to {deed.stop}")
 
 
-def _with(truck: Truck, task: Task) -> tuple[Truck, Verdict]:
+def _with(truck: TruckState, task: Task) -> tuple[TruckState, Verdict]:
     if _key(task) in truck.done:
         return truck, Verdict(Answered.DONE, "done before")
     if task in truck.tasks:
@@ -164,42 +165,49 @@ def _with(truck: Truck, task: Task) -> tuple[Truck, Verdict]:
     return _replace(truck, tasks=[*truck.tasks, task]), Verdict(Answered.DONE, "to be done")
 
 
-def confirmed(truck: Truck, task: Task, *, gone: bool | None = None) -> tuple[Truck, Told]:
-    """The driver has done it; `gone`: whether the parcel that was to be looked for is. Raises
-    LeewayError where it is not to be done, or that is not told.
+def confirmed(
+    truck: TruckState, task: Task, *, gone: bool | None = None
+) -> tuple[TruckState, DriverReport]:
+    """The truck after a task that the driver has done, and the report.
+
+    `gone`: whether the parcel that was to be looked for has left the drone. Raises LeewayError
+    where there is no such task, or `gone` is missing.
     """
     after = _without(truck, task)
     if task.parcel is not None and gone is None:
         raise LeewayError(f"expected whether the parcel {task.parcel} is gone or still on it")
     match task.kind:
         case TaskKind.ARRIVE:
-            told = Told(EventKind.PHASE, f"{DRIVING} -> {AT_STOP}: {task.id}")
+            told = DriverReport(EventKind.PHASE, f"{DRIVING} -> {AT_STOP}: {task.id}")
             at = {"lat_deg": task.lat_deg, "lon_deg": task.lon_deg}
             return _replace(after, driving=False, **at), told
         case TaskKind.SERVE:
             outcome = {"outcome": "SUC", "delivered": True, "home": True}
-            told = Told(EventKind.OUTCOME, "handed over", task.id, task.order, **outcome)
+            told = DriverReport(EventKind.OUTCOME, "handed over", task.id, task.order, **outcome)
         case TaskKind.PUT_OUT:
-            told = Told(EventKind.PLACED, f"{task.vehicle} on its pad", task.id, task.order)
+            told = DriverReport(EventKind.PLACED, f"{task.vehicle} on its pad", task.id, task.order)
         case TaskKind.RECOVER:
             found = {} if task.parcel is None else {"order": task.parcel, "delivered": gone}
-            told = Told(EventKind.RECOVERED, f"{task.vehicle} aboard", task.id, **found)
+            told = DriverReport(EventKind.RECOVERED, f"{task.vehicle} aboard", task.id, **found)
     return _replace(after, done=[*after.done, _key(task)][-KEPT:]), told
 
 
-def impossible(truck: Truck, task: Task, why: str) -> tuple[Truck, Told]:
-    """The driver cannot do it, and why. Raises LeewayError where it is not to be done."""
+def cannot_do(truck: TruckState, task: Task, why: str) -> tuple[TruckState, DriverReport]:
+    """The truck after a task that the driver cannot do, and the report.
+
+    Raises LeewayError where there is no such task.
+    """
     if task.kind is TaskKind.ARRIVE:
         raise LeewayError("a truck that cannot reach its stop waits: call the dispatcher")
     after = _without(truck, task)
     after = _replace(after, done=[*after.done, _key(task)][-KEPT:])
     if task.kind is TaskKind.SERVE:
         outcome = {"outcome": "ABRT", "delivered": False, "home": True}
-        return after, Told(EventKind.OUTCOME, why, task.id, task.order, **outcome)
-    return after, Told(EventKind.CANNOT, f"{task.kind.value}: {why}", task.id, task.order)
+        return after, DriverReport(EventKind.OUTCOME, why, task.id, task.order, **outcome)
+    return after, DriverReport(EventKind.CANNOT, f"{task.kind.value}: {why}", task.id, task.order)
 
 
-def _without(truck: Truck, task: Task) -> Truck:
+def _without(truck: TruckState, task: Task) -> TruckState:
     if task not in truck.tasks:
         raise LeewayError(f"{task.words}: not to be done")
     return _replace(truck, tasks=[t for t in truck.tasks if t != task])
@@ -209,5 +217,5 @@ def _key(task: Task) -> str:
     return f"{task.kind.value}:{task.id}"
 
 
-def _replace(truck: Truck, **changes: object) -> Truck:
+def _replace(truck: TruckState, **changes: object) -> TruckState:
     return msgspec.structs.replace(truck, **changes)

@@ -6,16 +6,16 @@ import numpy as np
 
 from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
-from ground_station.core.deconfliction.separation import Filled, may_launch
-from ground_station.core.feasibility.obstacle_routes import Ways
+from ground_station.core.deconfliction.separation import OperationalVolume, may_launch
+from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
-from ground_station.core.schema.order_parsing import place_of
+from ground_station.core.schema.orders import place_of
 
 
 class Airspace:
-    """The day's air. Ways around what stands in them are laid as the planner lays them."""
+    """The volumes that planned sorties may fill. Routes around obstacles are the planner's."""
 
     def __init__(self, data: DayData) -> None:
         self.frame = frame_at(data.day.depot.place)
@@ -23,7 +23,7 @@ class Airspace:
         self._obstacles = obstacle_map(data)
         self._cruise_m = data.day.mission.cruise_height_m
 
-    def filled(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> Filled:
+    def volume(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> OperationalVolume:
         """What a sortie may fill: all ways between its pads and its customer."""
         here, home = (
             place_ned(self.frame, stops[id_].pads[sortie.vehicle])
@@ -31,10 +31,10 @@ class Airspace:
         )
         customer = place_ned(self.frame, place_of(self._orders[sortie.order]))
         points = [here, customer, home]
-        ways = Ways(self._obstacles, np.array(points)[:, :2], self._cruise_m)
+        ways = ObstacleRoutes(self._obstacles, np.array(points)[:, :2], self._cruise_m)
         ground = [*map(_ne, points), *ways.via(0, 1), *ways.via(1, 2)]
         heights_m = [-here[2] + h for h in (sortie.outbound_height_m, sortie.return_height_m)]
-        return Filled(
+        return OperationalVolume(
             sortie.vehicle,
             sortie.order,
             tuple(ground),
@@ -57,8 +57,8 @@ class Airspace:
         not answered stands there twice, once for each home. Before a home is moved the same is
         asked of the sortie with its new home, beside all others in the air.
         """
-        mine = self.filled(sortie, stops)
-        return may_launch(mine, [self.filled(other, stops) for other in in_air_now])
+        mine = self.volume(sortie, stops)
+        return may_launch(mine, [self.volume(other, stops) for other in in_air_now])
 
 
 def _ne(point: Ned) -> tuple[float, float]:

@@ -12,9 +12,9 @@ from companion.core.base.geo import Ned, place_ned
 from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
-from ground_station.core.planning.day_problem import DayNodes, day_nodes, without
-from ground_station.core.planning.forward_pass import Drive, Driven, polished
-from ground_station.core.planning.launch_slots import Slot, SlotFinder, Wish
+from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
+from ground_station.core.planning.forward_pass import ForwardPass, ForwardSchedule, polished
+from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder, SortieRequest
 from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
@@ -94,7 +94,7 @@ class _DayPlanner:
             self._unplanned.append(no_slot(order))
             nodes = without(nodes, {order.id})
 
-    def _driven(self, nodes: DayNodes) -> Driven:
+    def _driven(self, nodes: DayProblem) -> ForwardSchedule:
         """The best of the policy's plans, driven forward."""
         drive = self._drive(nodes)
         found = [self._repaired(nodes, drive, *plan) for plan in self._plans(nodes)]
@@ -104,8 +104,8 @@ class _DayPlanner:
         return polished(drive, route, wishes, driven)
 
     def _repaired(
-        self, nodes: DayNodes, drive: Drive, problem: TruckAndDrones, plan: Plan
-    ) -> tuple[list[int], list[Wish], Driven]:
+        self, nodes: DayProblem, drive: ForwardPass, problem: TruckAndDrones, plan: Plan
+    ) -> tuple[list[int], list[SortieRequest], ForwardSchedule]:
         """Who finds no slot is brought by the truck, where it may."""
         route, wishes = drive.wished(problem, plan)
         driven = drive.driven(route, wishes)
@@ -118,12 +118,12 @@ class _DayPlanner:
             driven = drive.driven(route, wishes)
         return route, wishes, driven
 
-    def nodes(self) -> DayNodes:
+    def nodes(self) -> DayProblem:
         by_id = {order.id: order for order in self._data.orders}
         orders = [by_id[id_] for id_ in self._start.open]
         full = beyond_capacity(orders, self._data.day.truck.capacity_kg - self._aboard_kg(by_id))
         left = {line.order for line in full}
-        nodes = day_nodes(
+        nodes = build_day_problem(
             self._data,
             [order for order in orders if order.id not in left],
             place_ned(self._airspace.frame, self._here.place),
@@ -152,7 +152,7 @@ class _DayPlanner:
         until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
         return until_s - self._t0_s
 
-    def _plans(self, nodes: DayNodes) -> Iterator[tuple[TruckAndDrones, Plan]]:
+    def _plans(self, nodes: DayProblem) -> Iterator[tuple[TruckAndDrones, Plan]]:
         """Plans, each with the problem that it is one of.
 
         By the search: two that know of no layers, with drones met where they were launched, and met
@@ -221,18 +221,18 @@ class _DayPlanner:
             told = tell_frac[0] + (tell_frac[1] - tell_frac[0]) * done / trials
             self._tell(told, search.best_s)
 
-    def _drive(self, nodes: DayNodes) -> Drive:
+    def _drive(self, nodes: DayProblem) -> ForwardPass:
         stops = {stop.id: stop for stop in self._start.stops}
-        standing = [self._airspace.filled(sortie, stops) for sortie in self._start.flying]
+        standing = [self._airspace.volume(sortie, stops) for sortie in self._start.flying]
         pads = {
             drone: place_ned(self._airspace.frame, place)
             for drone, place in self._here.pads.items()
         }
         ready_s = self._data.day.truck.ready_s
         finder = SlotFinder(nodes, self._t0_s, pads)
-        return Drive(nodes, finder, standing, self._t0_s, ready_s)
+        return ForwardPass(nodes, finder, standing, self._t0_s, ready_s)
 
-    def _day_plan(self, nodes: DayNodes, driven: Driven) -> DayPlan:
+    def _day_plan(self, nodes: DayProblem, driven: ForwardSchedule) -> DayPlan:
         start, params = self._start, self._params
         ids = self._stop_ids(driven)
         sorties = [self._sortie(nodes, driven, slot, ids) for slot in driven.slots]
@@ -271,7 +271,7 @@ class _DayPlanner:
             revision=start.revision,
         )
 
-    def _stop_ids(self, driven: Driven) -> dict[int, str]:
+    def _stop_ids(self, driven: ForwardSchedule) -> dict[int, str]:
         """A stop's name stays its own through the day: later revisions use names of their own."""
         prefix = f"r{self._start.revision}-" if self._start.revision else ""
         nodes = [stop.node for stop in driven.stops]
@@ -291,7 +291,7 @@ class _DayPlanner:
         )
 
     def _others(
-        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+        self, nodes: DayProblem, driven: ForwardSchedule, slot: LaunchSlot, ids: dict[int, str]
     ) -> list[str]:
         """Other stops that it could land at, with a pad: its launch, and the one after home."""
         wish = slot.wish
@@ -307,7 +307,7 @@ class _DayPlanner:
                 slot.from_pad_ned_m,
                 nodes.ned(wish.customer),
                 pad[1],
-                slot.filled.high_m,
+                slot.volume.high_m,
                 nodes.ways.via(wish.launch, wish.customer),
                 nodes.ways.via(wish.customer, node),
             )
@@ -317,12 +317,12 @@ class _DayPlanner:
         return found
 
     def _sortie(
-        self, nodes: DayNodes, driven: Driven, slot: Slot, ids: dict[int, str]
+        self, nodes: DayProblem, driven: ForwardSchedule, slot: LaunchSlot, ids: dict[int, str]
     ) -> PlannedSortie:
         wish = slot.wish
         order = nodes.orders[wish.customer - 1]
         reach = nodes.classes[wish.kind].reach
-        height_m = slot.filled.high_m
+        height_m = slot.volume.high_m
         out = nodes.ways.via(wish.launch, wish.customer)
         back = nodes.ways.via(wish.customer, wish.meet)
         here, there = slot.from_pad_ned_m, slot.to_pad_ned_m
@@ -347,7 +347,7 @@ class _DayPlanner:
         )
 
 
-def _worth(driven: Driven) -> tuple[int, float]:
+def _worth(driven: ForwardSchedule) -> tuple[int, float]:
     """Fewer orders lost, then sooner home."""
     return len(driven.lost), driven.makespan_s
 

@@ -13,13 +13,12 @@ from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, obstacles_from
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from companion.core.routing.leg_energy import RouteEnergy
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
-from ground_station.core.feasibility.obstacle_routes import Ways
+from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.feasibility.sortie_model import WindSorties
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
-from ground_station.core.schema.order_parsing import place_of
-from ground_station.core.schema.orders import Order, Service
+from ground_station.core.schema.orders import Order, Service, place_of
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 
 Floats = NDArray[np.float64]
@@ -45,7 +44,7 @@ class DroneClass:
 
 
 @dataclass(frozen=True, slots=True)
-class DayNodes:
+class DayProblem:
     """The day's places (NED about the depot) and the problem over them."""
 
     frame: LocalFrame
@@ -53,7 +52,7 @@ class DayNodes:
     orders: tuple[Order, ...]
     ned_m: Floats
     classes: tuple[DroneClass, ...]
-    ways: Ways
+    ways: ObstacleRoutes
     problem: TruckAndDrones
     cruise_height_m: float
 
@@ -109,7 +108,7 @@ def _nameless(drone: Drone) -> Drone:
     )
 
 
-def day_nodes(
+def build_day_problem(
     data: DayData,
     orders: list[Order],
     start_ned_m: Ned,
@@ -117,7 +116,7 @@ def day_nodes(
     free_from_s: dict[str, float],
     hold_s: float,
     pads_m: float,
-) -> DayNodes:
+) -> DayProblem:
     """The problem of bringing these orders; `start_name` is the start's name in the road matrix.
 
     Times are counted from the truck's arrival at the start.
@@ -133,7 +132,7 @@ def day_nodes(
     classes = drone_classes(data, free_from_s)
     mission = data.day.mission
     height_m = np.full(len(places), layer_height_m(mission.cruise_height_m, PRICED_LAYER))
-    ways = Ways(obstacles, ned_m[:, :2], mission.cruise_height_m)
+    ways = ObstacleRoutes(obstacles, ned_m[:, :2], mission.cruise_height_m)
     mass_kg = np.array([0.0, *(order.mass_kg for order in orders), 0.0])
     most_kg = max((c.reach.airframe.mass.max_payload_kg for c in classes), default=0.0)
     sorties = WindSorties(
@@ -167,7 +166,7 @@ def day_nodes(
         ),
     )
     cruise_m = mission.cruise_height_m
-    return DayNodes(frame, obstacles, tuple(orders), ned_m, classes, ways, problem, cruise_m)
+    return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, ways, problem, cruise_m)
 
 
 def _nobody(nodes: int) -> DroneKind:
@@ -185,7 +184,7 @@ def _ready_first(legs: Legs, ready_s: float) -> Legs:
     return replace(legs, out_s=legs.out_s + ready_s)
 
 
-def without(nodes: DayNodes, lost: set[str]) -> DayNodes:
+def without(nodes: DayProblem, lost: set[str]) -> DayProblem:
     """The same without these orders."""
     keep = [
         0,
@@ -215,7 +214,7 @@ def without(nodes: DayNodes, lost: set[str]) -> DayNodes:
     )
     orders = tuple(order for order in nodes.orders if order.id not in lost)
     ned_m = nodes.ned_m[keep]
-    ways = Ways(nodes.obstacles, ned_m[:, :2], nodes.ways.height_m)
+    ways = ObstacleRoutes(nodes.obstacles, ned_m[:, :2], nodes.ways.height_m)
     return replace(nodes, orders=orders, ned_m=ned_m, ways=ways, problem=smaller)
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from ground_station.core.deconfliction.pads import StopPads
-from ground_station.core.deconfliction.separation import SLACK_S, Filled
-from ground_station.core.planning.day_problem import DayNodes
-from ground_station.core.planning.launch_slots import Blocked, Slot, SlotFinder, Wish
+from ground_station.core.deconfliction.separation import SLACK_S, OperationalVolume
+from ground_station.core.planning.day_problem import DayProblem
+from ground_station.core.planning.launch_slots import Blocked, LaunchSlot, SlotFinder, SortieRequest
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan
@@ -22,11 +22,11 @@ EPSILON_S = 1e-6
 
 
 @dataclass(slots=True)
-class Driven:
+class ForwardSchedule:
     """A day driven: stops, sorties, pads by node, and customers that found no slot."""
 
     stops: list[Stop] = field(default_factory=list[Stop])
-    slots: list[Slot] = field(default_factory=list[Slot])
+    slots: list[LaunchSlot] = field(default_factory=list[LaunchSlot])
     pads: dict[int, StopPads] = field(default_factory=dict[int, StopPads])
     lost: list[int] = field(default_factory=list[int])
 
@@ -41,14 +41,14 @@ POLISH_ORDERS = 2_000
 """Together: with more orders fewer drives, since each takes longer too."""
 
 
-class Drive:
+class ForwardPass:
     """Drives one plan of the search, as often as it takes that no drone lands before the truck."""
 
     def __init__(
         self,
-        nodes: DayNodes,
+        nodes: DayProblem,
         finder: SlotFinder,
-        standing: list[Filled],
+        standing: list[OperationalVolume],
         t0_s: float,
         ready_s: float,
     ) -> None:
@@ -56,13 +56,13 @@ class Drive:
         self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
         self._ready_s = ready_s
 
-    def wished(self, problem: TruckAndDrones, plan: Plan) -> tuple[list[int], list[Wish]]:
+    def wished(self, problem: TruckAndDrones, plan: Plan) -> tuple[list[int], list[SortieRequest]]:
         """The route and the sorties of a plan of the search, in its order of launches."""
         stops, flights = flights_of(problem, plan)
-        wishes = [Wish(f.customer, f.kind, f.launch, f.meet) for f in flights]
+        wishes = [SortieRequest(f.customer, f.kind, f.launch, f.meet) for f in flights]
         return [stop.node for stop in stops], wishes
 
-    def driven(self, route: list[int], wishes: list[Wish]) -> Driven:
+    def driven(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
         """The day; the truck is at each home `lead_s` before its drones."""
         release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
         pushes = dict.fromkeys(release_s, 0)
@@ -81,9 +81,9 @@ class Drive:
                 if pushes[customer] > 3:  # the truck waits for its launch: the two never meet
                     wishes = [_as_loop(w) if w.customer == customer else w for w in wishes]
                     release_s[customer] = 0.0
-        return Driven(lost=[customer for customer, _, _ in early])
+        return ForwardSchedule(lost=[customer for customer, _, _ in early])
 
-    def _too_early(self, day: Driven) -> list[tuple[int, float, float]]:
+    def _too_early(self, day: ForwardSchedule) -> list[tuple[int, float, float]]:
         """Customers whose drone would be home before the truck: by how much, and its start."""
         arrive_s = {stop.node: stop.arrive_s for stop in day.stops}
         problem = self._nodes.problem
@@ -97,7 +97,9 @@ class Drive:
         return found
 
 
-def polished(drive: Drive, route: list[int], wishes: list[Wish], driven: Driven) -> Driven:
+def polished(
+    drive: ForwardPass, route: list[int], wishes: list[SortieRequest], driven: ForwardSchedule
+) -> ForwardSchedule:
     """Drones that a stop launches last are met at the next one, where that ends the day sooner."""
     left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(wishes)))
     for here, there in pairwise(route):
@@ -114,7 +116,7 @@ def polished(drive: Drive, route: list[int], wishes: list[Wish], driven: Driven)
     return driven
 
 
-def _as_loop(wish: Wish) -> Wish:
+def _as_loop(wish: SortieRequest) -> SortieRequest:
     return replace(wish, launch=wish.meet)
 
 
@@ -123,9 +125,9 @@ class _Pass:
 
     def __init__(
         self,
-        nodes: DayNodes,
+        nodes: DayProblem,
         finder: SlotFinder,
-        standing: list[Filled],
+        standing: list[OperationalVolume],
         t0_s: float,
         ready_s: float,
         release_s: dict[int, float],
@@ -133,18 +135,18 @@ class _Pass:
         self._nodes, self._finder, self._release_s = nodes, finder, release_s
         self._problem, self._t0_s = nodes.problem, t0_s
         self._standing, self._ready_s = standing, ready_s
-        self._day = Driven()
+        self._day = ForwardSchedule()
         self._now_s = 0.0
         self._aboard = [
             dict.fromkeys(of.ids, kind.from_s)
             # A fleet without drones has one kind, of none.
             for of, kind in zip(nodes.classes, nodes.problem.kinds, strict=False)
         ]
-        self._out: list[Slot] = []
+        self._out: list[LaunchSlot] = []
         """Not taken in yet."""
         self._blocked_until_s: dict[int, float] = {}
 
-    def drive(self, route: list[int], wishes: list[Wish]) -> Driven:
+    def drive(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
         day = self._day
         for number, node in enumerate(route):
             day.pads[node] = self._finder.pads_at(node, first=number == 0)
@@ -165,10 +167,10 @@ class _Pass:
                 ]
         return day
 
-    def _stop(self, node: int, wishes: list[Wish], *, last: bool) -> list[Wish]:
+    def _stop(self, node: int, wishes: list[SortieRequest], *, last: bool) -> list[SortieRequest]:
         """Everything at this stop; the launches that must go to the next one."""
         deliver_s = float(self._problem.deliver_s[node])
-        waiting, put_off = list(wishes), list[Wish]()
+        waiting, put_off = list(wishes), list[SortieRequest]()
         while True:
             launched, until_s = self._launch(waiting, put_off, node, last=last)
             if launched is not None:
@@ -190,15 +192,15 @@ class _Pass:
             else:
                 return put_off
 
-    def _take_in(self, slot: Slot) -> None:
+    def _take_in(self, slot: LaunchSlot) -> None:
         self._now_s += self._problem.kinds[slot.wish.kind].recover_s
         self._out.remove(slot)
         self._aboard[slot.wish.kind][slot.drone] = self._now_s
         self._blocked_until_s.clear()  # its pads may be out of the way
 
     def _launch(
-        self, waiting: list[Wish], put_off: list[Wish], node: int, *, last: bool
-    ) -> tuple[Wish | None, list[float]]:
+        self, waiting: list[SortieRequest], put_off: list[SortieRequest], node: int, *, last: bool
+    ) -> tuple[SortieRequest | None, list[float]]:
         """Launch the first that can go now; else when others may be able to."""
         until_s: list[float] = []
         for wish in list(waiting):
@@ -223,7 +225,7 @@ class _Pass:
             launched_s = put_out_s + self._ready_s
             in_air = self._in_air(launched_s)
             found = self._finder.find(wish, launched_s, drones, self._day.pads, in_air)
-            if isinstance(found, Slot):
+            if isinstance(found, LaunchSlot):
                 self._now_s = put_out_s
                 del self._aboard[wish.kind][found.drone]
                 self._out.append(found)
@@ -234,10 +236,10 @@ class _Pass:
 
     def _wait_or_pass_on(
         self,
-        wish: Wish,
+        wish: SortieRequest,
         found: Blocked,
         launched_s: float,
-        lists: tuple[list[Wish], list[Wish], list[float]],
+        lists: tuple[list[SortieRequest], list[SortieRequest], list[float]],
         node: int,
         last: bool,
     ) -> None:
@@ -258,20 +260,27 @@ class _Pass:
         """Will a drone of this kind be taken in here?"""
         return any(slot.wish.meet == node and slot.wish.kind == kind for slot in self._out)
 
-    def _pass_on(self, wish: Wish, waiting: list[Wish], put_off: list[Wish], *, last: bool) -> None:
+    def _pass_on(
+        self,
+        wish: SortieRequest,
+        waiting: list[SortieRequest],
+        put_off: list[SortieRequest],
+        *,
+        last: bool,
+    ) -> None:
         waiting.remove(wish)
         if last:
             self._day.lost.append(wish.customer)
         else:
             put_off.append(wish)
 
-    def _in_air(self, at_s: float) -> list[Filled]:
+    def _in_air(self, at_s: float) -> list[OperationalVolume]:
         """Who may be in the air at this time or later."""
         until_s = self._t0_s + at_s - SLACK_S
-        filled = [slot.filled for slot in self._day.slots]
-        return [one for one in (*self._standing, *filled) if one.to_s > until_s]
+        volume = [slot.volume for slot in self._day.slots]
+        return [one for one in (*self._standing, *volume) if one.to_s > until_s]
 
 
-def _from(wish: Wish, node: int, before: int) -> Wish:
+def _from(wish: SortieRequest, node: int, before: int) -> SortieRequest:
     """Launched at the next stop instead; met there where it would have been met before."""
     return replace(wish, launch=node, meet=node if wish.meet == before else wish.meet)

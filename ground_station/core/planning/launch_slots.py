@@ -11,15 +11,15 @@ import numpy as np
 
 from companion.core.base.geo import Ned
 from ground_station.core.deconfliction.pads import StopPads, pad_places
-from ground_station.core.deconfliction.separation import Filled, Near, near
-from ground_station.core.feasibility.reach import Need
-from ground_station.core.planning.day_problem import DayNodes, layer_height_m, layers_over
+from ground_station.core.deconfliction.separation import OperationalVolume, Proximity, proximity
+from ground_station.core.feasibility.reach import SortieNeed
+from ground_station.core.planning.day_problem import DayProblem, layer_height_m, layers_over
 
 Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class SortieRequest:
     """A sortie as the search wants it."""
 
     customer: int
@@ -29,16 +29,16 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True)
-class Slot:
+class LaunchSlot:
     """One sortie with all that it was given; times from the truck's arrival at the start."""
 
-    wish: Wish
+    wish: SortieRequest
     drone: str
     from_pad_ned_m: Ned
     to_pad_ned_m: Ned
     launched_s: float
     landed_s: float
-    filled: Filled
+    volume: OperationalVolume
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,12 @@ class Blocked:
 class SlotFinder:
     """Finds slots over one problem; what it has worked out is kept."""
 
-    def __init__(self, nodes: DayNodes, t0_s: float, start_pads: dict[str, Ned]) -> None:
+    def __init__(self, nodes: DayProblem, t0_s: float, start_pads: dict[str, Ned]) -> None:
         """`t0_s`: when the truck is at the start, in the day's time."""
         self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
         self._cruise_m = nodes.cruise_height_m
-        self._near: dict[tuple[Points, Points, Points, Points], Near] = {}
-        self._needs: dict[tuple[Wish, Ned, Ned, int], Need | None] = {}
+        self._near: dict[tuple[Points, Points, Points, Points], Proximity] = {}
+        self._needs: dict[tuple[SortieRequest, Ned, Ned, int], SortieNeed | None] = {}
         self._places: dict[int, list[Ned]] = {}
 
     def pads_at(self, node: int, *, first: bool) -> StopPads:
@@ -68,12 +68,12 @@ class SlotFinder:
 
     def find(
         self,
-        wish: Wish,
+        wish: SortieRequest,
         launched_s: float,
         drones: list[str],
         pads: dict[int, StopPads],
-        in_air: list[Filled],
-    ) -> Slot | Blocked:
+        in_air: list[OperationalVolume],
+    ) -> LaunchSlot | Blocked:
         """A slot for a launch now, beside these; pads are given only where it is found."""
         crew = self._crew(wish, drones, pads)
         if crew is None:
@@ -87,7 +87,7 @@ class SlotFinder:
             blocking = [
                 other.to_s
                 for other, near_to in beside
-                if near_to.clash((up_m, up_m), (other.low_m, other.high_m))
+                if near_to.conflict((up_m, up_m), (other.low_m, other.high_m))
             ]
             if blocking:
                 free_s = max(blocking)
@@ -100,12 +100,12 @@ class SlotFinder:
             pads[wish.meet].of[drone] = there
             from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
             to_s = self._t0_s + landed_s
-            filled = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
-            return Slot(wish, drone, here, there, launched_s, landed_s, filled)
+            volume = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
+            return LaunchSlot(wish, drone, here, there, launched_s, landed_s, volume)
         return Blocked(until_s)
 
     def _crew(
-        self, wish: Wish, drones: list[str], pads: dict[int, StopPads]
+        self, wish: SortieRequest, drones: list[str], pads: dict[int, StopPads]
     ) -> tuple[str, Ned, Ned] | None:
         ned = self._nodes.ned(wish.customer)
         able: list[tuple[float, str, Ned, Ned]] = []
@@ -116,13 +116,13 @@ class SlotFinder:
                 able.append((here[0] + there[0], drone, here[1], there[1]))
         return min(able)[1:] if able else None
 
-    def _layers(self, wish: Wish, here: Ned, there: Ned) -> Iterator[int]:
+    def _layers(self, wish: SortieRequest, here: Ned, there: Ned) -> Iterator[int]:
         """Layers with the room for this sortie, upwards."""
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
         yield from range(int(lowest.max()), int(layers.min()))
 
-    def _need(self, wish: Wish, here: Ned, there: Ned, layer: int) -> Need | None:
+    def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
         """What it takes in this layer; None where that is more than there is."""
         key = (wish, here, there, layer)
         if key not in self._needs:
@@ -139,13 +139,13 @@ class SlotFinder:
             )
         return self._needs[key]
 
-    def _filled(self, wish: Wish, drone: str, here: Ned, there: Ned) -> Filled:
+    def _filled(self, wish: SortieRequest, drone: str, here: Ned, there: Ned) -> OperationalVolume:
         """Its ways and columns, in no layer and at no time yet."""
         nodes = self._nodes
         points = (here, nodes.ned(wish.customer), there)
         out = nodes.ways.via(wish.launch, wish.customer)
         back = nodes.ways.via(wish.customer, wish.meet)
-        return Filled(
+        return OperationalVolume(
             vehicle=drone,
             order=nodes.orders[wish.customer - 1].id,
             ground_ne_m=tuple(p[:2] for p in points) + out + back,
@@ -156,8 +156,8 @@ class SlotFinder:
             to_s=0.0,
         )
 
-    def _near_to(self, one: Filled, other: Filled) -> Near:
+    def _near_to(self, one: OperationalVolume, other: OperationalVolume) -> Proximity:
         key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)
         if key not in self._near:
-            self._near[key] = near(one, other)
+            self._near[key] = proximity(one, other)
         return self._near[key]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ground_station.core.feasibility.reach import CannotBring
-from ground_station.core.planning.day_problem import DayNodes
+from ground_station.core.feasibility.reach import Infeasible
+from ground_station.core.planning.day_problem import DayProblem
 from ground_station.core.schema.day_plan import Unplanned
 from ground_station.core.schema.orders import Order, Service
 
@@ -21,7 +21,7 @@ def beyond_capacity(orders: list[Order], capacity_kg: float) -> list[Unplanned]:
     return left
 
 
-def beyond_reach(nodes: DayNodes) -> list[Unplanned]:
+def beyond_reach(nodes: DayProblem) -> list[Unplanned]:
     """Orders that the truck may not bring and no drone can from any stop."""
     problem = nodes.problem
     stops = [0, *np.flatnonzero(problem.truck_can_serve).tolist(), problem.end]
@@ -40,7 +40,7 @@ def beyond_reach(nodes: DayNodes) -> list[Unplanned]:
     return found
 
 
-def _why(nodes: DayNodes, customer: int, order: Order, stops: list[int]) -> Unplanned:
+def _why(nodes: DayProblem, customer: int, order: Order, stops: list[int]) -> Unplanned:
     if nodes.ways.buried[customer]:
         why = f"within {nodes.obstacles.clearance_m:g} m of an obstacle or a no-fly area"
         return Unplanned(order=order.id, why=why, remedy="a place in the open, or the truck")
@@ -51,7 +51,7 @@ def _why(nodes: DayNodes, customer: int, order: Order, stops: list[int]) -> Unpl
         found
         for drones in nodes.classes
         if drones.ids
-        and isinstance(found := drones.reach.can_bring(order.mass_kg, ned, stop, stop), CannotBring)
+        and isinstance(found := drones.reach.can_bring(order.mass_kg, ned, stop, stop), Infeasible)
     ]
     if not cannot:
         why, remedy = (

@@ -13,7 +13,7 @@ from companion.fleet.topics import checked_name
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class FileProblem:
     """One thing that is wrong in a file: where (row 1 is the header's) and what was expected."""
 
     file: str
@@ -27,10 +27,10 @@ class Problem:
         return f"{self.file}{row}{column}: {self.words}"
 
 
-class DataProblems(LeewayError):
+class DayFilesError(LeewayError):
     """Everything that is wrong in the day's files, a line each."""
 
-    def __init__(self, problems: list[Problem]) -> None:
+    def __init__(self, problems: list[FileProblem]) -> None:
         self.problems = problems
         super().__init__("\n".join(str(problem) for problem in problems))
 

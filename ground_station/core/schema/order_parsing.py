@@ -3,10 +3,8 @@
 import math
 from collections.abc import Mapping
 
-from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
 from companion.core.mission.flight_plan import frame_at
-from ground_station.core.schema.day import Depot, Problem
+from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.orders import BOUNDS, Order, Service
 
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
@@ -15,29 +13,31 @@ SAME_PLACE_M = 2.0
 SAME_PLACE_DEG = SAME_PLACE_M / 111_195.0  # of latitude, on a sphere of 6371.0 km
 
 
-def check_columns(file: str, columns: list[str]) -> list[Problem]:
+def check_columns(file: str, columns: list[str]) -> list[FileProblem]:
     """What is wrong with a table's header."""
     found = [
-        Problem(file, 1, name, f"unknown column, expected {', '.join(COLUMNS)}")
+        FileProblem(file, 1, name, f"unknown column, expected {', '.join(COLUMNS)}")
         for name in columns
         if name not in COLUMNS
     ]
-    found += [Problem(file, 1, name, "column missing") for name in REQUIRED if name not in columns]
+    found += [
+        FileProblem(file, 1, name, "column missing") for name in REQUIRED if name not in columns
+    ]
     twice = sorted({name for name in columns if columns.count(name) > 1})
-    return found + [Problem(file, 1, name, "column more than once") for name in twice]
+    return found + [FileProblem(file, 1, name, "column more than once") for name in twice]
 
 
 def order_of(
     file: str, row: int, cells: Mapping[str, str], depot: Depot | None
-) -> Order | list[Problem]:
+) -> Order | list[FileProblem]:
     """One order, or everything that is wrong in its row.
 
     An empty `alt_amsl_m` is the height of the depot's terrain there, where the day states one.
     """
-    problems: list[Problem] = []
+    problems: list[FileProblem] = []
 
     def wrong(column: str, words: str) -> None:
-        problems.append(Problem(file, row, column, words))
+        problems.append(FileProblem(file, row, column, words))
 
     numbers: dict[str, float] = {}
     for name, (low, high) in BOUNDS.items():
@@ -71,23 +71,23 @@ def order_of(
     return Order(id=id_, service=Service(service), note=note, **numbers)
 
 
-def duplicates(file_rows: list[tuple[str, int, Order]]) -> list[Problem]:
+def duplicates(file_rows: list[tuple[str, int, Order]]) -> list[FileProblem]:
     """Rows that repeat an id, or the same parcel to the same place."""
-    problems: list[Problem] = []
+    problems: list[FileProblem] = []
     by_id: dict[str, str] = {}
     near: dict[tuple[int, int], list[tuple[Order, str]]] = {}
     for file, row, order in file_rows:
         here = f"{file} row {row}"
         if order.id in by_id:
             words = f"{order.id!r} stands in {by_id[order.id]} already"
-            problems.append(Problem(file, row, "id", words))
+            problems.append(FileProblem(file, row, "id", words))
         by_id.setdefault(order.id, here)
         around = (one for cell in _cells(order, (-1, 0, 1)) for one in near.get(cell, ()))
         same = next((where for other, where in around if _is_same_parcel(order, other)), None)
         if same is not None and not problems_at(problems, file, row):
             words = f"the same parcel to the same place as {same}: one of them, or"
             words += " a note that tells them apart"
-            problems.append(Problem(file, row, None, words))
+            problems.append(FileProblem(file, row, None, words))
         for cell in _cells(order, (0,)):
             near.setdefault(cell, []).append((order, here))
     return problems
@@ -114,7 +114,7 @@ def _is_same_parcel(one: Order, other: Order) -> bool:
     return near and (one.mass_kg, one.note) == (other.mass_kg, other.note)
 
 
-def problems_at(problems: list[Problem], file: str, row: int) -> bool:
+def problems_at(problems: list[FileProblem], file: str, row: int) -> bool:
     """Tell whether this row has been named."""
     return any(problem.file == file and problem.row == row for problem in problems)
 
@@ -145,13 +145,3 @@ def _is_id(text: str) -> bool:
         and text[0].isalnum()
         and all(c.isalnum() or c in "._-" for c in text)
     )
-
-
-def place_of(order: Order) -> Place:
-    """Where an order goes, as a flight file's customer."""
-    try:
-        return Place(
-            name=order.id, lat_deg=order.lat_deg, lon_deg=order.lon_deg, alt_amsl_m=order.alt_amsl_m
-        )
-    except LeewayError as error:
-        raise LeewayError(f"order {order.id}: {error}") from error

@@ -7,7 +7,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from companion.core.base.errors import check_range
+from companion.core.base.errors import LeewayError, check_range
+from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed
 
 OrderId = Annotated[
@@ -49,6 +50,16 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def __post_init__(self) -> None:
         for key, (low, high) in BOUNDS.items():
             check_range(key, getattr(self, key), low, high)
+
+
+def place_of(order: Order) -> Place:
+    """Where an order goes, as the customer of a flight file."""
+    try:
+        return Place(
+            name=order.id, lat_deg=order.lat_deg, lon_deg=order.lon_deg, alt_amsl_m=order.alt_amsl_m
+        )
+    except LeewayError as error:
+        raise LeewayError(f"order {order.id}: {error}") from error
 
 
 class OrderState(Enum):

@@ -9,7 +9,7 @@ from msgspec import Struct, structs
 from companion.core.base.errors import LeewayError, RangeError
 
 
-def faults_of(table: dict[str, Any], kind: type[Struct], where: str = "") -> list[str]:
+def table_errors(table: dict[str, Any], kind: type[Struct], where: str = "") -> list[str]:
     """Each key that is unknown, missing, of another type or out of its range, in words."""
     fields = {field.encode_name: field for field in structs.fields(kind)}
     found: list[str] = []
@@ -35,7 +35,7 @@ def _value_faults(value: Any, kind: Any, where: str) -> list[str]:
         if len(structures) == 1 and isinstance(value, dict):
             kind = structures[0]
     if _is_struct(kind) and isinstance(value, dict):
-        return faults_of(value, kind, f"{where}.")
+        return table_errors(value, kind, f"{where}.")
     inner = get_args(kind)[0] if get_origin(kind) is list else None
     if _is_struct(inner) and isinstance(value, list):
         lines = [_value_faults(one, inner, f"{where}[{n}]") for n, one in enumerate(value)]

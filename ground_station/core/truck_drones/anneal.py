@@ -18,7 +18,7 @@ def _copy(source, target):
 
 @compiled
 def anneal(
-    t, w, plan, best, place, spare_plan, spare_place, costs_s, chance, trials, hot_s, cold_s
+    t, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
 ):
     """Try `trials` moves while the temperature falls from `hot_s` to `cold_s`, s of makespan.
 
@@ -32,9 +32,9 @@ def anneal(
         _copy(plan, spare_plan)
         for node in range(len(place)):
             spare_place[node] = place[node]
-        if not any_move(t, spare_plan, spare_place, chance):
+        if not any_move(t, spare_plan, spare_place, stream):
             continue
-        give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(chance))
+        give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(stream))
         makespan_s = simulate(t, spare_plan, w, give_up_s)
         if makespan_s > give_up_s:
             continue

@@ -38,20 +38,20 @@ def insert_stop(plan, place, node, at):
 
 
 @compiled
-def remove_stop(plan, place, node, chance):
+def remove_stop(plan, place, node, stream):
     """Take a node off the route; its launches and recoveries go to a neighbouring stop."""
     at, last = place[node], place[plan.shape[1] - 1]
     before, after = plan[ROUTE, at - 1], plan[ROUTE, at + 1]
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] == node and plan[MEET, customer] == node:
-            beside = after if below(chance, 2) == 0 else before
+            beside = after if below(stream, 2) == 0 else before
             plan[LAUNCH, customer] = beside
             plan[MEET, customer] = beside
         elif plan[LAUNCH, customer] == node:
-            onward = plan[MEET, customer] != after and below(chance, 2) == 0
+            onward = plan[MEET, customer] != after and below(stream, 2) == 0
             plan[LAUNCH, customer] = after if onward else before
         elif plan[MEET, customer] == node:
-            back = plan[LAUNCH, customer] != before and below(chance, 2) == 0
+            back = plan[LAUNCH, customer] != before and below(stream, 2) == 0
             plan[MEET, customer] = before if back else after
     for to in range(at, last):
         plan[ROUTE, to] = plan[ROUTE, to + 1]
@@ -60,10 +60,10 @@ def remove_stop(plan, place, node, chance):
 
 
 @compiled
-def take_out(plan, place, customer, chance):
+def take_out(plan, place, customer, stream):
     """Nobody serves this customer any more."""
     if place[customer] >= 0:
-        remove_stop(plan, place, customer, chance)
+        remove_stop(plan, place, customer, stream)
     else:
         plan[LAUNCH, customer] = NOWHERE
         plan[MEET, customer] = NOWHERE

@@ -27,28 +27,28 @@ REACH = 4
 
 
 @compiled
-def near_node(t, node, chance):
+def near_node(t, node, stream):
     """A node near this one, nearer ones more often."""
     near = t.near
-    drawn = uniform(chance)
+    drawn = uniform(stream)
     return near[node, int(drawn * drawn * near.shape[1])]
 
 
 @compiled
-def near_place(t, place, node, chance):
+def near_place(t, place, node, stream):
     """Where on the route a stop near this node is."""
     for _ in range(TRIES):
-        at = place[near_node(t, node, chance)]
+        at = place[near_node(t, node, stream)]
         if at >= 0:
             return at
-    return below(chance, place[len(place) - 1] + 1)
+    return below(stream, place[len(place) - 1] + 1)
 
 
 @compiled
-def any_flown(plan, chance):
+def any_flown(plan, stream):
     """A customer served by a drone, or NOWHERE."""
     customers = plan.shape[1] - 2
-    start = below(chance, customers)
+    start = below(stream, customers)
     for step in range(customers):
         customer = 1 + (start + step) % customers
         if plan[LAUNCH, customer] != NOWHERE:
@@ -57,10 +57,10 @@ def any_flown(plan, chance):
 
 
 @compiled
-def any_kind(t, customer, chance):
+def any_kind(t, customer, stream):
     """A kind of drone that can serve this customer, or NOWHERE."""
     can = t.drone_can
-    start = below(chance, can.shape[0])
+    start = below(stream, can.shape[0])
     for step in range(can.shape[0]):
         kind = (start + step) % can.shape[0]
         if can[kind, customer]:
@@ -69,63 +69,63 @@ def any_kind(t, customer, chance):
 
 
 @compiled
-def put_on_truck(t, plan, place, customer, chance):
+def put_on_truck(t, plan, place, customer, stream):
     """Serve a customer by the truck, beside a stop near it."""
     if not t.truck_can[customer]:
         return False
-    at = near_place(t, place, customer, chance) + below(chance, 2)
+    at = near_place(t, place, customer, stream) + below(stream, 2)
     insert_stop(plan, place, customer, max(1, min(at, place[plan.shape[1] - 1])))
     return True
 
 
 @compiled
-def put_on_drone(t, plan, place, customer, chance):
+def put_on_drone(t, plan, place, customer, stream):
     """Serve a customer by a drone, launched and met about a stop near it."""
-    kind = any_kind(t, customer, chance)
+    kind = any_kind(t, customer, stream)
     if kind == NOWHERE:
         return False
     last = place[plan.shape[1] - 1]
-    at = near_place(t, place, customer, chance)
-    drawn, also = uniform(chance), uniform(chance)
+    at = near_place(t, place, customer, stream)
+    drawn, also = uniform(stream), uniform(stream)
     launch = max(0, at - int(drawn * drawn * REACH))
     meet = min(last, at + int(also * also * REACH))
     if t.loops_only:
         launch = meet = at
     elif launch == meet and not t.pads:
-        if meet < last and (launch == 0 or below(chance, 2) == 0):
+        if meet < last and (launch == 0 or below(stream, 2) == 0):
             meet += 1
         else:
             launch -= 1
     plan[LAUNCH, customer] = plan[ROUTE, launch]
     plan[MEET, customer] = plan[ROUTE, meet]
     plan[KIND, customer] = kind
-    plan[ORDER, customer] = below(chance, 4) if below(chance, 4) == 0 else 0
+    plan[ORDER, customer] = below(stream, 4) if below(stream, 4) == 0 else 0
     return True
 
 
 @compiled
-def relocate(t, plan, place, chance):
+def relocate(t, plan, place, stream):
     """Serve one customer elsewhere, by truck or drone."""
-    customer = 1 + below(chance, plan.shape[1] - 2)
-    take_out(plan, place, customer, chance)
-    if below(chance, 2) == 0 and put_on_drone(t, plan, place, customer, chance):
+    customer = 1 + below(stream, plan.shape[1] - 2)
+    take_out(plan, place, customer, stream)
+    if below(stream, 2) == 0 and put_on_drone(t, plan, place, customer, stream):
         return True
-    return put_on_truck(t, plan, place, customer, chance)
+    return put_on_truck(t, plan, place, customer, stream)
 
 
 @compiled
-def retime(t, plan, place, chance):
+def retime(t, plan, place, stream):
     """Launch or meet one drone a stop or two earlier or later, or in another order at its stops, or
     fly another kind."""
-    customer = any_flown(plan, chance)
+    customer = any_flown(plan, stream)
     if customer == NOWHERE:
         return False
-    what = below(chance, 5)
+    what = below(stream, 5)
     if what == 4:
-        plan[ORDER, customer] ^= AT_ONCE if below(chance, 2) == 0 else LATE
+        plan[ORDER, customer] ^= AT_ONCE if below(stream, 2) == 0 else LATE
         return True
-    by = 1 + below(chance, 2)
-    if below(chance, 2) == 0:
+    by = 1 + below(stream, 2)
+    if below(stream, 2) == 0:
         by = -by
     launch, meet = place[plan[LAUNCH, customer]], place[plan[MEET, customer]]
     if what != 1:
@@ -135,7 +135,7 @@ def retime(t, plan, place, chance):
     if t.loops_only:
         meet = launch
     if what == 3:
-        plan[KIND, customer] = any_kind(t, customer, chance)
+        plan[KIND, customer] = any_kind(t, customer, stream)
     if launch < 0 or meet > place[plan.shape[1] - 1] or launch > meet:
         return False
     if launch == meet and not t.pads:
@@ -154,11 +154,11 @@ def _fits(t, plan, place, customer, role):
 
 
 @compiled
-def trade(t, plan, place, chance):
+def trade(t, plan, place, stream):
     """Two customers near one another take each other's part."""
     end = plan.shape[1] - 1
-    one = 1 + below(chance, end - 1)
-    other = near_node(t, one, chance)
+    one = 1 + below(stream, end - 1)
+    other = near_node(t, one, stream)
     if other == 0 or other == end:
         return False
     if not (_fits(t, plan, place, one, other) and _fits(t, plan, place, other, one)):
@@ -168,11 +168,11 @@ def trade(t, plan, place, chance):
 
 
 @compiled
-def turn_round(t, plan, place, chance):
+def turn_round(t, plan, place, stream):
     """Drive a part of the route the other way round (2-opt), beginning beside a near stop."""
     last = place[plan.shape[1] - 1]
-    one = below(chance, last)
-    other = near_place(t, place, plan[ROUTE, one], chance)
+    one = below(stream, last)
+    other = near_place(t, place, plan[ROUTE, one], stream)
     first, final = min(one, other) + 1, max(one, other)
     if final >= last:
         final = last - 1
@@ -183,18 +183,18 @@ def turn_round(t, plan, place, chance):
 
 
 @compiled
-def shift_stops(t, plan, place, chance):
+def shift_stops(t, plan, place, stream):
     """Drive one to three stops in a row at another time, beside a near stop (Or-opt)."""
     last = place[plan.shape[1] - 1]
     if last < 4:
         return False
-    length = 1 + below(chance, 3)
-    first = 1 + below(chance, last - 1)
+    length = 1 + below(stream, 3)
+    first = 1 + below(stream, last - 1)
     final = min(first + length - 1, last - 1)
-    to = near_place(t, place, plan[ROUTE, first], chance)
+    to = near_place(t, place, plan[ROUTE, first], stream)
     if first - 1 <= to <= final:
         return False
-    back = below(chance, 2) == 0
+    back = below(stream, 2) == 0
     if to > final:  # the stops between move ahead: three reversals make a rotation
         if not back:
             reverse_stops(plan, place, first, final)
@@ -211,18 +211,18 @@ def shift_stops(t, plan, place, chance):
 
 
 @compiled
-def any_move(t, plan, place, chance):
+def any_move(t, plan, place, stream):
     """One of the moves, by fixed shares (chosen by hand, not tuned)."""
-    drawn = uniform(chance)
+    drawn = uniform(stream)
     if drawn < 0.002:
         reverse_day(plan, place)
         return True
     if drawn < 0.35:
-        return relocate(t, plan, place, chance)
+        return relocate(t, plan, place, stream)
     if drawn < 0.60:
-        return retime(t, plan, place, chance)
+        return retime(t, plan, place, stream)
     if drawn < 0.75:
-        return trade(t, plan, place, chance)
+        return trade(t, plan, place, stream)
     if drawn < 0.85:
-        return turn_round(t, plan, place, chance)
-    return shift_stops(t, plan, place, chance)
+        return turn_round(t, plan, place, stream)
+    return shift_stops(t, plan, place, stream)

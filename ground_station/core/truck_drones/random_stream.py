@@ -5,27 +5,27 @@ from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.compiled import compiled
 
-Chance = NDArray[np.uint64]
+RandomStream = NDArray[np.uint64]
 
 
-def chance_from(rng: np.random.Generator) -> Chance:
+def random_stream(rng: np.random.Generator) -> RandomStream:
     """A stream that follows from the generator's state."""
     return rng.integers(1, 2**63, size=1, dtype=np.uint64)
 
 
 @compiled
-def uniform(chance):
+def uniform(stream):
     """In [0, 1): xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift
     generators, scrambled", ACM TOMS 42, 2016)."""
-    x = chance[0]
+    x = stream[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
-    chance[0] = x
+    stream[0] = x
     return ((x * np.uint64(0x2545F4914F6CDD1D)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
-def below(chance, most):
+def below(stream, most):
     """An integer in 0 .. most - 1."""
-    return int(uniform(chance) * most)
+    return int(uniform(stream) * most)

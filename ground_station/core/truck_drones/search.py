@@ -8,7 +8,7 @@ from ground_station.core.truck_drones.anneal import anneal
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.random_stream import chance_from
+from ground_station.core.truck_drones.random_stream import random_stream
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import Plan, tables_of, work_for
 
@@ -70,7 +70,7 @@ class Search:
         first_s = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
         self._costs_s = np.full(2, first_s)
         self._leg_s = first_s / problem.nodes
-        self._chance = chance_from(rng)
+        self._chance = random_stream(rng)
 
     @property
     def best_s(self) -> float:

@@ -19,11 +19,11 @@ from companion.core.base.geo import LocalFrame, Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
 from companion.fleet.messages import State
 from companion.fleet.network import MemberLink
-from ground_station.app.truck.truck_member import TruckPort
+from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.order_parsing import place_of
+from ground_station.core.schema.orders import place_of
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
@@ -306,7 +306,7 @@ def _truck(
     rng: np.random.Generator,
 ) -> DayTruck:
     day = data.day
-    port = TruckPort.open(
+    port = TruckMember.open(
         TRUCK,
         folder / TRUCK,
         plumbing.truck_link,

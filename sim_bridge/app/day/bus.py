@@ -26,12 +26,12 @@ from companion.fleet.messages import (
 )
 from companion.fleet.network import Ask, Asked
 from ground_station.core.fleet.fleet_link import (
-    Alive,
     CommandAnswered,
-    EventsHeard,
-    Heard,
-    Nonsense,
-    StateHeard,
+    EventsReceived,
+    FleetInput,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
 )
 
 DELAY_S = 0.02
@@ -84,7 +84,7 @@ class Bus:
 
     def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
         """A desk sees a life come or go."""
-        alive = Alive(link.vehicle, link.life, up=up)
+        alive = LivelinessChanged(link.vehicle, link.life, up=up)
         self.later(DELAY_S, lambda: desk.hear(alive))
 
     def desk(self) -> "BusFleet":
@@ -199,14 +199,14 @@ class BusFleet:
     """A desk's end (`ground_station.core.fleet.fleet_link.Fleet`)."""
 
     bus: Bus
-    _heard: list[Heard] = field(default_factory=list)
+    _heard: list[FleetInput] = field(default_factory=list)
 
-    def heard(self, wait_s: float) -> list[Heard]:
+    def receive(self, wait_s: float) -> list[FleetInput]:
         """What has arrived; time does not pass here."""
         heard, self._heard = self._heard, []
         return heard
 
-    def hear(self, heard: Heard) -> None:
+    def hear(self, heard: FleetInput) -> None:
         """Something arrives."""
         self._heard.append(heard)
 
@@ -214,13 +214,13 @@ class BusFleet:
         """A vehicle's state arrives."""
         state = self._decoded(vehicle, raw, decode_state)
         if isinstance(state, State):
-            self.hear(StateHeard(state))
+            self.hear(StateReceived(state))
 
     def hear_event(self, vehicle: str, raw: bytes) -> None:
         """A vehicle's event arrives."""
         event = self._decoded(vehicle, raw, decode_event)
         if isinstance(event, FleetEvent):
-            self.hear(EventsHeard(vehicle, [event]))
+            self.hear(EventsReceived(vehicle, [event]))
 
     def ask_states(self, wait_s: float) -> None:
         """Ask every vehicle for its newest state."""
@@ -254,7 +254,7 @@ class BusFleet:
         events = [self._decoded(vehicle, raw, decode_event) for raw in replies]
         found = sorted((e for e in events if isinstance(e, FleetEvent)), key=lambda e: e.seq)
         if found:
-            self.hear(EventsHeard(vehicle, found, replayed=True))
+            self.hear(EventsReceived(vehicle, found, replayed=True))
 
     def send(self, command: Command, wait_s: float) -> None:
         """Send a command; its answer, or that there was none in this time, is heard."""
@@ -280,10 +280,10 @@ class BusFleet:
     def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:
         message = decode(raw)
         if isinstance(message, Refused):
-            self.hear(Nonsense(vehicle, message.reason))
+            self.hear(MessageRejected(vehicle, message.reason))
             return None
         if message.vehicle != vehicle:
-            self.hear(Nonsense(vehicle, f"speaks for {message.vehicle}"))
+            self.hear(MessageRejected(vehicle, f"speaks for {message.vehicle}"))
             return None
         return message
 

@@ -8,12 +8,13 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.active_plan import PlanInForce
+from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.desk import Desk
-from ground_station.app.desk.replanner import ReplannerAtOnce
-from ground_station.app.desk.truck_dispatcher import DayDesk
+from ground_station.app.desk.exchange import Exchange
+from ground_station.app.desk.replanner import InlineReplanner
+from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import Picture
+from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.day.build import BuiltDay
 
@@ -88,19 +89,12 @@ class DeskHere:
         assert bus is not None
         assert plan is not None
         data = built.data
-        replanner = ReplannerAtOnce(self.seed, self.trials)
-        plans = PlanInForce(books.day, data, plan, replanner, self._say)
-        day = DayDesk(books.store, books.day, plans, built.clock, self._say)
-        picture = Picture(data.airframes)
-        self.desk = Desk(
-            books.store,
-            bus.desk(),
-            self._say,
-            data=data,
-            picture=picture,
-            clock=built.clock,
-            day=day,
-        )
+        replanner = InlineReplanner(self.seed, self.trials)
+        active = ActivePlan(books.day, data, plan, replanner, self._say)
+        dispatcher = TruckDispatcher(books.store, books.day, active, built.clock, self._say)
+        status = FleetStatus(data.airframes)
+        exchange = Exchange(books.store, bus.desk(), self._say, status, built.clock)
+        self.desk = Desk(exchange, dispatcher)
         self.desk.begin()
 
     def _say(self, words: str) -> None:
@@ -117,7 +111,7 @@ class DeskHere:
         """Nothing is put in order."""
         if self.desk is not None:
             self._say("KILLED")
-            self.desk.fleet.close()  # a dead process's session is gone from the network too
+            self.desk.exchange.fleet.close()  # a dead process has no session
             self.desk = None
             self.books.close()
 
@@ -130,7 +124,7 @@ class DeskHere:
     @property
     def is_done(self) -> bool:
         """The desk says that the day is over."""
-        return self.desk is not None and self.desk.day is not None and self.desk.day.is_over
+        return self.desk is not None and self.desk.dispatcher.is_done
 
     @property
     def plans(self) -> list[DayPlan]:
@@ -145,7 +139,7 @@ class DeskHere:
     def close(self) -> None:
         """In order."""
         if self.desk is not None:
-            self.desk.fleet.close()
+            self.desk.exchange.fleet.close()
             self.desk = None
             self.books.close()
         if self._log is not None:

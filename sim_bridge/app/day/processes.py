@@ -26,7 +26,7 @@ from companion.fleet.network import MemberLink
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_link import ZenohLink, read_config
 from ground_station.adapters.zenoh_fleet import ZenohFleet
-from ground_station.core.fleet.fleet_link import StateHeard
+from ground_station.core.fleet.fleet_link import StateReceived
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -196,8 +196,8 @@ class ZenohNetwork:
 
     def deliver(self, t_s: float) -> None:
         """Take what has been heard."""
-        for heard in self.ears.heard(0.0):
-            if isinstance(heard, StateHeard):
+        for heard in self.ears.receive(0.0):
+            if isinstance(heard, StateReceived):
                 self.heard += 1
                 self.states[heard.state.vehicle] = heard.state
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.base.geo import LocalFrame, place_ned
 from companion.core.base.place import Place
-from ground_station.app.truck.truck_member import TruckPort
+from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import Task, TaskKind
 from sim_bridge.app.day.drone import DayDrone
 
@@ -73,7 +73,7 @@ class DriverTask:
 class DayTruck:
     """`drive_s(stop, from, to)` is what a drive takes on average; `late_s` befalls the second."""
 
-    port: TruckPort
+    port: TruckMember
     frame: LocalFrame
     drones: dict[str, DayDrone]
     payload_kg: dict[str, float]

@@ -33,7 +33,7 @@ from companion.fleet.zenoh_link import ZenohLink, leave_process, read_config
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet
-from ground_station.core.fleet.fleet_link import CommandAnswered, StateHeard
+from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from ground_station.core.schema.orders import Order
 
 FLEET = "bench"
@@ -110,12 +110,12 @@ def _measure(folder: Path, config: Path, vehicles: int, orders: int, seed: int) 
     return timed
 
 
-def _gather(desk: ZenohFleet, vehicles: int, progress: Progress) -> dict[str, StateHeard]:
-    states: dict[str, StateHeard] = {}
+def _gather(desk: ZenohFleet, vehicles: int, progress: Progress) -> dict[str, StateReceived]:
+    states: dict[str, StateReceived] = {}
     task = progress.add_task("vehicles connecting", total=vehicles)
     until_s = wall_s() + GATHER_S
     while len(states) < vehicles:
-        _keep(states, desk.heard(0.1))
+        _keep(states, desk.receive(0.1))
         progress.update(task, completed=len(states))
         if wall_s() > until_s:
             typer.echo(f"{len(states)} of {vehicles} vehicles after {GATHER_S:.0f} s", err=True)
@@ -123,18 +123,18 @@ def _gather(desk: ZenohFleet, vehicles: int, progress: Progress) -> dict[str, St
     return states
 
 
-def _keep(states: dict[str, StateHeard], heard: list[Any]) -> list[CommandAnswered]:
-    states |= {h.state.vehicle: h for h in heard if isinstance(h, StateHeard)}
+def _keep(states: dict[str, StateReceived], heard: list[Any]) -> list[CommandAnswered]:
+    states |= {h.state.vehicle: h for h in heard if isinstance(h, StateReceived)}
     return [h for h in heard if isinstance(h, CommandAnswered)]
 
 
 def _dispatch(
-    store: Store, desk: ZenohFleet, states: dict[str, StateHeard], name: str, number: int
+    store: Store, desk: ZenohFleet, states: dict[str, StateReceived], name: str, number: int
 ) -> Timed:
     """One order, and its vehicle freed again (not timed)."""
     order = Order(id=f"o{number}", lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0, mass_kg=0.1)
     store.add_orders([order])
-    _keep(states, desk.heard(0.0001))
+    _keep(states, desk.receive(0.0001))
     begin_s = wall_s()
     store.assign(order.id, name, FLIGHT, None, "bench")
     row = store.outbox()[0]
@@ -151,7 +151,7 @@ def _dispatch(
     desk.send(command, ANSWER_S)
     answers: list[CommandAnswered] = []
     while not answers:
-        answers = _keep(states, desk.heard(ANSWER_S))
+        answers = _keep(states, desk.receive(ANSWER_S))
     heard_s = wall_s()
     result = answers[0].result
     if result is None or result.answer is not Answered.DONE:

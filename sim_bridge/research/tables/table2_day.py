@@ -18,7 +18,7 @@ from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.llm import LlmParams
 from ground_station.app.planning.clusters import cluster_by_llm
 from ground_station.core.clustering.methods import conditioned, k_means, no_clusters
-from ground_station.core.clustering.problem import Clustered, Conditions, Problem
+from ground_station.core.clustering.problem import Clustered, ClusteringProblem, Conditions
 
 Floats = NDArray[np.float64]
 
@@ -61,12 +61,12 @@ def delivery_energy_wh(
     return np.where(energy <= REACH_FRAC * budget_wh, energy, np.inf)
 
 
-def problem_of(graph: EnergyGraph, customers: list[int], energy_wh: Floats) -> Problem:
+def problem_of(graph: EnergyGraph, customers: list[int], energy_wh: Floats) -> ClusteringProblem:
     """The day as the ground station's clustering knows it."""
     places = graph.vertices_m[customers][:, [1, 0]]
     apart = np.hypot(*(places[:, None, :] - places[None, :, :]).transpose(2, 0, 1))
     within = apart[np.isfinite(energy_wh)]
-    return Problem(
+    return ClusteringProblem(
         ids=tuple(f"v{v}" for v in customers),
         places_ne_m=places,
         mass_kg=np.full(len(customers), PARCEL_KG),
@@ -77,9 +77,11 @@ def problem_of(graph: EnergyGraph, customers: list[int], energy_wh: Floats) -> P
     )
 
 
-def plan_day(graph: EnergyGraph, problem: Problem, method: str, llm: LlmParams | None) -> Day:
+def plan_day(
+    graph: EnergyGraph, problem: ClusteringProblem, method: str, llm: LlmParams | None
+) -> Day:
     """Clusters by `none`, `k-means`, `ours` or `llm`, and the truck's tour over their stops."""
-    ways: dict[str, Callable[[Problem], Clustered]] = {
+    ways: dict[str, Callable[[ClusteringProblem], Clustered]] = {
         "none": no_clusters,
         "k-means": k_means,
         "ours": conditioned,

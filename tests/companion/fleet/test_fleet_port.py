@@ -28,7 +28,7 @@ from companion.fleet.messages import (
 from companion.fleet.messages import encode as encoded
 from companion.fleet.network import Ask, Asked
 from ground_station.adapters.files.day_files import read_day
-from ground_station.core.dispatch.depot_assignment import flight_table
+from ground_station.core.dispatch.flight_tables import delivery_table
 from tests.fleet.zenoh_net import Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
@@ -77,7 +77,7 @@ def test_on_a_full_disk_nothing_is_launched_but_a_recall_is_taken(port, monkeypa
 
 
 def test_a_flight_that_the_vehicle_may_not_fly_is_refused_in_words(port):
-    good = flight_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    good = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
     deed = Assign(assignment="a1", order="o1", flight=good, obstacles=DAY.no_fly)
     path = write_mission(deed, port)
     assert json.loads(path.read_text())["site"]["obstacles"] == "obstacles.geojson"

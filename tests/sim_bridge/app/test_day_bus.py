@@ -11,7 +11,12 @@ from companion.fleet.messages import (
     encode,
 )
 from companion.fleet.network import Ask
-from ground_station.core.fleet.fleet_link import Alive, CommandAnswered, Nonsense, StateHeard
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
+)
 from sim_bridge.app.day.bus import Bus, BusLink
 
 RECALL = Command(id="c1", vehicle="d1", life="l1", as_of_s=0.0, by="desk", deed=Recall())
@@ -42,11 +47,11 @@ def test_a_desk_that_joins_late_sees_who_lives_and_gets_the_newest_states_on_ask
     net.join("d1", "l1").publish_state(state())
     desk = net.desk()
     net.deliver(1.0)
-    assert desk.heard(0.0) == [Alive("d1", "l1", up=True)]
+    assert desk.receive(0.0) == [LivelinessChanged("d1", "l1", up=True)]
     desk.ask_states(5.0)
     net.deliver(2.0)
-    (heard,) = desk.heard(0.0)
-    assert isinstance(heard, StateHeard)
+    (heard,) = desk.receive(0.0)
+    assert isinstance(heard, StateReceived)
 
 
 def test_a_command_is_answered_once_though_the_vehicle_answers_twice():
@@ -56,7 +61,7 @@ def test_a_command_is_answered_once_though_the_vehicle_answers_twice():
     net.deliver(1.0)
     answer(link)
     net.deliver(20.0)
-    answers = [h for h in desk.heard(0.0) if isinstance(h, CommandAnswered)]
+    answers = [h for h in desk.receive(0.0) if isinstance(h, CommandAnswered)]
     assert [h.result is not None for h in answers] == [True]
 
 
@@ -65,9 +70,9 @@ def test_a_command_to_nobody_is_visibly_not_answered_in_its_time():
     desk = net.desk()
     desk.send(RECALL, 5.0)
     net.deliver(4.9)
-    assert desk.heard(0.0) == []
+    assert desk.receive(0.0) == []
     net.deliver(5.1)
-    assert desk.heard(0.0) == [CommandAnswered("c1", None)]
+    assert desk.receive(0.0) == [CommandAnswered("c1", None)]
 
 
 def test_a_killed_member_is_seen_to_go_and_its_second_life_is_a_twin_to_none():
@@ -76,7 +81,7 @@ def test_a_killed_member_is_seen_to_go_and_its_second_life_is_a_twin_to_none():
     link.close()
     second = net.join("d1", "l2")
     net.deliver(1.0)
-    lives = [(h.life, h.up) for h in desk.heard(0.0) if isinstance(h, Alive)]
+    lives = [(h.life, h.up) for h in desk.receive(0.0) if isinstance(h, LivelinessChanged)]
     assert lives == [("l1", True), ("l1", False), ("l2", True)]
     assert second.asked() == []
 
@@ -93,8 +98,8 @@ def test_who_speaks_for_another_is_not_believed():
     desk = net.desk()
     net.join("d1", "l1").publish_state(state("d2"))
     net.deliver(1.0)
-    assert any(isinstance(h, Nonsense) for h in desk.heard(0.0))
-    assert not any(isinstance(h, StateHeard) for h in desk.heard(0.0))
+    assert any(isinstance(h, MessageRejected) for h in desk.receive(0.0))
+    assert not any(isinstance(h, StateReceived) for h in desk.receive(0.0))
 
 
 def test_of_many_messages_the_stated_share_is_lost():
@@ -104,6 +109,6 @@ def test_of_many_messages_the_stated_share_is_lost():
     for _ in range(2000):
         link.publish_state(state())
     net.deliver(1.0)
-    arrived = sum(isinstance(h, StateHeard) for h in desk.heard(0.0))
+    arrived = sum(isinstance(h, StateReceived) for h in desk.receive(0.0))
     assert arrived == 2000 - net.lost
     assert abs(net.lost - 400) < 4 * 18

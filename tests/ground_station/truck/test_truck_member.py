@@ -29,8 +29,8 @@ from companion.fleet.messages import (
     encode,
 )
 from companion.fleet.network import Ask, Asked
-from ground_station.app.cli.truck import obey
-from ground_station.app.truck.truck_member import TruckPort
+from ground_station.app.truck.driver_console import obey
+from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import TaskKind
 
 TO_1 = Drive(stop="stop-1", lat_deg=55.1, lon_deg=8.1)
@@ -79,9 +79,9 @@ class Terminal:
 
     def __init__(self, folder: Path) -> None:
         self.wire = Wire()
-        self.port = TruckPort.open(
+        self.port = TruckMember.open(
             "truck", folder, lambda life: self.wire,
-            stop="depot", lat_deg=55.0, lon_deg=8.0, clock_s=lambda: 0.0,
+            stop="depot", lat_deg=55.0, lon_deg=8.0, clock_s=lambda: 0.0, epoch_us=lambda: 0,
         )  # fmt: skip
 
     def ask(self, deed: Deed, id_: str) -> Result:

@@ -13,21 +13,23 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.qgc_plan import read_plan
 from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_commands import COMMAND, GRIPPER_RELEASE
 from companion.core.mission.mission_items import ItemKind
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.plan_files import read_day_plan
 from ground_station.app.cli.plan import app
+from ground_station.core.dispatch.flight_tables import planned_flight, sortie_table
+from ground_station.core.dispatch.replanning import candidate_pads
 from ground_station.core.planning.day_planner import PlanParams, plan_day
-from ground_station.core.planning.sortie_flight import flight_of, flight_table
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.day_state import DayState, first_state
-from ground_station.core.schema.orders import Order, Service
+from ground_station.core.schema.orders import Order, Service, place_of
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
-DAYS = Path(__file__).parents[2] / "params" / "days"
+DAYS = Path(__file__).parents[3] / "params" / "days"
 QUICK = PlanParams(trials=600)
 
 
@@ -201,14 +203,25 @@ def test_without_any_drone_the_truck_brings_what_it_may(harbour):
 
 def test_a_planned_sortie_becomes_a_flight_of_its_own_layer_and_stops(harbour, harbour_plan):
     sortie = harbour_plan.sorties[0]
-    flight = flight_of(harbour, harbour_plan, sortie)
+    flight = planned_flight(harbour, harbour_plan, sortie)
     assert flight.site.home == sortie.home
     assert [stop.name for stop in flight.site.stops] == [sortie.home, *sortie.others]
     assert flight.mission.cruise_height_m == sortie.outbound_height_m
     assert flight.vehicle.charge_frac == [0.05, 1.0]
-    table = flight_table(flight)
+
+
+def test_the_table_that_a_drone_is_assigned_is_a_flight_file(harbour, harbour_plan):
+    sortie = harbour_plan.sorties[0]
+    order = next(order for order in harbour.orders if order.id == sortie.order)
+    stops = {stop.id: stop for stop in harbour_plan.stops}
+    pads = candidate_pads(harbour_plan, sortie, stops)
+    table = sortie_table(harbour.day, harbour.day.drone(sortie.vehicle), order, sortie, pads)
     assert "obstacles" not in table["site"]
     assert json.loads(json.dumps(table)) == table
+    flight = msgspec.convert(table, Flight)
+    assert flight.site.home == sortie.home
+    assert flight.site.customer == place_of(order)
+    assert flight.mission.cruise_height_m == sortie.outbound_height_m
 
 
 def test_the_command_writes_plan_picture_and_missions(tmp_path):

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-FLIGHT = Path(__file__).parents[2] / "params" / "flights" / "default.toml"
+FLIGHT = Path(__file__).parents[3] / "params" / "flights" / "default.toml"
 
 
 def ask(*arguments: str) -> tuple[int, str, str]:
@@ -21,7 +21,7 @@ def ask(*arguments: str) -> tuple[int, str, str]:
 
 
 def need_wh(text: str) -> float:
-    found = re.search(r"mean need, to the ground\D+(\d+) Wh", text)
+    found = re.search(r"mean energy, to the ground\D+(\d+) Wh", text)
     assert found, text
     return float(found.group(1))
 

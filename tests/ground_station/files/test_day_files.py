@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from companion.core.base.geo import Ned
-from companion.core.mission.flight_file import Mission
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.day_files import DayData, read_day, read_orders
 from ground_station.app.cli.order import app as order_app
-from ground_station.core.feasibility.reach import CanBring, CannotBring, Reach
-from ground_station.core.schema.day import DataProblems, Drone, Forecast
+from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.orders import Service
 
-HARBOUR = Path(__file__).parents[2] / "params" / "days" / "harbour.toml"
+HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +27,7 @@ def m100(harbour: DayData) -> Airframe:
 
 
 def problems_of(path: Path) -> list[str]:
-    with pytest.raises(DataProblems) as caught:
+    with pytest.raises(DayFilesError) as caught:
         read_orders(path, None) if path.suffix != ".toml" else read_day(path)
     return [str(p).removeprefix(f"{path.parent}/") for p in caught.value.problems]
 
@@ -270,46 +267,3 @@ def test_a_road_matrix_gives_seconds_each_way(tmp_path):
     roads = read_day(tmp_path / "day.toml").roads_s
     assert roads is not None
     assert (roads["depot", "a"], roads["a", "depot"]) == (60.0, 75.0)
-
-
-# --- reach ---------------------------------------------------------------------------------------
-
-
-def a_reach(m100: Airframe, charge: float = 1.0, **wind: float) -> Reach:
-    drone = Drone(id="d1", airframe="m100", charge_frac=charge)
-    return Reach(drone, m100, Mission(), Forecast(**wind))
-
-
-def at(north_m: float, east_m: float = 0.0) -> Ned:
-    return (north_m, east_m, 0.0)
-
-
-def test_reach_shrinks_with_wind_load_and_an_emptier_battery(m100):
-    def spare(reach: Reach, payload_kg: float = 0.5) -> float:
-        found = reach.can_bring(payload_kg, at(800.0))
-        assert isinstance(found, CanBring)
-        return found.spare_wh
-
-    calm = spare(a_reach(m100))
-    assert spare(a_reach(m100, speed_mps=7.0)) < calm
-    assert spare(a_reach(m100), payload_kg=1.0) < calm
-    assert spare(a_reach(m100, charge=0.8)) < calm
-
-
-def test_an_order_out_of_reach_says_what_would_make_it_possible(m100):
-    far = a_reach(m100).can_bring(0.5, at(20_000.0))
-    assert isinstance(far, CannotBring)
-    assert "Wh short" in far.why
-    radius_m = float(far.remedy.split("within ")[1].split(" m")[0])
-    stop = at(20_000.0 - radius_m + 1.0)
-    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), stop, stop), CanBring)
-    beyond = at(20_000.0 - radius_m - 50.0)
-    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), beyond, beyond), CannotBring)
-    heavy = a_reach(m100).can_bring(50.0, at(100.0))
-    assert isinstance(heavy, CannotBring)
-    assert "the truck" in heavy.remedy
-    low = a_reach(m100, charge=0.25).can_bring(0.5, at(1000.0))
-    assert isinstance(low, CannotBring)
-    assert low.remedy == "a full battery"
-    storm = a_reach(m100, speed_mps=35.0).can_bring(0.5, at(500.0))
-    assert isinstance(storm, CannotBring)

@@ -252,14 +252,14 @@ def test_a_full_disk_is_said_and_what_was_acknowledged_is_still_there(tmp_path):
     url = f"sqlite:///{tmp_path}/d.db"
     with opened(url) as store:
         store.add_orders([an_order("o1")])
-        with store._database.write() as db:
+        with store.database.write() as db:
             pages = db.exec_driver_sql("PRAGMA page_count").scalar_one()
             db.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
         crowd = [msgspec.structs.replace(an_order(f"p{n}"), note="x" * 400) for n in range(2000)]
         with pytest.raises(StoreError, match="nothing written: database or disk is full"):
             store.add_orders(crowd)
         assert list(states(store)) == ["o1"]
-        with store._database.write() as db:
+        with store.database.write() as db:
             db.exec_driver_sql("PRAGMA max_page_count = 100000")
         assert len(store.add_orders(crowd).added) == 2000
 

@@ -10,7 +10,7 @@ import pytest
 
 from companion.core.base.place import Place
 from ground_station.adapters.files.day_files import read_day
-from ground_station.core.deconfliction.separation import Filled, may_launch
+from ground_station.core.deconfliction.separation import OperationalVolume, may_launch
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
@@ -19,7 +19,7 @@ from ground_station.core.schema.day_state import first_state
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
-TOWN = Path(__file__).parents[2] / "params" / "days" / "town.toml"
+TOWN = Path(__file__).parents[3] / "params" / "days" / "town.toml"
 LATE_S = 30.0
 METRES_PER_DEGREE = 6_371_008.8 * math.pi / 180.0
 
@@ -159,24 +159,24 @@ def test_the_desks_last_check_passes_the_plan_and_stops_what_is_put_off_into_ano
     assert refused > len(plan.sorties) / 2
 
 
-def filled(
+def volume(
     vehicle: str, ends: tuple[tuple[float, float], tuple[float, float]], up_m: float
-) -> Filled:
-    return Filled(vehicle, f"o-{vehicle}", ends, ends, up_m, up_m, 0.0, 100.0)
+) -> OperationalVolume:
+    return OperationalVolume(vehicle, f"o-{vehicle}", ends, ends, up_m, up_m, 0.0, 100.0)
 
 
 @pytest.mark.parametrize(
     ("other", "reason"),
     [
-        (filled("d2", ((0.0, 30.0), (400.0, 30.0)), 40.0), None),
-        (filled("d2", ((0.0, 10.0), (400.0, 300.0)), 64.0), "go up and down too near"),
-        (filled("d2", ((200.0, -300.0), (200.0, 300.0)), 51.0), "layers that are too near"),
-        (filled("d2", ((200.0, -300.0), (200.0, 300.0)), 52.0), None),
-        (filled("d2", ((0.0, -300.0), (0.0, 300.0)), 28.0), "flies where the other goes up"),
-        (filled("d2", ((0.0, -300.0), (0.0, 300.0)), 52.0), None),
-        (filled("d1", ((0.0, 900.0), (0.0, 990.0)), 52.0), "in the air already"),
+        (volume("d2", ((0.0, 30.0), (400.0, 30.0)), 40.0), None),
+        (volume("d2", ((0.0, 10.0), (400.0, 300.0)), 64.0), "go up and down too near"),
+        (volume("d2", ((200.0, -300.0), (200.0, 300.0)), 51.0), "layers that are too near"),
+        (volume("d2", ((200.0, -300.0), (200.0, 300.0)), 52.0), None),
+        (volume("d2", ((0.0, -300.0), (0.0, 300.0)), 28.0), "flies where the other goes up"),
+        (volume("d2", ((0.0, -300.0), (0.0, 300.0)), 52.0), None),
+        (volume("d1", ((0.0, 900.0), (0.0, 990.0)), 52.0), "in the air already"),
     ],
 )
 def test_who_may_be_in_the_air_with_a_drone_that_flies_north_at_40_metres(other, reason):
-    said = may_launch(filled("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
+    said = may_launch(volume("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
     assert said is None if reason is None else reason in (said or "")

@@ -25,7 +25,7 @@ from ground_station.app.benchmarks.mfstsp_bench import (
 )
 from ground_station.app.cli.benchmark import benchmark
 from ground_station.core.benchmark.mfstsp import mfstsp_problem
-from ground_station.core.benchmark.schedule_check import faults_of, sortie_window_s
+from ground_station.core.benchmark.schedule_check import sortie_window_s, violations_of
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
 from ground_station.core.truck_drones.schedule import Schedule, schedule_of
@@ -174,10 +174,10 @@ def test_the_checker_finds_what_is_wrong_with_a_spoilt_row(
     solved: tuple[Any, dict[str, Any]], spoil: Any, said: str
 ):
     problem, row = solved
-    assert faults_of(problem, row) == []
+    assert violations_of(problem, row) == []
     spoilt = copy.deepcopy(row)
     spoil(spoilt)
-    assert said in "; ".join(faults_of(problem, spoilt))
+    assert said in "; ".join(violations_of(problem, spoilt))
 
 
 def test_the_checker_refuses_a_parcel_too_heavy_and_a_battery_too_small(
@@ -186,9 +186,9 @@ def test_the_checker_refuses_a_parcel_too_heavy_and_a_battery_too_small(
     problem, row = solved
     flown = row["sorties"][0]["customer"]
     heavy = [100.0 if node == flown else lb for node, lb in enumerate(problem.parcels_lb)]
-    assert "carries 5" in "; ".join(faults_of(replace(problem, parcels_lb=heavy), row))
+    assert "carries 5" in "; ".join(violations_of(replace(problem, parcels_lb=heavy), row))
     weak = replace(problem, drone=replace(problem.drone, battery_j=100_000.0))
-    assert "after its launch" in "; ".join(faults_of(weak, row))
+    assert "after its launch" in "; ".join(violations_of(weak, row))
 
 
 def mixed_problem(seed: int) -> TruckAndDrones:

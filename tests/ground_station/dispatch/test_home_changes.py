@@ -1,46 +1,24 @@
-"""When the desk asks a flight to end where the truck stands: `DayRun` on days written by hand."""
+"""When a flight is asked to end where the truck stands: `DispatchRules` on hand-made days."""
 
 from dataclasses import replace
 
 import msgspec
 
-from companion.core.base.place import Place
-from ground_station.core.dispatch.day_snapshot import DayRunParams, DayView, DroneView, TruckView
-from ground_station.core.dispatch.dispatch_rules import AskHome, DayDeed, DayRun, LaunchFlight
-from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import AssignmentRow, AssignmentState
+from ground_station.core.dispatch.day_snapshot import (
+    DaySnapshot,
+    DroneStatus,
+    TruckStatus,
+)
+from ground_station.core.dispatch.dispatch_actions import (
+    AuthoriseLaunch,
+    DispatchAction,
+    RequestHomeChange,
+)
+from ground_station.core.dispatch.dispatch_rules import DispatchParams, DispatchRules
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.orders import AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow
-
-
-def place_at(east_m: float) -> Place:
-    """Metres east of the depot, small distances."""
-    return Place(lat_deg=55.47, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0)
-
-
-PADS = {
-    name: {"d1": place_at(0.0), "d2": place_at(30.0), "d3": place_at(60.0)}
-    for name in ("depot", "stop-1")
-}
-STOPS = [
-    PlannedStop(id="depot", place=place_at(0.0), arrive_s=0.0, depart_s=330.0, pads=PADS["depot"]),
-    PlannedStop(
-        id="stop-1", place=place_at(300.0), arrive_s=420.0, depart_s=540.0, pads=PADS["stop-1"]
-    ),
-]
-
-
-def flight(vehicle: str, home: str, launched_s: float, planned_s: float) -> SortieRow:
-    """In the air since `launched_s`, planned to fly for 200 s from `planned_s` on."""
-    sortie = PlannedSortie(
-        order=f"O-{vehicle}", vehicle=vehicle, launch="depot", home=home, launch_s=planned_s,
-        land_s=planned_s + 200.0, outbound_height_m=40.0, return_height_m=40.0, energy_wh=20.0,
-        sure_wh=30.0, usable_wh=80.0,
-    )  # fmt: skip
-    row = AssignmentRow(
-        f"O-{vehicle}.1", f"O-{vehicle}", vehicle, AssignmentState.FLYING, False, ""
-    )
-    pads = {stop: PADS[stop][vehicle] for stop in ("depot", "stop-1")}
-    return SortieRow(row, sortie, pads, home, placed=True, launched_us=round(launched_s * 1e6))
+from tests.ground_station.hand_made_day import TWO_STOPS, flight
 
 
 def on_its_pad(row: SortieRow) -> SortieRow:
@@ -49,15 +27,17 @@ def on_its_pad(row: SortieRow) -> SortieRow:
     return replace(row, row=ready, launched_us=None)
 
 
-def deeds(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()) -> list[DayDeed]:
+def actions(
+    *rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()
+) -> list[DispatchAction]:
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
-        makespan_s=540.0, stops=STOPS, sorties=[*(row.sortie for row in rows), *planned],
+        makespan_s=540.0, stops=TWO_STOPS, sorties=[*(row.sortie for row in rows), *planned],
     )  # fmt: skip
-    view = DayView(
-        now_s=now_s, began_us=0, plan=plan, truck=TruckView(True, False, "depot"),
+    snapshot = DaySnapshot(
+        now_s=now_s, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
         drones={
-            row.vehicle: DroneView(
+            row.vehicle: DroneStatus(
                 row.vehicle, present=True, assignment=row.id, off_ground=row.in_air,
                 ready=not row.in_air,
             )
@@ -65,17 +45,19 @@ def deeds(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = (
         },
         open=frozenset(s.order for s in planned), sorties=rows, serves=(), told=None,
     )  # fmt: skip
-    run = DayRun(DayRunParams(), lambda sortie, others: None, lambda sortie, charge: True)
-    return run.decide(view)
+    rules = DispatchRules(
+        DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True
+    )
+    return rules.decide(snapshot)
 
 
 def asked(*rows: SortieRow, now_s: float) -> list[str]:
-    return [d.assignment for d in deeds(*rows, now_s=now_s) if isinstance(d, AskHome)]
+    return [d.assignment for d in actions(*rows, now_s=now_s) if isinstance(d, RequestHomeChange)]
 
 
 def launched(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()) -> list[str]:
-    due = deeds(*rows, now_s=now_s, planned=planned)
-    return [d.assignment for d in due if isinstance(d, LaunchFlight)]
+    due = actions(*rows, now_s=now_s, planned=planned)
+    return [d.assignment for d in due if isinstance(d, AuthoriseLaunch)]
 
 
 def test_who_would_wait_alone_is_asked_as_soon_as_it_is_known_that_the_truck_waits_for_another():

@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.desk.replanner import NoPlan, ReplannerBeside
-from ground_station.core.dispatch.replanning import unfit
+from ground_station.app.desk.replanner import NoPlan, ProcessReplanner
+from ground_station.core.dispatch.replanning import broken_promise
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState, first_state
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FOR_EVER = 10**9  # trials
 PATIENCE_S = 60.0
 
@@ -30,11 +30,11 @@ DESK = """
 import sys
 from pathlib import Path
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.desk.replanner import ReplannerBeside
+from ground_station.app.desk.replanner import ProcessReplanner
 from ground_station.core.schema.day_state import first_state
 
 if __name__ == "__main__":
-    beside, day = ReplannerBeside(None, trials=10**9), read_day(Path(sys.argv[1]))
+    beside, day = ProcessReplanner(None, trials=10**9), read_day(Path(sys.argv[1]))
     beside.clock = type("Clock", (), {"monotonic_s": lambda self: 0.0})()
     beside.ask(day, first_state(day))
     print(beside.process.pid, flush=True)
@@ -59,13 +59,13 @@ def harbour() -> DayData:
 
 
 @pytest.fixture
-def beside() -> Iterator[ReplannerBeside]:
-    replanner = ReplannerBeside(HandClock(), trials=FOR_EVER)
+def beside() -> Iterator[ProcessReplanner]:
+    replanner = ProcessReplanner(HandClock(), trials=FOR_EVER)
     yield replanner
     replanner.close()
 
 
-def begun(beside: ReplannerBeside, harbour: DayData) -> SpawnProcess:
+def begun(beside: ProcessReplanner, harbour: DayData) -> SpawnProcess:
     beside.ask(harbour, first_state(harbour))
     assert beside.made() is None
     assert beside.process is not None
@@ -81,7 +81,7 @@ def test_the_real_planner_plans_the_rest_of_a_day_in_its_own_process(harbour, be
     assert wait([beside.process.sentinel], timeout=300.0)
     made = beside.made()
     assert isinstance(made, DayPlan), made
-    assert unfit(made, start) is None
+    assert broken_promise(made, start) is None
     served = {order for stop in made.stops for order in stop.serves}
     brought = served | {sortie.order for sortie in made.sorties}
     assert brought | {line.order for line in made.unplanned} == set(start.open)

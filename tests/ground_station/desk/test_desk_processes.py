@@ -15,11 +15,11 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import OrderState
 from tests.fleet.zenoh_net import config_file, free_port
-from tests.ground_station.test_day_with_a_truck import PLAN, stop
+from tests.ground_station.hand_made_day import PLAN, stop
 
 pytestmark = pytest.mark.timeout(240)
 
-HARBOUR = Path(__file__).parents[2] / "params" / "days" / "harbour.toml"
+HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 PATIENCE_S = 120.0
 
 

@@ -9,18 +9,18 @@ from rich.console import Console
 
 from companion.fleet.messages import State
 from ground_station.app.views.watch_view import DayShown, watch_view
-from ground_station.core.fleet.fleet_status import Picture
+from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import AssignmentState, Order, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
-from tests.ground_station.test_day_moves_home import STOPS, flight
+from tests.ground_station.hand_made_day import TWO_STOPS, flight
 
 NOW_S = 100.0
 
 
-def seen() -> Picture:
+def seen() -> FleetStatus:
     """The truck at its depot, d1 outbound, d2 switched off; d3 launched and silent for 40 s."""
-    picture = Picture()
+    status = FleetStatus()
     for name, heard_s, more in (
         ("truck", NOW_S, {"airframe": "truck", "phase": "at_stop", "stop": "depot"}),
         ("d1", NOW_S, {"phase": "outbound", "armed": True, "assignment": "O-d1.1",
@@ -31,16 +31,16 @@ def seen() -> Picture:
         state = State(
             vehicle=name, life=name, uptime_s=1.0, epoch_us=0, log=name, last_seq=0, **fields
         )
-        picture.alive(name, name, up=True)
-        picture.hear(state, heard_s, 0)
-    return picture
+        status.on_liveliness(name, name, up=True)
+        status.on_state(state, heard_s, 0)
+    return status
 
 
 def shown(rows: list[SortieRow]) -> list[str]:
     later = msgspec.structs.replace(flight("d2", "stop-1", 0.0, 700.0).sortie, launch_s=700.0)
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0, makespan_s=1800.0,
-        stops=STOPS, sorties=[*(row.sortie for row in rows), later],
+        stops=TWO_STOPS, sorties=[*(row.sortie for row in rows), later],
     )  # fmt: skip
     day = DayShown(plan, rows, 0, round(NOW_S * 1e6))
     order = Order(id="O-d2", lat_deg=55.47, lon_deg=8.45, alt_amsl_m=12.0, mass_kg=0.5)

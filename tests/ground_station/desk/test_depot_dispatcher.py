@@ -1,6 +1,5 @@
-"""The running desk over real zenoh, with vehicles that do as they are told and tell it."""
+"""The running desk with drones from the depot, over real zenoh, with obedient vehicles."""
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -8,20 +7,19 @@ from typing import Any
 import pytest
 
 from companion.app.flight.fleet_port import Assigned
-from companion.core.vehicle.airframe import Airframe
 from companion.fleet.command_log import Verdict
-from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch, State
+from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
+from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.zenoh_fleet import WallClock, ZenohFleet, monotonic_s
-from ground_station.app.desk.desk import LAUNCHES, Desk, DeskOptions
-from ground_station.core.dispatch.depot_assignment import Chooser, Free
-from ground_station.core.fleet.fleet_status import Picture
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.app.desk.depot_dispatcher import LAUNCHES, DepotParams
+from ground_station.app.desk.open_desk import open_depot_desk
 from ground_station.core.schema.orders import AssignmentState, OrderState
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
-HARBOUR = Path(__file__).parents[2] / "params" / "days" / "harbour.toml"
+HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 DAY = read_day(HARBOUR)
 PATIENCE_S = 30.0
 
@@ -71,10 +69,8 @@ class Ground:
         self.said: list[str] = []
         self.store = Store(Database(f"sqlite:///{folder}/desk.db"), lambda: 1)
         self._fleet = ZenohFleet(FLEET, config)
-        chooser = Chooser(DAY.day, DAY.airframes)
-        options = DeskOptions(launch_gap_s=0.0)
-        picture = Picture(DAY.airframes)
-        self.desk = Desk(self.store, self._fleet, self.said.append, options, DAY, chooser, picture)
+        params = DepotParams(launch_gap_s=0.0)
+        self.desk = open_depot_desk(DAY, self.store, self._fleet, self.said.append, params)
         self.desk.begin()
 
     def until(self, true: Callable[[], Any]) -> None:
@@ -115,7 +111,7 @@ def day(tmp_path: Path) -> Iterator[tuple[Callable[..., Ground], Callable[..., O
 def test_the_day_is_flown_each_order_once_and_what_no_drone_can_is_left(day):
     make_ground, make_vehicle = day
     ground, drones = make_ground(), [make_vehicle("d1"), make_vehicle("d2")]
-    seen = ground.desk.picture.vehicles
+    seen = ground.desk.exchange.status.vehicles
     ground.until(lambda: len([v for v in seen.values() if v.state is not None]) == len(drones))
     ground.store.add_orders(DAY.orders)
     ground.until(lambda: len(ground.orders(OrderState.DELIVERED)) == 6)
@@ -173,7 +169,7 @@ def test_two_companions_of_one_name_get_no_work(day):
     make_ground, make_vehicle = day
     ground = make_ground()
     twins = [make_vehicle("d1"), make_vehicle("d1", "impostor")]
-    ground.until(lambda: len(ground.desk.picture.of("d1").lives) == 2)
+    ground.until(lambda: len(ground.desk.exchange.status.of("d1").lives) == 2)
     ground.store.add_orders(DAY.orders[:1])
     for _ in range(20):
         ground.desk.turn(0.02)
@@ -200,7 +196,7 @@ def test_an_order_comes_back_when_its_vehicle_does_and_stays_held_while_it_is_si
     ground.until(lambda: drone.phase == "outbound")
     other = make_vehicle("d2")
     drone.close()
-    ground.until(lambda: not ground.desk.picture.of("d1").lives)
+    ground.until(lambda: not ground.desk.exchange.status.of("d1").lives)
     for _ in range(20):
         ground.desk.turn(0.02)
     assert other.done == []  # nobody knows that d1 does not bring it
@@ -210,97 +206,3 @@ def test_an_order_comes_back_when_its_vehicle_does_and_stays_held_while_it_is_si
     back.outcome = "SUC"
     ground.until(lambda: ground.orders(OrderState.DELIVERED) == {"H-101"})
     assert other.launches() + back.launches() == ["H-101.2"]
-
-
-# --- the picture ---------------------------------------------------------------------------------
-
-
-def a_state(**more: Any) -> State:
-    fields: dict[str, Any] = {
-        "vehicle": "d1", "life": "x", "uptime_s": 10.0, "epoch_us": 0, "airframe": "m100",
-        "max_payload_kg": 1.0, "phase": "standby", "log": "l", "last_seq": 0,
-    }  # fmt: skip
-    return State(**{**fields, **more})
-
-
-def heard(*states: State, airframes: dict[str, Airframe] | None = None) -> Picture:
-    picture = Picture(DAY.airframes if airframes is None else airframes)
-    picture.alive("d1", "x", up=True)
-    for number, state in enumerate(states):
-        picture.hear(state, float(number), 0)
-    return picture
-
-
-FLYING = {"assignment": "o.1", "armed": True, "phase": "outbound"}
-
-
-@pytest.mark.parametrize(
-    ("states", "words"),
-    [
-        ([a_state(energy_left_wh=400.0)], "more energy than its pack"),
-        ([a_state(voltage_v=5.0)], "no pack of"),
-        ([a_state(airframe="octo8")], "not in the day's fleet"),
-        (
-            [
-                a_state(**FLYING, energy_left_wh=60.0),
-                a_state(**FLYING, energy_left_wh=90.0, uptime_s=11.0),
-            ],
-            "rose in flight",
-        ),
-    ],
-)
-def test_a_vehicle_that_lies_about_itself_gets_no_work(states: list[State], words: str):
-    seen = heard(*states).of("d1")
-    assert any(words in doubt for doubt in seen.doubts)
-    assert not seen.free(1.0)
-
-
-def test_a_vehicle_is_free_while_it_is_heard_and_stands_by():
-    assert heard(a_state(voltage_v=25.0, armed=False)).of("d1").free(1.0)
-    assert not heard(a_state()).of("d1").free(60.0)
-    assert not heard(a_state(armed=True)).of("d1").free(1.0)
-    assert not heard(a_state(phase="outbound")).of("d1").free(1.0)
-
-
-def test_a_clock_that_is_off_is_said_once_and_costs_nothing():
-    picture = Picture(DAY.airframes)
-    picture.alive("d1", "x", up=True)
-    off = a_state(epoch_us=3_600_000_000)
-    assert "off by 3600 s" in picture.hear(off, 0.0, 0)[0]
-    assert picture.hear(off, 1.0, 0) == []
-    assert picture.of("d1").free(1.0)
-
-
-def test_a_wall_clock_that_is_set_does_not_move_the_running_desks_stamps(monkeypatch):
-    clock = WallClock()
-    before_us = clock.epoch_us()
-    assert abs(before_us - time.time_ns() / 1000) < 1e6
-    now_ns = time.time_ns()
-    monkeypatch.setattr("time.time_ns", lambda: now_ns - 7200 * 10**9)
-    assert 0 <= clock.epoch_us() - before_us < 60e6
-
-
-# --- choosing ------------------------------------------------------------------------------------
-
-
-def rows(tmp_path: Path) -> list[Any]:
-    store = Store(Database(f"sqlite:///{tmp_path}/rows.db"), lambda: 1)
-    store.add_orders(DAY.orders)
-    found = store.orders()
-    store.close()
-    return found
-
-
-def test_the_nearest_customers_go_first_one_to_each_free_drone(tmp_path):
-    chooser = Chooser(DAY.day, DAY.airframes)
-    chosen = chooser.choose(rows(tmp_path), [], [Free("d1", None), Free("d2", None)])
-    away = {o.id: sum(x * x for x in chooser.ground_ned(o)[:2]) for o in DAY.orders}
-    brought = [o for o in DAY.orders if o.id not in ("H-105", "H-108")]
-    nearest = sorted(brought, key=lambda o: away[o.id])[:2]
-    assert [c.order.id for c in chosen] == [o.id for o in nearest]
-    assert {c.vehicle for c in chosen} == {"d1", "d2"}
-
-
-def test_an_almost_empty_drone_is_given_nothing_that_it_cannot_bring(tmp_path):
-    chooser = Chooser(DAY.day, DAY.airframes)
-    assert chooser.choose(rows(tmp_path), [], [Free("d1", 0.17)]) == []

@@ -11,83 +11,28 @@ import pytest
 import sqlalchemy as sa
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.desk import Desk, DeskOptions
-from ground_station.app.desk.open_desk import is_done, open_desk
-from ground_station.app.desk.replanner import NoPlan, ReplannerAtOnce
-from ground_station.core.dispatch.day_snapshot import DayRunParams
+from ground_station.app.desk.desk import Desk
+from ground_station.app.desk.open_desk import open_truck_desk
+from ground_station.app.desk.replanner import InlineReplanner, NoPlan
+from ground_station.app.desk.truck_dispatcher import TruckDispatcher
+from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
+from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
 from ground_station.core.schema.orders import OrderState
+from tests.ground_station.hand_made_day import PLAN, by_truck
 from tests.ground_station.truck_world import World, WorldClock
 
-HARBOUR = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
+HARBOUR = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 LIMIT_S = 3600.0
 TURN_S = 4
 
 
-def place(east_m: float, north_m: float) -> Place:
-    """Metres from the depot, small distances."""
-    return Place(
-        lat_deg=55.47 + north_m / 111_320.0, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0
-    )
-
-
-def stop(
-    id_: str, east_m: float, arrive_s: float, depart_s: float, serves: tuple[str, ...] = ()
-) -> PlannedStop:
-    pads = {"d1": place(east_m - 25.0, -25.0), "d2": place(east_m + 25.0, -25.0)}
-    return PlannedStop(
-        id=id_, place=place(east_m, 0.0), arrive_s=arrive_s, depart_s=depart_s,
-        serves=list(serves), pads=pads,
-    )  # fmt: skip
-
-
-def sortie(order: str, vehicle: str, at: str, home: str, launch_s: float) -> PlannedSortie:
-    height = 40.0 if vehicle == "d1" else 60.0
-    return PlannedSortie(
-        order=order, vehicle=vehicle, launch=at, home=home, launch_s=launch_s,
-        land_s=launch_s + 200.0, outbound_height_m=height, return_height_m=height,
-        energy_wh=20.0, sure_wh=30.0, usable_wh=80.0,
-    )  # fmt: skip
-
-
 CORE = "ground_station.core"
-PLAN = DayPlan(
-    format="day-plan/1", day="harbour", policy="by hand", seed=0, trials=0, makespan_s=1090.0,
-    stops=[
-        stop("depot", 0.0, 0.0, 330.0),
-        stop("stop-1", 300.0, 420.0, 540.0, ("H-105",)),
-        stop("stop-2", 600.0, 630.0, 1000.0, ("H-108", "H-107", "H-104")),
-        stop("depot-end", 0.0, 1090.0, 1090.0),
-    ],
-    sorties=[
-        sortie("H-101", "d1", "depot", "depot", 60.0),
-        sortie("H-102", "d2", "depot", "stop-1", 260.0),
-        sortie("H-103", "d1", "stop-1", "stop-2", 470.0),
-        sortie("H-106", "d1", "stop-2", "stop-2", 720.0),
-    ],
-)  # fmt: skip
-
-
-def by_truck(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
-    """A planner that brings all that is left by truck, from one more stop."""
-    del seed, trials
-    last, number = start.stops[-1], start.revision
-    more = [
-        stop(f"r{number}-stop-1", 450.0, last.depart_s + 90.0, last.depart_s + 200.0, start.open),
-        stop(f"r{number}-depot-end", 0.0, last.depart_s + 290.0, last.depart_s + 290.0),
-    ]
-    return DayPlan(
-        format="day-plan/1", day=data.day.name, policy="by hand", seed=0, trials=0,
-        makespan_s=more[-1].depart_s, stops=[*start.stops, *more], sorties=list(start.flying),
-        revision=start.revision,
-    )  # fmt: skip
 
 
 def fails(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
@@ -104,7 +49,7 @@ class MortalDatabase(Database):
     def __init__(self, url: str) -> None:
         self.dies_in: int | None = None
         self.after = False
-        super().__init__(url)
+        super().__init__(url, durable=False)  # only this process is killed, not the machine
 
     @contextmanager
     def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
@@ -126,11 +71,6 @@ class DayTold:
         self.rng = np.random.default_rng(seed)
         self.world = World(["d1", "d2"], self.rng, loss)
         self.database = MortalDatabase(url)
-        engine = self.database._engine
-        if engine.name == "sqlite":  # only this process is killed, not the machine
-            sync_off = "PRAGMA synchronous = OFF"
-            sa.event.listen(engine, "connect", lambda raw, _: raw.execute(sync_off))
-        engine.dispose()
         self.store = Store(self.database, self.world.clock.epoch_us)
         self.store.add_orders(HARBOUR.orders)
         self.said: list[str] = []
@@ -140,13 +80,17 @@ class DayTold:
     def start(self) -> Desk:
         """The same command again."""
         self.world.join()
-        replanner = ReplannerAtOnce(plan=by_truck)
-        desk = open_desk(
-            HARBOUR, PLAN, self.store, self.world, self.said.append, DeskOptions(),
-            self.world.clock, replanner,
-        )  # fmt: skip
+        replanner = InlineReplanner(plan=by_truck)
+        desk = open_truck_desk(
+            HARBOUR, PLAN, self.store, self.world, self.said.append, self.world.clock, replanner
+        )
         desk.begin()
         return desk
+
+    @property
+    def dispatcher(self) -> TruckDispatcher:
+        assert isinstance(self.desk.dispatcher, TruckDispatcher)
+        return self.desk.dispatcher
 
     def run(self, kill_every: int | None = None) -> None:
         """Until the desk is done; killed about every so many transactions."""
@@ -165,9 +109,9 @@ class DayTold:
                     self.world.step()
                 self.desk = self.start()
             assert not self.world.wrong, (self.world.wrong, self.said[-15:])
-            if is_done(self.desk):
+            if self.desk.is_done:
                 return
-        raise AssertionError((self.desk.day and self.desk.day.holds, self.said[-15:]))
+        raise AssertionError((self.dispatcher.holds, self.said[-15:]))
 
     def states(self) -> dict[str, OrderState]:
         return {row.order.id: row.state for row in self.store.orders()}
@@ -221,8 +165,7 @@ def test_what_comes_back_or_is_refused_goes_by_the_truck(day):
 def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     told = day(6)
     told.world.drones["d1"].mood = "lost"
-    assert told.desk.day is not None
-    told.desk.day.plans.params = DayRunParams(lapse_s=900.0)
+    told.dispatcher.active.params = DispatchParams(lapse_s=900.0)
     told.run()
     plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
     late = [why for why in plans if "s late" in why]
@@ -248,13 +191,13 @@ def test_a_truck_that_stays_too_long_has_the_homes_moved_to_it(day):
     told = day(8)
     told.world.slow_s = {"d2": 400.0}  # to take it aboard
     told.run()
-    assert any("H-103.1: asked to stop-1" in words for words in told.said), told.said
-    assert any("H-103.1: its home is stop-1 now" in words for words in told.said)
+    assert any("H-103.1: asked to land at stop-1" in words for words in told.said), told.said
+    assert any("H-103.1: its home is now stop-1" in words for words in told.said)
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
 @dataclass
-class SlowReplanner(ReplannerAtOnce):
+class SlowReplanner(InlineReplanner):
     """On a small computer that has other things to do."""
 
     clock: WorldClock = field(default_factory=WorldClock)
@@ -262,18 +205,17 @@ class SlowReplanner(ReplannerAtOnce):
 
     def ask(self, data: DayData, start: DayState) -> None:
         self.asked_s = self.clock.t_s
-        ReplannerAtOnce.ask(self, data, start)
+        InlineReplanner.ask(self, data, start)
 
     def made(self) -> DayPlan | NoPlan | None:
         slow = self.clock.t_s - self.asked_s < 500.0
-        return None if slow else ReplannerAtOnce.made(self)
+        return None if slow else InlineReplanner.made(self)
 
 
 def test_a_late_truck_is_planned_anew_once_however_long_it_takes_and_keeps_its_promises(day):
     told = day(9)
     told.world.driver.late_s = 400.0
-    assert told.desk.day is not None
-    told.desk.day.plans.replanner = SlowReplanner(plan=by_truck, clock=told.world.clock)
+    told.dispatcher.active.replanner = SlowReplanner(plan=by_truck, clock=told.world.clock)
     told.run()
     plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
     assert sum("s late" in why for why in plans) == 1, plans
@@ -290,17 +232,15 @@ def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_
     wind = kept.wind()
     assert wind is not None
     assert (wind.speed_mps, wind.from_deg) == pytest.approx((14.0, 90.0))  # from the east
-    restarted = told.start()
-    assert restarted.day is not None
-    assert restarted.day.plans.data.day.forecast == wind
+    told.desk = told.start()
+    assert told.dispatcher.active.data.day.forecast == wind
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
 def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day):
     told = day(13)
     told.world.driver.late_s = 400.0
-    assert told.desk.day is not None
-    told.desk.day.plans.replanner = ReplannerAtOnce(plan=fails)
+    told.dispatcher.active.replanner = InlineReplanner(plan=fails)
     told.run()
     assert any("the old one goes on" in words for words in told.said)
     assert len(DayStore(told.database, lambda: 1).plans()) == 1
@@ -324,7 +264,7 @@ def test_safety_rule_3_a_desk_started_again_with_a_clock_that_is_off_keeps_its_p
 
 
 @dataclass(slots=True)
-class DyingReplanner(ReplannerAtOnce):
+class DyingReplanner(InlineReplanner):
     """Its process ends without an answer so many times."""
 
     clock: WorldClock = field(default_factory=WorldClock)
@@ -333,10 +273,10 @@ class DyingReplanner(ReplannerAtOnce):
 
     def ask(self, data: DayData, start: DayState) -> None:
         self.asked_s.append(self.clock.t_s)
-        ReplannerAtOnce.ask(self, data, start)
+        InlineReplanner.ask(self, data, start)
 
     def made(self) -> DayPlan | NoPlan | None:
-        made = ReplannerAtOnce.made(self)
+        made = InlineReplanner.made(self)
         dead = len(self.asked_s) <= self.deaths
         return NoPlan("the planner's process died", again=True) if dead else made
 
@@ -348,14 +288,13 @@ def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, w
         told.world.driver.late_s = 400.0
     for drone in told.world.drones.values():
         drone.wind_ne_mps = (0.0, -14.0 if wrong == "wind" else 0.0)
-    assert told.desk.day is not None
     dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=2)
-    told.desk.day.plans.replanner = dying
+    told.dispatcher.active.replanner = dying
     told.run()
     why = [why for _, why in DayStore(told.database, lambda: 1).plans()][1]
     assert wrong in why
     first_s, second_s, third_s = dying.asked_s[:3]
-    again_s = DayRunParams().replan_again_s
+    again_s = DispatchParams().replan_again_s
     for between_s in (second_s - first_s, third_s - second_s):
         assert again_s <= between_s <= again_s + 4 * TURN_S
     asked = [words for words in told.said if words == f"a new plan: {why}"]
@@ -366,11 +305,10 @@ def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, w
 def test_a_planner_that_always_dies_is_asked_three_times_and_the_old_plan_ends_the_day(day):
     told = day(13)
     told.world.driver.late_s = 400.0
-    assert told.desk.day is not None
     dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=1000)
-    told.desk.day.plans.replanner = dying
+    told.dispatcher.active.replanner = dying
     told.run()
-    assert len(dying.asked_s) == DayRunParams().replan_tries
+    assert len(dying.asked_s) == DispatchParams().replan_tries
     assert sum("the old one goes on" in words for words in told.said) == 1
     assert len(DayStore(told.database, lambda: 1).plans()) == 1
     assert set(told.states().values()) == {OrderState.DELIVERED}
@@ -378,8 +316,10 @@ def test_a_planner_that_always_dies_is_asked_three_times_and_the_old_plan_ends_t
 
 def test_the_canary_a_truck_that_ignores_promises_is_caught(day, monkeypatch):
     told = day(1)
-    monkeypatch.setattr(f"{CORE}.sorties.SortieRow.binds", lambda self, stop: None)
-    monkeypatch.setattr(f"{CORE}.day_run.DayRun.holds", lambda self, view: [])
+    monkeypatch.setattr(f"{CORE}.schema.sortie_rows.SortieRow.binds", lambda self, stop: None)
+    monkeypatch.setattr(
+        f"{CORE}.dispatch.dispatch_rules.DispatchRules.holds", lambda self, view: []
+    )
     with pytest.raises(AssertionError, match="the truck leaves"):
         told.run()
 
@@ -401,4 +341,4 @@ def test_a_plan_of_another_day_is_refused_in_words(day):
     told = day(11)
     other = msgspec.structs.replace(PLAN, day="elsewhere")
     with pytest.raises(Exception, match="of day 'elsewhere', expected 'harbour'"):
-        open_desk(HARBOUR, other, told.store, told.world, print, DeskOptions(), told.world.clock)
+        open_truck_desk(HARBOUR, other, told.store, told.world, print, told.world.clock)

@@ -9,10 +9,11 @@ from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.desk import Desk, DeskOptions
-from ground_station.app.desk.open_desk import is_done, open_desk
-from ground_station.app.desk.replanner import ReplannerAtOnce, replanned
-from ground_station.core.dispatch.day_snapshot import DayRunParams
+from ground_station.app.desk.desk import Desk
+from ground_station.app.desk.open_desk import open_truck_desk
+from ground_station.app.desk.replanner import InlineReplanner, make_plan
+from ground_station.app.desk.truck_dispatcher import TruckDispatcher
+from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import first_state
 from ground_station.core.schema.orders import OrderState
@@ -20,7 +21,7 @@ from tests.ground_station.truck_world import World
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
-HARBOUR = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
+HARBOUR = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 TRIALS, SEED = 400, 3
 LIMIT_S = 5400.0
 
@@ -28,7 +29,7 @@ LIMIT_S = 5400.0
 @pytest.fixture(scope="module")
 def plan() -> DayPlan:
     """The harbour's day by the default policy, in few trials."""
-    return replanned(HARBOUR, first_state(HARBOUR), SEED, TRIALS)
+    return make_plan(HARBOUR, first_state(HARBOUR), SEED, TRIALS)
 
 
 class Day:
@@ -42,19 +43,24 @@ class Day:
         self.plans = DayStore(database, self.world.clock.epoch_us)
         self.said: list[str] = []
         self.world.join()
-        self.desk: Desk = open_desk(
-            HARBOUR, plan, self.store, self.world, self.said.append, DeskOptions(),
-            self.world.clock, ReplannerAtOnce(SEED, TRIALS),
-        )  # fmt: skip
+        replanner = InlineReplanner(SEED, TRIALS)
+        self.desk: Desk = open_truck_desk(
+            HARBOUR, plan, self.store, self.world, self.said.append, self.world.clock, replanner
+        )
         self.desk.begin()
 
     def run(self) -> None:
-        while not is_done(self.desk):
+        while not self.desk.is_done:
             assert self.world.clock.t_s < LIMIT_S, self.said[-15:]
             for _ in range(4):
                 self.world.step()
             self.desk.turn(0.0)
             assert not self.world.wrong, (self.world.wrong, self.said[-15:])
+
+    @property
+    def dispatcher(self) -> TruckDispatcher:
+        assert isinstance(self.desk.dispatcher, TruckDispatcher)
+        return self.desk.dispatcher
 
     def reasons(self) -> list[str]:
         return [why for made, why in self.plans.plans() if made.revision > 0]
@@ -82,8 +88,7 @@ def test_a_late_truck_is_planned_anew_and_every_promise_in_the_air_is_kept(day: 
 
 def test_what_a_lost_drone_was_to_bring_is_planned_for_the_others(day: Day):
     day.world.drones["d1"].mood = "lost"
-    assert day.desk.day is not None
-    day.desk.day.plans.params = DayRunParams(lapse_s=600.0)
+    day.dispatcher.active.params = DispatchParams(lapse_s=600.0)
     day.run()
     assert any("d1 is out of service" in why for why in day.reasons()), day.reasons()
     aboard_when_lost = {row.order.id for row in day.store.orders()} - set(day.world.delivered)
@@ -100,8 +105,7 @@ def test_a_wind_that_is_not_the_forecasts_is_planned_with(day: Day):
     day.run()
     assert any("the wind is" in why for why in day.reasons()), day.reasons()
     assert sum("the wind is" in why for why in day.reasons()) == 1  # it is the forecast now
-    assert day.desk.day is not None
-    forecast = day.desk.day.plans.data.day.forecast
+    forecast = day.dispatcher.active.data.day.forecast
     assert forecast.speed_mps == pytest.approx(9.0)
     assert forecast.from_deg == pytest.approx(180.0)
     assert day.undelivered() == set()

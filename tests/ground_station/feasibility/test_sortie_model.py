@@ -15,7 +15,7 @@ from companion.core.mission.flight_plan import frame_at
 from companion.core.routing.waypoint_graph import SiteMap, build_graph
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
-from ground_station.core.feasibility.obstacle_routes import Price, Ways
+from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
 from ground_station.core.feasibility.reach import Reach
 from ground_station.core.feasibility.sortie_model import WindSorties
 from ground_station.core.schema.day import Drone, Forecast
@@ -44,7 +44,7 @@ def test_what_the_tables_allow_reach_allows_at_the_same_wind_and_stops(m100, win
     payload_kg = rng.uniform(0.0, 1.0, count)
     height_m = rng.choice([40.0, 64.0, 100.0], count)
     reach = reach_of(m100, wind_mps, charge_frac)
-    ways = Ways(NOTHING, ned_m[:, :2], 40.0)
+    ways = ObstacleRoutes(NOTHING, ned_m[:, :2], 40.0)
     legs = WindSorties(ned_m, payload_kg, height_m, [reach], ways).legs(0)
     places = [tuple(row) for row in ned_m.tolist()]
     allowed = agreed = 0
@@ -76,7 +76,11 @@ def test_more_deviation_of_the_power_model_or_the_pack_shortens_the_reach(m100):
     for airframe in (m100, change(m100, power_rotor=rotor), change(m100, battery=pack)):
         reach = reach_of(airframe, 5.0, 1.0)
         tables = WindSorties(
-            ned_m, np.zeros(2), np.full(2, 40.0), [reach], Ways(NOTHING, ned_m[:, :2], 40.0)
+            ned_m,
+            np.zeros(2),
+            np.full(2, 40.0),
+            [reach],
+            ObstacleRoutes(NOTHING, ned_m[:, :2], 40.0),
         ).legs(0)
         sortie_s = tables.out_hover_s[0, 1] + tables.back_hover_s[1, 0]
         spare_s.append(tables.endurance_hover_s - sortie_s)
@@ -95,7 +99,7 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
         (box("a", 300.0, 0.0, 60.0, 90.0), box("b", 520.0, 90.0, 50.0, 90.0)), 15.0, 8.0
     )
     customer = (800.0, 60.0, 0.0)
-    ways = Ways(obstacles, np.array([[0.0, 0.0], customer[:2]]), 40.0)
+    ways = ObstacleRoutes(obstacles, np.array([[0.0, 0.0], customer[:2]]), 40.0)
     assert ways.blocked[0, 1]
     points = [(0.0, 0.0), *ways.via(0, 1), customer[:2]]
     length_m = sum(math.dist(a, b) for a, b in pairwise(points))
@@ -111,9 +115,9 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
 def test_what_is_lower_than_the_flight_is_flown_over_and_what_is_built_in_has_no_way():
     low = ObstacleMap((box("shed", 300.0, 0.0, 60.0, 20.0),), 15.0, 8.0)
     places = np.array([[0.0, 0.0], [600.0, 0.0]])
-    assert not Ways(low, places, 40.0).blocked.any()
+    assert not ObstacleRoutes(low, places, 40.0).blocked.any()
     high = ObstacleMap((box("tower", 600.0, 0.0, 60.0, 90.0),), 15.0, 8.0)
-    ways = Ways(high, places, 40.0)
+    ways = ObstacleRoutes(high, places, 40.0)
     assert ways.buried.tolist() == [False, True]
 
     def metres(a_ne_m, b_ne_m):

@@ -20,7 +20,7 @@ from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
-PARAMS = Path(__file__).parents[2] / "params"
+PARAMS = Path(__file__).parents[3] / "params"
 CODE = "from ground_station.app.cli.main import main; main()"
 
 

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, Filled, near
+from ground_station.core.deconfliction.separation import (
+    APART_M,
+    LAYER_GAP_M,
+    OperationalVolume,
+    proximity,
+)
 from ground_station.core.truck_drones.layer_pricing import closed_layers, lay_ground
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 from ground_station.core.truck_drones.tables import (
@@ -38,7 +43,7 @@ def problem(rng: np.random.Generator) -> TruckAndDrones:
     )  # fmt: skip
 
 
-def filled(plan: Plan, at: NDArray[np.float64], customer: int, beside: int) -> Filled:
+def volume(plan: Plan, at: NDArray[np.float64], customer: int, beside: int) -> OperationalVolume:
     """What a sortie fills; without its pads at stops that it shares: they are kept apart when they
     are given.
     """
@@ -46,7 +51,7 @@ def filled(plan: Plan, at: NDArray[np.float64], customer: int, beside: int) -> F
     shared = {int(plan[LAUNCH, beside]), int(plan[MEET, beside])}
     stops = {PAD_N: int(plan[LAUNCH, customer]), HOME_N: int(plan[MEET, customer])}
     columns = tuple(ne for row, ne in corners.items() if stops.get(row) not in shared)
-    return Filled("d", "o", tuple(corners.values()), columns, 0.0, 0.0, 0.0, 0.0)
+    return OperationalVolume("d", "o", tuple(corners.values()), columns, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_layers_are_closed_to_the_search_where_the_rule_closes_them():
@@ -62,13 +67,13 @@ def test_layers_are_closed_to_the_search_where_the_rule_closes_them():
                 plan[MEET, customer] = plan[LAUNCH, customer]
             lay_ground(tables.air, plan, at, customer)
 
-        rule = near(filled(plan, at, one, other), filled(plan, at, other, one))
+        rule = proximity(volume(plan, at, one, other), volume(plan, at, other, one))
         layer = int(rng.integers(LAYERS))
         closed = closed_layers(APART_M, plan, at, one, other, layer)
         there = (LAYER_GAP_M * layer, LAYER_GAP_M * layer)
         for mine in range(LAYERS):
             here = (LAYER_GAP_M * mine, LAYER_GAP_M * mine)
-            assert bool(closed >> mine & 1) == (rule.clash(here, there) is not None)
+            assert bool(closed >> mine & 1) == (rule.conflict(here, there) is not None)
         seen.add(int(closed) & (2**LAYERS - 1))
     assert 0 in seen
     assert 2**LAYERS - 1 in seen

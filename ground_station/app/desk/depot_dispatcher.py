@@ -1,0 +1,119 @@
+"""Dispatch from the depot, without a truck: the nearest order that a free drone can bring."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from companion.fleet.messages import State
+from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.dispatcher import Progress
+from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
+from ground_station.core.fleet.fleet_link import Clock
+from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
+
+LAUNCHES = 3
+"""An assignment whose launch is refused so often is withdrawn: a person has to look at it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepotParams:
+    """How the depot is run. `assigns` and `launches` False: orders and launches are a person's.
+
+    `launch_gap_s` is the least time between two launches.
+    """
+
+    by: str = "desk"
+    assigns: bool = True
+    launches: bool = True
+    launch_gap_s: float = 20.0
+
+
+@dataclass(slots=True)
+class DepotDispatcher:
+    """`Dispatcher` for drones that start from the depot and come home to it.
+
+    `impossible`: orders that no drone of the day can bring; they do not keep the day open.
+    """
+
+    store: Store
+    data: DayData
+    assigner: DepotAssigner
+    clock: Clock
+    say: Callable[[str], None]
+    params: DepotParams = field(default_factory=DepotParams)
+    impossible: frozenset[str] = frozenset()
+    _launched_s: float | None = None
+
+    def begin(self) -> None:
+        """A launch just before a restart keeps its gap to the next one."""
+        if any(r.state is AssignmentState.FLYING for r in self.store.assignments(in_force=True)):
+            self._launched_s = self.clock.monotonic_s()
+
+    def on_state(self, state: State) -> None:
+        """Nothing: `turn` reads the fleet's status."""
+
+    def on_ready(self, assignment: AssignmentRow) -> None:
+        """Launch it when its slot has come; withdraw it after too many refusals."""
+        id_, vehicle, params = assignment.id, assignment.vehicle, self.params
+        if self.store.refused_launches(id_) >= LAUNCHES:
+            if self.store.withdraw(id_, params.by):
+                self.say(f"{vehicle}: launch refused {LAUNCHES} times: {id_} withdrawn")
+            return
+        if not params.launches or self._in_launch_gap():
+            return
+        if self.store.launch(id_, params.by):
+            self._launched_s = self.clock.monotonic_s()
+            self.say(f"{vehicle}: launch of {id_} ordered")
+
+    def _in_launch_gap(self) -> bool:
+        if self._launched_s is None:
+            return False
+        return self.clock.monotonic_s() - self._launched_s < self.params.launch_gap_s
+
+    def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
+        """Give open orders to free drones."""
+        del changed
+        if not self.params.assigns:
+            return Progress.NONE
+        free = self._free_drones(status)
+        return Progress.CHANGED if free and self._assign(free) else Progress.NONE
+
+    def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
+        held = {row.vehicle for row in self.store.assignments(in_force=True)}
+        now_s = self.clock.monotonic_s()
+        return [
+            FreeDrone(seen.vehicle, status.charge_frac_at_rest(seen.vehicle))
+            for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle)
+            if seen.free(now_s) and seen.vehicle not in held
+        ]
+
+    def _assign(self, free: list[FreeDrone]) -> bool:
+        done = False
+        chosen = self.assigner.assign(self.store.orders(), self.store.assignments(), free)
+        for choice in chosen:
+            order, vehicle = choice.order.id, choice.vehicle
+            flight = self.assigner.flight_of(choice.order, vehicle)
+            id_ = self.store.assign(order, vehicle, flight, self.data.no_fly, self.params.by)
+            if id_ is not None:
+                done = True
+                self.say(f"{vehicle}: assigned {order} ({id_})")
+        return done
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every order is settled, the truck's, or impossible for the drones."""
+        return all(
+            row.state not in (OrderState.OPEN, OrderState.ASSIGNED)
+            or row.order.service is Service.TRUCK
+            or (row.state is OrderState.OPEN and row.order.id in self.impossible)
+            for row in self.store.orders()
+        )
+
+    def why_left(self, order_id: str) -> str | None:
+        """Nothing is known but what the store says."""
+        del order_id
+        return None
+
+    def close(self) -> None:
+        """Nothing runs beside the desk."""

@@ -1,0 +1,193 @@
+"""The desk's exchange with its fleet: messages into the store, commands out of its outbox.
+
+It decides nothing: `watch` and `recall` use it without a dispatcher. Whatever must survive is in
+the store before it is sent. What is only in memory (who is alive, which command is under way) is
+received again after a restart, so the process may be killed at any moment.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from companion.fleet.messages import FINAL, Command, FleetEvent, Recall, State
+from ground_station.adapters.clock import WallClock
+from ground_station.adapters.store.order_store import Store
+from ground_station.core.fleet.fleet_link import (
+    Clock,
+    CommandAnswered,
+    EventsReceived,
+    FleetInput,
+    FleetLink,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
+)
+from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.schema.orders import CommandRow
+
+ANSWER_S = 5.0
+"""Time-out of an answer. Loopback takes milliseconds, a bad radio a second or two."""
+
+RETRY_S = 1.0
+"""Wait before a command or a request for events is sent again."""
+
+
+@dataclass(slots=True)
+class Exchange:
+    """One desk's exchange. `on_state` is told each state; `changed`: something new has come."""
+
+    store: Store
+    fleet: FleetLink
+    say: Callable[[str], None]
+    status: FleetStatus = field(default_factory=FleetStatus)
+    clock: Clock = field(default_factory=WallClock)
+    on_state: Callable[[State], None] = lambda state: None
+    changed: bool = True
+    _sent: set[str] = field(default_factory=set)
+    _retry_s: dict[str, float] = field(default_factory=dict)
+    _events_asked_s: dict[str, float] = field(default_factory=dict)
+    _complete_to: dict[tuple[str, str], int] = field(default_factory=dict)
+    _said: set[str] = field(default_factory=set)
+
+    def begin(self) -> None:
+        """Ask for the state of the whole fleet."""
+        self.fleet.ask_states(ANSWER_S)
+
+    def listen(self, wait_s: float) -> None:
+        """Take what has come, waiting this long for the first; ask for events that were missed."""
+        for received in self.fleet.receive(wait_s):
+            self._take(received)
+        self._ask_for_missed_events()
+
+    def say_once(self, words: str) -> None:
+        """Say it, unless it has been said before."""
+        if words not in self._said:
+            self._said.add(words)
+            self.say(words)
+
+    # --- in ------------------------------------------------------------------------------------
+
+    def _take(self, received: FleetInput) -> None:
+        match received:
+            case LivelinessChanged():
+                self._take_liveliness(received)
+            case StateReceived():
+                self._take_state(received.state)
+            case EventsReceived():
+                self._take_events(received)
+            case CommandAnswered():
+                self._take_answer(received)
+            case MessageRejected():
+                self.say_once(f"{received.key}: message rejected: {received.reason}")
+
+    def _take_events(self, received: EventsReceived) -> None:
+        new = self.store.take_events(received.events, replayed=received.replayed)
+        for log in {event.log for event in received.events}:
+            self._complete_to.pop((received.vehicle, log), None)
+        for event in new:
+            self._say_event(event)
+        self.changed = self.changed or bool(new)
+
+    def _take_state(self, state: State) -> None:
+        before = self.status.of(state.vehicle).state
+        now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
+        for words in self.status.on_state(state, now_s, now_us):
+            self.say(words)
+        if before is None or _decisive(before) != _decisive(state):
+            self.changed = True
+        self.on_state(state)
+
+    def _take_liveliness(self, received: LivelinessChanged) -> None:
+        vehicle = received.vehicle
+        words = self.status.on_liveliness(vehicle, received.life, up=received.up)
+        self.changed = True
+        if words is not None:
+            self.say(words)
+        if not received.up:
+            self.say(f"{vehicle}: left the network; it goes on by itself")
+            return
+        self.say(f"{vehicle}: joined the network")
+        self._events_asked_s.pop(vehicle, None)
+        self.fleet.ask_states(ANSWER_S)
+
+    def _take_answer(self, received: CommandAnswered) -> None:
+        id_, result = received.command_id, received.result
+        self._sent.discard(id_)
+        if result is None or result.answer not in FINAL:
+            why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
+            self._retry_s[id_] = self.clock.monotonic_s() + RETRY_S
+            self.store.tried(id_, why)
+            return
+        if self.store.answered(id_, result.answer, result.reason, result.life):
+            self.say(f"{result.vehicle}: {id_}: {result.answer.value} {result.reason}")
+            self.changed = True
+
+    def _say_event(self, event: FleetEvent) -> None:
+        order = f" [{event.order}]" if event.order else ""
+        outcome = f"{event.outcome} " if event.outcome else ""
+        self.say(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
+
+    def _ask_for_missed_events(self) -> None:
+        now_s = self.clock.monotonic_s()
+        for seen in self.status.vehicles.values():
+            state = seen.state
+            if state is None or not seen.present(now_s):
+                continue
+            asked_s = self._events_asked_s.get(seen.vehicle)
+            if asked_s is not None and now_s - asked_s < RETRY_S:
+                continue
+            complete_to = self._log_complete_to(seen.vehicle, state)
+            if complete_to < state.last_seq:
+                self._events_asked_s[seen.vehicle] = now_s
+                self.fleet.ask_events(seen.vehicle, complete_to, ANSWER_S)
+
+    def has_all_events(self, state: State) -> bool:
+        """Whether the store holds every event up to this state."""
+        return self._log_complete_to(state.vehicle, state) >= state.last_seq
+
+    def _log_complete_to(self, vehicle: str, state: State) -> int:
+        """The last event before which none is missing. Asks the store only while some are."""
+        key = (vehicle, state.log)
+        if self._complete_to.get(key, -1) < state.last_seq:
+            self._complete_to[key] = self.store.seen_to(*key)
+        return self._complete_to[key]
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def send_outbox(self, only: set[str] | None = None) -> None:
+        """Send the commands that are due; `only`: of these ids."""
+        now_s = self.clock.monotonic_s()
+        for row in self.store.outbox():
+            if only is not None and row.id not in only:
+                continue
+            retry_s = self._retry_s.get(row.id)
+            if row.id in self._sent or (retry_s is not None and now_s < retry_s):
+                continue
+            command = self._command(row, now_s)
+            if command is not None:
+                self._sent.add(row.id)
+                self.fleet.send(command, ANSWER_S)
+
+    def _command(self, row: CommandRow, now_s: float) -> Command | None:
+        """The command as of the newest state; None: not now.
+
+        A recall is sent also where two companions share the name, or the vehicle is silent.
+        """
+        seen = self.status.of(row.vehicle)
+        state = seen.state
+        if state is None or not seen.lives:
+            return None
+        if not isinstance(row.deed, Recall) and not seen.present(now_s):
+            return None
+        return Command(
+            id=row.id,
+            vehicle=row.vehicle,
+            life=state.life,
+            as_of_s=state.uptime_s,
+            by=row.by,
+            deed=row.deed,
+        )
+
+
+def _decisive(state: State) -> tuple[object, ...]:
+    """The fields of a state that a decision may follow from at once."""
+    return (state.life, state.phase, state.assignment, state.home, state.stop, state.armed)

@@ -1,0 +1,122 @@
+"""What one delivery would cost and promise, before anything flies."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.place import Place
+from companion.core.mission.flight_file import Flight
+from companion.core.mission.flight_plan import (
+    DROP_S,
+    SETTLE_SLACK_S,
+    FlightPlan,
+    frame_at,
+    make_plan,
+)
+from companion.core.mission.flight_plan import site_map as site_map_of
+from companion.core.return_budget.budget import Assessment, Gate, GateParams
+from companion.core.return_budget.remaining_from_plan import ahead_outbound
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.routing.route_planner import BerPlanner, NoRoute
+from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.energy_ledger import EnergyBelief
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind.forecast import WindOutlook
+from ground_station.adapters.files.params import (
+    read_airframe,
+    read_json,
+    read_toml,
+    read_wind_process,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StatedWind:
+    """The wind at cruise height; `from_deg` clockwise from north, `std_mps` one sigma."""
+
+    speed_mps: float
+    from_deg: float
+    std_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEstimate:
+    """A flight, its plan, its energy, and what the return budget says of it."""
+
+    flight: Flight
+    planned: FlightPlan
+    energy: EnergyBelief
+    reserve_wh: float
+    assessment: Assessment
+
+
+def estimate_flight(path: Path, wind: StatedWind, charge_frac: float | None) -> FlightEstimate:
+    """Plan the flight of a file and assess it at its start. `charge_frac` None: as the file says.
+
+    Raises LeewayError where the file is wrong or there is no route.
+    """
+    flight = _read_flight(path)
+    airframe = read_airframe(flight.vehicle.airframe)
+    route_energy = RouteEnergy.for_mission(airframe, flight.mission)
+    energy = _energy(flight, airframe, route_energy, charge_frac)
+    depot = flight.site.depot
+    if depot is None:
+        raise LeewayError(f"{path}: site.depot: needed for an estimate (lat_deg, lon_deg, ...)")
+    planned = _plan(flight, path, depot, route_energy, energy)
+    angle = math.radians(wind.from_deg)
+    to_ne = np.array([-wind.speed_mps * math.cos(angle), -wind.speed_mps * math.sin(angle)])
+    belief = WindBelief(0.0, to_ne, wind.std_mps**2 * np.eye(2), ("forecast",), True)
+    outlook = WindOutlook(read_wind_process(flight.mission.wind_process))
+    outlook.observe(belief)
+    reserve_wh = flight.mission.reserve_frac * energy.usable_full_wh
+    gate = Gate(route_energy, GateParams(max_loss=flight.mission.max_loss, reserve_wh=reserve_wh))
+    ahead = ahead_outbound(
+        planned.plan,
+        planned.plan.depot_ned_m,
+        0,
+        flight.vehicle.payload_kg,
+        flight.mission.drop_height_m,
+        DROP_S,
+        flight.mission.wind_settle_s + SETTLE_SLACK_S,
+    )
+    assessment = gate.assess(ahead, belief, outlook, energy)
+    return FlightEstimate(flight, planned, energy, reserve_wh, assessment)
+
+
+def _read_flight(path: Path) -> Flight:
+    try:
+        return msgspec.convert(read_toml(path), Flight)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{path}: {error}") from error
+
+
+def _energy(
+    flight: Flight, airframe: Airframe, route_energy: RouteEnergy, charge_frac: float | None
+) -> EnergyBelief:
+    """A pack of the stated charge, as the energy ledger sees it after a rest."""
+    vehicle, battery = flight.vehicle, airframe.battery
+    draw_w = route_energy.hover_power_w(vehicle.payload_kg)
+    full_wh = battery.usable_wh(draw_w, vehicle.temperature_c, vehicle.battery_health_frac)
+    share = charge_frac if charge_frac is not None else vehicle.charge_frac_stated
+    left_wh = full_wh * (share if share is not None else 1.0)
+    return EnergyBelief(
+        0.0, left_wh, battery.usable_std_frac * left_wh, full_wh, "charge as stated"
+    )
+
+
+def _plan(
+    flight: Flight, path: Path, depot: Place, route_energy: RouteEnergy, energy: EnergyBelief
+) -> FlightPlan:
+    document: dict[str, Any] | None = None
+    if flight.site.obstacles is not None:
+        document = read_json(path.parent / flight.site.obstacles)
+    site = site_map_of(flight, frame_at(depot), document)
+    planned = make_plan(flight, site, BerPlanner(route_energy), energy, flight.mission.reserve_frac)
+    if isinstance(planned, NoRoute):
+        raise LeewayError(f"{path}: no route: {planned.reason}")
+    return planned

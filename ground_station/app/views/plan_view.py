@@ -1,0 +1,48 @@
+"""A day plan as tables: stops, sorties, and the orders that nobody can bring."""
+
+from rich.console import Console
+from rich.table import Table
+
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+
+
+def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
+    """Print the plan."""
+    stops = Table(title=f"{plan.day}: {plan.makespan_s / 60.0:.1f} min")
+    for name in ("stop", "from", "to", "by truck", "launches", "recoveries"):
+        stops.add_column(name, justify="left" if name in ("stop", "by truck") else "right")
+    for stop in plan.stops:
+        launches = sum(s.launch == stop.id for s in plan.sorties)
+        homes = sum(s.home == stop.id for s in plan.sorties)
+        times = (_clock(stop.arrive_s), _clock(stop.depart_s))
+        stops.add_row(stop.id, *times, ", ".join(stop.serves), str(launches), str(homes))
+    console.print(stops)
+    sorties = Table("order", "drone", "from", "home")
+    for name in ("launch", "landing", "layer m", "mean Wh", "sure Wh", "usable Wh"):
+        sorties.add_column(name, justify="right")
+    for sortie in plan.sorties:
+        names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
+        times = (_clock(sortie.launch_s), _clock(sortie.land_s))
+        figures = (sortie.outbound_height_m, sortie.energy_wh, sortie.sure_wh, sortie.usable_wh)
+        sorties.add_row(*names, *times, *(f"{figure:.0f}" for figure in figures))
+    console.print(sorties)
+    by_truck = sum(len(stop.serves) for stop in plan.stops)
+    spare = [100.0 * (1.0 - s.sure_wh / s.usable_wh) for s in plan.sorties]
+    least = f"; at least {min(spare):.0f} % of a pack to spare" if spare else ""
+    console.print(
+        f"{len(plan.sorties)} orders by drone, {by_truck} by truck,"
+        f" {len(plan.unplanned)} by nobody{least}"
+        f" (accepted loss {data.day.mission.max_loss:g})",
+        highlight=False,
+    )
+    if plan.unplanned:
+        left = Table("order", "nobody can bring it", "possible with")
+        for line in plan.unplanned:
+            left.add_row(line.order, line.why, line.remedy)
+        console.print(left)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"

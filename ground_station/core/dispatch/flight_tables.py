@@ -1,0 +1,101 @@
+"""The `flight/1` of an order or a planned sortie, as its vehicle is assigned it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from companion.core.base.errors import LeewayError
+from companion.core.base.place import Place
+from companion.core.mission.flight_file import Flight, Site, Vehicle
+from ground_station.core.schema.day import Day, Drone
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.orders import Order, place_of
+
+ANY_CHARGE = [0.05, 1.0]
+"""The desk does not know the charge of a pack: the companion measures it at rest."""
+
+
+def delivery_table(day: Day, drone: Drone, order: Order) -> dict[str, Any]:
+    """A delivery from the depot and back, as the table of an `Assign` command."""
+    site = {"depot": day.depot.place, "customer": place_of(order), "rally": day.rally}
+    return {
+        "format": "flight/1",
+        "name": order.id,
+        "site": {key: _plain(value) for key, value in site.items()},
+        "vehicle": {
+            "airframe": drone.airframe,
+            "payload_kg": order.mass_kg,
+            "charge_frac": ANY_CHARGE,
+            "temperature_c": drone.temperature_c,
+            "battery_health_frac": drone.battery_health_frac,
+        },
+        "mission": _plain(day.mission),
+    }
+
+
+def sortie_table(
+    day: Day, drone: Drone, order: Order, sortie: PlannedSortie, pads: Mapping[str, Place]
+) -> dict[str, Any]:
+    """A sortie from a stop of the truck to the stop that it promises, as the table of an `Assign`.
+
+    `pads`: where it may land, by stop.
+    """
+    table = delivery_table(day, drone, order)
+    mission = msgspec.structs.replace(
+        day.mission,
+        cruise_height_m=sortie.outbound_height_m,
+        return_height_m=sortie.return_height_m,
+    )
+    stops = [msgspec.structs.replace(place, name=stop) for stop, place in pads.items()]
+    site = table["site"] | {
+        "depot": _plain(msgspec.structs.replace(pads[sortie.launch], name="pad")),
+        "stops": _plain(stops),
+        "home": sortie.home,
+    }
+    return table | {"site": site, "mission": _plain(mission)}
+
+
+def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Flight:
+    """A sortie as the plan has it: from its launch pad, in its layer, home to the promised stop.
+
+    Its pads at home and at `others` are the stops aboard. Obstacles travel beside the flight.
+    """
+    day = data.day
+    drone = day.drone(sortie.vehicle)
+    order = next((order for order in data.orders if order.id == sortie.order), None)
+    if drone is None or order is None:
+        raise LeewayError(f"{sortie.vehicle} with {sortie.order}: not in the day's files")
+    pads = [(id_, plan.stop(id_).pads[sortie.vehicle]) for id_ in (sortie.home, *sortie.others)]
+    return Flight(
+        format="flight/1",
+        name=order.id,
+        site=Site(
+            depot=msgspec.structs.replace(plan.stop(sortie.launch).pads[sortie.vehicle], name=""),
+            customer=place_of(order),
+            rally=day.rally,
+            stops=[msgspec.structs.replace(pad, name=id_) for id_, pad in pads],
+            home=sortie.home,
+        ),
+        vehicle=Vehicle(
+            airframe=drone.airframe,
+            payload_kg=order.mass_kg,
+            charge_frac=ANY_CHARGE,
+            temperature_c=drone.temperature_c,
+            battery_health_frac=drone.battery_health_frac,
+        ),
+        mission=msgspec.structs.replace(
+            day.mission,
+            cruise_height_m=sortie.outbound_height_m,
+            return_height_m=sortie.return_height_m,
+        ),
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Plain values, without what is not set."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    table = msgspec.to_builtins(value)
+    return {k: v for k, v in table.items() if v is not None and (k, v) != ("up_m", 0.0)}

@@ -1,0 +1,55 @@
+"""Which orders a drone can bring, and what would make an order possible."""
+
+import pytest
+
+from companion.core.base.geo import Ned
+from companion.core.mission.flight_file import Mission
+from companion.core.vehicle.airframe import Airframe
+from ground_station.adapters.files.params import read_airframe
+from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach
+from ground_station.core.schema.day import Drone, Forecast
+
+
+@pytest.fixture(scope="module")
+def m100() -> Airframe:
+    return read_airframe("m100")
+
+
+def a_reach(m100: Airframe, charge: float = 1.0, **wind: float) -> Reach:
+    drone = Drone(id="d1", airframe="m100", charge_frac=charge)
+    return Reach(drone, m100, Mission(), Forecast(**wind))
+
+
+def at(north_m: float, east_m: float = 0.0) -> Ned:
+    return (north_m, east_m, 0.0)
+
+
+def test_reach_shrinks_with_wind_load_and_an_emptier_battery(m100):
+    def spare(reach: Reach, payload_kg: float = 0.5) -> float:
+        found = reach.can_bring(payload_kg, at(800.0))
+        assert isinstance(found, Feasible)
+        return found.spare_wh
+
+    calm = spare(a_reach(m100))
+    assert spare(a_reach(m100, speed_mps=7.0)) < calm
+    assert spare(a_reach(m100), payload_kg=1.0) < calm
+    assert spare(a_reach(m100, charge=0.8)) < calm
+
+
+def test_an_order_out_of_reach_says_what_would_make_it_possible(m100):
+    far = a_reach(m100).can_bring(0.5, at(20_000.0))
+    assert isinstance(far, Infeasible)
+    assert "Wh short" in far.why
+    radius_m = float(far.remedy.split("within ")[1].split(" m")[0])
+    stop = at(20_000.0 - radius_m + 1.0)
+    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), stop, stop), Feasible)
+    beyond = at(20_000.0 - radius_m - 50.0)
+    assert isinstance(a_reach(m100).can_bring(0.5, at(20_000.0), beyond, beyond), Infeasible)
+    heavy = a_reach(m100).can_bring(50.0, at(100.0))
+    assert isinstance(heavy, Infeasible)
+    assert "the truck" in heavy.remedy
+    low = a_reach(m100, charge=0.25).can_bring(0.5, at(1000.0))
+    assert isinstance(low, Infeasible)
+    assert low.remedy == "a full battery"
+    storm = a_reach(m100, speed_mps=35.0).can_bring(0.5, at(500.0))
+    assert isinstance(storm, Infeasible)

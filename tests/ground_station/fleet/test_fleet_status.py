@@ -1,0 +1,69 @@
+"""What the desk knows of its fleet: who is present, who is free, whom it doubts."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.core.vehicle.airframe import Airframe
+from companion.fleet.messages import State
+from ground_station.adapters.files.day_files import read_day
+from ground_station.core.fleet.fleet_status import FleetStatus
+
+DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
+
+
+def a_state(**more: Any) -> State:
+    fields: dict[str, Any] = {
+        "vehicle": "d1", "life": "x", "uptime_s": 10.0, "epoch_us": 0, "airframe": "m100",
+        "max_payload_kg": 1.0, "phase": "standby", "log": "l", "last_seq": 0,
+    }  # fmt: skip
+    return State(**{**fields, **more})
+
+
+def heard(*states: State, airframes: dict[str, Airframe] | None = None) -> FleetStatus:
+    status = FleetStatus(DAY.airframes if airframes is None else airframes)
+    status.on_liveliness("d1", "x", up=True)
+    for number, state in enumerate(states):
+        status.on_state(state, float(number), 0)
+    return status
+
+
+FLYING = {"assignment": "o.1", "armed": True, "phase": "outbound"}
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ([a_state(energy_left_wh=400.0)], "more energy than its pack"),
+        ([a_state(voltage_v=5.0)], "no pack of"),
+        ([a_state(airframe="octo8")], "not in the day's fleet"),
+        (
+            [
+                a_state(**FLYING, energy_left_wh=60.0),
+                a_state(**FLYING, energy_left_wh=90.0, uptime_s=11.0),
+            ],
+            "rose in flight",
+        ),
+    ],
+)
+def test_a_vehicle_that_lies_about_itself_gets_no_work(states: list[State], words: str):
+    seen = heard(*states).of("d1")
+    assert any(words in doubt for doubt in seen.doubts)
+    assert not seen.free(1.0)
+
+
+def test_a_vehicle_is_free_while_it_is_heard_and_stands_by():
+    assert heard(a_state(voltage_v=25.0, armed=False)).of("d1").free(1.0)
+    assert not heard(a_state()).of("d1").free(60.0)
+    assert not heard(a_state(armed=True)).of("d1").free(1.0)
+    assert not heard(a_state(phase="outbound")).of("d1").free(1.0)
+
+
+def test_a_clock_that_is_off_is_said_once_and_costs_nothing():
+    status = FleetStatus(DAY.airframes)
+    status.on_liveliness("d1", "x", up=True)
+    off = a_state(epoch_us=3_600_000_000)
+    assert "off by 3600 s" in status.on_state(off, 0.0, 0)[0]
+    assert status.on_state(off, 1.0, 0) == []
+    assert status.of("d1").free(1.0)
