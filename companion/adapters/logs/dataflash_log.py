@@ -175,7 +175,8 @@ class _Reader:
             return False
         if kind in ("BAT", "GPS", "ARSP") and _instance(message) != 0:
             return False
-        if t_s - self._heard_s.get(kind, -math.inf) < LEAST_STEP_S.get(kind, 0.0):
+        last_s = self._heard_s.get(kind)
+        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind, 0.0):
             return False
         self._heard_s[kind] = t_s
         return True

@@ -4,7 +4,6 @@ Frames are told apart by their headers first: most of a ground station's log is 
 listen to, and the rest comes faster than the estimators look.
 """
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -116,8 +115,8 @@ class _Reader:
 
     def take(self, frame: Frame) -> None:
         """Decode one frame, unless one of its kind was just heard."""
-        step_s = frame.wall_s - self._heard_s.get(frame.kind, -math.inf)
-        if 0.0 <= step_s < LEAST_STEP_S[frame.kind]:
+        last_s = self._heard_s.get(frame.kind)
+        if last_s is not None and 0.0 <= frame.wall_s - last_s < LEAST_STEP_S[frame.kind]:
             return
         self._heard_s[frame.kind] = frame.wall_s
         for message in self._codec.parse(frame.data):

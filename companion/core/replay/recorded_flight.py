@@ -150,14 +150,14 @@ def moments(flight: RecordedFlight, period_s: float) -> Iterator[Situation]:
     Silences longer than `period_s` have moments of their own, up to `LARGEST_GAP_S`.
     """
     now = Situation()
-    ticked_s = -math.inf
+    ticked_s: float | None = None
     events = flight.events
     for i, event in enumerate(events):
         now.hear(event)
         following_s = events[i + 1].t_s if i + 1 < len(events) else math.inf
         if following_s <= event.t_s:
             continue
-        if event.t_s - ticked_s >= period_s - 0.005:
+        if ticked_s is None or event.t_s - ticked_s >= period_s - 0.005:
             ticked_s = event.t_s
             yield now
         while ticked_s + 2.0 * period_s < following_s < ticked_s + LARGEST_GAP_S:
