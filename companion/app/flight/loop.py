@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from companion.adapters.autopilots.announcer import OperatorPort
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
+from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, wall_s
 from companion.app.flight.recorder import Recorder
@@ -169,7 +169,7 @@ class Loop:
         source = (message.get_srcSystem(), message.get_srcComponent())
         if not known or source[0] == system:
             self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
-        if known and self.operator.hear(message, system, self.clock.t_s):
+        if known and self.operator.on_message(message, system, self.clock.t_s):
             self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
@@ -182,12 +182,12 @@ class Loop:
                 self.link.answer_to(peer)
                 self._answer_timesync(message.ts1)
             elif message.tc1 != 0:
-                self.autopilot.hear_time(message)
+                self.autopilot.on_time_answer(message)
                 self._tick_between()
             return
         if not known and self.autopilot.may_be_ours(message):
             self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
-        events = self.autopilot.hear(message)
+        events = self.autopilot.on_message(message)
         if not self._system_known and self.autopilot.system_id is not None:
             self._system_known = True
             self.codec.be_system(self.autopilot.system_id)

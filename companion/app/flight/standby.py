@@ -116,9 +116,9 @@ class Standby:
                 self._send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
                 return
         if message.get_type() == "TIMESYNC":
-            self._autopilot.hear_time(message)
+            self._autopilot.on_time_answer(message)
             return
-        for event in self._autopilot.hear(message):
+        for event in self._autopilot.on_message(message):
             if isinstance(event, ClockStepped):
                 self._now.forget()
             self._now.hear(event)

@@ -62,6 +62,12 @@ class Requirement:
     required: bool
 
 
+def known(values: Values, name: str, test: Callable[[float], bool]) -> bool | None:
+    """What a test says of a parameter's value; `None` where the autopilot does not tell it."""
+    value = values.get(name)
+    return None if value is None else bool(test(value))
+
+
 CELL_SLACK_V = 0.1
 """A cell's voltage may be so far out of its table: sensor error, and a charge just ended."""
 
