@@ -101,7 +101,7 @@ class MissionUpload:
 
 
 class MissionDownload:
-    """Asks for every item; `items` is the mission, the same for every autopilot, once `done` is `""`."""
+    """Asks for every item; `items` is the mission as we number it once `done` is `""`."""
 
     def __init__(
         self, send: Callable[[Any], None], target: int, home_items: int, t_s: float

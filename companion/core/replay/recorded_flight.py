@@ -101,7 +101,7 @@ class RecordedFlight:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class FlightSamples:
     """A recorded flight on an even grid of times, (n,) each; unknown or stale is NaN.
 
     Velocities NED, angles in rad, `wind_to_*` is the autopilot's own; `consumed_ah` and
@@ -166,7 +166,7 @@ def moments(flight: RecordedFlight, period_s: float) -> Iterator[Situation]:
             yield now
 
 
-def sampled(flight: RecordedFlight, period_s: float = 0.2) -> Samples:
+def sampled(flight: RecordedFlight, period_s: float = 0.2) -> FlightSamples:
     """Return the flight on a grid of times; NaN where a value is unknown or too old to use."""
     times: list[float] = []
     flags: list[tuple[bool, bool]] = []
@@ -177,7 +177,7 @@ def sampled(flight: RecordedFlight, period_s: float = 0.2) -> Samples:
         rows.append(_row(now))
     values = np.array(rows, float).reshape(len(rows), -1)
     told = np.array(flags, bool).reshape(len(flags), 2)
-    return Samples(np.array(times), told[:, 0], told[:, 1], *values.T)
+    return FlightSamples(np.array(times), told[:, 0], told[:, 1], *values.T)
 
 
 def _row(now: Situation) -> list[float]:

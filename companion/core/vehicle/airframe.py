@@ -153,7 +153,7 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return self.rotor_count * math.pi * self.rotor_radius_m**2
 
 
-class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One pack as a whole. `nominal_wh` is its label; usable energy is less (see `usable_wh`).
 
     `ocv_cell_v` is the resting voltage of one cell at `ocv_charge_frac` (rising from 0 to 1).
@@ -230,7 +230,7 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     drag: Drag
     power_paper: PaperPower
     power_rotor: RotorPower
-    battery: Battery
+    battery: BatteryPack
 
     def mass_kg(self, payload_kg: float) -> float:
         """Flying mass with this parcel."""
