@@ -19,6 +19,11 @@ def epoch_us() -> int:
     return time.time_ns() // 1000
 
 
+def is_due(last_s: float | None, every_s: float, now_s: float) -> bool:
+    """True once `every_s` has passed since `last_s`, or where there was no last time (None)."""
+    return last_s is None or now_s - last_s >= every_s
+
+
 @dataclass(frozen=True, slots=True)
 class ClockReading:
     """What a stamp meant. `t_s`: core time of the stamped message, `None` where it is not to be

@@ -1,44 +1,43 @@
-"""ArduCopter's language: modes, streams, orders, and which of its words are not facts.
+"""ArduCopter: its modes, streams, commands and parameters, and which of its values to distrust.
 
-Measured on ArduCopter 4.7-dev: it sends WIND (direction -180, speed 0) without having a wind,
-VFR_HUD.airspeed is the ground velocity unless there is a sensor, parameters are C-cast floats,
-mission item 0 is its own home, and it jumps by DO_SET_MISSION_CURRENT.
+Measured on ArduCopter 4.7-dev (docs/reference/autopilots.md): WIND is sent even where no wind is
+known (direction -180, speed 0). VFR_HUD.airspeed is the ground speed unless there is a sensor.
+Parameters are integers cast to float. Mission item 0 is its own home. It jumps by
+DO_SET_MISSION_CURRENT.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from companion.adapters.autopilots.codec import mavlink
 from companion.core.mission.events import AutopilotWind, Event, Flavour, Mode
-from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values
+from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values, known
 
-MODES = {
-    "STABILIZE": 0,
-    "ACRO": 1,
-    "ALT_HOLD": 2,
-    "AUTO": 3,
-    "GUIDED": 4,
-    "LOITER": 5,
-    "RTL": 6,
-    "CIRCLE": 7,
-    "LAND": 9,
-    "DRIFT": 11,
-    "SPORT": 13,
-    "POSHOLD": 16,
-    "BRAKE": 17,
-    "SMART_RTL": 21,
-    "AUTO_RTL": 27,
+MODE_NAMES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    5: "LOITER",
+    6: "RTL",
+    7: "CIRCLE",
+    9: "LAND",
+    11: "DRIFT",
+    13: "SPORT",
+    16: "POSHOLD",
+    17: "BRAKE",
+    21: "SMART_RTL",
+    27: "AUTO_RTL",
 }
-NAMES = {number: name for name, number in MODES.items()}
-MEANING = {
+MODE_OF = {
     3: Mode.MISSION,
     4: Mode.GUIDED,
     5: Mode.HOLD,
     6: Mode.RTL,
     9: Mode.LAND,
 }
-NUMBER = {mode: number for number, mode in MEANING.items()}
+NUMBER_OF = {mode: number for number, mode in MODE_OF.items()}
 
 STREAMS = (
     # A pilot's take-over shows in the heartbeat: once a second is late.
@@ -57,7 +56,7 @@ STREAMS = (
     ("WIND", mavlink.MAVLINK_MSG_ID_WIND, 2.0, False),
 )
 
-TRUST = ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "ARSPD_TYPE")
+TRUST_PARAMETERS = ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "ARSPD_TYPE")
 """Parameters that tell whether wind and airspeed are real."""
 
 EKF_POSITION_OK = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_VELOCITY_HORIZ
@@ -65,24 +64,24 @@ EKF_NOT_READY = mavlink.ESTIMATOR_CONST_POS_MODE
 
 
 class ArduPilot:
-    """The flavour object for ArduCopter."""
+    """What is special about ArduCopter."""
 
     flavour = Flavour.ARDUPILOT
     home_items = 1
     free_yaw: float = 0.0  # it refuses NaN in TAKEOFF (AP_Mission::sanity_check_params)
     bytewise_parameters = False
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
-    trust_parameters: tuple[str, ...] = TRUST
+    trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
     unwanted_streams: tuple[int, ...] = ()
 
     def mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
         """Return what a heartbeat's mode means, and its name."""
-        name = NAMES.get(custom_mode, f"mode {custom_mode}")
-        return MEANING.get(custom_mode, Mode.OTHER), name
+        name = MODE_NAMES.get(custom_mode, f"mode {custom_mode}")
+        return MODE_OF.get(custom_mode, Mode.OTHER), name
 
     def mode_params(self, mode: Mode) -> tuple[float, float, float]:
         """Return DO_SET_MODE's parameters."""
-        return (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(NUMBER[mode]), 0.0)
+        return (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(NUMBER_OF[mode]), 0.0)
 
     def jump(self, system_id: int, seq: int) -> tuple[Any, int | None]:
         """Return the message that jumps to an item, and the command that is acknowledged."""
@@ -141,14 +140,14 @@ class ArduPilot:
             Requirement(
                 ("BATT_FS_LOW_ACT",),
                 "a low-battery action of the autopilot's own",
-                lambda v: _known(v, "BATT_FS_LOW_ACT", lambda x: x > 0.0),
+                lambda v: known(v, "BATT_FS_LOW_ACT", lambda x: x > 0.0),
                 lambda v: {"BATT_FS_LOW_ACT": 2.0},
                 True,
             ),
             Requirement(
                 ("BATT_LOW_VOLT",),
                 f"a low-battery voltage near the pack's cut-off ({facts.battery_low_v:.1f} V)",
-                lambda v: _known(
+                lambda v: known(
                     v,
                     "BATT_LOW_VOLT",
                     lambda x: 0.97 * facts.battery_cutoff_v <= x <= facts.battery_low_v + 0.05,
@@ -159,7 +158,7 @@ class ArduPilot:
             Requirement(
                 ("BATT_CAPACITY",),
                 f"a percentage that counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
-                lambda v: _known(
+                lambda v: known(
                     v, "BATT_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
                 ),
                 lambda v: {"BATT_CAPACITY": facts.battery_capacity_mah},
@@ -181,7 +180,7 @@ class ArduPilot:
             Requirement(
                 ("GRIP_ENABLE",),
                 "a gripper that lets the parcel go",
-                lambda v: not facts.carries_parcel or _known(v, "GRIP_ENABLE", lambda x: x > 0.0),
+                lambda v: not facts.carries_parcel or known(v, "GRIP_ENABLE", lambda x: x > 0.0),
                 lambda v: {"GRIP_ENABLE": 1.0},
                 True,
             ),
@@ -214,7 +213,7 @@ class ArduPilot:
                 ("GUID_TIMEOUT",),
                 "a halt when set-points stop",
                 lambda v: (
-                    not facts.set_points or _known(v, "GUID_TIMEOUT", lambda x: 0.0 < x <= 3.0)
+                    not facts.set_points or known(v, "GUID_TIMEOUT", lambda x: 0.0 < x <= 3.0)
                 ),
                 lambda v: {"GUID_TIMEOUT": 3.0},
                 True,
@@ -229,16 +228,11 @@ class ArduPilot:
         )
 
 
-def _known(values: Values, name: str, test: Callable[[float], bool]) -> bool | None:
-    value = values.get(name)
-    return None if value is None else bool(test(value))
-
-
 def _bits(name: str, bits: int, words: str) -> Requirement:
     return Requirement(
         (name,),
         words,
-        lambda v: _known(v, name, lambda x: int(x) & bits == bits),
+        lambda v: known(v, name, lambda x: int(x) & bits == bits),
         lambda v: {name: float(int(v.get(name) or 0) | bits)},
         True,
     )
@@ -248,7 +242,7 @@ def _equal(name: str, value: float, words: str) -> Requirement:
     return Requirement(
         (name,),
         words,
-        lambda v: _known(v, name, lambda x: x == value),
+        lambda v: known(v, name, lambda x: x == value),
         lambda v: {name: value},
         True,
     )
@@ -258,7 +252,7 @@ def _loss_keeps_mission(values: Values, enable: str, bit: int) -> bool | None:
     """FS_OPTIONS bit 0: go on in AUTO without RC; bit 1: without the ground station."""
     if values.get(enable) == 0.0:
         return True
-    return _known(values, "FS_OPTIONS", lambda x: bool(int(x) & bit))
+    return known(values, "FS_OPTIONS", lambda x: bool(int(x) & bit))
 
 
 def _rtl_height(facts: RouteFacts) -> Requirement:

@@ -1,4 +1,7 @@
-"""Orders that are acknowledged: sent, retried on the autopilot's clock, answered or given up."""
+"""MAVLink commands to the autopilot: sent, retried until acknowledged, or given up.
+
+Times are on the autopilot's clock.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,10 +29,10 @@ RESULT = {
 
 
 @dataclass(slots=True)
-class Job:
+class PendingCommand:
     """One order on its way. `make(attempt)` builds the message.
 
-    It ends with COMMAND_ACK of `command`, or (where the flavour sends none) when the mission's
+    It ends with COMMAND_ACK of `command`, or (where the autopilot sends none) when the mission's
     current item is `until_seq`. `again_s` is how long it waits before it is sent again.
     """
 
@@ -50,7 +53,7 @@ class Job:
 
 
 @dataclass(slots=True)
-class _Owed:
+class _LateAnswers:
     """Answers that belong to orders which are over; they must not be booked to the next one."""
 
     answers: int
@@ -58,7 +61,7 @@ class _Owed:
 
 
 @dataclass(slots=True)
-class CommandDesk:
+class CommandQueue:
     """Orders in lanes: within a lane one after the other, lanes beside each other.
 
     A COMMAND_ACK names the command and not the order: two orders with the same command in a row
@@ -66,112 +69,118 @@ class CommandDesk:
     """
 
     send: Callable[[Any], None]
-    _lanes: dict[str, list[Job]] = field(default_factory=dict)
-    _owed: dict[int, _Owed] = field(default_factory=dict)
+    _lanes: dict[str, list[PendingCommand]] = field(default_factory=dict)
+    _late_answers: dict[int, _LateAnswers] = field(default_factory=dict)
 
-    def submit(self, lane: str, job: Job, t_s: float, *, replace: bool = False) -> None:
+    def submit(
+        self, lane: str, entry: PendingCommand, t_s: float, *, replace: bool = False
+    ) -> None:
         """Queue an order; `replace` forgets what the lane still holds (a newer wish)."""
-        jobs = self._lanes.setdefault(lane, [])
-        if replace and jobs:
-            self._owe(jobs[0], t_s)
-            jobs.clear()
-        jobs.append(job)
-        if len(jobs) == 1:
-            self._try(job, t_s)
+        queued = self._lanes.setdefault(lane, [])
+        if replace and queued:
+            self._expect_late_answers(queued[0], t_s)
+            queued.clear()
+        queued.append(entry)
+        if len(queued) == 1:
+            self._try(entry, t_s)
 
     def clear(self, t_s: float) -> None:
         """Forget everything: nothing more is sent or retried."""
-        for jobs in self._lanes.values():
-            if jobs:
-                self._owe(jobs[0], t_s)
+        for queued in self._lanes.values():
+            if queued:
+                self._expect_late_answers(queued[0], t_s)
         self._lanes.clear()
 
     def pending(self, lane: str) -> bool:
         """Tell whether a lane still works on something."""
         return bool(self._lanes.get(lane))
 
-    def hear_ack(self, message: Any, t_s: float) -> list[Event]:
+    def on_ack(self, message: Any, t_s: float) -> list[Event]:
         """Take a COMMAND_ACK that is addressed to us (or to everybody)."""
-        if message.result != mavlink.MAV_RESULT_IN_PROGRESS and self._stale(message.command, t_s):
+        if message.result != mavlink.MAV_RESULT_IN_PROGRESS and self._is_late_answer(
+            message.command, t_s
+        ):
             return []
-        for lane, jobs in self._lanes.items():
-            if not jobs or jobs[0].command != message.command or jobs[0].tries == 0:
+        for lane, queued in self._lanes.items():
+            if not queued or queued[0].command != message.command or queued[0].tries == 0:
                 continue
-            job = jobs[0]
+            entry = queued[0]
             if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
-                job.next_try_s = t_s + 5.0 * RETRY_S
+                entry.next_try_s = t_s + 5.0 * RETRY_S
                 return []
-            job.answers += 1
+            entry.answers += 1
             match message.result:
                 case mavlink.MAV_RESULT_ACCEPTED:
                     return self._finish(lane, t_s, None)
-                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if job.tries < TRIES:
-                    job.next_try_s = t_s + BUSY_S
+                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if entry.tries < TRIES:
+                    entry.next_try_s = t_s + BUSY_S
                     return []
                 case _:
                     reason = RESULT.get(message.result, f"result {message.result}")
                     return self._finish(lane, t_s, reason)
         return []
 
-    def hear_current(self, seq: int, t_s: float) -> list[Event]:
+    def on_current_item(self, seq: int, t_s: float) -> list[Event]:
         """Take the mission's current item: ends jumps that nobody acknowledges."""
-        for lane, jobs in self._lanes.items():
-            if jobs and jobs[0].until_seq == seq:
+        for lane, queued in self._lanes.items():
+            if queued and queued[0].until_seq == seq:
                 return self._finish(lane, t_s, None)
         return []
 
     def tick(self, t_s: float) -> list[Event]:
         """Retry what is due; give up what was tried often enough."""
         events: list[Event] = []
-        for lane, jobs in list(self._lanes.items()):
-            if jobs and t_s >= jobs[0].next_try_s:
-                if jobs[0].tries >= TRIES:
+        for lane, queued in list(self._lanes.items()):
+            if queued and t_s >= queued[0].next_try_s:
+                if queued[0].tries >= TRIES:
                     events += self._finish(lane, t_s, "no answer")
                 else:
-                    self._try(jobs[0], t_s)
+                    self._try(queued[0], t_s)
         return events
 
-    def _try(self, job: Job, t_s: float) -> None:
-        self.send(job.make(job.tries))
-        job.tries += 1
-        job.next_try_s = t_s + job.again_s
+    def _try(self, entry: PendingCommand, t_s: float) -> None:
+        self.send(entry.make(entry.tries))
+        entry.tries += 1
+        entry.next_try_s = t_s + entry.again_s
 
-    def _owe(self, job: Job, t_s: float) -> None:
+    def _expect_late_answers(self, entry: PendingCommand, t_s: float) -> None:
         """Expect the answers that a finished or forgotten order may still get."""
-        if job.command is None or job.unanswered <= 0:
+        if entry.command is None or entry.unanswered <= 0:
             return
-        owed = self._owed.setdefault(job.command, _Owed(0, t_s))
-        owed.answers += job.unanswered
-        owed.until_s = t_s + STALE_S
+        late = self._late_answers.setdefault(entry.command, _LateAnswers(0, t_s))
+        late.answers += entry.unanswered
+        late.until_s = t_s + STALE_S
 
-    def _stale(self, command: int, t_s: float) -> bool:
+    def _is_late_answer(self, command: int, t_s: float) -> bool:
         """Book an answer to an order that is over; the order that waited for it may go then."""
-        owed = self._owed.get(command)
-        if owed is None:
+        late = self._late_answers.get(command)
+        if late is None:
             return False
-        if t_s > owed.until_s:
-            del self._owed[command]
+        if t_s > late.until_s:
+            del self._late_answers[command]
             return False
-        owed.answers -= 1
-        if owed.answers <= 0:
-            del self._owed[command]
-            for jobs in self._lanes.values():
-                if jobs and jobs[0].command == command and jobs[0].tries == 0:
-                    self._try(jobs[0], t_s)
+        late.answers -= 1
+        if late.answers <= 0:
+            del self._late_answers[command]
+            for queued in self._lanes.values():
+                if queued and queued[0].command == command and queued[0].tries == 0:
+                    self._try(queued[0], t_s)
         return True
 
     def _finish(self, lane: str, t_s: float, reason: str | None) -> list[Event]:
-        jobs = self._lanes[lane]
-        job = jobs.pop(0)
-        self._owe(job, t_s)
-        if jobs:
-            owed = self._owed.get(jobs[0].command) if jobs[0].command is not None else None
-            if owed is None or t_s > owed.until_s:
-                self._try(jobs[0], t_s)
+        queued = self._lanes[lane]
+        entry = queued.pop(0)
+        self._expect_late_answers(entry, t_s)
+        if queued:
+            late = (
+                self._late_answers.get(queued[0].command) if queued[0].command is not None else None
+            )
+            if late is None or t_s > late.until_s:
+                self._try(queued[0], t_s)
             else:  # sent beside late answers to the last one it could not be told from that
-                jobs[0].next_try_s = owed.until_s
-        if job.quiet and reason is None:
+                queued[0].next_try_s = late.until_s
+        if entry.quiet and reason is None:
             return []
         if reason is None:
-            return [OrderAccepted(t_s, job.name)]
-        return [OrderRefused(t_s, job.name, reason)]
+            return [OrderAccepted(t_s, entry.name)]
+        return [OrderRefused(t_s, entry.name, reason)]

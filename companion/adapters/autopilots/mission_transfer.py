@@ -1,4 +1,7 @@
-"""Mission upload and download with retries; in the autopilot's order, whichever way it asks."""
+"""Mission upload and download (MAVLink mission protocol) with retries.
+
+The upload sends items in the order in which the autopilot asks for them.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -62,7 +65,7 @@ class MissionUpload:
             )
         )
 
-    def hear(self, message: Any, t_s: float) -> None:
+    def on_message(self, message: Any, t_s: float) -> None:
         """Take MISSION_REQUEST, MISSION_REQUEST_INT or MISSION_ACK."""
         if self.done is not None or getattr(message, "mission_type", 0) != 0:
             return
@@ -98,7 +101,7 @@ class MissionUpload:
 
 
 class MissionDownload:
-    """Asks for every item; `items` is the flavour-free mission once `done` is `""`."""
+    """Asks for every item; `items` is the mission as we number it once `done` is `""`."""
 
     def __init__(
         self, send: Callable[[Any], None], target: int, home_items: int, t_s: float
@@ -130,7 +133,7 @@ class MissionDownload:
                 )
             )
 
-    def hear(self, message: Any, t_s: float) -> None:
+    def on_message(self, message: Any, t_s: float) -> None:
         """Take MISSION_COUNT, MISSION_ITEM_INT or MISSION_ACK."""
         if self.done is not None or getattr(message, "mission_type", 0) != 0:
             return

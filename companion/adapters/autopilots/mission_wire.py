@@ -1,4 +1,4 @@
-"""Mission items on the wire: flavour-free items to MISSION_ITEM_INT and back.
+"""Mission items on the wire: our items to MISSION_ITEM_INT and back.
 
 What an autopilot is known to rewrite on the way (measured: frame 6 to 3 and NaN to 0 on ArduPilot,
 whose item 0 is its own home; frames kept on PX4) is undone here.
@@ -38,7 +38,7 @@ def wire_items(
     """Encode a mission; `home_items` (0 or 1) placeholders for the autopilot's home go first.
 
     The home's height is written as it is in `home`; ArduPilot replaces the item anyway.
-    `free_yaw` is how the flavour is told to choose its own heading.
+    `free_yaw` is how the autopilot is told to choose its own heading.
     """
     found = [
         WireItem(

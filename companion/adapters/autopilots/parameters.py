@@ -1,4 +1,4 @@
-"""The autopilot's parameters: read by name, set and read back, encoded as the flavour does."""
+"""The autopilot's parameters: read by name, set and read back, encoded as the autopilot does."""
 
 import math
 import struct
@@ -41,7 +41,7 @@ def encode_bytewise(value: float, kind: int) -> float:
     return struct.unpack("<f", raw)[0]
 
 
-class ParameterDesk:
+class ParameterClient:
     """Reads and sets parameters, a few at a time, each until it is answered or given up."""
 
     def __init__(self, send: Callable[[Any], None], *, bytewise: bool) -> None:
@@ -81,7 +81,7 @@ class ParameterDesk:
         """True while something is being asked or set."""
         return bool(self._reading or self._setting)
 
-    def hear(self, message: Any) -> None:
+    def on_value(self, message: Any) -> None:
         """Take a PARAM_VALUE of the autopilot."""
         name = message.param_id
         kind = message.param_type
@@ -100,7 +100,7 @@ class ParameterDesk:
         if wish is not None and abs(wish[0] - value) <= 1e-4 * max(1.0, abs(wish[0])):
             del self._setting[name]
 
-    def hear_error(self, message: Any) -> None:
+    def on_error(self, message: Any) -> None:
         """Take a PARAM_ERROR (PX4 1.18): there is no such parameter, or it cannot be set so."""
         name = message.param_id
         if self._reading.pop(name, None) is not None:

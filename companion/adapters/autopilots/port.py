@@ -1,7 +1,8 @@
-"""One autopilot on a link: finds it, tells its flavour, hears it as events, gives it orders.
+"""One autopilot on a link: finds it, tells PX4 from ArduPilot, turns its messages into events
+and the orders of the pilot into messages.
 
 Only component 1 of the chosen system is believed. Orders wait here for their acknowledgement; an
-acknowledgement is reported but is no fact, the mission looks for the effect in telemetry.
+acknowledgement is reported but proves nothing: the pilot looks for the effect in telemetry.
 """
 
 from collections.abc import Callable
@@ -9,12 +10,12 @@ from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, mavlink
-from companion.adapters.autopilots.commands import CommandDesk, Job
+from companion.adapters.autopilots.commands import CommandQueue, PendingCommand
 from companion.adapters.autopilots.mission_transfer import MissionDownload, MissionUpload
 from companion.adapters.autopilots.mission_wire import wire_items
-from companion.adapters.autopilots.parameters import ParameterDesk
+from companion.adapters.autopilots.parameters import ParameterClient
 from companion.adapters.autopilots.px4 import Px4
-from companion.adapters.autopilots.telemetry import FlavourWords, boot_s, translate
+from companion.adapters.autopilots.telemetry import AutopilotProfile, boot_s, translate
 from companion.adapters.clock import AutopilotClock
 from companion.core.mission.actions import (
     Arm,
@@ -73,7 +74,7 @@ VELOCITY_AND_ACCELERATION = (
 
 STREAM = "stream "
 
-FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
+PROFILES: dict[int, type[ArduPilot] | type[Px4]] = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
     mavlink.MAV_AUTOPILOT_PX4: Px4,
 }
@@ -100,10 +101,10 @@ class AutopilotPort:
         self._time_asked: dict[int, int] = {}
         self._times: dict[int, float] = {}
         self._beat_at_s = -1.0
-        self.words: FlavourWords | None = None
+        self.profile: AutopilotProfile | None = None
         self.system_id: int | None = None
-        self._desk = CommandDesk(send)
-        self._parameters: ParameterDesk | None = None
+        self._commands = CommandQueue(send)
+        self._parameters: ParameterClient | None = None
         self._upload: MissionUpload | None = None
         self._download: MissionDownload | None = None
         self._expected: tuple[MissionItem, ...] = ()
@@ -115,13 +116,13 @@ class AutopilotPort:
 
     # --- hearing -------------------------------------------------------------------------------
 
-    def hear(self, message: Any) -> list[Event]:
+    def on_message(self, message: Any) -> list[Event]:
         """Return the events in a message; foreign and stale messages have none."""
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
-        if self.words is None:
+        if self.profile is None:
             self._note_stamp(message, system, component)
-            return self._look_at(message, system, component) if kind == "HEARTBEAT" else []
+            return self._identify(message, system, component) if kind == "HEARTBEAT" else []
         if system != self.system_id:
             return []
         if component == COMPONENT:
@@ -131,7 +132,7 @@ class AutopilotPort:
         if kind == "HEARTBEAT":
             if message.type in NOT_VEHICLES:
                 return []
-            self._mind_the_clock(system)
+            self._ask_time_if_it_stands(system)
         events, t_s = self._time(message)
         if t_s is None:
             return events
@@ -139,21 +140,21 @@ class AutopilotPort:
         if handled is not None:
             return events + handled
         values = self._parameters.values if self._parameters is not None else {}
-        found = translate(message, self.words, values, t_s)
+        found = translate(message, self.profile, values, t_s)
         for event in found:
             if isinstance(event, Position) and self._home.lat_deg == 0.0:
                 self._home = Spot(event.lat_deg, event.lon_deg, event.alt_amsl_m)
         if kind == "MISSION_CURRENT":
-            found += self._desk.hear_current(message.seq, t_s)
+            found += self._commands.on_current_item(message.seq, t_s)
         return events + found
 
-    def hear_time(self, message: Any) -> None:
+    def on_time_answer(self, message: Any) -> None:
         """Take the answer to our own TIMESYNC request: what the autopilot's clock says."""
         system = message.get_srcSystem()
         if message.get_srcComponent() != AUTOPILOT or self._time_asked.get(system) != message.ts1:
             return
         del self._time_asked[system]
-        if self.words is None:
+        if self.profile is None:
             self._times[system] = message.tc1 / 1e9
         elif system == self.system_id:
             self._clock.synchronise(message.tc1 / 1e9)
@@ -163,7 +164,7 @@ class AutopilotPort:
         self._time_asked[system] = self._times_asked
         self._send(mavlink.MAVLink_timesync_message(0, self._times_asked))
 
-    def _mind_the_clock(self, system: int) -> None:
+    def _ask_time_if_it_stands(self, system: int) -> None:
         """Ask for the time while nothing tells it: ArduPilot sends no stamp before it is asked.
 
         A clock that stands still would never let a lost order be sent again.
@@ -177,7 +178,7 @@ class AutopilotPort:
         return (
             message.get_type() == "HEARTBEAT"
             and message.get_srcComponent() == AUTOPILOT
-            and message.autopilot in FLAVOURS
+            and message.autopilot in PROFILES
             and message.type not in NOT_VEHICLES
             and self._wanted_system in (None, message.get_srcSystem())
         )
@@ -189,12 +190,12 @@ class AutopilotPort:
             first_s, _ = self._stamps.get(system, (stamp_s, stamp_s))
             self._stamps[system] = (min(first_s, stamp_s), stamp_s)
 
-    def _look_at(self, message: Any, system: int, component: int) -> list[Event]:
+    def _identify(self, message: Any, system: int, component: int) -> list[Event]:
         """Count heartbeats until one system is trusted to be our vehicle."""
         if component == COMPONENT and self._wanted_system in (None, system):
             return [self._other_computer(message)]
-        words = FLAVOURS.get(message.autopilot)
-        if words is None or not self.may_be_ours(message):
+        profile = PROFILES.get(message.autopilot)
+        if profile is None or not self.may_be_ours(message):
             return []
         key = (system, message.autopilot)
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
@@ -203,18 +204,18 @@ class AutopilotPort:
         if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
             return []
         first_s, last_s = self._stamps.get(system, (0.0, LISTEN_S))
-        if last_s - first_s < LISTEN_S or not self._learn_time(system, self._heartbeats[key]):
+        if last_s - first_s < LISTEN_S or not self._set_clock(system, self._heartbeats[key]):
             return []
-        flavour: FlavourWords = words()
-        self.words = flavour
+        chosen: AutopilotProfile = profile()
+        self.profile = chosen
         self.system_id = system
-        self._parameters = ParameterDesk(self._send, bytewise=flavour.bytewise_parameters)
+        self._parameters = ParameterClient(self._send, bytewise=chosen.bytewise_parameters)
         self._parameters.aim(system)
         t_s = self._clock.t_s
-        state = [e for e in translate(message, flavour, {}, t_s) if isinstance(e, VehicleState)]
-        return [*state, Identified(t_s, flavour.flavour, system)]
+        state = [e for e in translate(message, chosen, {}, t_s) if isinstance(e, VehicleState)]
+        return [*state, Identified(t_s, chosen.flavour, system)]
 
-    def _learn_time(self, system: int, heartbeats: int) -> bool:
+    def _set_clock(self, system: int, heartbeats: int) -> bool:
         """Set the clock by what the vehicle told; False while it is worth waiting for that.
 
         An order that is given at time 0 would look overdue at the first stamp, be sent twice, and
@@ -254,27 +255,29 @@ class AutopilotPort:
             COMPONENT,
         )
         if kind == "COMMAND_ACK":
-            return self._sift(self._desk.hear_ack(message, t_s)) if mine else []
+            return (
+                self._without_refused_streams(self._commands.on_ack(message, t_s)) if mine else []
+            )
         if kind == "PARAM_VALUE" and self._parameters is not None:
-            self._parameters.hear(message)
+            self._parameters.on_value(message)
             return self._parameters_events(t_s)
         if kind == "PARAM_ERROR" and self._parameters is not None:
             if mine:
-                self._parameters.hear_error(message)
+                self._parameters.on_error(message)
             return self._parameters_events(t_s)
         if kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
             if self._upload is not None and mine:
-                self._upload.hear(message, t_s)
+                self._upload.on_message(message, t_s)
             return []
         if kind in ("MISSION_COUNT", "MISSION_ITEM_INT"):
             if self._download is not None and mine:
-                self._download.hear(message, t_s)
+                self._download.on_message(message, t_s)
             return self._transfer_events(t_s)
         if kind == "MISSION_ACK":
             if mine and self._upload is not None:
-                self._upload.hear(message, t_s)
+                self._upload.on_message(message, t_s)
             elif mine and self._download is not None:
-                self._download.hear(message, t_s)
+                self._download.on_message(message, t_s)
             return self._transfer_events(t_s)
         return None
 
@@ -282,12 +285,12 @@ class AutopilotPort:
 
     def order(self, order: Order, t_s: float) -> None:
         """Give an order."""
-        words, system = self.words, self.system_id
-        if words is None or system is None:
+        profile, system = self.profile, self.system_id
+        if profile is None or system is None:
             return
         match order:
             case AskTelemetry():
-                self._ask_streams(words, system, t_s)
+                self._ask_streams(profile, system, t_s)
             case AskParameters():
                 self._read_parameters(order.names, t_s)
             case Configure():
@@ -298,17 +301,17 @@ class AutopilotPort:
                 self._download = None
                 wire = wire_items(
                     order.items,
-                    home_items=words.home_items,
+                    home_items=profile.home_items,
                     home=self._home,
-                    free_yaw=words.free_yaw,
+                    free_yaw=profile.free_yaw,
                 )
                 self._upload = MissionUpload(self._send, system, wire, t_s)
             case ReadMissionBack():
                 self._upload = None
                 self._expected = order.items
-                self._download = MissionDownload(self._send, system, words.home_items, t_s)
+                self._download = MissionDownload(self._send, system, profile.home_items, t_s)
             case SetMode():
-                params = words.mode_params(order.mode)
+                params = profile.mode_params(order.mode)
                 self._command("mode", f"mode {order.mode.value}", mavlink.MAV_CMD_DO_SET_MODE,
                               params, t_s, replace=True)  # fmt: skip
             case Arm():
@@ -316,13 +319,15 @@ class AutopilotPort:
             case Disarm():
                 self._command("arm", "disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), t_s)
             case JumpTo():
-                seq = order.index + words.home_items
-                message, command = words.jump(system, seq)
+                seq = order.index + profile.home_items
+                message, command = profile.jump(system, seq)
                 name = f"jump to item {order.index}"
-                job = Job(name, lambda _attempt: message, command)
+                entry = PendingCommand(name, lambda _attempt: message, command)
                 if command is None:
-                    job = Job(name, lambda _attempt: message, until_seq=seq, again_s=ECHO_S)
-                self._desk.submit("jump", job, t_s, replace=True)
+                    entry = PendingCommand(
+                        name, lambda _attempt: message, until_seq=seq, again_s=ECHO_S
+                    )
+                self._commands.submit("jump", entry, t_s, replace=True)
             case SetGroundSpeed():
                 params = (1.0, order.ground_speed_mps, -1.0)
                 self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
@@ -349,14 +354,14 @@ class AutopilotPort:
 
     def _read_parameters(self, names: tuple[str, ...], t_s: float) -> None:
         """Ask for these parameters (and those that tell which telemetry is real)."""
-        if self._parameters is None or self.words is None:
+        if self._parameters is None or self.profile is None:
             return
         self._asking_parameters = True
-        self._parameters.read(dict.fromkeys((*names, *self.words.trust_parameters)), t_s)
+        self._parameters.read(dict.fromkeys((*names, *self.profile.trust_parameters)), t_s)
 
     def drop_orders(self) -> None:
         """Forget everything that is still being sent, retried or waited for."""
-        self._desk.clear(self._clock.t_s)
+        self._commands.clear(self._clock.t_s)
         self._upload = None
         self._download = None
         self._asking_streams = False
@@ -367,7 +372,7 @@ class AutopilotPort:
 
     def tick(self, t_s: float) -> list[Event]:
         """Retry what is due and report what ended."""
-        events = self._sift(self._desk.tick(t_s)) + self._streams_events(t_s)
+        events = self._without_refused_streams(self._commands.tick(t_s)) + self._streams_events(t_s)
         if self._upload is not None:
             self._upload.tick(t_s)
         if self._download is not None:
@@ -397,13 +402,15 @@ class AutopilotPort:
         def make(attempt: int) -> Any:
             return mavlink.MAVLink_command_long_message(system, AUTOPILOT, command, attempt, *full)
 
-        self._desk.submit(lane, Job(name, make, command, quiet=quiet), t_s, replace=replace)
+        self._commands.submit(
+            lane, PendingCommand(name, make, command, quiet=quiet), t_s, replace=replace
+        )
 
-    def _ask_streams(self, words: FlavourWords, system: int, t_s: float) -> None:
+    def _ask_streams(self, profile: AutopilotProfile, system: int, t_s: float) -> None:
         self._refused = []
         self._asking_streams = True
-        wanted = [(name, number, 1e6 / hz) for name, number, hz, _ in words.streams]
-        wanted += [(f"-{number}", number, -1.0) for number in words.unwanted_streams]
+        wanted = [(name, number, 1e6 / hz) for name, number, hz, _ in profile.streams]
+        wanted += [(f"-{number}", number, -1.0) for number in profile.unwanted_streams]
         for name, number, interval_us in wanted:
             self._command(
                 "streams",
@@ -414,7 +421,7 @@ class AutopilotPort:
                 quiet=True,
             )
 
-    def _sift(self, events: list[Event]) -> list[Event]:
+    def _without_refused_streams(self, events: list[Event]) -> list[Event]:
         """Keep refused streams for one report; pass everything else on."""
         passed: list[Event] = []
         for event in events:
@@ -426,10 +433,12 @@ class AutopilotPort:
 
     def _streams_events(self, t_s: float) -> list[Event]:
         """Nothing more to ask for: say so once."""
-        if not self._asking_streams or self._desk.pending("streams"):
+        if not self._asking_streams or self._commands.pending("streams"):
             return []
         self._asking_streams = False
-        wanted = {name for name, _, _, needed in self.words.streams if needed} if self.words else {}
+        wanted = (
+            {name for name, _, _, needed in self.profile.streams if needed} if self.profile else {}
+        )
         return [StreamsAsked(t_s, tuple(name for name in self._refused if name in wanted))]
 
     def _transfer_events(self, t_s: float) -> list[Event]:

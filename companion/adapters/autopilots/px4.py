@@ -1,17 +1,16 @@
-"""PX4's language: modes, streams, orders, and which of its words are not facts.
+"""PX4: its modes, streams, commands and parameters, and which of its values to distrust.
 
-Measured on PX4 1.18: VFR_HUD.airspeed is NaN without a sensor, WIND_COV comes only with drag
-fusion and points where the wind blows TO, parameters carry integer bits, items count from 0, and
-it jumps by MISSION_SET_CURRENT only.
+Measured on PX4 1.18 (docs/reference/autopilots.md): VFR_HUD.airspeed is NaN without a sensor.
+WIND_COV comes only with drag fusion and points where the wind blows TO. Integer parameters lie
+bitwise in the float. Mission items count from 0. It jumps by MISSION_SET_CURRENT only.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from companion.adapters.autopilots.codec import CurrentMode, mavlink
 from companion.core.mission.events import AutopilotWind, Event, Flavour, Mode
-from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values
+from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values, known
 
 MAIN_NAMES = {
     1: "MANUAL",
@@ -32,8 +31,8 @@ AUTO_NAMES = {
     8: "AUTO.FOLLOW",
     9: "AUTO.PRECLAND",
 }
-AUTO_MEANING = {2: Mode.TAKEOFF, 3: Mode.HOLD, 4: Mode.MISSION, 5: Mode.RTL, 6: Mode.LAND}
-AUTO_NUMBER = {mode: number for number, mode in AUTO_MEANING.items()}
+AUTO_MODE_OF = {2: Mode.TAKEOFF, 3: Mode.HOLD, 4: Mode.MISSION, 5: Mode.RTL, 6: Mode.LAND}
+AUTO_NUMBER_OF = {mode: number for number, mode in AUTO_MODE_OF.items()}
 OFFBOARD = 6
 
 STREAMS = (
@@ -53,7 +52,7 @@ STREAMS = (
     ("WIND_COV", mavlink.MAVLINK_MSG_ID_WIND_COV, 2.0, False),
 )
 
-UNWANTED = (
+UNWANTED_STREAMS = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
@@ -62,25 +61,25 @@ UNWANTED = (
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
     mavlink.MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET,
 )
-TRUST = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
+TRUST_PARAMETERS = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
 
 
 class Px4:
-    """The flavour object for PX4 multirotors."""
+    """What is special about PX4 multirotors."""
 
     flavour = Flavour.PX4
     home_items = 0
     free_yaw: float = math.nan  # 0 would be a heading: north
     bytewise_parameters = True
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
-    trust_parameters: tuple[str, ...] = TRUST
-    unwanted_streams: tuple[int, ...] = UNWANTED
+    trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
+    unwanted_streams: tuple[int, ...] = UNWANTED_STREAMS
 
     def mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
         """Return what a heartbeat's mode means, and its name."""
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         if main == AUTO:
-            return AUTO_MEANING.get(sub, Mode.OTHER), AUTO_NAMES.get(sub, f"AUTO.{sub}")
+            return AUTO_MODE_OF.get(sub, Mode.OTHER), AUTO_NAMES.get(sub, f"AUTO.{sub}")
         name = MAIN_NAMES.get(main, f"mode {main}.{sub}")
         return (Mode.GUIDED if main == OFFBOARD else Mode.OTHER), name
 
@@ -89,7 +88,7 @@ class Px4:
         custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         if mode is Mode.GUIDED:
             return (custom, float(OFFBOARD), 0.0)
-        return (custom, float(AUTO), float(AUTO_NUMBER[mode]))
+        return (custom, float(AUTO), float(AUTO_NUMBER_OF[mode]))
 
     def jump(self, system_id: int, seq: int) -> tuple[Any, int | None]:
         """Return the message that jumps to an item; nothing acknowledges it but MISSION_CURRENT."""
@@ -127,7 +126,7 @@ class Px4:
             Requirement(
                 ("BAT1_CAPACITY",),
                 f"a percentage that counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
-                lambda v: _known(
+                lambda v: known(
                     v, "BAT1_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
                 ),
                 lambda v: {"BAT1_CAPACITY": facts.battery_capacity_mah},
@@ -140,7 +139,7 @@ class Px4:
                 lambda v: (
                     True
                     if v.get("NAV_RCL_ACT") == 0.0
-                    else _known(v, "COM_RCL_EXCEPT", lambda x: bool(int(x) & 1))
+                    else known(v, "COM_RCL_EXCEPT", lambda x: bool(int(x) & 1))
                 ),
                 lambda v: {"COM_RCL_EXCEPT": float(int(v.get("COM_RCL_EXCEPT") or 0) | 1)},
                 True,
@@ -151,7 +150,7 @@ class Px4:
                 lambda v: (
                     True
                     if int(v.get("COM_DLL_EXCEPT") or 0) & 1
-                    else _known(v, "NAV_DLL_ACT", lambda x: x == 0.0)
+                    else known(v, "NAV_DLL_ACT", lambda x: x == 0.0)
                 ),
                 lambda v: {"NAV_DLL_ACT": 0.0},
                 True,
@@ -218,16 +217,11 @@ class Px4:
         )
 
 
-def _known(values: Values, name: str, test: Callable[[float], bool]) -> bool | None:
-    value = values.get(name)
-    return None if value is None else bool(test(value))
-
-
 def _at_least(name: str, least: float, wanted: float, words: str, required: bool) -> Requirement:
     return Requirement(
         (name,),
         words,
-        lambda v: _known(v, name, lambda x: x >= least - 1e-6),
+        lambda v: known(v, name, lambda x: x >= least - 1e-6),
         lambda v: {name: wanted},
         required,
     )
@@ -237,7 +231,7 @@ def _near(name: str, wanted: float, words: str, required: bool = False) -> Requi
     return Requirement(
         (name,),
         f"the {words} that the energy model knows ({wanted:g})",
-        lambda v: _known(v, name, lambda x: abs(x - wanted) <= 0.02 * wanted),
+        lambda v: known(v, name, lambda x: abs(x - wanted) <= 0.02 * wanted),
         lambda v: {name: wanted},
         required,
     )
@@ -264,7 +258,7 @@ def _has_gripper(values: Values) -> bool | None:
     enabled = values.get("PD_GRIPPER_EN")
     if enabled is not None:
         return enabled > 0.0
-    return _known(values, "PD_GRIPPER_TYPE", lambda x: x >= 0.0)
+    return known(values, "PD_GRIPPER_TYPE", lambda x: x >= 0.0)
 
 
 def _switch_gripper_on(values: Values) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Telemetry messages to core events: units converted once, unknown made `None`, lies left out."""
+"""Telemetry messages to core events: units converted once; what is unknown is `None`."""
 
 import math
 from typing import Any, Protocol
@@ -57,8 +57,11 @@ UNKNOWN_U16 = 65535
 UNKNOWN_I16 = 32767
 
 
-class FlavourWords(Protocol):
-    """What differs between PX4 and ArduPilot; `ArduPilot` and `Px4` are the two there are."""
+class AutopilotProfile(Protocol):
+    """What differs between PX4 and ArduPilot in what they send and understand.
+
+    `ArduPilot` and `Px4` implement it.
+    """
 
     flavour: Flavour
     home_items: int
@@ -96,11 +99,11 @@ def boot_s(message: Any) -> float | None:
     return stamp_ms / 1000.0
 
 
-def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> list[Event]:
+def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: float) -> list[Event]:
     """Return what a message of the autopilot says; nothing where it says nothing usable."""
     match message.get_type():
         case "HEARTBEAT":
-            mode, name = words.mode(message.custom_mode, message.base_mode)
+            mode, name = profile.mode(message.custom_mode, message.base_mode)
             return [
                 VehicleState(
                     t_s,
@@ -113,7 +116,7 @@ def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> 
                 )
             ]
         case "CURRENT_MODE":
-            return [ModeNow(t_s, *words.mode(message.custom_mode, 0))]
+            return [ModeNow(t_s, *profile.mode(message.custom_mode, 0))]
         case "ATTITUDE":
             angles = (message.roll, message.pitch, message.yaw)
             return [Attitude(t_s, *angles)] if all(map(math.isfinite, angles)) else []
@@ -133,11 +136,11 @@ def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> 
         case "BATTERY_STATUS":
             return _battery(message, t_s) if message.id == 0 else []
         case "VFR_HUD":
-            return _hud(message, words, values, t_s)
+            return _hud(message, profile, values, t_s)
         case "MISSION_CURRENT":
-            return [_progress(message, words, t_s)]
+            return [_progress(message, profile, t_s)]
         case "MISSION_ITEM_REACHED":
-            index = message.seq - words.home_items
+            index = message.seq - profile.home_items
             return [ItemReached(t_s, index)] if index >= 0 else []
         case "EXTENDED_SYS_STATE":
             ground = GROUND.get(message.landed_state)
@@ -152,11 +155,11 @@ def translate(message: Any, words: FlavourWords, values: Values, t_s: float) -> 
                 )
             ]
         case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
-            return [EstimatorHealth(t_s, words.position_ok(message.flags))]
+            return [EstimatorHealth(t_s, profile.position_ok(message.flags))]
         case "SYSTEM_TIME":
             return _gnss_time(message, t_s)
         case "WIND" | "WIND_COV":
-            return words.wind(message, values, t_s)
+            return profile.wind(message, values, t_s)
         case "STATUSTEXT":
             text = message.text.strip().replace("\t", " ")
             return [AutopilotText(t_s, message.severity, text)]
@@ -232,17 +235,17 @@ def _battery(message: Any, t_s: float) -> list[Event]:
     ]
 
 
-def _hud(message: Any, words: FlavourWords, values: Values, t_s: float) -> list[Event]:
+def _hud(message: Any, profile: AutopilotProfile, values: Values, t_s: float) -> list[Event]:
     events: list[Event] = []
     if 0 <= message.throttle <= 100:
         events.append(Throttle(t_s, message.throttle / 100.0))
-    if words.has_pitot(values) and math.isfinite(message.airspeed) and message.airspeed >= 0.0:
+    if profile.has_pitot(values) and math.isfinite(message.airspeed) and message.airspeed >= 0.0:
         events.append(Airspeed(t_s, float(message.airspeed)))
     return events
 
 
-def _progress(message: Any, words: FlavourWords, t_s: float) -> Event:
-    index = message.seq - words.home_items
+def _progress(message: Any, profile: AutopilotProfile, t_s: float) -> Event:
+    index = message.seq - profile.home_items
     # `total` is a MAVLink 2 extension: 0 from those that do not send it, 65535 for no mission.
     total = message.total if 0 < message.total < UNKNOWN_U16 else None
     # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.

@@ -60,7 +60,7 @@ NAMES = {
 }
 
 
-def read_dataflash(path: Path) -> RecordedFlight:
+def read_dataflash_log(path: Path) -> RecordedFlight:
     """Read a .bin; LeewayError where nothing in it is a flight."""
     said = io.StringIO()
     reader = _Reader()
@@ -96,7 +96,7 @@ def _run(path: Path, reader: "_Reader") -> None:
         reader.learn(log.params)
         wanted = reader.wanted()
         while (message := log.recv_match(type=wanted, strict=True)) is not None:
-            reader.hear(message)
+            reader.on_message(message)
     finally:
         if hasattr(log, "filehandle"):
             log.filehandle.close()  # its memory map goes with the object: views of it may be left
@@ -111,7 +111,7 @@ class _Reader:
         self.vehicle: str | None = None
         self.firmware: str | None = None
         self._values: dict[str, float] = {}
-        self._words = ArduPilot()
+        self._profile = ArduPilot()
         self._clock = AutopilotClock()
         self._heard_s: dict[str, float] = {}
         self._core = 0
@@ -126,7 +126,7 @@ class _Reader:
         """Where we are in the log, for a finding."""
         return f"{self._clock.t_s:.1f} s"
 
-    def hear(self, message: Any) -> None:
+    def on_message(self, message: Any) -> None:
         """Take one message."""
         kind = message.get_type()
         if kind in ("MSG", "VER"):
@@ -175,7 +175,8 @@ class _Reader:
             return False
         if kind in ("BAT", "GPS", "ARSP") and _instance(message) != 0:
             return False
-        if t_s - self._heard_s.get(kind, -math.inf) < LEAST_STEP_S.get(kind, 0.0):
+        last_s = self._heard_s.get(kind)
+        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind, 0.0):
             return False
         self._heard_s[kind] = t_s
         return True
@@ -187,7 +188,7 @@ class _Reader:
     def wanted(self) -> list[str]:
         """Messages worth decoding: without those whose values are known to be no facts."""
         idle = set() if self._fuses_drag() else {"XKF2"}
-        if not self._words.has_pitot(self._values):
+        if not self._profile.has_pitot(self._values):
             idle.add("ARSP")
         return [kind for kind in WANTED if kind not in idle]
 
@@ -287,7 +288,7 @@ class _Reader:
         for t_s, now_armed, now_mode in [(start_s, None, None), *self._states]:
             armed = armed if now_armed is None else now_armed
             mode = mode if now_mode is None else now_mode
-            self.events.append(VehicleState(t_s, *self._words.mode(mode, 0), armed=armed))
+            self.events.append(VehicleState(t_s, *self._profile.mode(mode, 0), armed=armed))
         if self._grounds:
             before = (start_s, not self._grounds[0][1])
             for t_s, landed in (before, *self._grounds):

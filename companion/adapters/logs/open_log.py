@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from companion.adapters.logs.csv_log import read_csv_log
-from companion.adapters.logs.dataflash_log import read_dataflash
+from companion.adapters.logs.dataflash_log import read_dataflash_log
 from companion.adapters.logs.mcap_log import read_mcap_log
-from companion.adapters.logs.tlog_reader import looks_like_tlog, read_tlog
+from companion.adapters.logs.tlog_log import looks_like_tlog, read_tlog
 from companion.adapters.logs.ulog_log import read_ulog
 from companion.core.base.errors import LeewayError
 from companion.core.replay.recorded_flight import RecordedFlight
@@ -37,7 +37,7 @@ def _reader(path: Path, head: bytes) -> Callable[[Path], RecordedFlight]:
     if head.startswith(MCAP):
         return read_mcap_log
     if DATAFLASH in head[:512]:
-        return read_dataflash
+        return read_dataflash_log
     for magic, name in PACKED.items():
         if head.startswith(magic):
             raise LeewayError(f"{path}: this is packed ({name}): unpack it first")

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from companion.adapters.clock import epoch_us, wall_s
+from companion.adapters.clock import epoch_us, is_due, wall_s
 from companion.adapters.files.atomic_file import read_whole, settle_folder, write_whole
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import (
@@ -91,7 +91,7 @@ class FleetPort:
     airframe_name: str
     max_payload_kg: float
     current: Assigned | None
-    _told_s: float = -1e9
+    _told_s: float | None = None
     _told_phase: str = ""
 
     @classmethod
@@ -248,7 +248,7 @@ class FleetPort:
     def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
         """Tell the state when it is due: once a second, and at once in a new phase."""
         now_s = self.member.clock_s()
-        if phase == self._told_phase and now_s - self._told_s < STATE_S:
+        if phase == self._told_phase and not is_due(self._told_s, STATE_S, now_s):
             return
         self._told_phase, self._told_s = phase, now_s
         here, position = self.current, now.position

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from companion.adapters.autopilots.announcer import OperatorPort
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
+from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.clock import AutopilotClock, wall_s
+from companion.adapters.clock import AutopilotClock, is_due, wall_s
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.value_table_worker import Tables
 from companion.core.mission.actions import (
@@ -84,12 +84,12 @@ class Loop:
     wall_clock_s: Callable[[], float] = wall_s
     """For silences; a world that simulates many companions at once brings its own."""
     _system_known: bool = False
-    _ticked_s: float = -1e9
-    _synced_s: float = -1e9
+    _ticked_s: float | None = None
+    _synced_s: float | None = None
     _synced_ns: int | None = None
-    _beat_s: float = -1e9
-    _beat_wall_s: float = -1e9
-    _decided_wall_s: float = -1e9
+    _beat_s: float | None = None
+    _beat_wall_s: float | None = None
+    _decided_wall_s: float | None = None
     _to_publish: dict[str, float] = field(default_factory=dict)
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
@@ -145,7 +145,7 @@ class Loop:
     def step(self) -> None:
         """Wait a moment for bytes and handle them."""
         alone = self._silent or not self._system_known
-        if alone and self.wall_clock_s() - self._beat_wall_s >= HEARTBEAT_S:
+        if alone and is_due(self._beat_wall_s, HEARTBEAT_S, self.wall_clock_s()):
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there
         incoming = self.link.receive(WAIT_S)
         self._mind_silence()
@@ -169,7 +169,7 @@ class Loop:
         source = (message.get_srcSystem(), message.get_srcComponent())
         if not known or source[0] == system:
             self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
-        if known and self.operator.hear(message, system, self.clock.t_s):
+        if known and self.operator.on_message(message, system, self.clock.t_s):
             self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
@@ -182,12 +182,12 @@ class Loop:
                 self.link.answer_to(peer)
                 self._answer_timesync(message.ts1)
             elif message.tc1 != 0:
-                self.autopilot.hear_time(message)
+                self.autopilot.on_time_answer(message)
                 self._tick_between()
             return
         if not known and self.autopilot.may_be_ours(message):
             self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
-        events = self.autopilot.hear(message)
+        events = self.autopilot.on_message(message)
         if not self._system_known and self.autopilot.system_id is not None:
             self._system_known = True
             self.codec.be_system(self.autopilot.system_id)
@@ -211,17 +211,17 @@ class Loop:
 
     def _tick_between(self) -> None:
         """Tick about ten times a second where no TIMESYNC request does."""
-        if self.clock.t_s - self._synced_s <= LOCKSTEP_LAPSE_S:
+        if self._synced_s is not None and self.clock.t_s - self._synced_s <= LOCKSTEP_LAPSE_S:
             return
         if self.clock.doubtful or not self.clock.known:
             return
-        if self.clock.t_s - self._ticked_s >= TICK_S - 0.005:
+        if is_due(self._ticked_s, TICK_S - 0.005, self.clock.t_s):
             self._tick()
 
     def _is_behind(self) -> bool:
         """Tell whether to hear more before anything is decided."""
         late = self.link.waiting() > BEHIND
-        return late and self.wall_clock_s() - self._decided_wall_s < BEHIND_LIMIT_S
+        return late and not is_due(self._decided_wall_s, BEHIND_LIMIT_S, self.wall_clock_s())
 
     def _tick(self) -> None:
         t_s = self.clock.t_s
@@ -239,7 +239,7 @@ class Loop:
             if table is not None:
                 self._give([table])
             self._give([Tick(t_s)])
-        if t_s - self._beat_s >= HEARTBEAT_S - 1e-6:
+        if is_due(self._beat_s, HEARTBEAT_S - 1e-6, t_s):
             self._beat_s = t_s
             self._heartbeat()
 

@@ -186,9 +186,9 @@ class Run:
 
 
 def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]:
-    """What the promise asks of this flavour's parameters."""
-    words = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
-    return words.requirements(facts)
+    """What the promise asks of this autopilot's parameters."""
+    profile = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
+    return profile.requirements(facts)
 
 
 def flying_policy(name: str) -> AvoidancePolicy:

@@ -18,7 +18,7 @@ import msgspec
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.clock import AutopilotClock, wall_s
+from companion.adapters.clock import AutopilotClock, is_due, wall_s
 from companion.adapters.files.atomic_file import settle_folder
 from companion.adapters.files.params import read_flight, read_obstacle_document
 from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
@@ -59,12 +59,12 @@ class Standby:
         self._clock = AutopilotClock()
         self._autopilot = AutopilotPort(self._send, self._clock, system_id)
         self._now = Situation()
-        self._beat_s = -1e9
+        self._beat_s: float | None = None
         self._taken: Assigned | None = None
         self._clock_s = clock_s
         self._heard_s = clock_s()
-        self._ticked_s = -1e9
-        self._asked_s = -1e9
+        self._ticked_s: float | None = None
+        self._asked_s: float | None = None
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
@@ -79,7 +79,7 @@ class Standby:
         No more turns after that.
         """
         now_s = self._clock_s()
-        if now_s - self._beat_s >= HEARTBEAT_S:
+        if is_due(self._beat_s, HEARTBEAT_S, now_s):
             self._beat_s = now_s
             self._send(_heartbeat())
         if now_s - self._heard_s > SILENT_S:
@@ -97,11 +97,11 @@ class Standby:
         if self._autopilot.system_id is None or not self._clock.known:
             return
         t_s, position = self._clock.t_s, self._now.position
-        if t_s - self._ticked_s < TICK_S:
+        if not is_due(self._ticked_s, TICK_S, t_s):
             return
         self._ticked_s = t_s
         silent = position is None or t_s - position.t_s > POSITION_SILENT_S
-        if silent and t_s - self._asked_s >= ASK_AGAIN_S:
+        if silent and is_due(self._asked_s, ASK_AGAIN_S, t_s):
             self._asked_s = t_s
             self._autopilot.order(AskTelemetry(), t_s)
         self._autopilot.tick(t_s)
@@ -116,9 +116,9 @@ class Standby:
                 self._send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
                 return
         if message.get_type() == "TIMESYNC":
-            self._autopilot.hear_time(message)
+            self._autopilot.on_time_answer(message)
             return
-        for event in self._autopilot.hear(message):
+        for event in self._autopilot.on_message(message):
             if isinstance(event, ClockStepped):
                 self._now.forget()
             self._now.hear(event)

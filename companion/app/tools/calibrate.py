@@ -19,7 +19,7 @@ from companion.adapters.files.qgc_plan import write_plan
 from companion.adapters.logs.calibration_logs import read_calibration_log
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
-from companion.core.calibration.airframe_fit import Calibration, Holdout, calibrate, predict
+from companion.core.calibration.airframe_fit import Calibration, HeldOutFlight, calibrate, predict
 from companion.core.calibration.drag import DRAG_KEYS
 from companion.core.calibration.flight import (
     DISCHARGE_CHARGE_FRAC,
@@ -175,7 +175,7 @@ def _read(
     return prepared.blocks
 
 
-def _show(console: Console, done: Calibration, unseen: list[Holdout]) -> None:
+def _show(console: Console, done: Calibration, unseen: list[HeldOutFlight]) -> None:
     table = Table(title="What the logs say")
     for name in ("", "value", "± std", "believed before ±", "unit", ""):
         table.add_column(name, justify="left" if not name or name == "unit" else "right")
@@ -213,7 +213,7 @@ def _write(
     out: Path,
     start: Airframe,
     done: Calibration,
-    unseen: list[Holdout],
+    unseen: list[HeldOutFlight],
     logs: tuple[Path, ...],
     loads: list[float],
     temperature_c: float,
@@ -233,7 +233,7 @@ def _write(
     write_airframe(out, fitted, header, _sources(done))
 
 
-def _words(h: Holdout) -> str:
+def _words(h: HeldOutFlight) -> str:
     return (
         f"{h.name}: {h.predicted_wh:.1f} Wh of {h.measured_wh:.1f} measured"
         f" ({100.0 * h.error_frac:+.1f} %), {h.wind_mps:.1f} m/s of wind, {h.payload_kg:g} kg"
@@ -279,8 +279,8 @@ def _plot(folder: Path, done: Calibration, flights: list[Blocks]) -> None:
     plot_residuals(folder, done, flights)
 
 
-def _as_json(done: Calibration, unseen: list[Holdout]) -> dict[str, Any]:
-    def row(h: Holdout, kind: str) -> dict[str, Any]:
+def _as_json(done: Calibration, unseen: list[HeldOutFlight]) -> dict[str, Any]:
+    def row(h: HeldOutFlight, kind: str) -> dict[str, Any]:
         return {**msgspec.to_builtins(h), "kind": kind, "error_frac": h.error_frac}
 
     return {

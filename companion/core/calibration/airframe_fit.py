@@ -41,7 +41,7 @@ of some 1e5; Leishman 2006, 7.9): less is drag that the fit has booked elsewhere
 
 
 @dataclass(frozen=True, slots=True)
-class Holdout:
+class HeldOutFlight:
     """One flight predicted by an airframe that was fitted without it (energy in the air)."""
 
     name: str
@@ -66,7 +66,7 @@ class Calibration:
     power: PowerFit
     battery: BatteryFit
     quantities: tuple[Quantity, ...]
-    holdouts: tuple[Holdout, ...]
+    holdouts: tuple[HeldOutFlight, ...]
     notes: tuple[str, ...]
 
     @property
@@ -122,7 +122,7 @@ def _bladeless(airframe: Airframe, start_name: str) -> list[str]:
     ]
 
 
-def predict(blocks: Blocks, airframe: Airframe) -> Holdout:
+def predict(blocks: Blocks, airframe: Airframe) -> HeldOutFlight:
     """A flight's energy by an airframe: its track and tilt are used, its power is compared."""
     wind = see_wind(blocks, airframe)
     flown = blocks.pick(blocks.airborne)
@@ -131,7 +131,7 @@ def predict(blocks: Blocks, airframe: Airframe) -> Holdout:
     errors = []
     for piece in np.array_split(np.arange(len(expected)), whole):
         errors.append(float(expected[piece].sum() / flown.power_w[piece].sum() - 1.0))
-    return Holdout(
+    return HeldOutFlight(
         blocks.name,
         float(flown.power_w.sum()) * BLOCK_S / 3600.0,
         float(expected.sum()) * BLOCK_S / 3600.0,
@@ -143,7 +143,7 @@ def predict(blocks: Blocks, airframe: Airframe) -> Holdout:
 
 def _leave_out(
     flights: list[Blocks], start: Airframe, told: Callable[[str], None]
-) -> list[Holdout]:
+) -> list[HeldOutFlight]:
     """Each flight predicted from the others; of a single one, its last third from the rest."""
     if len(flights) == 1:
         told("holdout: the last third")
@@ -173,7 +173,7 @@ def _assembled(
     power: PowerFit,
     battery: BatteryFit,
     quantities: tuple[Quantity, ...],
-    holdouts: tuple[Holdout, ...],
+    holdouts: tuple[HeldOutFlight, ...],
 ) -> tuple[Airframe, tuple[str, ...]]:
     """The start airframe with everything in it that was fitted; and what was kept."""
     replace = msgspec.structs.replace

@@ -13,7 +13,7 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.calibration.records import BLOCK_S, Blocks
 from companion.core.calibration.residual_scatter import clustered_covariance
-from companion.core.vehicle.airframe import Battery
+from companion.core.vehicle.airframe import BatteryPack
 
 _CURVE_TERMS = 4
 _FULL_FRAC = 0.95
@@ -62,14 +62,14 @@ class _Discharge:
     extrapolated_frac: float
 
 
-def fit_battery(flights: list[Blocks], battery: Battery) -> BatteryFit:
+def fit_battery(flights: list[Blocks], battery: BatteryPack) -> BatteryFit:
     """Resistance over all flights, usable energy against draw from the deep discharges."""
     ohm, std = _resistance(flights)
     deep = [found for blocks in flights if (found := _discharge(blocks, battery)) is not None]
     return BatteryFit(ohm, std, _usable(deep, battery) if deep else None)
 
 
-def _usable(deep: list[_Discharge], battery: Battery) -> Usable:
+def _usable(deep: list[_Discharge], battery: BatteryPack) -> Usable:
     """Usable energy at the lightest draw and its loss by draw, the believed loss as the prior.
 
     One vehicle's current sensor is off by one factor in all its flights: it moves the level, and
@@ -118,7 +118,7 @@ def _resistance(flights: list[Blocks]) -> tuple[float, float]:
     return float(solution[-1]), float(np.sqrt(max(variance, 0.0)))
 
 
-def _discharge(blocks: Blocks, battery: Battery) -> _Discharge | None:
+def _discharge(blocks: Blocks, battery: BatteryPack) -> _Discharge | None:
     """What a log from a full pack to a low one tells; None unless it is one.
 
     What it did not draw is added by the believed resting curve: the charge that the last loaded

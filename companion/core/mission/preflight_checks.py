@@ -6,7 +6,7 @@ The lists of parameters are the flavours' own (adapters); how they are judged is
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from companion.core.vehicle.airframe import Battery
+from companion.core.vehicle.airframe import BatteryPack
 
 Values = Mapping[str, float | None]
 
@@ -62,11 +62,17 @@ class Requirement:
     required: bool
 
 
+def known(values: Values, name: str, test: Callable[[float], bool]) -> bool | None:
+    """What a test says of a parameter's value; `None` where the autopilot does not tell it."""
+    value = values.get(name)
+    return None if value is None else bool(test(value))
+
+
 CELL_SLACK_V = 0.1
 """A cell's voltage may be so far out of its table: sensor error, and a charge just ended."""
 
 
-def pack_trouble(battery: Battery, resting_v: float | None) -> str:
+def pack_trouble(battery: BatteryPack, resting_v: float | None) -> str:
     """Say why the pack that is fitted cannot be the airframe's, or is empty; `""` when it may fly.
 
     `resting_v` is the whole pack's voltage while disarmed, `None` where nobody measures it.

@@ -142,7 +142,7 @@ class _Replay:
         self._diverted = False
         self._stage = ""
         self._noted: Noted | None = None
-        self._asked_s = -math.inf
+        self._asked_s: float | None = None
         self._seen: Assessment | None = None
         self._pack_judged = False
         self._another_mission = False
@@ -224,7 +224,8 @@ class _Replay:
                 )
             )
         here = self._look(now)
-        if now.t_s - self._asked_s >= self._terms.gate_every_s - 1e-6:
+        every_s = self._terms.gate_every_s - 1e-6
+        if self._asked_s is None or now.t_s - self._asked_s >= every_s:
             self._ask(now, here)
 
     def _mind_take_off(self, now: Situation) -> None:

@@ -101,7 +101,7 @@ class RecordedFlight:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class FlightSamples:
     """A recorded flight on an even grid of times, (n,) each; unknown or stale is NaN.
 
     Velocities NED, angles in rad, `wind_to_*` is the autopilot's own; `consumed_ah` and
@@ -150,14 +150,14 @@ def moments(flight: RecordedFlight, period_s: float) -> Iterator[Situation]:
     Silences longer than `period_s` have moments of their own, up to `LARGEST_GAP_S`.
     """
     now = Situation()
-    ticked_s = -math.inf
+    ticked_s: float | None = None
     events = flight.events
     for i, event in enumerate(events):
         now.hear(event)
         following_s = events[i + 1].t_s if i + 1 < len(events) else math.inf
         if following_s <= event.t_s:
             continue
-        if event.t_s - ticked_s >= period_s - 0.005:
+        if ticked_s is None or event.t_s - ticked_s >= period_s - 0.005:
             ticked_s = event.t_s
             yield now
         while ticked_s + 2.0 * period_s < following_s < ticked_s + LARGEST_GAP_S:
@@ -166,7 +166,7 @@ def moments(flight: RecordedFlight, period_s: float) -> Iterator[Situation]:
             yield now
 
 
-def sampled(flight: RecordedFlight, period_s: float = 0.2) -> Samples:
+def sampled(flight: RecordedFlight, period_s: float = 0.2) -> FlightSamples:
     """Return the flight on a grid of times; NaN where a value is unknown or too old to use."""
     times: list[float] = []
     flags: list[tuple[bool, bool]] = []
@@ -177,7 +177,7 @@ def sampled(flight: RecordedFlight, period_s: float = 0.2) -> Samples:
         rows.append(_row(now))
     values = np.array(rows, float).reshape(len(rows), -1)
     told = np.array(flags, bool).reshape(len(flags), 2)
-    return Samples(np.array(times), told[:, 0], told[:, 1], *values.T)
+    return FlightSamples(np.array(times), told[:, 0], told[:, 1], *values.T)
 
 
 def _row(now: Situation) -> list[float]:

@@ -25,7 +25,7 @@ from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
 
-__all__ = ["Ahead", "Assessment", "Decision", "Gate", "GateParams", "Stage", "WayHome"]
+__all__ = ["Ahead", "Assessment", "Gate", "GateDecision", "GateParams", "Stage", "WayHome"]
 
 _BOLDNESS_STEPS = 5
 KEEPS_PROMISE = "flying on keeps the promise"
@@ -76,7 +76,7 @@ class Assessment:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class GateDecision:
     """Whether to turn back under one accepted loss, and why; probabilities of what is decided."""
 
     turn_back: bool
@@ -134,7 +134,7 @@ class Gate:
         energy: EnergyBelief,
         model: ModelError | None,
         accepted_losses: Sequence[float],
-    ) -> list[Decision]:
+    ) -> list[GateDecision]:
         """The decisions of gates that accept different losses, at the price of one."""
         chances = self._question(ahead, wind, outlook, energy, model).chances
         return [self._decide(chances, accepted) for accepted in accepted_losses]
@@ -183,20 +183,20 @@ class Gate:
         table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler)
         return _Question(table, budget, Chances(table, budget, self._sampler))
 
-    def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> Decision:
+    def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> GateDecision:
         promise = 1.0 - accepted
         if seen.p_onward < promise and seen.p_now >= seen.p_onward - _TIE:
             words = f"P(home) from the next point {seen.p_onward:.3f} is under {promise:.3f}"
-            return Decision(True, seen.p_now, 0.0, words)
+            return GateDecision(True, seen.p_now, 0.0, words)
         p_home, p_success = seen.of_flying_on(promise)
         if weighs_worth and (words := self._not_worth_it(seen, promise, p_home, p_success)):
-            return Decision(True, seen.p_now, 0.0, words)
+            return GateDecision(True, seen.p_now, 0.0, words)
         words = KEEPS_PROMISE
         if seen.p_onward < promise:
             words = (
                 f"P(home) {seen.p_onward:.3f} is under {promise:.3f}, but turning here is no better"
             )
-        return Decision(False, p_home, p_success, words)
+        return GateDecision(False, p_home, p_success, words)
 
     def _not_worth_it(
         self, seen: Chances, promise: float, p_home: float, p_success: float
@@ -219,7 +219,7 @@ class Gate:
         self, question: _Question, ahead: Ahead, wind: WindBelief, energy: EnergyBelief
     ) -> Assessment:
         p_now = question.chances.p_now
-        decision = Decision(True, p_now, p_now if ahead.delivered else 0.0, "on the way home")
+        decision = GateDecision(True, p_now, p_now if ahead.delivered else 0.0, "on the way home")
         accepted = self.params.max_loss
         return self._assessment(question, ahead, wind, energy, accepted, decision)
 
@@ -230,7 +230,7 @@ class Gate:
         wind: WindBelief,
         energy: EnergyBelief,
         accepted: float,
-        decision: Decision,
+        decision: GateDecision,
     ) -> Assessment:
         table, budget, chances = question.table, question.budget, question.chances
         unattended = table.unattended_wh()

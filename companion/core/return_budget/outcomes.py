@@ -67,7 +67,7 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class LaterDecision:
     """A later decision point in every POLICY sample: the chances as its gate will see them, and
     what the mission will have taken that turns there.
     """
@@ -107,7 +107,7 @@ class Chances:
         self.onward_need_wh = flown + table.way_wh(1, way)
         self.p_whole = float(budget.p_enough(table.whole_wh()).mean())
         """The chance that the energy does for the whole trip, whatever gates would say."""
-        self._looks: list[Look] = []
+        self._looks: list[LaterDecision] = []
         if table.stages == 1:
             self._arrived = np.array([self.p_onward])
             return
@@ -164,7 +164,7 @@ class Chances:
             left = budget.left_wh - used * drawn
             home = table.chosen_way_wh(point, then.turning_way)
             self._looks.append(
-                Look(
+                LaterDecision(
                     budget.p_seen(left, then.turning),
                     budget.p_seen(left, then.next_point),
                     budget.p_seen(left, then.whole),

@@ -40,7 +40,7 @@ class Decider(Protocol):
         ...
 
 
-class Planner(Protocol):
+class MissionPlanner(Protocol):
     """A way to plan; `begin` starts a batch of missions, each with a uniform number of its own."""
 
     @property

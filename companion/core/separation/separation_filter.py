@@ -47,7 +47,7 @@ CHEAPEST = 8  # velocities of more vehicles than that are looked at first
 ABOUT_RAD = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
 
 
-class Verdict(IntEnum):
+class FilterAction(IntEnum):
     """What the filter did with the wanted velocity."""
 
     PASSED = 0
@@ -158,13 +158,13 @@ def _bent(scene: _Blocked, fan: Floats, cost: Floats, heard: Heard) -> tuple[Flo
             others = order[left, CHEAPEST:]
             choice[left], _ = _among(scene.of(left), fan[:, left], cost[left], others)
     choice[choice < 0] = cost.shape[1] - 1
-    verdict = np.where(choice == cost.shape[1] - 1, Verdict.BRAKED, Verdict.BENT)
+    verdict = np.where(choice == cost.shape[1] - 1, FilterAction.BRAKED, FilterAction.BENT)
     lost = np.flatnonzero(brake_slack < 0.0)  # who may brake has a separation to everybody
     if len(lost):
         lost = lost[_evidently_broken(scene.of(lost))]
     if len(lost):
         choice[lost] = _escape(scene.of(lost), fan[:, lost], heard)
-        verdict[lost] = Verdict.ESCAPED
+        verdict[lost] = FilterAction.ESCAPED
     return fan[:, every, choice], verdict.astype(np.int64)
 
 

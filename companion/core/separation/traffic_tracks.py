@@ -31,7 +31,7 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class NeighbourTrack:
     """The last report that was taken, and how far the reports contradicted each other."""
 
     report: Report
@@ -44,7 +44,7 @@ class NeighbourTracks:
     """All neighbours heard of; `heard` and `without_lost` give a new one."""
 
     params: SeparationParams = field(default_factory=SeparationParams)
-    tracks: Mapping[str, Track] = field(default_factory=dict)
+    tracks: Mapping[str, NeighbourTrack] = field(default_factory=dict)
 
     def heard(self, report: Report, t_s: float) -> "NeighbourTracks":
         """With this report, received at `t_s`; older, impossible or mangled ones change nothing."""
@@ -53,7 +53,7 @@ class NeighbourTracks:
             return self
         bounded = _bounded(report, self.params)
         doubt_m, doubt_t_s = _doubt(known, bounded, self.params) if known else (0.0, t_s)
-        track = Track(bounded, doubt_m, doubt_t_s)
+        track = NeighbourTrack(bounded, doubt_m, doubt_t_s)
         return replace(self, tracks={**self.tracks, report.name: track})
 
     def without_lost(self, t_s: float) -> tuple["NeighbourTracks", tuple[str, ...]]:
@@ -104,7 +104,7 @@ def _bounded(report: Report, p: SeparationParams) -> Report:
     )
 
 
-def _doubt(known: Track, report: Report, p: SeparationParams) -> tuple[float, float]:
+def _doubt(known: NeighbourTrack, report: Report, p: SeparationParams) -> tuple[float, float]:
     """How far this report lies from where the last one let the neighbour be, and since when."""
     last = known.report
     after = report.t_s - last.t_s
@@ -120,6 +120,6 @@ def _doubt(known: Track, report: Report, p: SeparationParams) -> tuple[float, fl
     return (jump, report.t_s) if jump > old else (known.doubt_m, known.doubt_t_s)
 
 
-def _doubt_at(track: Track, t_s: float) -> float:
+def _doubt_at(track: NeighbourTrack, t_s: float) -> float:
     """What is left of a doubt: all of it at first, nothing after `DOUBT_S`."""
     return track.doubt_m * max(1.0 - (t_s - track.doubt_t_s) / DOUBT_S, 0.0)

@@ -177,7 +177,7 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return self.rotor_count * math.pi * self.rotor_radius_m**2
 
 
-class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One pack as a whole; `usable_wh` says what it gives."""
 
     cells: int
@@ -270,7 +270,7 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """The paper's power model."""
     power_rotor: RotorPower
     """The multirotor power model."""
-    battery: Battery
+    battery: BatteryPack
     """The pack."""
 
     def mass_kg(self, payload_kg: float) -> float:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.core.vehicle.airframe import Airframe, Battery
+from companion.core.vehicle.airframe import Airframe, BatteryPack
 
 SNAPSHOT_FORMAT = "energy-ledger/1"
 
@@ -389,7 +389,7 @@ class EnergyLedger:
         return warnings
 
 
-def cutoff_charge_frac(battery: Battery, draw_w: float) -> float:
+def cutoff_charge_frac(battery: BatteryPack, draw_w: float) -> float:
     """Charge at which the loaded voltage meets the cut-off at this draw."""
     loaded_v = battery.cutoff_cell_v * battery.cells
     sag_v = draw_w / loaded_v * battery.resistance_ohm

@@ -14,7 +14,7 @@ from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class WindTriangle:
     """How a path is flown: ground speed along it, and the air-frame heading and angle needed."""
 
     ground_speed_mps: float
@@ -31,7 +31,7 @@ class Infeasible:
 
 def fly_course(
     course_rad: float, airspeed_mps: float, wind_to_ne_mps: ArrayLike
-) -> Track | Infeasible:
+) -> WindTriangle | Infeasible:
     """Level flight along a course (clockwise from north)."""
     wind_n, wind_e = np.asarray(wind_to_ne_mps, float)
     direction = np.array([math.cos(course_rad), math.sin(course_rad), 0.0])
@@ -44,7 +44,7 @@ def fly_path(
     wind_to_ned_mps: Floats,
     air_path_angle_min_rad: float = -np.pi / 2,
     air_path_angle_max_rad: float = np.pi / 2,
-) -> Track | Infeasible:
+) -> WindTriangle | Infeasible:
     """Flight along a 3-D direction, with flight-path limits in the AIR frame.
 
     Wind bends the flight-path angle: a tailwind steepens in the air what is shallow over ground.
@@ -68,7 +68,7 @@ def fly_path(
             f" to {math.degrees(air_path_angle_max_rad):.1f} deg"
         )
     heading = math.atan2(air[1], air[0]) % (2.0 * math.pi)
-    return Track(ground, heading, angle)
+    return WindTriangle(ground, heading, angle)
 
 
 def airspeeds_along_mps(airspeed_mps: Floats | float, across_mps: Floats) -> Floats:

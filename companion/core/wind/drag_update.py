@@ -31,7 +31,7 @@ def has_tilt(seen: WindObservation) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ReportedMotion:
     """Velocity as reported (NED), and what it changed by since the report before.
 
     `thrust_*` is the horizontal thrust acceleration when that velocity was so: velocity comes later
@@ -67,7 +67,7 @@ class MotionWatch:
         self._sinking_mps2 = 0.0
         self._thrusts: list[tuple[float, float, float]] = []  # t_s, north, east
 
-    def take(self, seen: WindObservation, p: WindEstimatorParams) -> Motion:
+    def take(self, seen: WindObservation, p: WindEstimatorParams) -> ReportedMotion:
         """One observation that `has_tilt`."""
         north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
         before = self._before
@@ -81,10 +81,10 @@ class MotionWatch:
         self._thrusts = [*late, (seen.t_s, *thrust)]
         self._before = (seen.t_s, north, east)
         if before is None or since_s is None:
-            return Motion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
+            return ReportedMotion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
         start = self._thrust_at(before[0] - p.latency_s)
         end = self._thrust_at(seen.t_s - p.latency_s)
-        return Motion(
+        return ReportedMotion(
             north,
             east,
             down,
@@ -142,7 +142,7 @@ class DragSeen:
 
 
 def drag_seen(
-    airframe: Airframe, mass_kg: float, x: Floats, motion: Motion, yaw_rad: float
+    airframe: Airframe, mass_kg: float, x: Floats, motion: ReportedMotion, yaw_rad: float
 ) -> DragSeen:
     """What drag was measured, and what the state `x` makes of it."""
     mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
@@ -244,7 +244,7 @@ def tilt_told(
     airframe: Airframe,
     params: WindEstimatorParams,
     seen: WindObservation,
-    motion: Motion,
+    motion: ReportedMotion,
 ) -> TiltTold:
     """What one measurement of drag says to `state`.
 
@@ -264,7 +264,7 @@ def _told(
     airframe: Airframe,
     params: WindEstimatorParams,
     seen: WindObservation,
-    motion: Motion,
+    motion: ReportedMotion,
 ) -> TiltTold:
     """Linearised about a state that need not be the filter's own."""
     drag = drag_seen(airframe, seen.mass_kg, about, motion, seen.yaw_rad or 0.0)
@@ -295,7 +295,7 @@ def _noises(
     airframe: Airframe,
     p: WindEstimatorParams,
     drag: DragSeen,
-    motion: Motion,
+    motion: ReportedMotion,
 ) -> tuple[float, float]:
     """Variance of a drag measurement along either axis: sensors, gusts too fast for the filter,
     what a transient's delays do, and what the drag model errs by for seconds on end."""

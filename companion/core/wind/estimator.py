@@ -263,8 +263,8 @@ class WindEstimator:
 
     def _take_autopilot(self, seen: WindObservation) -> list[str]:
         wind, p = seen.autopilot_wind_to_ne_mps, self._params
-        last_s = self._entered_s.get("autopilot", -math.inf)
-        if wind is None or seen.t_s - last_s < p.autopilot_every_s:
+        last_s = self._entered_s.get("autopilot")
+        if wind is None or (last_s is not None and seen.t_s - last_s < p.autopilot_every_s):
             return []
         # It is filtered over seconds, and its errors last as long: few of its words are new.
         repeats = p.autopilot_memory_s / p.autopilot_every_s

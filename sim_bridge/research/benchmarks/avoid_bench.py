@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from companion.core.separation.learned_policy import AvoidancePolicy
 from companion.core.separation.policy_view import Around, wish_of
-from companion.core.separation.separation_filter import SeparationFilter, Verdict
+from companion.core.separation.separation_filter import FilterAction, SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.results.sheet import Sheet
@@ -51,7 +51,7 @@ class Costs:
         return [self.what, str(len(self.each_ms)), *shown, f"{self.wanted_ms:g}"]
 
 
-def filter_costs(scenes: int, neighbours: int, seed: int) -> Iterator[tuple[Verdict, float]]:
+def filter_costs(scenes: int, neighbours: int, seed: int) -> Iterator[tuple[FilterAction, float]]:
     """What the filter did in each scene, and what it took, ms."""
     separation, random = SeparationFilter(), np.random.default_rng([seed, neighbours])
     vel, layer = np.array([[SPEED_MPS, 0.0, 0.0]]), np.array([LAYER_DOWN_M])
@@ -61,7 +61,7 @@ def filter_costs(scenes: int, neighbours: int, seed: int) -> Iterator[tuple[Verd
         found = separation.safe(np.zeros((1, 3)), vel, np.array([WISH_MPS]), heard, layer)
         took = process_time_ns() - began
         if scene >= 0:
-            yield Verdict(int(found.verdict[0])), 1e-6 * took
+            yield FilterAction(int(found.verdict[0])), 1e-6 * took
 
 
 def _crowd(random: np.random.Generator, count: int, nearest_m: float) -> Neighbours:
@@ -120,7 +120,7 @@ def measured(
     passed: list[float] = []
     bent: list[float] = []
     for verdict, took_ms in filter_costs(scenes, neighbours, seed):
-        (passed if verdict is Verdict.PASSED else bent).append(took_ms)
+        (passed if verdict is FilterAction.PASSED else bent).append(took_ms)
         shown()
     asked = []
     for took_ms in actor_costs(policy, scenes, neighbours, seed):

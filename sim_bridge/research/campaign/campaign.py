@@ -19,7 +19,7 @@ from companion.core.return_budget.value_table.bounded_loss_policy import PolicyS
 from companion.core.return_budget.value_table.dynamic_program import solve_home
 from companion.core.return_budget.value_table.edge_transitions import build_step_model
 from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph, prune
-from companion.core.routing.planner_interface import Decider, Look, Planner
+from companion.core.routing.planner_interface import Decider, Look, MissionPlanner
 from companion.core.routing.scenario import ChainWind, Scenario, chain_from_scenario
 from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.forecast_chain import prior_wind
@@ -143,7 +143,7 @@ class Workbench:
         """`graph` stands in for the scenario's own where obstacles bend the wind."""
         self.scenario, self.params = scenario, params
         self.graph: EnergyGraph = build_energy_graph(scenario) if graph is None else graph
-        self._planners: dict[str, Planner] = {}
+        self._planners: dict[str, MissionPlanner] = {}
         self.chain: WindChain | None = None
         self.sight: Sight | None = None
         if isinstance(scenario.wind, ChainWind):
@@ -178,7 +178,7 @@ class Workbench:
         name = zlib.crc32(self.scenario.name.encode())
         return np.random.default_rng([self.params.seed, name, block, 1]).random(count)
 
-    def planner(self, name: str, winds: Winds) -> Planner:
+    def planner(self, name: str, winds: Winds) -> MissionPlanner:
         """The planner by name; the clairvoyant is built on the winds that it foresees."""
         if name == "clairvoyant":
             if not isinstance(winds, LogWinds):
@@ -191,7 +191,7 @@ class Workbench:
             self._planners[name] = self.build(name)
         return self._planners[name]
 
-    def build(self, name: str, remember: bool = True) -> Planner:
+    def build(self, name: str, remember: bool = True) -> MissionPlanner:
         """A new planner; without `remember` it works out every decision afresh."""
         budget = self.scenario.budget_wh
         if name == "ser":
@@ -220,7 +220,7 @@ class Workbench:
         cost = RiskCost(self.graph, self.params.risk_weight, spread)
         return OnlineModel(RouteFinder(self.graph), cost, winds if remember else 0)
 
-    def _ber(self) -> Planner:
+    def _ber(self) -> MissionPlanner:
         if self.chain is None or self.sight is None:
             chain = self.process.chain()
             model = build_step_model(
@@ -230,7 +230,7 @@ class Workbench:
             return BerLog(policy, self.process, self.params.max_loss, self.params.wind_classes)
         return self.ber_on(self.chain, self.sight)
 
-    def ber_on(self, chain: WindChain, sight: Sight) -> Planner:
+    def ber_on(self, chain: WindChain, sight: Sight) -> MissionPlanner:
         """BER as it plans when it believes in this chain, seen like this."""
         return Ber(self.policy(chain, sight), sight, self.graph)
 

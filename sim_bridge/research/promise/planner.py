@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.return_budget.budget import Ahead, Decision, Gate, GateParams, Stage, WayHome
+from companion.core.return_budget.budget import (
+    Ahead,
+    Gate,
+    GateDecision,
+    GateParams,
+    Stage,
+    WayHome,
+)
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
@@ -93,7 +100,7 @@ class Planner:
         self._params = params
         self._gate = Gate(route_energy, GateParams(max_loss=0.01, reserve_wh=0.0))
 
-    def depart(self, seen: MissionView, rng: np.random.Generator) -> list[Decision]:
+    def depart(self, seen: MissionView, rng: np.random.Generator) -> list[GateDecision]:
         """What is decided at the start under every accepted loss."""
         p = self._params
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
@@ -143,7 +150,7 @@ class Planner:
         seen: MissionView,
         left_wh: float,
         accepted: list[float],
-    ) -> list[Decision]:
+    ) -> list[GateDecision]:
         p = self._params
         belief = watch.belief(t_s)
         step_m = p.every_s * max(

@@ -15,7 +15,7 @@ from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
 from companion.core.return_budget.value_table.bounded_loss_policy import PolicySearch
 from companion.core.return_budget.value_table.edge_transitions import build_step_model
-from companion.core.routing.planner_interface import Planner
+from companion.core.routing.planner_interface import MissionPlanner
 from companion.core.routing.scenario import LogWind, Scenario
 from companion.core.wind.forecast_chain import prior_wind
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
@@ -178,7 +178,9 @@ def fly_recorded(scenario: Scenario, wind: LogWind, params: Table1Params) -> dic
     return cells
 
 
-def _shares(bench: Workbench, winds: Winds, planner: Planner, coins: NDArray[np.float64]) -> Shares:
+def _shares(
+    bench: Workbench, winds: Winds, planner: MissionPlanner, coins: NDArray[np.float64]
+) -> Shares:
     if isinstance(winds, ChainWinds):
         winds.restart()
     flown = fly_missions(bench.graph, bench.scenario.budget_wh, winds, planner.begin(coins))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
-from companion.core.routing.planner_interface import Decider, Look, Planner
+from companion.core.routing.planner_interface import Decider, Look, MissionPlanner
 from companion.core.routing.scenario import Scenario
 from companion.core.wind.markov_chain import Sight, WindChain
 from ground_station.adapters.llm import LlmParams
@@ -124,7 +124,7 @@ class Blind:
 
     name = "blind"
 
-    def __init__(self, planner: Planner) -> None:
+    def __init__(self, planner: MissionPlanner) -> None:
         self._planner = planner
 
     def begin(self, coin: NDArray[np.float64]) -> Decider:
@@ -148,7 +148,7 @@ class _BlindFlights:
         )
 
 
-def planner_of(variant: str, bench: Workbench) -> Planner:
+def planner_of(variant: str, bench: Workbench) -> MissionPlanner:
     """BER with a part taken away."""
     if variant == "without wind":
         calm = WindChain(np.zeros((1, 2)), np.zeros((1, 1)), np.ones(1))

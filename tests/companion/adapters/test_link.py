@@ -58,13 +58,13 @@ def port(autopilot: int = 12, system: int = 1) -> tuple[AutopilotPort, list, Mav
     mav = sender(system)
     for _ in range(10):  # as many as it takes from one that never tells the time
         for message in codec.parse(frame(mav, heartbeat(autopilot=autopilot))):
-            made.hear(message)
+            made.on_message(message)
     assert made.system_id == system
     return made, sent, codec
 
 
 def hear(made: AutopilotPort, codec: MavlinkCodec, data: bytes) -> list[ev.Event]:
-    return [event for message in codec.parse(data) for event in made.hear(message)]
+    return [event for message in codec.parse(data) for event in made.on_message(message)]
 
 
 # --- bytes ---------------------------------------------------------------------------------------

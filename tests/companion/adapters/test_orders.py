@@ -9,10 +9,14 @@ from typing import Any
 
 import pytest
 
-from companion.adapters.autopilots.announcer import OperatorPort
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
-from companion.adapters.autopilots.parameters import ParameterDesk, decode_bytewise, encode_bytewise
+from companion.adapters.autopilots.operator_port import OperatorPort
+from companion.adapters.autopilots.parameters import (
+    ParameterClient,
+    decode_bytewise,
+    encode_bytewise,
+)
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.clock import AutopilotClock
@@ -62,7 +66,7 @@ class Bench:
     def hear(self, message: Any) -> list[ev.Event]:
         data = bytes(message.pack(self.mav))
         self.mav.seq = (self.mav.seq + 1) % 256
-        return [e for m in self.codec.parse(data) for e in self.port.hear(m)]
+        return [e for m in self.codec.parse(data) for e in self.port.on_message(m)]
 
     def ack(self, command: int, result: int = 0, system: int = 1, comp: int = 191) -> list:
         return self.hear(mavlink.MAVLink_command_ack_message(command, result, 0, 0, system, comp))
@@ -264,14 +268,14 @@ def test_a_vehicle_that_tells_no_time_is_asked_for_it_before_it_is_asked_for_any
     beat = mavlink.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 3, 3)
     for _ in range(5):
         for message in codec.parse(bytes(beat.pack(mav))):
-            assert port.hear(message) == []
+            assert port.on_message(message) == []
     assert {m.get_type() for m in sent} == {"TIMESYNC"}
     (answer,) = codec.parse(
         bytes(mavlink.MAVLink_timesync_message(40_000_000_000, sent[-1].ts1).pack(mav))
     )
-    port.hear_time(answer)
+    port.on_time_answer(answer)
     (message,) = codec.parse(bytes(beat.pack(mav)))
-    identified = port.hear(message)[-1]
+    identified = port.on_message(message)[-1]
     assert identified == ev.Identified(40.0, ev.Flavour.ARDUPILOT, 1)
     assert clock.t_s == 40.0
 
@@ -281,7 +285,7 @@ def test_a_vehicle_that_will_not_tell_the_time_is_taken_as_it_is():
     mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     beat = mavlink.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 3, 3)
     events = [
-        e for _ in range(12) for m in codec.parse(bytes(beat.pack(mav))) for e in port.hear(m)
+        e for _ in range(12) for m in codec.parse(bytes(beat.pack(mav))) for e in port.on_message(m)
     ]
     assert any(isinstance(event, ev.Identified) for event in events)
 
@@ -462,10 +466,10 @@ def test_a_setting_is_read_back_and_a_stubborn_one_is_named():
 
 def test_after_a_restart_a_setting_is_read_first_because_its_type_is_unknown():
     sent: list[Any] = []
-    desk = ParameterDesk(sent.append, bytewise=True)
+    desk = ParameterClient(sent.append, bytewise=True)
     desk.set({"COM_LOW_BAT_ACT": 3.0}, 0.0)
     assert sent[-1].get_type() == "PARAM_REQUEST_READ"
-    desk.hear(value_of("COM_LOW_BAT_ACT", 0.0, 6))
+    desk.on_value(value_of("COM_LOW_BAT_ACT", 0.0, 6))
     desk.tick(0.1)
     assert sent[-1].get_type() == "PARAM_SET"
     assert struct.pack("<f", sent[-1].param_value) == struct.pack("<i", 3)
@@ -545,7 +549,7 @@ class Desk:
     def hear(self, message: Any, system: int = 255, component: int = 190) -> bool:
         mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         (heard,) = MavlinkCodec(datagrams=True).parse(bytes(message.pack(mav)))
-        return self.port.hear(heard, 1, 5.0)
+        return self.port.on_message(heard, 1, 5.0)
 
 
 def command(number: int, param1: float = 0.0, system: int = 1, component: int = 191) -> Any:

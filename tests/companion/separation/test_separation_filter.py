@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.base.errors import LeewayError
-from companion.core.separation.separation_filter import SeparationFilter, Verdict
+from companion.core.separation.separation_filter import FilterAction, SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours, SeparationParams
 from companion.core.separation.traffic_tracks import DOUBT_S, LOST_S, NeighbourTracks, Report
 
@@ -138,7 +138,7 @@ def test_a_wish_that_disturbs_nobody_is_passed_unchanged() -> None:
     behind = neighbours_of(np.array([[[-60.0, 0.0, 0.0]]]), np.array([[[-5.0, 0.0, 0.0]]]))
     wanted = np.array([[10.5, 0.0, 0.0]])
     found = SeparationFilter().safe(pos, vel, wanted, behind, np.array([8.0]))
-    assert found.verdict[0] == Verdict.PASSED
+    assert found.verdict[0] == FilterAction.PASSED
     assert found.vel_ned_mps == pytest.approx(wanted)
 
 
@@ -157,8 +157,8 @@ def test_two_that_meet_head_on_are_bent_before_their_braking_ways_meet() -> None
         .verdict[0]
         for away in (150.0, 80.0)
     ]
-    assert verdicts[0] == Verdict.PASSED
-    assert verdicts[1] != Verdict.PASSED
+    assert verdicts[0] == FilterAction.PASSED
+    assert verdicts[1] != FilterAction.PASSED
 
 
 def test_many_vehicles_at_once_are_filtered_as_each_alone() -> None:
@@ -211,8 +211,8 @@ def test_a_silent_neighbour_is_given_more_room_the_longer_it_is_silent() -> None
         SeparationFilter().safe(pos, vel, vel, neighbours_of(place, still, age), np.array([8.0]))
         for age in (0.2, 2.0)
     )
-    assert fresh.verdict[0] == Verdict.PASSED
-    assert old.verdict[0] != Verdict.PASSED
+    assert fresh.verdict[0] == FilterAction.PASSED
+    assert old.verdict[0] != FilterAction.PASSED
 
 
 def test_one_that_does_not_give_way_is_dodged_though_nothing_is_promised() -> None:

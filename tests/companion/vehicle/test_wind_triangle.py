@@ -7,7 +7,7 @@ import pytest
 
 from companion.core.vehicle.wind_triangle import (
     Infeasible,
-    Track,
+    WindTriangle,
     airspeeds_needed_mps,
     fly_course,
     fly_path,
@@ -22,14 +22,14 @@ from companion.core.vehicle.wind_triangle import (
 def test_ground_speed_north_at_10_mps_is_the_textbooks(wind_to_ne: tuple, ground: float) -> None:
     # Head- and tailwind add; 6 m/s across leaves sqrt(100 - 36) = 8.
     track = fly_course(0.0, 10.0, wind_to_ne)
-    assert isinstance(track, Track)
+    assert isinstance(track, WindTriangle)
     assert track.ground_speed_mps == pytest.approx(ground)
 
 
 def test_the_nose_points_into_a_cross_wind() -> None:
     # Wind from the west pushes east: flying north it heads asin(6/10) west of north.
     track = fly_course(0.0, 10.0, (0.0, 6.0))
-    assert isinstance(track, Track)
+    assert isinstance(track, WindTriangle)
     assert track.air_heading_rad == pytest.approx(2.0 * math.pi - math.asin(0.6))
 
 
@@ -50,7 +50,7 @@ def test_air_velocity_is_ground_velocity_less_wind_in_three_dimensions() -> None
     direction = np.array([3.0, 1.0, -0.8])
     wind = np.array([-2.0, 3.0, 0.5])
     track = fly_path(direction, 12.0, wind)
-    assert isinstance(track, Track)
+    assert isinstance(track, WindTriangle)
     air = track.ground_speed_mps * direction / np.linalg.norm(direction) - wind
     assert np.linalg.norm(air) == pytest.approx(12.0)
     assert track.air_path_angle_rad == pytest.approx(math.asin(-air[2] / 12.0))
@@ -63,7 +63,7 @@ def test_flight_path_limits_hold_in_the_air_frame_not_over_the_ground() -> None:
     limit = math.radians(12.0)
     calm = fly_path(direction, 12.0, np.zeros(3), -limit, limit)
     tail = fly_path(direction, 12.0, np.array([8.0, 0.0, 0.0]), -limit, limit)
-    assert isinstance(calm, Track)
+    assert isinstance(calm, WindTriangle)
     assert calm.air_path_angle_rad == pytest.approx(0.1745)
     assert isinstance(tail, Infeasible)
     assert "in the air" in tail.reason

@@ -40,7 +40,7 @@ NAME_LENGTH = 16
 class OperatorPort:
     """Turns what is addressed to us into events and answers it.
 
-    `ask(event)` hands an order to the mission and returns its reply.
+    `ask(event)` hands an order to the pilot and returns its reply.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class OperatorPort:
         self._limits = limits
         self._say = say
 
-    def hear(self, message: Any, system_id: int, t_s: float) -> bool:
+    def on_message(self, message: Any, system_id: int, t_s: float) -> bool:
         """Take a message; tells whether it was addressed to us and is dealt with."""
         kind = message.get_type()
         if kind not in (

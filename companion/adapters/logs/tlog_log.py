@@ -4,18 +4,21 @@ Frames are told apart by their headers first: most of a ground station's log is 
 listen to, and the rest comes faster than the estimators look.
 """
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.parameters import decode_bytewise
-from companion.adapters.autopilots.px4 import Px4
-from companion.adapters.autopilots.telemetry import FlavourWords, boot_s, translate, vehicle_kind
+from companion.adapters.autopilots.port import PROFILES
+from companion.adapters.autopilots.telemetry import (
+    AutopilotProfile,
+    boot_s,
+    translate,
+    vehicle_kind,
+)
 from companion.adapters.clock import AutopilotClock
 from companion.adapters.logs.log_time import told
 from companion.core.base.errors import LeewayError
@@ -51,11 +54,6 @@ LEAST_STEP_S = {
 """What is listened to, and the least time between two of a kind: about what we ask for in
 flight."""
 
-FLAVOURS: dict[int, type[ArduPilot] | type[Px4]] = {
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
-    mavlink.MAV_AUTOPILOT_PX4: Px4,
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -80,7 +78,7 @@ def read_tlog(path: Path) -> RecordedFlight:
     frames = [f for f in _frames(path.read_bytes(), torn) if f.kind in LEAST_STEP_S]
     codec = MavlinkCodec(datagrams=True)
     system, beat = _autopilot(path, frames, codec)
-    reader = _Reader(FLAVOURS[beat.autopilot](), codec)
+    reader = _Reader(PROFILES[beat.autopilot](), codec)
     for frame in frames:
         if frame.system == system and frame.component == AUTOPILOT:
             reader.take(frame)
@@ -95,7 +93,7 @@ def read_tlog(path: Path) -> RecordedFlight:
         source="tlog",
         events=tuple(reader.events),
         findings=tuple(findings),
-        flavour=reader.words.flavour,
+        flavour=reader.profile.flavour,
         vehicle=vehicle_kind(beat.type),
         firmware=reader.firmware,
     )
@@ -104,8 +102,8 @@ def read_tlog(path: Path) -> RecordedFlight:
 class _Reader:
     """Decodes what passes, on the autopilot's clock."""
 
-    def __init__(self, words: FlavourWords, codec: MavlinkCodec) -> None:
-        self.words = words
+    def __init__(self, profile: AutopilotProfile, codec: MavlinkCodec) -> None:
+        self.profile = profile
         self.events: list[Event] = []
         self.findings: list[LogFinding] = []
         self.firmware: str | None = None
@@ -116,8 +114,8 @@ class _Reader:
 
     def take(self, frame: Frame) -> None:
         """Decode one frame, unless one of its kind was just heard."""
-        step_s = frame.wall_s - self._heard_s.get(frame.kind, -math.inf)
-        if 0.0 <= step_s < LEAST_STEP_S[frame.kind]:
+        last_s = self._heard_s.get(frame.kind)
+        if last_s is not None and 0.0 <= frame.wall_s - last_s < LEAST_STEP_S[frame.kind]:
             return
         self._heard_s[frame.kind] = frame.wall_s
         for message in self._codec.parse(frame.data):
@@ -127,7 +125,7 @@ class _Reader:
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             value = float(message.param_value)
-            if self.words.bytewise_parameters:
+            if self.profile.bytewise_parameters:
                 value = decode_bytewise(value, message.param_type)
             self._values[message.param_id] = value
             return
@@ -137,7 +135,7 @@ class _Reader:
             return
         t_s = self._time(message)
         if t_s is not None:
-            self.events += translate(message, self.words, self._values, t_s)
+            self.events += translate(message, self.profile, self._values, t_s)
 
     def _time(self, message: Any) -> float | None:
         stamp_s = boot_s(message)
@@ -165,7 +163,7 @@ def _autopilot(path: Path, frames: list[Frame], codec: MavlinkCodec) -> tuple[in
         beats[frame.system] += 1
         if frame.system not in found:
             for message in codec.parse(frame.data):
-                if message.get_type() == "HEARTBEAT" and message.autopilot in FLAVOURS:
+                if message.get_type() == "HEARTBEAT" and message.autopilot in PROFILES:
                     found[frame.system] = message
     if not found:
         raise LeewayError(f"{path}: no heartbeat of a PX4 or ArduPilot autopilot in this .tlog")
