@@ -19,8 +19,8 @@ from companion.app.cli.replay import replay_command
 from companion.app.flight.run import DONE, GROUNDED, NO_LINK, USAGE, RunOptions, run
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.pilot_state import PilotOptions
 from companion.core.pilot.transitions import Phase, as_markdown, as_mermaid
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the

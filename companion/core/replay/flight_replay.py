@@ -18,9 +18,8 @@ from companion.core.mission.events import Airspeed, Attitude, AutopilotWind, Fla
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_of, make_plan, ned_of, site_map
 from companion.core.mission.preflight_checks import pack_trouble
-from companion.core.pilot.budget_question import Noted, moved_since
 from companion.core.pilot.estimates import Judgement
-from companion.core.pilot.return_decision import beats_depot
+from companion.core.pilot.return_decision import RecordedAssessment, beats_depot, moved_since
 from companion.core.pilot.telemetry_state import BATTERY_MAX_AGE_S, POSITION_MAX_AGE_S, Situation
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight, moments
 from companion.core.replay.route import Planned, Route, Unplanned
@@ -136,7 +135,7 @@ class _Replay:
         self._closed = False
         self._diverted = False
         self._stage = ""
-        self._noted: Noted | None = None
+        self._noted: RecordedAssessment | None = None
         self._asked_s = -math.inf
         self._seen: Assessment | None = None
         self._pack_judged = False
@@ -404,9 +403,9 @@ class _Replay:
             self._decide(t_s, "looked_again", f"{moved}: {seen.reason}")
         else:
             if self._noted is None:
-                self._noted = Noted(seen.margin_wh, wind_ne)
+                self._noted = RecordedAssessment(seen.margin_wh, wind_ne)
             return
-        self._noted = Noted(seen.margin_wh, wind_ne)
+        self._noted = RecordedAssessment(seen.margin_wh, wind_ne)
 
     def _decide(self, t_s: float, kind: str, reason: str) -> None:
         seen = self._seen

@@ -8,7 +8,7 @@ from companion.core.base.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.release_detection import observe_hover, watch_for
+from companion.core.pilot.parcel_release import observe_hover, watch_for
 from companion.core.pilot.return_decision import rally_in_sight
 from companion.core.pilot.telemetry_state import Situation
 from companion.core.return_budget.remaining_from_plan import (

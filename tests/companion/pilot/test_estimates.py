@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
 from companion.core.mission import events as ev
 from companion.core.pilot.estimates import Judgement, Limits
-from companion.core.pilot.release_detection import ReleaseWatch
+from companion.core.pilot.parcel_release import ReleaseWatch
 from companion.core.pilot.telemetry_state import Situation
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
