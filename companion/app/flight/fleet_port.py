@@ -37,7 +37,7 @@ from companion.core.mission.events import (
     NeighbourHeard,
 )
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.core.separation.track import Track
@@ -243,7 +243,7 @@ class FleetPort:
             **more,
         )
 
-    def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
+    def publish(self, phase: str, now: TelemetryState, pilot: Pilot | None = None) -> None:
         """Tell the state when it is due: once a second, and at once in a new phase."""
         now_s = self.member.clock_s()
         if phase == self._told_phase and now_s - self._told_s < STATE_S:

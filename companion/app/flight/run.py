@@ -29,7 +29,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
 from companion.core.mission.events import Flavour
 from companion.core.mission.preflight_checks import Requirement, RouteFacts
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import Phase
@@ -198,7 +198,7 @@ def flying_policy(name: str) -> AvoidancePolicy:
     return policy
 
 
-def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:
+def _kept(options: RunOptions, digest: str) -> tuple[Checkpoint | None, str]:
     """The checkpoint, and what is wrong with it: a broken one must not stop a flight from home."""
     if options.pilot.check_only:
         return None, ""

@@ -31,8 +31,8 @@ from companion.core.mission.actions import Action, Decision, PhaseChanged, Say, 
 from companion.core.mission.events import Flavour, Mode, VehicleState
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.pilot.estimates import Judgement
-from companion.core.pilot.telemetry_state import POSITION_MAX_AGE_S, Situation
+from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.telemetry_state import POSITION_MAX_AGE_S, TelemetryState
 from companion.core.pilot.transitions import OUTWARD_PHASES, Phase, Trigger, next_phase
 from companion.core.return_budget.budget import Ahead, Assessment
 from companion.core.routing.route_planner import Plan
@@ -98,7 +98,7 @@ class FlightContext:
         self,
         flight: Flight,
         airframe: Airframe,
-        estimates: Judgement,
+        estimates: Estimates,
         options: PilotOptions,
         observer: PhaseObserver,
     ) -> None:
@@ -106,7 +106,7 @@ class FlightContext:
         self.airframe = airframe
         self.estimates = estimates
         self.options = options
-        self.telemetry = Situation()
+        self.telemetry = TelemetryState()
         self.autopilot: Flavour | None = None
         self.flight_plan: FlightPlan | None = None
         self.assessment: Assessment | None = None
@@ -394,7 +394,7 @@ class Promise(Protocol):
         ...
 
 
-class Budget(Protocol):
+class ReturnBudget(Protocol):
     """The gate's answers to what is left to fly."""
 
     def remaining(self, context: FlightContext, here: Ned, plan: Plan | None = None) -> Ahead:

@@ -15,7 +15,7 @@ from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
     POSITION_MAX_AGE_S,
     WIND_MAX_AGE_S,
-    Situation,
+    TelemetryState,
 )
 from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams, turned_back
 from companion.core.return_budget.remaining_mission import OnTheWay, hurried
@@ -58,7 +58,7 @@ class Limits:
     reserve_frac: float
 
 
-class Judgement:
+class Estimates:
     """Holds the estimators and the gate of one vehicle."""
 
     def __init__(
@@ -100,7 +100,7 @@ class Judgement:
         """Usable energy left, `None` while nothing is known."""
         return self._ledger.belief()
 
-    def observe(self, now: Situation, flavour: Flavour) -> tuple[str, ...]:
+    def observe(self, now: TelemetryState, flavour: Flavour) -> tuple[str, ...]:
         """Take the situation at a tick; returns what is new to warn about, in words."""
         t_s = now.t_s
         if t_s - self._battery_s >= BATTERY_EVERY_S - 1e-6 or t_s < self._battery_s:
@@ -119,7 +119,7 @@ class Judgement:
             self._warned.update(kinds)
         return tuple(warnings)
 
-    def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
+    def _observe_battery(self, now: TelemetryState, flavour: Flavour, t_s: float) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
         heard = battery is not None and (
             battery.voltage_v is not None or battery.remaining_frac is not None
@@ -154,13 +154,13 @@ class Judgement:
             )
         )
 
-    def _is_steady(self, now: Situation) -> bool:
+    def _is_steady(self, now: TelemetryState) -> bool:
         """In the air, above the ground's turbulence, with a wind to reckon the airspeed from."""
         position = now.position
         high = position is not None and position.height_rel_m > STEADY_HEIGHT_M
         return now.airborne and high and self.wind is not None and self.wind.valid
 
-    def _modelled_power_w(self, now: Situation) -> float | None:
+    def _modelled_power_w(self, now: TelemetryState) -> float | None:
         if not now.armed:
             return None
         if now.on_ground or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
@@ -173,7 +173,7 @@ class Judgement:
         airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
         return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
 
-    def _observe_wind(self, now: Situation, t_s: float) -> tuple[str, ...]:
+    def _observe_wind(self, now: TelemetryState, t_s: float) -> tuple[str, ...]:
         position = now.position if now.is_fresh(now.position, POSITION_MAX_AGE_S) else None
         if now.gnss is not None and not now.gnss.usable:
             position = None
@@ -389,7 +389,7 @@ class Judgement:
             "reserve_frac": self.limits.reserve_frac,
         }
 
-    def restore(self, kept: "JudgementKept") -> None:
+    def restore(self, kept: "EstimatesSnapshot") -> None:
         """Go on from a checkpoint: energy never rises."""
         self._ledger.restore(kept.ledger)
         self._outlook.restore(kept.outlook)
@@ -424,8 +424,8 @@ def _with_value(seen: Assessment, value: Reading | None) -> Assessment:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgementKept:
-    """`Judgement.snapshot` as read from a checkpoint."""
+class EstimatesSnapshot:
+    """`Estimates.snapshot` as read from a checkpoint."""
 
     ledger: dict[str, object]
     outlook: dict[str, object]

@@ -6,8 +6,8 @@ from typing import Any, Protocol
 from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import SetGroundSpeed, Severity
 from companion.core.mission.flight_plan import DROP_S
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.context import Budget, FlightContext, Jumps, Parcel, SetpointFlight
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import FlightContext, Jumps, Parcel, ReturnBudget, SetpointFlight
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
@@ -54,7 +54,7 @@ class MissionControl(Jumps, Ticking, Protocol):
         ...
 
 
-class MissionBudget(Budget, Protocol):
+class MissionBudget(ReturnBudget, Protocol):
     """The gate's answers, also to a departure and a delivery."""
 
     def assess_departure(self, context: FlightContext) -> Assessment | None:
@@ -160,7 +160,7 @@ class FlightState:
         """What a checkpoint keeps."""
         return {"flying": self.flying, "took_off_s": self.took_off_s}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Go on from a checkpoint; `resume_flight` says whether there is a flight to go on with."""
         self.took_off_s = kept.took_off_s
 

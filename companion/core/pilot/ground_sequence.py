@@ -47,7 +47,7 @@ from companion.core.mission.preflight_checks import (
     pack_trouble,
     settings_wanted,
 )
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
@@ -168,7 +168,7 @@ class GroundSequence:
         before = dict(self._state.settings_before)
         return {"authorised": self._state.authorised, "settings_before": before}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Go on from a checkpoint."""
         self._state.authorised = kept.authorised
         self._state.settings_before = dict(kept.settings_before)

@@ -18,8 +18,8 @@ from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import Event, HomeMoved
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.context import Budget, FlightContext, HomeMoves
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import FlightContext, HomeMoves, ReturnBudget
 from companion.core.pilot.transitions import OUTWARD_PHASES, Phase
 from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
 
@@ -80,7 +80,7 @@ class PromisedStop:
         """What a checkpoint keeps."""
         return {"home": self.noted_home, "wanted": self.wanted}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Go on from a checkpoint."""
         self.noted_home, self.wanted = kept.home, kept.wanted
 
@@ -88,7 +88,7 @@ class PromisedStop:
 class LandingSite:
     """Moves home to the stop that the truck asks for."""
 
-    def __init__(self, promise: PromisedStop, jumps: HomeMoves, budget: Budget) -> None:
+    def __init__(self, promise: PromisedStop, jumps: HomeMoves, budget: ReturnBudget) -> None:
         self._promise = promise
         self._jumps = jumps
         self._budget = budget

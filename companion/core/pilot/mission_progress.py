@@ -12,7 +12,7 @@ from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
 from companion.core.mission.events import Event, MissionProgress, Mode, OrderRefused
 from companion.core.mission.jump_watch import CourseWatch, JumpStatus, JumpWatch, Purpose
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
     CruiseSpeed,
     FlightContext,
@@ -92,7 +92,7 @@ class MissionFollower:
         """What a checkpoint keeps."""
         return {"leg": self._state.leg}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Go on from a checkpoint."""
         self._state.leg = kept.leg
 

@@ -15,9 +15,13 @@ from typing import Any
 
 from companion.core.mission.actions import Note, Release, Severity
 from companion.core.mission.events import Event, ReleaseFeedback
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.context import Budget, FlightContext, Jumps
-from companion.core.pilot.telemetry_state import BATTERY_MAX_AGE_S, THROTTLE_MAX_AGE_S, Situation
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import FlightContext, Jumps, ReturnBudget
+from companion.core.pilot.telemetry_state import (
+    BATTERY_MAX_AGE_S,
+    THROTTLE_MAX_AGE_S,
+    TelemetryState,
+)
 from companion.core.pilot.transitions import Phase, Trigger
 from companion.core.routing.leg_energy import RouteEnergy
 
@@ -122,7 +126,7 @@ def watch_for(route_energy: RouteEnergy, payload_kg: float) -> ReleaseWatch:
     return ReleaseWatch(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
 
 
-def observe_hover(watch: ReleaseWatch, now: Situation) -> None:
+def observe_hover(watch: ReleaseWatch, now: TelemetryState) -> None:
     """Show the watch what is fresh, while the vehicle hovers: motion changes the power too."""
     position = now.position
     if position is None or not now.is_fresh(position, 1.0):
@@ -154,7 +158,7 @@ class ParcelState:
         """What a checkpoint keeps."""
         return {"delivered": self.delivered, "drop_begun": self.drop_begun}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Over the customer at that time: the mission aboard has gone on by itself since."""
         over_customer = (Phase.DELIVER.value, Phase.RELEASE.value)
         self.delivered = kept.delivered
@@ -169,7 +173,7 @@ class ParcelState:
 class ParcelRelease:
     """Looks for proof of the release over the customer."""
 
-    def __init__(self, state: ParcelState, jumps: Jumps, budget: Budget) -> None:
+    def __init__(self, state: ParcelState, jumps: Jumps, budget: ReturnBudget) -> None:
         self._state = state
         self._jumps = jumps
         self._budget = budget

@@ -55,10 +55,10 @@ from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.mission.preflight_checks import Finding
 from companion.core.pilot.authority import Authority
-from companion.core.pilot.checkpoint import Kept, kept_to_dict
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import FlightContext, PilotOptions
 from companion.core.pilot.desired_velocity import DesiredVelocity
-from companion.core.pilot.estimates import Judgement
+from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
 from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
 from companion.core.pilot.landing import Landing
@@ -69,7 +69,7 @@ from companion.core.pilot.position_loss import PositionLoss
 from companion.core.pilot.resume import Resume
 from companion.core.pilot.return_decision import BudgetWatch, ReturnDecision, ReturnState
 from companion.core.pilot.setpoint_takeover import SetpointTakeover
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
@@ -124,12 +124,12 @@ class Pilot:
         requirements: Requirements,
         digest: str,
         options: PilotOptions | None = None,
-        kept: Kept | None = None,
-        estimates: Judgement | None = None,
+        kept: Checkpoint | None = None,
+        estimates: Estimates | None = None,
         policy: AvoidancePolicy | None = None,
     ) -> None:
         route_energy = RouteEnergy.for_mission(airframe, flight.mission)
-        estimates = estimates or Judgement(flight, airframe, route_energy, wind_process)
+        estimates = estimates or Estimates(flight, airframe, route_energy, wind_process)
         self._digest = digest
         self._reported = ReportTimes()
         self._context = FlightContext(flight, airframe, estimates, options or PilotOptions(), self)
@@ -246,7 +246,7 @@ class Pilot:
         context.take_outbox()
         if isinstance(event, MissionProgress):
             event = self._setpoints.leads_to(context, event)
-        context.telemetry.hear(event)
+        context.telemetry.update(event)
         self._take(event)
         actions = [self._setpoints.routed(context, action) for action in context.take_outbox()]
         if context.phase not in COMMANDING_PHASES:
@@ -364,9 +364,9 @@ class Pilot:
         if context.options.check_only:
             return
         self._reported.saved_s = context.t_s
-        context.do(SaveCheckpoint(kept_to_dict(self.checkpoint()), routine))
+        context.do(SaveCheckpoint(checkpoint_to_dict(self.checkpoint()), routine))
 
-    def checkpoint(self) -> Kept:
+    def checkpoint(self) -> Checkpoint:
         """What a restart needs: the context's part, and each controller's own."""
         context = self._context
         phase, flown = context.phase, context.flight_plan
@@ -375,7 +375,7 @@ class Pilot:
         parts: dict[str, Any] = {}
         for keeper in self._keepers:
             parts |= keeper.to_dict()
-        return Kept(
+        return Checkpoint(
             flight=self._digest,
             t_s=context.t_s,
             phase=phase.value,
@@ -396,12 +396,12 @@ class Pilot:
         return self._context.phase
 
     @property
-    def telemetry(self) -> Situation:
+    def telemetry(self) -> TelemetryState:
         """What is known of the vehicle now."""
         return self._context.telemetry
 
     @property
-    def estimates(self) -> Judgement:
+    def estimates(self) -> Estimates:
         """Wind, energy and the gate."""
         return self._context.estimates
 

@@ -23,9 +23,9 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.mission.flight_plan import FlightPlan, lay_out, site_map
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
-from companion.core.pilot.estimates import JudgementKept
+from companion.core.pilot.estimates import EstimatesSnapshot
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 
@@ -112,14 +112,14 @@ class Resume:
         self._modes = modes
         self._landing = landing
         self._obstacles = obstacles
-        self._checkpoint: Kept | None = None
+        self._checkpoint: Checkpoint | None = None
         self._mission_matches = False
         self._asked_s: float | None = None
 
-    def restore(self, context: FlightContext, kept: Kept) -> None:
+    def restore(self, context: FlightContext, kept: Checkpoint) -> None:
         """Take up the plan, the estimates and the time that a checkpoint kept."""
         self._checkpoint = kept
-        context.estimates.restore(msgspec.convert(kept.judgement, JudgementKept))
+        context.estimates.restore(msgspec.convert(kept.judgement, EstimatesSnapshot))
         context.telemetry.t_s = kept.t_s
         if kept.flying and kept.plan is not None and kept.frame is not None:
             here = context.options.here

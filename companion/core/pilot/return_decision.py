@@ -12,10 +12,9 @@ from companion.core.base.geo import Ned, horizontal_m, over
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import AbortOrdered, Event, LimitsChanged
 from companion.core.mission.flight_plan import DROP_S, FlightPlan
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
     Airborne,
-    Budget,
     FlightContext,
     GateState,
     ItemProgress,
@@ -23,6 +22,7 @@ from companion.core.pilot.context import (
     Parcel,
     PositionWatch,
     Promise,
+    ReturnBudget,
     WindHold,
 )
 from companion.core.pilot.estimates import Limits
@@ -208,7 +208,7 @@ class ReturnState:
         """What a checkpoint keeps."""
         return {"gate_closed": self.closed_by, "rally": self.rally}
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: Checkpoint) -> None:
         """Go on from a checkpoint."""
         self.closed_by, self.rally = kept.gate_closed, kept.rally
 
@@ -220,7 +220,7 @@ class ReturnDecision:
         self,
         state: ReturnState,
         jumps: Jumps,
-        budget: Budget,
+        budget: ReturnBudget,
         promise: Promise,
         flight: Airborne,
         parcel: Parcel,

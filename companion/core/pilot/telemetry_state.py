@@ -33,7 +33,7 @@ THROTTLE_MAX_AGE_S = 1.0
 
 
 @dataclass(slots=True)
-class Situation:
+class TelemetryState:
     """The newest sample of each kind. Late samples never replace newer ones."""
 
     t_s: float = 0.0
@@ -52,7 +52,7 @@ class Situation:
     readiness: ArmingReadiness | None = None
     _battery_times: dict[str, float] = field(default_factory=dict)
 
-    def hear(self, event: Event) -> None:
+    def update(self, event: Event) -> None:
         """Take one telemetry event."""
         self.t_s = max(self.t_s, event.t_s)
         match event:

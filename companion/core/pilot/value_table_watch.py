@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from companion.core.mission.actions import MakeTable, Note, Severity
 from companion.core.mission.events import Event, TableMade
-from companion.core.pilot.context import Budget, FlightContext, WindHold
+from companion.core.pilot.context import FlightContext, ReturnBudget, WindHold
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.remaining_mission import OnTheWay
 from companion.core.return_budget.value_table.mission_value import TableRequest
@@ -38,7 +38,7 @@ class TableState:
 class ValueTableWatch:
     """Keeps a value table that serves the plan, the load and the wind."""
 
-    def __init__(self, budget: Budget, flight: WindHold) -> None:
+    def __init__(self, budget: ReturnBudget, flight: WindHold) -> None:
         self._state = TableState()
         self._budget = budget
         self._flight = flight

@@ -1,6 +1,6 @@
 """A recorded flight seen again by the companion's own estimators, energy ledger and gate.
 
-What runs here is what flies: `Judgement` hears the same events in the same order at the same
+What runs here is what flies: `Estimates` hears the same events in the same order at the same
 times, and the gate is asked about what was ahead then. Nothing is commanded: the flight went as it
 went, and the decisions say what Leeway would have said, and when.
 """
@@ -18,9 +18,13 @@ from companion.core.mission.events import Airspeed, Attitude, AutopilotWind, Fla
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_of, make_plan, ned_of, site_map
 from companion.core.mission.preflight_checks import pack_trouble
-from companion.core.pilot.estimates import Judgement
+from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.return_decision import RecordedAssessment, beats_depot, moved_since
-from companion.core.pilot.telemetry_state import BATTERY_MAX_AGE_S, POSITION_MAX_AGE_S, Situation
+from companion.core.pilot.telemetry_state import (
+    BATTERY_MAX_AGE_S,
+    POSITION_MAX_AGE_S,
+    TelemetryState,
+)
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight, moments
 from companion.core.replay.route import Planned, Route, Unplanned
 from companion.core.return_budget.budget import Assessment
@@ -123,7 +127,7 @@ class _Replay:
         self._log, self._terms = log, terms
         speed = terms.flight.mission.cruise_airspeed_mps
         self._route_energy = RouteEnergy(terms.airframe, cruise_airspeed_mps=speed)
-        self._judge = Judgement(
+        self._judge = Estimates(
             terms.flight, terms.airframe, self._route_energy, terms.wind_process
         )
         self._route: Route | None = None
@@ -196,7 +200,7 @@ class _Replay:
 
     # --- a tick --------------------------------------------------------------------------------
 
-    def _tick(self, now: Situation, dt_s: float) -> None:
+    def _tick(self, now: TelemetryState, dt_s: float) -> None:
         self._mind_take_off(now)
         if self._flying:
             self._flew_s += dt_s
@@ -221,7 +225,7 @@ class _Replay:
         if now.t_s - self._asked_s >= self._terms.gate_every_s - 1e-6:
             self._ask(now, here)
 
-    def _mind_take_off(self, now: Situation) -> None:
+    def _mind_take_off(self, now: TelemetryState) -> None:
         if not now.airborne and self._gates and not self._pack_judged:
             self._judge_pack(now)
         if now.airborne and not self._flying:
@@ -233,7 +237,7 @@ class _Replay:
             self._flying = False
             self._land(now)
 
-    def _land(self, now: Situation) -> None:
+    def _land(self, now: TelemetryState) -> None:
         energy, reserve_wh = self._judge.energy, self._reserve_wh()
         if energy is not None and reserve_wh is not None:
             left_wh = energy.mean_wh - reserve_wh
@@ -246,7 +250,7 @@ class _Replay:
         self._closed = self._diverted = False
         self._seen, self._noted, self._route, self._stage = None, None, None, ""
 
-    def _judge_pack(self, now: Situation) -> None:
+    def _judge_pack(self, now: TelemetryState) -> None:
         """Another pack than the airframe's makes every number of energy wrong."""
         battery = now.battery
         if battery is None or battery.voltage_v is None:
@@ -259,7 +263,7 @@ class _Replay:
 
     # --- home and the way there ----------------------------------------------------------------
 
-    def _find_home(self, now: Situation) -> None:
+    def _find_home(self, now: TelemetryState) -> None:
         position = now.position
         if position is None:
             return
@@ -280,7 +284,7 @@ class _Replay:
             else:
                 self._route = Planned(flown, self._terms.flight, self._route_energy)
 
-    def _plan(self, now: Situation) -> FlightPlan | NoRoute:
+    def _plan(self, now: TelemetryState) -> FlightPlan | NoRoute:
         flight = self._terms.flight
         assert now.position is not None
         frame = frame_of(flight, now.position)
@@ -289,7 +293,7 @@ class _Replay:
         reserve_frac = self._judge.limits.reserve_frac
         return make_plan(flight, site, planner, self._judge.energy, reserve_frac)
 
-    def _look(self, now: Situation) -> Ned | None:
+    def _look(self, now: TelemetryState) -> Ned | None:
         """Where the vehicle is on its way; decides where it came to another part of it."""
         route = self._route
         if route is None or not self._flying or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
@@ -303,7 +307,7 @@ class _Replay:
                 self._stage_changed(now, here, stage)
         return here
 
-    def _mind_mission(self, now: Situation, route: Planned) -> None:
+    def _mind_mission(self, now: TelemetryState, route: Planned) -> None:
         aboard = route.another_mission
         if aboard is None or self._another_mission:
             return
@@ -312,12 +316,12 @@ class _Replay:
         said = "where it is on its way is told by its place"
         self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
 
-    def _mind_delivery(self, now: Situation, route: Planned) -> None:
+    def _mind_delivery(self, now: TelemetryState, route: Planned) -> None:
         if route.delivered and self._judge.payload_kg > 0.0:
             self._judge.payload_kg = 0.0
             self._decide(now.t_s, "delivered", route.delivered)
 
-    def _stage_changed(self, now: Situation, here: Ned, stage: str) -> None:
+    def _stage_changed(self, now: TelemetryState, here: Ned, stage: str) -> None:
         """The pilot asks before each leg: so does the replay."""
         before, self._stage = self._stage, stage
         route = self._route
@@ -340,7 +344,7 @@ class _Replay:
 
     # --- the gate ------------------------------------------------------------------------------
 
-    def _ask(self, now: Situation, here: Ned | None) -> None:
+    def _ask(self, now: TelemetryState, here: Ned | None) -> None:
         self._asked_s = now.t_s
         energy = self._judge.energy if self._gates else None
         fresh: Assessment | None = None
@@ -381,7 +385,7 @@ class _Replay:
             self._diverted = True
             self._decide(t_s, "divert", f"to {seen.best_landing}: the depot is out of the promise")
 
-    def _home_m(self, now: Situation) -> float | None:
+    def _home_m(self, now: TelemetryState) -> float | None:
         if self._home is None or now.position is None:
             return None
         return horizontal_m(ned_of(self._home, now.position), (0.0, 0.0, 0.0))

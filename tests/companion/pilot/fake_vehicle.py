@@ -38,7 +38,7 @@ from companion.core.mission.events import Ground, Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import ItemKind, MissionItem, differences
 from companion.core.mission.preflight_checks import Requirement
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.estimates import Limits
 from companion.core.pilot.ground_sequence import Requirements
@@ -338,7 +338,7 @@ class World:
 def world(
     *,
     options: PilotOptions | None = None,
-    kept: Kept | None = None,
+    kept: Checkpoint | None = None,
     flight: Flight = FLIGHT,
     armed: bool = False,
     judge: "ScriptedJudge | None" = None,

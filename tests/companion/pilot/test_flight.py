@@ -35,7 +35,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import ItemKind, MissionItem
 from companion.core.mission.preflight_checks import Requirement
-from companion.core.pilot.checkpoint import Kept, kept_from_dict, kept_to_dict
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from tests.companion.pilot.fake_vehicle import (
@@ -608,14 +608,14 @@ def test_a_rebooted_autopilot_is_read_again_and_no_energy_is_won():
     assert done.outcome == "SUC"
 
 
-def interrupted(phase: Phase) -> tuple[World, Kept]:
+def interrupted(phase: Phase) -> tuple[World, Checkpoint]:
     """A flight whose companion is killed in a phase; its last checkpoint."""
     w = reach(phase)
     w.step()
-    return w, kept_from_dict(kept_to_dict(w.pilot.checkpoint()), "a checkpoint")
+    return w, checkpoint_from_dict(checkpoint_to_dict(w.pilot.checkpoint()), "a checkpoint")
 
 
-def restarted(w: World, kept: Kept, *, mode: Mode | None = None) -> World:
+def restarted(w: World, kept: Checkpoint, *, mode: Mode | None = None) -> World:
     """A new companion process beside the same vehicle, some seconds later."""
     for _ in range(30):
         w.t_s = round(w.t_s + 0.1, 3)
@@ -675,7 +675,7 @@ def test_restarted_after_it_was_suspended_it_stays_suspended_in_our_own_mode():
     w = reach(Phase.OUTBOUND)
     w.tell(ev.VehicleState(w.t_s, Mode.OTHER, "POSCTL", True))
     content = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)]
-    again = restarted(w, msgspec.convert(content[-1], Kept), mode=Mode.MISSION)
+    again = restarted(w, msgspec.convert(content[-1], Checkpoint), mode=Mode.MISSION)
     assert again.pilot.phase is Phase.SUSPENDED
     assert not any(isinstance(a, Order) for _, a in again.log)
 
@@ -701,7 +701,7 @@ def test_a_restart_on_the_ground_needs_a_new_authorisation():
     w = reach(Phase.READY)
     w.tell(ev.Authorised(w.t_s, "255/190"))
     content = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)]
-    kept = msgspec.convert(content[-1], Kept)
+    kept = msgspec.convert(content[-1], Checkpoint)
     assert kept.authorised
     again = world(kept=kept, options=PilotOptions(configure=True, authorise=True))
     again.until(Phase.READY)

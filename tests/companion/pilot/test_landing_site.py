@@ -16,7 +16,7 @@ from companion.core.mission.actions import Answer, Arm, JumpTo, Reply, SaveCheck
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
 from companion.core.mission.mission_items import DeadMansMission, ItemKind, Part
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.budget import Ahead, Assessment
@@ -90,7 +90,7 @@ class StopsJudge(ScriptedJudge):
 
 
 def truck_world(
-    kept: Kept | None = None, *, armed: bool = False, options: PilotOptions | None = None
+    kept: Checkpoint | None = None, *, armed: bool = False, options: PilotOptions | None = None
 ) -> World:
     truck_flight = flight()
     energy = RouteEnergy.for_mission(AIRFRAME, truck_flight.mission)
@@ -495,7 +495,7 @@ def test_safety_rule_3_a_wish_and_a_moved_home_outlive_a_restart_of_the_companio
     if seen:
         w.run(lambda w: w.pilot.home == "stop-3")
     kept = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)][-1]
-    again = truck_world(msgspec.convert(kept, Kept), armed=True)
+    again = truck_world(msgspec.convert(kept, Checkpoint), armed=True)
     for name in ("t_s", "north", "east", "height", "items", "index", "waited", "loaded", "values"):
         setattr(again, name, getattr(w, name))
     again.mode = w.mode

@@ -285,7 +285,7 @@ def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour):
         """The vehicle stands still, and its telemetry goes on."""
         w.t_s = round(w.t_s + 0.1, 3)
         for event in w.telemetry():
-            context.telemetry.hear(event)
+            context.telemetry.update(event)
             traffic.on_event(context, event)
         context.take_outbox()
         setpoints.tick(context)
