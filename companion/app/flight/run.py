@@ -118,7 +118,7 @@ class Run:
             requirements=requirements,
             digest=digest,
             options=options.pilot,
-            kept=kept,
+            checkpoint=kept,
             policy=flying_policy(options.policy) if options.policy is not None else None,
         )
         link = open_link(options.link)

@@ -1,4 +1,4 @@
-"""What survives a restart of the companion: enough to pick the flight up, never more energy."""
+"""What survives a restart of the companion: enough to go on with the flight, never more energy."""
 
 from typing import Any, Literal
 
@@ -50,6 +50,6 @@ def checkpoint_from_dict(table: dict[str, Any], where: str) -> Checkpoint:
         raise LeewayError(f"{where}: {error}") from error
 
 
-def checkpoint_to_dict(kept: Checkpoint) -> dict[str, Any]:
+def checkpoint_to_dict(checkpoint: Checkpoint) -> dict[str, Any]:
     """Plain JSON-safe values."""
-    return msgspec.to_builtins(kept)
+    return msgspec.to_builtins(checkpoint)

@@ -425,7 +425,7 @@ class Parcel(Protocol):
 
     @property
     def untouched(self) -> bool:
-        """Aboard, and no release has been looked at yet."""
+        """Aboard, and no release has been watched yet."""
         ...
 
 

@@ -160,9 +160,9 @@ class FlightState:
         """What a checkpoint keeps."""
         return {"flying": self.flying, "took_off_s": self.took_off_s}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint; `resume_flight` says whether there is a flight to go on with."""
-        self.took_off_s = kept.took_off_s
+        self.took_off_s = checkpoint.took_off_s
 
 
 class FlightSequence:

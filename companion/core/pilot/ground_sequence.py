@@ -168,10 +168,10 @@ class GroundSequence:
         before = dict(self._state.settings_before)
         return {"authorised": self._state.authorised, "settings_before": before}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
-        self._state.authorised = kept.authorised
-        self._state.settings_before = dict(kept.settings_before)
+        self._state.authorised = checkpoint.authorised
+        self._state.settings_before = dict(checkpoint.settings_before)
 
     # --- phases, ticks, events -------------------------------------------------------------------
 

@@ -80,9 +80,9 @@ class PromisedStop:
         """What a checkpoint keeps."""
         return {"home": self.noted_home, "wanted": self.wanted}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
-        self.noted_home, self.wanted = kept.home, kept.wanted
+        self.noted_home, self.wanted = checkpoint.home, checkpoint.wanted
 
 
 class LandingSite:

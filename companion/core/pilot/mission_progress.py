@@ -92,9 +92,9 @@ class MissionFollower:
         """What a checkpoint keeps."""
         return {"leg": self._state.leg}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
-        self._state.leg = kept.leg
+        self._state.leg = checkpoint.leg
 
     # --- orders ----------------------------------------------------------------------------------
 

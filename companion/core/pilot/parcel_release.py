@@ -86,7 +86,7 @@ class ReleaseWatch:
             self._thrust.add(t_s, thrust_frac)
 
     def begin(self, t_s: float) -> None:
-        """The release has been ordered (again); the hover before the first order is kept."""
+        """The release has been ordered (again); the hover before the first order is checkpoint."""
         if self.begun_s is None:
             self.begun_s = t_s
 
@@ -114,8 +114,8 @@ class ReleaseWatch:
                 return None
             noise = resolution + SIGMAS * math.sqrt(loaded[1] + empty[1])
             if loaded[0] - empty[0] > noise:  # below the noise it is no evidence, either way
-                told = f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
-                found = found or told
+                report = f"{words} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+                found = found or report
         return found or None
 
 
@@ -158,15 +158,15 @@ class ParcelState:
         """What a checkpoint keeps."""
         return {"delivered": self.delivered, "drop_begun": self.drop_begun}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Over the customer at that time: the mission aboard has gone on by itself since."""
         over_customer = (Phase.DELIVER.value, Phase.RELEASE.value)
-        self.delivered = kept.delivered
-        self.drop_begun = kept.drop_begun or kept.phase in over_customer
+        self.delivered = checkpoint.delivered
+        self.drop_begun = checkpoint.drop_begun or checkpoint.phase in over_customer
 
     @property
     def untouched(self) -> bool:
-        """Aboard, and no release has been looked at yet."""
+        """Aboard, and no release has been watched yet."""
         return not self.delivered and self.watch is None
 
 

@@ -110,6 +110,7 @@ class ReportTimes:
 class Pilot:
     """Flies one mission of one vehicle; `handle` takes everything that happens.
 
+    `checkpoint`: of an earlier process of this flight, to go on from; a finished one is ignored.
     `estimates`: wind, energy and the gate; made of the airframe and the wind process when `None`.
     `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
     """
@@ -124,7 +125,7 @@ class Pilot:
         requirements: Requirements,
         digest: str,
         options: PilotOptions | None = None,
-        kept: Checkpoint | None = None,
+        checkpoint: Checkpoint | None = None,
         estimates: Estimates | None = None,
         policy: AvoidancePolicy | None = None,
     ) -> None:
@@ -204,10 +205,10 @@ class Pilot:
             self._promise,
         )
         self._routes = self._make_routes()
-        if kept is not None and not kept.finished:
+        if checkpoint is not None and not checkpoint.finished:
             for keeper in self._keepers:
-                keeper.restore(kept)
-            self._resume.restore(self._context, kept)
+                keeper.restore(checkpoint)
+            self._resume.restore(self._context, checkpoint)
 
     def _make_routes(self) -> Mapping[type[Event], tuple[Controller, ...]]:
         """Which controllers take which event, in which order."""
@@ -346,8 +347,8 @@ class Pilot:
             values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
         if energy is not None:
             values["LW_ENERGY"] = energy.mean_wh
-            told = (energy.mean_wh, energy.std_wh, energy.source, energy.used_wh)
-            context.do(EnergyReport(context.t_s, *told))
+            report = energy.mean_wh, energy.std_wh, energy.source, energy.used_wh
+            context.do(EnergyReport(context.t_s, *report))
         if seen is not None:
             values |= {
                 "LW_MARGIN": seen.margin_wh,

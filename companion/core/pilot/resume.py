@@ -116,16 +116,16 @@ class Resume:
         self._mission_matches = False
         self._asked_s: float | None = None
 
-    def restore(self, context: FlightContext, kept: Checkpoint) -> None:
-        """Take up the plan, the estimates and the time that a checkpoint kept."""
-        self._checkpoint = kept
-        context.estimates.restore(msgspec.convert(kept.judgement, EstimatesSnapshot))
-        context.telemetry.t_s = kept.t_s
-        if kept.flying and kept.plan is not None and kept.frame is not None:
+    def restore(self, context: FlightContext, checkpoint: Checkpoint) -> None:
+        """Take up the plan, the estimates and the time of a checkpoint."""
+        self._checkpoint = checkpoint
+        context.estimates.restore(msgspec.convert(checkpoint.judgement, EstimatesSnapshot))
+        context.telemetry.t_s = checkpoint.t_s
+        if checkpoint.flying and checkpoint.plan is not None and checkpoint.frame is not None:
             here = context.options.here
-            site = site_map(context.flight, kept.frame, self._obstacles, here=here)
-            mission = lay_out(context.flight, site, kept.plan, asides=kept.asides)
-            context.flight_plan = FlightPlan(site, kept.plan, mission)
+            site = site_map(context.flight, checkpoint.frame, self._obstacles, here=here)
+            mission = lay_out(context.flight, site, checkpoint.plan, asides=checkpoint.asides)
+            context.flight_plan = FlightPlan(site, checkpoint.plan, mission)
             self._flight.resume_flight()
 
     def identified(self, context: FlightContext) -> None:

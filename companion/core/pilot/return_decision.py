@@ -208,9 +208,9 @@ class ReturnState:
         """What a checkpoint keeps."""
         return {"gate_closed": self.closed_by, "rally": self.rally}
 
-    def restore(self, kept: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
-        self.closed_by, self.rally = kept.gate_closed, kept.rally
+        self.closed_by, self.rally = checkpoint.gate_closed, checkpoint.rally
 
 
 class ReturnDecision:

@@ -354,7 +354,7 @@ def world(
         requirements=requirements,
         digest="test",
         options=options or PilotOptions(configure=True, authorise=True),
-        kept=kept,
+        checkpoint=kept,
         estimates=judge,
     )
     made = World(pilot, judge, armed=armed)
