@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import FleetPort
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
 from companion.fleet.topics import VehicleKeys
@@ -55,7 +55,7 @@ class Vehicle:
             folder,
             lambda life: ZenohLink(loaded, keys, life, self.woken.set),
         )
-        self.situation = Situation()
+        self.situation = TelemetryState()
         self.phase = "standby"
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

@@ -26,7 +26,7 @@ from companion.core.mission.events import (
     Tick,
     VehicleState,
 )
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.replay.airborne import airborne
 from companion.core.replay.recorded_flight import moments, sampled
 
@@ -91,7 +91,7 @@ def test_every_format_gives_the_flight_in_si(written, make, world, kind):
 
 
 def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path):
-    log, rows, now = DecisionLog(tmp_path / "d.mcap"), HeardRows(), Situation()
+    log, rows, now = DecisionLog(tmp_path / "d.mcap"), HeardRows(), TelemetryState()
     told = [
         VehicleState(1.0, Mode.MISSION, "AUTO", armed=True),
         GroundState(1.0, Ground.IN_AIR),
@@ -104,7 +104,7 @@ def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path)
         Attitude(1.2, 0.2, -0.05, 3.0),
     ]
     for event in told:
-        now.hear(event)
+        now.update(event)
         for topic, row in rows.new(now):
             log.write(topic, row)
     assert rows.new(now) == []  # nothing new, nothing written
@@ -114,7 +114,7 @@ def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path)
 
 def test_our_mcap_keeps_all_that_the_situation_is_made_of():
     """What is left out lets the companion command or not; a replay commands nothing."""
-    parts = {field.name for field in fields(Situation) if not field.name.startswith("_")}
+    parts = {field.name for field in fields(TelemetryState) if not field.name.startswith("_")}
     assert parts - set(HEARD) == {"t_s", "estimator", "readiness"}
 
 

@@ -21,8 +21,8 @@ from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import requirements
 from companion.core.mission.actions import Action, Decision
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.pilot_state import PilotOptions
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters

@@ -5,7 +5,7 @@ from typing import Any
 
 from companion.adapters.files.atomic_file import read_whole, write_whole
 from companion.core.base.errors import LeewayError
-from companion.core.pilot.checkpoint import Kept, kept_from_dict
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict
 
 NAME = "checkpoint.json"
 
@@ -15,7 +15,7 @@ def write_checkpoint(run_dir: Path, content: dict[str, Any], *, settle: bool = T
     write_whole(run_dir / NAME, content, settle=settle)
 
 
-def read_checkpoint(run_dir: Path, flight: str) -> Kept | None:
+def read_checkpoint(run_dir: Path, flight: str) -> Checkpoint | None:
     """Read the checkpoint of this flight; `None` where there is none.
 
     Raises LeewayError where it is torn or belongs to another flight or airframe.
@@ -24,7 +24,7 @@ def read_checkpoint(run_dir: Path, flight: str) -> Kept | None:
     table = read_whole(path, "checkpoint")
     if table is None:
         return None
-    kept = kept_from_dict(table, str(path))
+    kept = checkpoint_from_dict(table, str(path))
     if kept.flight != flight:
         raise LeewayError(f"{path}: belongs to another flight or airframe")
     return kept

@@ -31,7 +31,7 @@ from companion.core.mission.events import (
     Throttle,
     VehicleState,
 )
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
@@ -144,7 +144,7 @@ class HeardRows:
     def __init__(self) -> None:
         self._last: dict[str, Event] = {}
 
-    def new(self, now: Situation) -> list[tuple[str, dict[str, Any]]]:
+    def new(self, now: TelemetryState) -> list[tuple[str, dict[str, Any]]]:
         """Return (topic, row) of every sample that came since the last call."""
         rows: list[tuple[str, dict[str, Any]]] = []
         for name, (topic, _) in HEARD.items():

@@ -2,20 +2,19 @@
 
 from companion.core.base.geo import horizontal_m
 from companion.core.mission.preflight_checks import Finding
-from companion.core.pilot.ground_sequence import live_findings
 from companion.core.pilot.pilot import Pilot
 
 
 def report(pilot: Pilot) -> tuple[list[str], bool]:
     """The lines of the finished check, worst first, and whether the vehicle is ready."""
-    ground = pilot.ground
-    if ground.giving_up:
-        return [f"MISSING  {ground.giving_up}", "NOT READY"], False
-    findings = live_findings(pilot)
+    preflight = pilot.preflight()
+    if preflight.gave_up:
+        return [f"MISSING  {preflight.gave_up}", "NOT READY"], False
+    findings = preflight.findings
     lines = [f"{_word(finding)}  {finding.words}" for finding in sorted(findings, key=_rank)]
-    held = len(ground.requirements) - len(ground.findings)
-    if held > 0:
-        lines.append(f"ok       {held} settings of the autopilot are as the promise needs them")
+    met = preflight.settings_met
+    if met > 0:
+        lines.append(f"ok       {met} settings of the autopilot are as the promise needs them")
     lines += _battery(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):
@@ -33,7 +32,7 @@ def _rank(finding: Finding) -> int:
 
 
 def _battery(pilot: Pilot) -> list[str]:
-    energy = pilot.judge.energy
+    energy = pilot.estimates.energy
     if energy is None:
         return []
     return [
@@ -43,25 +42,25 @@ def _battery(pilot: Pilot) -> list[str]:
 
 
 def _route(pilot: Pilot) -> list[str]:
-    if pilot.flown is None:
+    if pilot.flight_plan is None:
         return []
-    plan, energy = pilot.flown.plan, pilot.judge.energy
+    plan, energy = pilot.flight_plan.plan, pilot.estimates.energy
     line = (
         f"ok       route: {len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
         f" {plan.energy_wh:.0f} Wh in calm air as believed"
     )
-    if pilot.ground.plan_refused or energy is None:
+    if pilot.preflight().plan_refused or energy is None:
         return [line.replace("ok ", "   ", 1)]
-    reserve_wh = pilot.judge.limits.reserve_frac * energy.usable_full_wh
+    reserve_wh = pilot.estimates.limits.reserve_frac * energy.usable_full_wh
     spare_wh = energy.mean_wh - reserve_wh - plan.energy_wh
     return [f"{line}: {spare_wh:.0f} Wh to spare above the reserve of {reserve_wh:.0f} Wh"]
 
 
 def _home(pilot: Pilot) -> list[str]:
     """Where a flight to a promised stop ends, and what is no promise."""
-    if pilot.flown is None or pilot.flown.plan.home is None:
+    if pilot.flight_plan is None or pilot.flight_plan.plan.home is None:
         return []
-    plan = pilot.flown.plan
+    plan = pilot.flight_plan.plan
     away_m = horizontal_m(plan.landing_ned_m, plan.depot_ned_m)
     others = ", ".join(stop.name for stop in plan.stops) or "none"
     lines = [

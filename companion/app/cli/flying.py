@@ -10,7 +10,7 @@ from companion.adapters.files.params import flight_path, read_flight
 from companion.app.cli.check_report import report
 from companion.app.flight.run import DONE, GROUNDED, NO_LINK, RunOptions, run
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
-from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 
 

@@ -204,7 +204,7 @@ def run_command(
         raise LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
 
     from companion.app.cli.flying import CommandLine, fly, fly_in_fleet
-    from companion.core.pilot.pilot_state import PilotOptions
+    from companion.core.pilot.context import PilotOptions
 
     pilot = PilotOptions(
         gate_on=gate is Gate.ON,
@@ -241,7 +241,7 @@ def check(
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
     from companion.app.cli.flying import CommandLine
     from companion.app.cli.flying import check as check_now
-    from companion.core.pilot.pilot_state import PilotOptions
+    from companion.core.pilot.context import PilotOptions
 
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit

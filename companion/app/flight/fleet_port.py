@@ -36,9 +36,8 @@ from companion.core.mission.events import (
     LimitsChanged,
     NeighbourHeard,
 )
-from companion.core.pilot.mission_end import home_now
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.core.separation.track import Track
@@ -67,7 +66,6 @@ from companion.fleet.network import MemberLink
 STATE_S = 1.0
 CURRENT = "current.json"
 STANDBY = "standby"
-ASSESSMENT_MAX_AGE_S = 2.5
 
 ANSWER = {
     Reply.ACCEPTED: Answered.DONE,
@@ -245,7 +243,7 @@ class FleetPort:
             **more,
         )
 
-    def publish(self, phase: str, now: Situation, pilot: Pilot | None = None) -> None:
+    def publish(self, phase: str, now: TelemetryState, pilot: Pilot | None = None) -> None:
         """Tell the state when it is due: once a second, and at once in a new phase."""
         now_s = self.member.clock_s()
         if phase == self._told_phase and not is_due(self._told_s, STATE_S, now_s):
@@ -321,13 +319,13 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
 
 def _promise(pilot: Pilot) -> dict[str, Any]:
     """What the pilot believes, where it is fresh."""
-    seen, wind, energy = pilot.assessment, pilot.judge.wind, pilot.judge.energy
-    told: dict[str, Any] = {"delivered": pilot.air.delivered, "home": _id(home_now(pilot))}
+    seen, wind, energy = pilot.fresh_assessment, pilot.estimates.wind, pilot.estimates.energy
+    told: dict[str, Any] = {"delivered": pilot.delivered, "home": _id(pilot.home)}
     if energy is not None:
         told["energy_left_wh"] = energy.mean_wh
     if wind is not None and wind.valid:
         told["wind_to_n_mps"], told["wind_to_e_mps"] = (float(x) for x in wind.mean_to_ne_mps)
-    if seen is not None and pilot.now.t_s - seen.t_s <= ASSESSMENT_MAX_AGE_S:
+    if seen is not None:
         told["margin_wh"] = seen.margin_wh
         for name in ("p_home", "p_home_now", "p_success"):
             told[name] = _share(getattr(seen, name))

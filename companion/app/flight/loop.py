@@ -112,7 +112,7 @@ class Loop:
     ) -> "Loop":
         """Connect the parts."""
         clock = AutopilotClock()
-        clock.resume(pilot.now.t_s)
+        clock.resume(pilot.telemetry.t_s)
         made: list[Loop] = []
 
         def send(message: Any) -> None:
@@ -132,7 +132,7 @@ class Loop:
             clock=clock,
             silence_limit_s=silence_limit_s,
             autopilot=AutopilotPort(send, clock, system_id),
-            operator=OperatorPort(send, ask, lambda: pilot.judge.limits, say),
+            operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say),
             wall_clock_s=wall_clock_s,
         )
         made.append(loop)
@@ -161,7 +161,7 @@ class Loop:
     def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
             port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
-        port.publish(self.pilot.phase.value, self.pilot.now, self.pilot)
+        port.publish(self.pilot.phase.value, self.pilot.telemetry, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:
         system = self.autopilot.system_id
@@ -226,7 +226,7 @@ class Loop:
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
-        self.recorder.heard(self.pilot.now, self.pilot.flavour, self.autopilot.system_id)
+        self.recorder.heard(self.pilot.telemetry, self.pilot.autopilot, self.autopilot.system_id)
         if self._is_behind():
             self._give([Tick(t_s, late=True)])
         else:

@@ -32,7 +32,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.events import Flavour
 from companion.core.mission.flight_plan import FlightPlan, plan_row
 from companion.core.mission.preflight_checks import Finding
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 
 RESULT = "result.json"
 FORMAT = "companion-result/1"
@@ -69,7 +69,7 @@ class Recorder:
         self._flavour: Flavour | None = None
         self._finished: Finished | None = None
 
-    def heard(self, now: Situation, flavour: Flavour | None, system_id: int | None) -> None:
+    def heard(self, now: TelemetryState, flavour: Flavour | None, system_id: int | None) -> None:
         """Record what is new in the situation at a tick: `companion replay` starts from it."""
         if flavour is not None and system_id is not None and flavour is not self._flavour:
             self._flavour = flavour

@@ -29,9 +29,9 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
 from companion.core.mission.events import Flavour
 from companion.core.mission.preflight_checks import Requirement, RouteFacts
-from companion.core.pilot.checkpoint import Kept
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.pilot_state import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.learned_policy import AvoidancePolicy
 
@@ -118,10 +118,9 @@ class Run:
             requirements=requirements,
             digest=digest,
             options=options.pilot,
-            kept=kept,
+            checkpoint=kept,
+            policy=flying_policy(options.policy) if options.policy is not None else None,
         )
-        if options.policy is not None:
-            pilot.apart.policy = flying_policy(options.policy)
         link = open_link(options.link)
         continues = kept is not None and not kept.finished
         recorder = Recorder(
@@ -149,13 +148,13 @@ class Run:
             make = make_tables or partial(TableWorker, LOCKSTEP_WAIT_S if options.lockstep else 0.0)
             loop.tables = make()
         names = f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}"
-        recorder.note(pilot.now.t_s, names)
+        recorder.note(pilot.telemetry.t_s, names)
         if trouble:
-            recorder.note(pilot.now.t_s, trouble)
+            recorder.note(pilot.telemetry.t_s, trouble)
         if not options.pilot.gate_on:
-            recorder.note(pilot.now.t_s, "GATE OFF: never turns back, for comparison only")
+            recorder.note(pilot.telemetry.t_s, "GATE OFF: never turns back, for comparison only")
         if kept is not None and continues:
-            recorder.note(pilot.now.t_s, f"going on from a checkpoint in phase {kept.phase}")
+            recorder.note(pilot.telemetry.t_s, f"going on from a checkpoint in phase {kept.phase}")
         return cls(loop, recorder, pilot)
 
     def step(self) -> int | None:
@@ -174,10 +173,10 @@ class Run:
         loop.flush()
         recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
         recorder.write_result(
-            delivered=pilot.air.delivered,
-            flown=pilot.flown,
+            delivered=pilot.delivered,
+            flown=pilot.flight_plan,
             phase=pilot.phase.value,
-            findings=pilot.ground.findings,
+            findings=pilot.findings,
         )
         if loop.tables is not None:
             loop.tables.stop()
@@ -199,7 +198,7 @@ def flying_policy(name: str) -> AvoidancePolicy:
     return policy
 
 
-def _kept(options: RunOptions, digest: str) -> tuple[Kept | None, str]:
+def _kept(options: RunOptions, digest: str) -> tuple[Checkpoint | None, str]:
     """The checkpoint, and what is wrong with it: a broken one must not stop a flight from home."""
     if options.pilot.check_only:
         return None, ""

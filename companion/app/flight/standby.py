@@ -25,7 +25,7 @@ from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import AskTelemetry
 from companion.core.mission.events import ClockStepped
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Assign, Command, Launch, Recall, Withdraw
 
@@ -58,7 +58,7 @@ class Standby:
         self._codec = codec
         self._clock = AutopilotClock()
         self._autopilot = AutopilotPort(self._send, self._clock, system_id)
-        self._now = Situation()
+        self._now = TelemetryState()
         self._beat_s: float | None = None
         self._taken: Assigned | None = None
         self._clock_s = clock_s
@@ -121,7 +121,7 @@ class Standby:
         for event in self._autopilot.on_message(message):
             if isinstance(event, ClockStepped):
                 self._now.forget()
-            self._now.hear(event)
+            self._now.update(event)
         if self._autopilot.system_id is not None:
             self._codec.be_system(self._autopilot.system_id)
 

@@ -1,9 +1,19 @@
-"""Safety rule 1: whose hand is on the vehicle, judged from the autopilot's heartbeats."""
+"""Safety rule 1: who has control of the vehicle, judged from the autopilot's heartbeats."""
 
 from dataclasses import dataclass
 
-from companion.core.mission.events import Mode, VehicleState
-from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES, Phase
+from companion.core.mission.actions import Answer, Reply, Severity
+from companion.core.mission.events import (
+    ControlHandedBack,
+    ControlTaken,
+    Event,
+    Mode,
+    ModeNow,
+    OtherComputer,
+    VehicleState,
+)
+from companion.core.pilot.context import FlightContext
+from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES, Phase, Trigger
 
 
 @dataclass(slots=True)
@@ -14,10 +24,34 @@ class Authority:
     ordered_from: str | None = None
     ordered: Mode | None = None
 
-    def order(self, mode: Mode, now: VehicleState | None) -> None:
-        """A mode change has been ordered: for now the old mode is no surprise."""
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Heartbeats, other computers, and operators who take control or hand it back."""
+        state = context.telemetry.state
+        match event:
+            case VehicleState() | ModeNow() if state is not None:
+                on_ground = context.telemetry.on_ground
+                why = self.intrusion(context.phase, state, on_ground=on_ground)
+                if why is not None:
+                    context.request_transition(Trigger.TAKEN_OVER, why)
+            case OtherComputer():
+                _yield_to(context, event)
+            case ControlHandedBack():
+                self._take_back(context, event.by)
+            case ControlTaken():
+                context.do(Answer(Reply.ACCEPTED))
+                context.request_transition(Trigger.TAKEN_OVER, f"told so by {event.by}")
+            case _:
+                return
+
+    def begin(self, state: VehicleState | None) -> None:
+        """The autopilot is identified: the mode that it stands in is nobody's intrusion."""
+        if state is not None and state.ready_state:
+            self.ground_mode = state.mode_name
+
+    def expect(self, mode: Mode, state: VehicleState | None) -> None:
+        """A mode change is ordered: until it shows, the old mode is no intrusion."""
         self.ordered = mode
-        self.ordered_from = now.mode_name if now is not None else None
+        self.ordered_from = state.mode_name if state is not None else None
 
     def forget(self) -> None:
         """No order of ours is under way."""
@@ -25,13 +59,17 @@ class Authority:
         self.ordered_from = None
 
     def intrusion(self, phase: Phase, state: VehicleState, *, on_ground: bool) -> str | None:
-        """Say why this heartbeat shows another hand, or `None`."""
+        """Say why this heartbeat shows that somebody else has control, or `None`."""
         if phase in GROUND_PHASES:
             return self._on_ground(phase, state)
         flying = phase in FLIGHT_PHASES or phase is Phase.LINK_LOST
         if not flying or not state.armed or (phase is Phase.LAND and on_ground):
             return None
         return self._mode(state, (Mode.MISSION,) if phase is not Phase.LAST_RESORT else ())
+
+    def mode_intrusion(self, state: VehicleState) -> str | None:
+        """The same of a vehicle that has to be in its mission."""
+        return self._mode(state, (Mode.MISSION,))
 
     def _on_ground(self, phase: Phase, state: VehicleState) -> str | None:
         if phase is Phase.ARM:
@@ -57,3 +95,29 @@ class Authority:
         if state.mode_name == self.ordered_from:
             return None
         return f"mode changed to {state.mode_name}"
+
+    def _take_back(self, context: FlightContext, by: str) -> None:
+        """An operator hands control back: accepted only after a take-over, with our mission."""
+        state = context.telemetry.state
+        if context.phase is not Phase.SUSPENDED:
+            context.do(Answer(Reply.DENIED))
+        elif context.telemetry.armed and context.flight_plan is None:
+            context.say(Severity.WARNING, "cannot take control: no mission of ours aboard")
+            context.do(Answer(Reply.DENIED))
+        else:
+            context.do(Answer(Reply.ACCEPTED))
+            context.decide("handed_back", f"by {by}")
+            if state is not None and state.armed and state.mode is not Mode.MISSION:
+                self.expect(Mode.MISSION, state)
+            self.ground_mode = None
+            context.request_transition(Trigger.HANDED_BACK, f"handed back by {by}")
+
+
+def _yield_to(context: FlightContext, event: OtherComputer) -> None:
+    if context.phase is Phase.PASSIVE:
+        return
+    if event.active or (event.booting and context.phase is Phase.IDENTIFY):
+        words = "another onboard computer is on this system"
+        context.request_transition(Trigger.OTHER_COMPUTER, words)
+        if context.phase is not Phase.PASSIVE:
+            context.say_once(Severity.WARNING, "another onboard computer on this system")

@@ -1,4 +1,4 @@
-"""What survives a restart of the companion: enough to pick the flight up, never more energy."""
+"""What survives a restart of the companion: enough to go on with the flight, never more energy."""
 
 from typing import Any, Literal
 
@@ -9,7 +9,7 @@ from companion.core.base.geo import LocalFrame
 from companion.core.routing.route_planner import Plan
 
 
-class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A checkpoint's content. `flight` is a digest of flight file and airframe.
 
     `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
@@ -42,14 +42,14 @@ class Kept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     judgement: dict[str, Any]
 
 
-def kept_from_dict(table: dict[str, Any], where: str) -> Kept:
+def checkpoint_from_dict(table: dict[str, Any], where: str) -> Checkpoint:
     """Check a checkpoint that was read; LeewayError names the file and the key."""
     try:
-        return msgspec.convert(table, Kept)
+        return msgspec.convert(table, Checkpoint)
     except (msgspec.ValidationError, LeewayError) as error:
         raise LeewayError(f"{where}: {error}") from error
 
 
-def kept_to_dict(kept: Kept) -> dict[str, Any]:
+def checkpoint_to_dict(checkpoint: Checkpoint) -> dict[str, Any]:
     """Plain JSON-safe values."""
-    return msgspec.to_builtins(kept)
+    return msgspec.to_builtins(checkpoint)

@@ -1,4 +1,4 @@
-"""What the companion believes: wind, energy and the promise; fed by the situation, asked often."""
+"""Estimates of wind and energy, and the gate's answer from them; updated at every tick."""
 
 import re
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
     POSITION_MAX_AGE_S,
     WIND_MAX_AGE_S,
-    Situation,
+    TelemetryState,
 )
 from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams, turned_back
 from companion.core.return_budget.remaining_mission import OnTheWay, hurried
@@ -39,13 +39,13 @@ from companion.core.wind.process import WindProcessParams
 
 BATTERY_EVERY_S = 0.2
 STEADY_HEIGHT_M = 10.0
-"""Above, measured power is held against the model's."""
+"""Above this height measured power is compared with the model's."""
 
 HURRY_EVERY_S = 20.0
-"""How often the fastest airspeed is looked for, where the operator asks for it."""
+"""How often the fastest airspeed is searched for, where the operator asks for it."""
 
 HURRY_HALVINGS = 4
-"""To within a sixteenth of the airspeeds that there are."""
+"""To within a sixteenth of the range of airspeeds."""
 
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
@@ -59,7 +59,7 @@ class Limits:
     reserve_frac: float
 
 
-class Judgement:
+class Estimates:
     """Holds the estimators and the gate of one vehicle."""
 
     def __init__(
@@ -94,7 +94,7 @@ class Judgement:
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
         self.table: ValueTable | None = None
-        self._battery_s = -1e9
+        self._battery_s: float | None = None
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
 
@@ -103,10 +103,10 @@ class Judgement:
         """Usable energy left, `None` while nothing is known."""
         return self._ledger.belief()
 
-    def observe(self, now: Situation, flavour: Flavour) -> tuple[str, ...]:
-        """Take the situation at a tick; returns what is new to warn about, in words."""
+    def observe(self, now: TelemetryState, flavour: Flavour) -> tuple[str, ...]:
+        """Take the telemetry at a tick; returns new warnings, in words."""
         t_s = now.t_s
-        if t_s - self._battery_s >= BATTERY_EVERY_S - 1e-6 or t_s < self._battery_s:
+        if self._battery_due(t_s):
             self._battery_s = t_s
             self._observe_battery(now, flavour, t_s)
         left_out = self._observe_wind(now, t_s)
@@ -122,13 +122,18 @@ class Judgement:
             self._warned.update(kinds)
         return tuple(warnings)
 
-    def _observe_battery(self, now: Situation, flavour: Flavour, t_s: float) -> None:
+    def _battery_due(self, t_s: float) -> bool:
+        """Often enough, and at once where time went back."""
+        last_s = self._battery_s
+        return last_s is None or t_s < last_s or t_s - last_s >= BATTERY_EVERY_S - 1e-6
+
+    def _observe_battery(self, now: TelemetryState, flavour: Flavour, t_s: float) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
         heard = battery is not None and (
             battery.voltage_v is not None or battery.remaining_frac is not None
         )
         if not heard and self._ledger.belief() is None:
-            return  # the ledger only falls: its first look must be at a battery
+            return  # the ledger never rises: it must start from a battery that was heard
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
@@ -157,13 +162,13 @@ class Judgement:
             )
         )
 
-    def _is_steady(self, now: Situation) -> bool:
-        """In the air, above the ground's turbulence, with a wind to reckon the airspeed from."""
+    def _is_steady(self, now: TelemetryState) -> bool:
+        """In the air, above the ground's turbulence, with a valid wind estimate."""
         position = now.position
         high = position is not None and position.height_rel_m > STEADY_HEIGHT_M
         return now.airborne and high and self.wind is not None and self.wind.valid
 
-    def _modelled_power_w(self, now: Situation) -> float | None:
+    def _modelled_power_w(self, now: TelemetryState) -> float | None:
         if not now.armed:
             return None
         if now.on_ground or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
@@ -176,7 +181,7 @@ class Judgement:
         airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
         return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
 
-    def _observe_wind(self, now: Situation, t_s: float) -> tuple[str, ...]:
+    def _observe_wind(self, now: TelemetryState, t_s: float) -> tuple[str, ...]:
         position = now.position if now.is_fresh(now.position, POSITION_MAX_AGE_S) else None
         if now.gnss is not None and not now.gnss.usable:
             position = None
@@ -392,7 +397,7 @@ class Judgement:
             "reserve_frac": self.limits.reserve_frac,
         }
 
-    def restore(self, kept: "JudgementKept") -> None:
+    def restore(self, kept: "EstimatesSnapshot") -> None:
         """Go on from a checkpoint: energy never rises."""
         self._ledger.restore(kept.ledger)
         self._outlook.restore(kept.outlook)
@@ -427,8 +432,8 @@ def _with_value(seen: Assessment, value: Reading | None) -> Assessment:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgementKept:
-    """`Judgement.snapshot` as read from a checkpoint."""
+class EstimatesSnapshot:
+    """`Estimates.snapshot` as read from a checkpoint."""
 
     ledger: dict[str, object]
     outlook: dict[str, object]

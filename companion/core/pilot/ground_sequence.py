@@ -1,11 +1,12 @@
 """The mission on the ground: ask, wait, plan, upload, read back, refuse or arm."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import (
+    Answer,
     Arm,
     AskParameters,
     AskTelemetry,
@@ -19,6 +20,7 @@ from companion.core.mission.actions import (
     UploadMission,
 )
 from companion.core.mission.events import (
+    Authorised,
     AutopilotParameters,
     Event,
     Flavour,
@@ -38,379 +40,486 @@ from companion.core.mission.flight_plan import (
 )
 from companion.core.mission.preflight_checks import (
     Finding,
+    Requirement,
+    RouteFacts,
     judge,
     names_read,
     pack_trouble,
     settings_wanted,
 )
-from companion.core.pilot.telemetry_state import ATTITUDE_MAX_AGE_S, BATTERY_MAX_AGE_S
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
+from companion.core.pilot.telemetry_state import (
+    ATTITUDE_MAX_AGE_S,
+    BATTERY_MAX_AGE_S,
+    STATE_MAX_AGE_S,
+)
 from companion.core.pilot.transitions import GROUND_PHASES, Phase, Trigger
-from companion.core.routing.route_planner import NoRoute
+from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.energy_ledger import EnergyBelief
-
-if TYPE_CHECKING:
-    from companion.core.pilot.pilot import Pilot
 
 ASK_AGAIN_S = 20.0
 ATTEMPTS = 3
 UPLOADS = 6
-"""So often an upload is begun: with a fifth of all frames lost three broke off in turn (flown)."""
+"""So often an upload is begun: with a fifth of all frames lost three broke off in turn."""
 
 ARM_AGAIN_S = 3.0
 ARM_LIMIT_S = 90.0
 WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
-PACK_LOOK_S = 5.0
+PACK_WAIT_S = 5.0
+
+Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
+"""What an autopilot's settings must be for a route."""
 
 
-def enter(pilot: Pilot, left: Phase) -> None:
-    """Begin a ground phase."""
-    ground = pilot.ground
-    ground.asked_s = pilot.now.t_s
-    match pilot.phase:
-        case Phase.CONFIGURE:
-            pilot.do(AskTelemetry())
-        case Phase.PLAN:
-            ground.attempts = 0
-            ground.findings_known = False
-            pilot.flown = None
-        case Phase.UPLOAD:
-            _upload(pilot)
-        case Phase.READ_BACK:
-            assert pilot.flown is not None
-            pilot.do(ReadMissionBack(pilot.flown.mission.items))
-        case Phase.READY:
-            pilot.say(Severity.NOTICE, "ready: mission aboard and read back")
-        case Phase.ARM:
-            pilot.air.authorised = True
-            pilot.save()
-            pilot.authority.order(Mode.MISSION, pilot.now.state)
-            pilot.do(SetMode(Mode.MISSION))
-        case _:
-            return
+@dataclass(frozen=True, slots=True)
+class PreflightReport:
+    """The pre-flight now. `gave_up`: why there is no take-off; `""` while there may be one.
+
+    `settings_met`: so many required settings are as they should be. `plan_refused`: why no route
+    keeps the promise, where a check went on without.
+    """
+
+    gave_up: str
+    findings: tuple[Finding, ...]
+    settings_met: int
+    plan_refused: str
 
 
-def tick(pilot: Pilot) -> None:
-    """Work on the ground phase that we are in."""
-    if pilot.phase not in GROUND_PHASES:
-        return
-    if pilot.ground.giving_up:
-        _give_up_when_restored(pilot)
-        return
-    match pilot.phase:
-        case Phase.CONFIGURE:
-            _wait_telemetry(pilot)
-        case Phase.WAIT_POSITION:
-            _wait_position(pilot)
-        case Phase.PLAN:
-            _plan(pilot)
-        case Phase.READY:
-            _ready(pilot)
-        case Phase.ARM:
-            _arm(pilot)
-        case _:
-            return
+@dataclass(slots=True)
+class GroundWork:
+    """What was asked for and found before take-off."""
+
+    authorised: bool = False
+    asked_s: float | None = None
+    arm_asked_s: float | None = None
+    uploads: int = 0
+    values: dict[str, float | None] = field(default_factory=dict)
+    settings_before: dict[str, float] = field(default_factory=dict)
+    settings_asked_back: bool = False
+    configured: bool = False
+    requirements: tuple[Requirement, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    findings_known: bool = False
+    plan_refused: str = ""
+    giving_up: str = ""
+    giving_up_s: float = 0.0
+    waiting_for: str = ""
+    """What was said last to be waited for."""
 
 
-def hear(pilot: Pilot, event: Event) -> None:
-    """Take the autopilot's answers."""
-    ground = pilot.ground
-    match event:
-        case StreamsAsked() if event.refused:
-            pilot.do(Note(f"not granted: {', '.join(event.refused)}"))
-        case AutopilotParameters():
-            ground.values.update(event.values)
-            if pilot.phase is Phase.PLAN and pilot.flown is not None:
-                _parameters_known(pilot)
-            elif not ground.findings_known and ground.requirements:
-                ground.findings = judge(ground.requirements, ground.values)
-                ground.findings_known = True
-        case ParametersSet():
-            if event.failed:
-                pilot.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
-            if ground.giving_up:
-                ground.settings_before = {}
-                ground.giving_up_s = -1e9
-        case MissionUploaded() if pilot.phase is Phase.UPLOAD:
-            if event.reason is None:
-                pilot.fire(Trigger.UPLOADED)
-            elif ground.attempts >= UPLOADS:
-                give_up(pilot, f"upload refused: {event.reason}")
-            else:
-                pilot.do(Note(f"upload refused: {event.reason}"))
-                _upload(pilot)
-        case MissionReadBack() if pilot.phase is Phase.READ_BACK:
-            if not event.differences:
-                pilot.decide("read_back", "the mission aboard is the one that was planned")
-                pilot.fire(Trigger.READ_BACK_MATCHES)
+class GroundSequence:
+    """Works through the ground phases, up to arming."""
+
+    def __init__(
+        self,
+        flight: Airborne,
+        modes: ModeOrders,
+        planner: BerPlanner,
+        obstacles: dict[str, Any] | None,
+        requirements: Requirements,
+    ) -> None:
+        self._state = GroundWork()
+        self._flight = flight
+        self._modes = modes
+        self._planner = planner
+        self._obstacles = obstacles
+        self._requirements = requirements
+
+    # --- what others ask -------------------------------------------------------------------------
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Settings of the autopilot that are not as the promise needs them."""
+        return self._state.findings
+
+    @property
+    def rtl_is_safe(self) -> bool:
+        """RTL is known to clear every obstacle."""
+        unsafe = [f for f in self._state.findings if f.name.startswith("RTL")]
+        return not unsafe and self._state.findings_known
+
+    @property
+    def settings_before(self) -> dict[str, float]:
+        """The autopilot's settings that are still to be put back."""
+        return self._state.settings_before
+
+    @property
+    def restoring(self) -> bool:
+        """Settings were ordered back after the flight, and that is not confirmed yet."""
+        return self._state.settings_asked_back and bool(self._state.settings_before)
+
+    def put_settings_back(self, context: FlightContext) -> None:
+        """Order the autopilot's settings back after the flight."""
+        context.do(Configure(dict(self._state.settings_before)))
+        self._state.settings_asked_back = True
+
+    def report(self, context: FlightContext) -> PreflightReport:
+        """The pre-flight now."""
+        state = self._state
+        met = len(state.requirements) - len(state.findings)
+        findings = () if state.giving_up else self._live_findings(context)
+        return PreflightReport(state.giving_up, findings, met, state.plan_refused)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        before = dict(self._state.settings_before)
+        return {"authorised": self._state.authorised, "settings_before": before}
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint."""
+        self._state.authorised = checkpoint.authorised
+        self._state.settings_before = dict(checkpoint.settings_before)
+
+    # --- phases, ticks, events -------------------------------------------------------------------
+
+    def enter(self, context: FlightContext) -> None:
+        """Begin a ground phase."""
+        state = self._state
+        state.asked_s = context.t_s
+        match context.phase:
+            case Phase.CONFIGURE:
+                context.do(AskTelemetry())
+            case Phase.PLAN:
+                state.uploads = 0
+                state.findings_known = False
+                context.flight_plan = None
+            case Phase.UPLOAD:
+                self._upload(context)
+            case Phase.READ_BACK:
+                assert context.flight_plan is not None
+                context.do(ReadMissionBack(context.flight_plan.mission.items))
+            case Phase.READY:
+                context.say(Severity.NOTICE, "ready: mission aboard and read back")
+            case Phase.ARM:
+                state.authorised = True
+                context.save()
+                self._modes.expect(Mode.MISSION, context.telemetry.state)
+                context.do(SetMode(Mode.MISSION))
+            case _:
                 return
-            for words in event.differences[:10]:
-                pilot.do(Note(f"read back: {words}"))
-            if ground.attempts >= ATTEMPTS:
-                give_up(pilot, f"read back differs: {event.differences[0]}")
-            else:
-                pilot.fire(Trigger.READ_BACK_DIFFERS, event.differences[0])
-        case _:
+
+    def tick(self, context: FlightContext) -> None:
+        """Work on the ground phase that we are in."""
+        if context.phase not in GROUND_PHASES:
             return
+        if self._state.giving_up:
+            self._end_when_restored(context)
+            return
+        match context.phase:
+            case Phase.CONFIGURE:
+                self._wait_telemetry(context)
+            case Phase.WAIT_POSITION:
+                self._wait_position(context)
+            case Phase.PLAN:
+                self._plan(context)
+            case Phase.READY:
+                self._ready(context)
+            case Phase.ARM:
+                self._arm(context)
+            case _:
+                return
 
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Take the autopilot's answers, and an operator's authorisation."""
+        state = self._state
+        match event:
+            case Authorised():
+                context.do(Answer(self._authorise(context, event.by)))
+            case OrderRefused() if context.phase is Phase.ARM:
+                context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
+            case StreamsAsked() if event.refused:
+                context.do(Note(f"not granted: {', '.join(event.refused)}"))
+            case AutopilotParameters():
+                self._parameters_read(context, event)
+            case ParametersSet():
+                if event.failed:
+                    context.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
+                if state.giving_up or state.settings_asked_back:
+                    state.settings_before = {}
+            case MissionUploaded() if context.phase is Phase.UPLOAD:
+                self._uploaded(context, event)
+            case MissionReadBack() if context.phase is Phase.READ_BACK:
+                self._read_back(context, event)
+            case _:
+                return
 
-def order_refused(pilot: Pilot, event: OrderRefused) -> None:
-    """Take a refusal while arming: said once, asked again until the limit."""
-    if pilot.phase is Phase.ARM:
-        pilot.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
-
-
-def authorise(pilot: Pilot, by: str) -> Reply:
-    """Take an operator's authorisation of this mission."""
-    ground = pilot.ground
-    if pilot.options.check_only or pilot.phase not in GROUND_PHASES or ground.giving_up:
-        return Reply.DENIED
-    if pilot.phase is Phase.ARM:
-        return Reply.ACCEPTED
-    if pilot.phase is not Phase.READY:
-        return Reply.LATER
-    findings = live_findings(pilot)
-    blocking = [f for f in findings if f.blocks and not f.waits]
-    if blocking:
-        for finding in blocking:
-            pilot.say(Severity.ERROR, f"refused: {finding.words}")
-        pilot.decide("refused", "; ".join(f.words for f in blocking))
-        return Reply.DENIED
-    waiting = [f for f in findings if f.blocks]
-    if waiting:
-        _say_waiting(pilot, waiting)
-        return Reply.LATER
-    pilot.decide("authorised", f"by {by}")
-    pilot.fire(Trigger.AUTHORISED, f"authorised by {by}")
-    return Reply.ACCEPTED
-
-
-def live_findings(pilot: Pilot) -> tuple[Finding, ...]:
-    """The pre-flight now: settings, and what may still come by itself."""
-    now = pilot.now
-    found: list[Finding] = []
-    if trouble := _pack_trouble(pilot):
-        found.append(Finding("pack", trouble, blocks=True))
-    if pilot.ground.plan_refused:
-        found.append(Finding("plan", pilot.ground.plan_refused, blocks=True))
-    found += pilot.ground.findings
-    found += [Finding("position", w, blocks=True, waits=True) for w in now.troubles()]
-    if now.readiness is not None and not now.readiness.ready:
-        words = "the autopilot's own pre-arm checks do not pass yet"
-        found.append(Finding("prearm", words, blocks=True, waits=True))
-    if pilot.judge.energy is None:
-        words = "nothing known about the battery's energy"
-        found.append(Finding("energy", words, blocks=True, waits=True))
-    if now.failing:
-        found.append(Finding("failsafe", "the autopilot reports a failsafe", True, waits=True))
-    return tuple(found)
-
-
-def give_up(pilot: Pilot, reason: str) -> None:
-    """End before take-off, once the autopilot has its own settings back."""
-    ground = pilot.ground
-    if ground.giving_up:
-        return
-    ground.giving_up = reason
-    ground.giving_up_s = pilot.now.t_s
-    pilot.say(Severity.ERROR, f"no take-off: {reason}")
-    pilot.decide("grounded", reason)
-    if ground.settings_before:
-        pilot.do(Configure(dict(ground.settings_before)))
-
-
-def _give_up_when_restored(pilot: Pilot) -> None:
-    ground = pilot.ground
-    if not ground.settings_before or pilot.now.t_s - ground.giving_up_s > RESTORE_LIMIT_S:
-        pilot.fire(Trigger.NOT_POSSIBLE, ground.giving_up)
-
-
-# --- phases -------------------------------------------------------------------------------------
-
-
-def _wait_telemetry(pilot: Pilot) -> None:
-    now, ground = pilot.now, pilot.ground
-    missing = [
-        name
-        for name, sample, limit_s in (
-            ("attitude", now.attitude, ATTITUDE_MAX_AGE_S),
-            ("battery", now.battery, BATTERY_MAX_AGE_S),
-            ("heartbeat", now.state, 3.5),
+    def ask_parameters(self, context: FlightContext) -> None:
+        """Ask for the settings that the promise rests on."""
+        flown = context.flight_plan
+        if flown is None or context.autopilot is None:
+            return
+        facts = route_facts(
+            context.flight, context.airframe, flown, keep_apart=context.options.keep_apart
         )
-        if not now.is_fresh(sample, limit_s)
-    ]
-    if not missing:
-        pilot.fire(Trigger.TELEMETRY_COMES)
-    elif now.t_s - ground.asked_s > ASK_AGAIN_S:
-        ground.asked_s = now.t_s
-        pilot.say(Severity.WARNING, f"does not come: {', '.join(missing)}")
-        pilot.do(AskTelemetry())
+        self._state.requirements = self._requirements(context.autopilot, facts)
+        context.do(AskParameters(names_read(self._state.requirements)))
 
+    # --- authorisation and refusal ---------------------------------------------------------------
 
-def _wait_position(pilot: Pilot) -> None:
-    troubles = pilot.now.position_troubles()
-    if not troubles and pilot.judge.energy is not None:
-        pilot.fire(Trigger.POSITION_USABLE)
-        return
-    waited_s = pilot.now.t_s - pilot.phase_since_s
-    if waited_s > ASK_AGAIN_S:
-        pilot.say_once(Severity.WARNING, "; ".join(troubles) or "battery unknown")
-    if waited_s > WAIT_LIMIT_S and pilot.options.check_only:
-        give_up(pilot, "; ".join(troubles) or "battery unknown")
+    def _authorise(self, context: FlightContext, by: str) -> Reply:
+        """Take an operator's authorisation of this mission."""
+        checking = context.options.check_only
+        if checking or context.phase not in GROUND_PHASES or self._state.giving_up:
+            return Reply.DENIED
+        if context.phase is Phase.ARM:
+            return Reply.ACCEPTED
+        if context.phase is not Phase.READY:
+            return Reply.LATER
+        findings = self._live_findings(context)
+        blocking = [f for f in findings if f.blocks and not f.waits]
+        if blocking:
+            for finding in blocking:
+                context.say(Severity.ERROR, f"refused: {finding.words}")
+            context.decide("refused", "; ".join(f.words for f in blocking))
+            return Reply.DENIED
+        waiting = [f for f in findings if f.blocks]
+        if waiting:
+            self._say_waiting(context, waiting)
+            return Reply.LATER
+        context.decide("authorised", f"by {by}")
+        context.request_transition(Trigger.AUTHORISED, f"authorised by {by}")
+        return Reply.ACCEPTED
 
+    def _live_findings(self, context: FlightContext) -> tuple[Finding, ...]:
+        """The pre-flight now: settings, and what may still come by itself."""
+        telemetry = context.telemetry
+        found: list[Finding] = []
+        if trouble := _pack_trouble(context):
+            found.append(Finding("pack", trouble, blocks=True))
+        if self._state.plan_refused:
+            found.append(Finding("plan", self._state.plan_refused, blocks=True))
+        found += self._state.findings
+        troubles = telemetry.troubles()
+        found += [Finding("position", words, blocks=True, waits=True) for words in troubles]
+        if telemetry.readiness is not None and not telemetry.readiness.ready:
+            words = "the autopilot's own pre-arm checks do not pass yet"
+            found.append(Finding("prearm", words, blocks=True, waits=True))
+        if context.estimates.energy is None:
+            words = "nothing known about the battery's energy"
+            found.append(Finding("energy", words, blocks=True, waits=True))
+        if telemetry.failing:
+            found.append(Finding("failsafe", "the autopilot reports a failsafe", True, waits=True))
+        return tuple(found)
 
-def _pack_trouble(pilot: Pilot) -> str:
-    battery = pilot.now.battery
-    if pilot.now.armed or battery is None or not pilot.now.is_fresh(battery, BATTERY_MAX_AGE_S):
-        return ""
-    return pack_trouble(pilot.airframe.battery, battery.voltage_v)
-
-
-def _planned(pilot: Pilot, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
-    now = pilot.now
-    assert now.position is not None
-    here = pilot.options.here
-    frame = frame_of(pilot.flight, now.position, here=here)
-    site = site_map(pilot.flight, frame, pilot.obstacles, here=here)
-    reserve_frac = pilot.judge.limits.reserve_frac
-    asides = pilot.options.keep_apart and pilot.flavour is Flavour.ARDUPILOT
-    return make_plan(pilot.flight, site, pilot.planner, energy, reserve_frac, asides=asides)
-
-
-def _plan(pilot: Pilot) -> None:
-    """Plan, then read (and set) the settings that the plan rests on."""
-    now, ground = pilot.now, pilot.ground
-    if pilot.flown is None:
-        if now.position is None or now.position_troubles():
+    def _give_up(self, context: FlightContext, reason: str) -> None:
+        """End before take-off, once the autopilot has its own settings back."""
+        state = self._state
+        if state.giving_up:
             return
-        checking = pilot.options.check_only
+        state.giving_up = reason
+        state.giving_up_s = context.t_s
+        context.say(Severity.ERROR, f"no take-off: {reason}")
+        context.decide("grounded", reason)
+        if state.settings_before:
+            context.do(Configure(dict(state.settings_before)))
+
+    def _end_when_restored(self, context: FlightContext) -> None:
+        state = self._state
+        if not state.settings_before or context.t_s - state.giving_up_s > RESTORE_LIMIT_S:
+            context.request_transition(Trigger.NOT_POSSIBLE, state.giving_up)
+
+    # --- phases ----------------------------------------------------------------------------------
+
+    def _wait_telemetry(self, context: FlightContext) -> None:
+        telemetry = context.telemetry
+        missing = [
+            name
+            for name, sample, limit_s in (
+                ("attitude", telemetry.attitude, ATTITUDE_MAX_AGE_S),
+                ("battery", telemetry.battery, BATTERY_MAX_AGE_S),
+                ("heartbeat", telemetry.state, STATE_MAX_AGE_S),
+            )
+            if not telemetry.is_fresh(sample, limit_s)
+        ]
+        if not missing:
+            context.request_transition(Trigger.TELEMETRY_COMES)
+        elif context.since_s(self._state.asked_s) > ASK_AGAIN_S:
+            self._state.asked_s = context.t_s
+            context.say(Severity.WARNING, f"does not come: {', '.join(missing)}")
+            context.do(AskTelemetry())
+
+    def _wait_position(self, context: FlightContext) -> None:
+        troubles = context.telemetry.position_troubles()
+        if not troubles and context.estimates.energy is not None:
+            context.request_transition(Trigger.POSITION_USABLE)
+            return
+        words = "; ".join(troubles) or "battery unknown"
+        if context.phase_s > ASK_AGAIN_S:
+            context.say_once(Severity.WARNING, words)
+        if context.phase_s > WAIT_LIMIT_S and context.options.check_only:
+            self._give_up(context, words)
+
+    def _plan(self, context: FlightContext) -> None:
+        """Plan, then read (and set) the settings that the plan rests on."""
+        if context.flight_plan is None:
+            self._make_plan(context)
+        elif context.since_s(self._state.asked_s) > ASK_AGAIN_S:
+            self._state.asked_s = context.t_s
+            self.ask_parameters(context)
+        elif context.options.check_only and self._state.findings_known:
+            self._end_check(context)
+
+    def _make_plan(self, context: FlightContext) -> None:
+        telemetry, checking = context.telemetry, context.options.check_only
+        if telemetry.position is None or telemetry.position_troubles():
+            return
         # Another pack than the airframe's makes every number here wrong, settings too.
-        if (trouble := _pack_trouble(pilot)) and not checking:
-            if now.t_s - pilot.phase_since_s > PACK_LOOK_S:
-                give_up(pilot, trouble)
+        if (trouble := _pack_trouble(context)) and not checking:
+            if context.phase_s > PACK_WAIT_S:
+                self._give_up(context, trouble)
             return
         try:
-            flown = _planned(pilot, pilot.judge.energy if pilot.options.gate_on else None)
+            energy = context.estimates.energy if context.options.gate_on else None
+            flown = self._planned(context, energy)
             if isinstance(flown, NoRoute) and checking:
-                ground.plan_refused = flown.reason  # and go on: what else is missing?
-                flown = _planned(pilot, None)
+                self._state.plan_refused = flown.reason  # and go on: what else is missing?
+                flown = self._planned(context, None)
         except LeewayError as error:
-            give_up(pilot, str(error))
+            self._give_up(context, str(error))
             return
         if isinstance(flown, NoRoute):
-            give_up(pilot, flown.reason)
+            self._give_up(context, flown.reason)
             return
-        pilot.flown = flown
+        context.flight_plan = flown
         plan = flown.plan
-        pilot.decide(
+        context.decide(
             "planned",
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
-        ground.asked_s = now.t_s
-        ask_parameters(pilot)
-    elif now.t_s - ground.asked_s > ASK_AGAIN_S:
-        ground.asked_s = now.t_s
-        ask_parameters(pilot)
-    elif pilot.options.check_only and ground.findings_known:
-        _check_ends(pilot)
+        self._state.asked_s = context.t_s
+        self.ask_parameters(context)
+
+    def _planned(self, context: FlightContext, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
+        flight, here = context.flight, context.options.here
+        assert context.telemetry.position is not None
+        frame = frame_of(flight, context.telemetry.position, here=here)
+        site = site_map(flight, frame, self._obstacles, here=here)
+        reserve_frac = context.estimates.limits.reserve_frac
+        asides = context.options.keep_apart and context.autopilot is Flavour.ARDUPILOT
+        return make_plan(flight, site, self._planner, energy, reserve_frac, asides=asides)
+
+    def _parameters_read(self, context: FlightContext, event: AutopilotParameters) -> None:
+        state = self._state
+        state.values.update(event.values)
+        if context.phase is Phase.PLAN and context.flight_plan is not None:
+            self._parameters_known(context)
+        elif not state.findings_known and state.requirements:
+            state.findings = judge(state.requirements, state.values)
+            state.findings_known = True
+
+    def _parameters_known(self, context: FlightContext) -> None:
+        state = self._state
+        wanted = settings_wanted(state.requirements, state.values)
+        may_set = context.options.configure and not context.options.check_only
+        if wanted and may_set and not state.configured:
+            state.configured = True
+            before = {name: value for name in wanted if (value := state.values[name]) is not None}
+            # What a run that died before us had set is not what the autopilot had at first.
+            state.settings_before = before | state.settings_before
+            context.save()
+            for name, value in wanted.items():
+                context.do(Note(f"setting {name}: {before[name]:g} to {value:g}"))
+            context.do(Configure(wanted))
+            return
+        state.findings = judge(state.requirements, state.values)
+        state.findings_known = True
+        for finding in state.findings:
+            word = "MISSING" if finding.blocks else "off"
+            context.do(Note(f"pre-flight: {word}: {finding.words}"))
+        if not context.options.check_only:
+            context.request_transition(Trigger.PLANNED)
+
+    def _end_check(self, context: FlightContext) -> None:
+        if context.phase_s < CHECK_S:
+            return
+        blocked = any(finding.blocks for finding in self._live_findings(context))
+        context.decide("checked", "something is missing" if blocked else "ready to fly")
+        context.request_transition(Trigger.NOT_POSSIBLE, "checked")
+
+    def _upload(self, context: FlightContext) -> None:
+        assert context.flight_plan is not None
+        self._state.uploads += 1
+        context.do(UploadMission(context.flight_plan.mission.items))
+
+    def _uploaded(self, context: FlightContext, event: MissionUploaded) -> None:
+        if event.reason is None:
+            context.request_transition(Trigger.UPLOADED)
+        elif self._state.uploads >= UPLOADS:
+            self._give_up(context, f"upload refused: {event.reason}")
+        else:
+            context.do(Note(f"upload refused: {event.reason}"))
+            self._upload(context)
+
+    def _read_back(self, context: FlightContext, event: MissionReadBack) -> None:
+        if not event.differences:
+            context.decide("read_back", "the mission aboard is the one that was planned")
+            context.request_transition(Trigger.READ_BACK_MATCHES)
+            return
+        for words in event.differences[:10]:
+            context.do(Note(f"read back: {words}"))
+        if self._state.uploads >= ATTEMPTS:
+            self._give_up(context, f"read back differs: {event.differences[0]}")
+        else:
+            context.request_transition(Trigger.READ_BACK_DIFFERS, event.differences[0])
+
+    def _ready(self, context: FlightContext) -> None:
+        if not context.options.authorise or self._state.authorised:
+            return
+        findings = [f for f in self._live_findings(context) if f.blocks]
+        blocking = [f for f in findings if not f.waits]
+        if blocking:
+            self._give_up(context, "; ".join(f.words for f in blocking))
+        elif not findings:
+            self._authorise(context, "the command line")
+        else:
+            self._say_waiting(context, findings)
+            if context.phase_s > WAIT_LIMIT_S:
+                self._give_up(context, "; ".join(f.words for f in findings))
+
+    def _say_waiting(self, context: FlightContext, waiting: list[Finding]) -> None:
+        words = waiting[0].words
+        if words != self._state.waiting_for:
+            self._state.waiting_for = words
+            context.say(Severity.INFO, f"waiting: {words}")
+
+    def _arm(self, context: FlightContext) -> None:
+        """Mission mode first, then arm: no other mode is ever needed (safety rule 2)."""
+        state, progress = context.telemetry.state, context.telemetry.progress
+        if state is None:
+            return
+        if state.armed and state.mode is Mode.MISSION:
+            self._flight.take_off(context.t_s)
+            context.decide("take_off", "armed in the mission")
+            context.request_transition(Trigger.ARMED)
+            return
+        if context.phase_s > ARM_LIMIT_S:
+            self._give_up(context, "the autopilot does not arm")
+            return
+        if context.since_s(self._state.arm_asked_s) < ARM_AGAIN_S:
+            return
+        if state.mode is not Mode.MISSION:
+            if context.phase_s > ARM_AGAIN_S:
+                self._state.arm_asked_s = context.t_s
+                self._modes.expect(Mode.MISSION, state)
+                context.do(SetMode(Mode.MISSION))
+            return
+        index = progress.index if progress is not None else None
+        self._state.arm_asked_s = context.t_s
+        if index not in (None, 0):
+            context.do(JumpTo(0))
+            return
+        context.do(Arm())
 
 
-def ask_parameters(pilot: Pilot) -> None:
-    """Ask for the settings that the promise rests on."""
-    if pilot.flown is None or pilot.flavour is None:
-        return
-    facts = route_facts(
-        pilot.flight, pilot.airframe, pilot.flown, keep_apart=pilot.options.keep_apart
-    )
-    pilot.ground.requirements = pilot.requirements(pilot.flavour, facts)
-    pilot.do(AskParameters(names_read(pilot.ground.requirements)))
-
-
-def _parameters_known(pilot: Pilot) -> None:
-    ground = pilot.ground
-    wanted = settings_wanted(ground.requirements, ground.values)
-    may_set = pilot.options.configure and not pilot.options.check_only
-    if wanted and may_set and not ground.configured:
-        ground.configured = True
-        before = {name: value for name in wanted if (value := ground.values[name]) is not None}
-        # What a run that died before us had set is not what the autopilot had at first.
-        ground.settings_before = before | ground.settings_before
-        pilot.save()
-        for name, value in wanted.items():
-            pilot.do(Note(f"setting {name}: {before[name]:g} to {value:g}"))
-        pilot.do(Configure(wanted))
-        return
-    ground.findings = judge(ground.requirements, ground.values)
-    ground.findings_known = True
-    for finding in ground.findings:
-        pilot.do(Note(f"pre-flight: {'MISSING' if finding.blocks else 'off'}: {finding.words}"))
-    if not pilot.options.check_only:
-        pilot.fire(Trigger.PLANNED)
-
-
-def _check_ends(pilot: Pilot) -> None:
-    if pilot.now.t_s - pilot.phase_since_s < CHECK_S:
-        return
-    blocked = any(finding.blocks for finding in live_findings(pilot))
-    pilot.decide("checked", "something is missing" if blocked else "ready to fly")
-    pilot.fire(Trigger.NOT_POSSIBLE, "checked")
-
-
-def _upload(pilot: Pilot) -> None:
-    assert pilot.flown is not None
-    pilot.ground.attempts += 1
-    pilot.do(UploadMission(pilot.flown.mission.items))
-
-
-def _ready(pilot: Pilot) -> None:
-    if not pilot.options.authorise or pilot.air.authorised:
-        return
-    findings = [f for f in live_findings(pilot) if f.blocks]
-    blocking = [f for f in findings if not f.waits]
-    if blocking:
-        give_up(pilot, "; ".join(f.words for f in blocking))
-    elif not findings:
-        authorise(pilot, "the command line")
-    else:
-        _say_waiting(pilot, findings)
-        if pilot.now.t_s - pilot.phase_since_s > WAIT_LIMIT_S:
-            give_up(pilot, "; ".join(f.words for f in findings))
-
-
-def _say_waiting(pilot: Pilot, waiting: list[Finding]) -> None:
-    words = waiting[0].words
-    if words != pilot.ground.said:
-        pilot.ground.said = words
-        pilot.say(Severity.INFO, f"waiting: {words}")
-
-
-def _arm(pilot: Pilot) -> None:
-    """Mission mode first, then arm: no other mode is ever needed (safety rule 2)."""
-    now, ground, state = pilot.now, pilot.ground, pilot.now.state
-    if state is None:
-        return
-    if state.armed and state.mode is Mode.MISSION:
-        pilot.air.flying = True
-        pilot.air.took_off_s = now.t_s
-        pilot.decide("take_off", "armed in the mission")
-        pilot.fire(Trigger.ARMED)
-        return
-    if now.t_s - pilot.phase_since_s > ARM_LIMIT_S:
-        give_up(pilot, "the autopilot does not arm")
-        return
-    if now.t_s - ground.arm_asked_s < ARM_AGAIN_S:
-        return
-    if state.mode is not Mode.MISSION:
-        if now.t_s - pilot.phase_since_s > ARM_AGAIN_S:
-            ground.arm_asked_s = now.t_s
-            pilot.authority.order(Mode.MISSION, state)
-            pilot.do(SetMode(Mode.MISSION))
-        return
-    index = now.progress.index if now.progress is not None else None
-    ground.arm_asked_s = now.t_s
-    if index not in (None, 0):
-        pilot.do(JumpTo(0))
-        return
-    pilot.do(Arm())
+def _pack_trouble(context: FlightContext) -> str:
+    telemetry = context.telemetry
+    battery = telemetry.battery
+    if telemetry.armed or battery is None:
+        return ""
+    if not telemetry.is_fresh(battery, BATTERY_MAX_AGE_S):
+        return ""
+    return pack_trouble(context.airframe.battery, battery.voltage_v)

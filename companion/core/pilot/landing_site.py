@@ -1,32 +1,29 @@
-"""A home that moves: the truck promises another stop, and the gate looks before it is flown to.
+"""The promised stop: where what is aboard ends, and a home that moves to another stop.
 
-The old promise holds until the autopilot is seen on its way to the new stop (home_aboard.py). Until
-then both stops are promised, and may be chosen. Outward the wish is kept; on the way home one jump
-carries it out, as soon as the stop is in clear sight and the way there keeps the promise.
+Safety rule 3. Where the flight ends is read off the item that the autopilot flies, never off what
+was ordered: the truck stays bound to a stop until the autopilot itself shows that it goes
+elsewhere. Until then both stops are promised, and may be chosen.
+
+The truck asks for another stop, and the gate judges it before it is flown to. On the way out the
+wish is kept; on the way home one jump carries it out, as soon as the stop is in clear sight and the
+way there keeps the promise.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import Any
 
 from companion.core.base.geo import LocalFrame, Ned, horizontal_m, over
 from companion.core.mission.actions import Answer, Reply, Severity
-from companion.core.pilot.budget_question import fresh_assessment, here_ned, what_is_ahead
-from companion.core.pilot.jump_confirmation import Purpose
-from companion.core.pilot.mission_end import end_of, home_now, want
-from companion.core.pilot.mission_progress import jump
-from companion.core.pilot.return_decision import DIVERT_GAIN, rally_in_sight
+from companion.core.mission.events import Event, HomeMoved
+from companion.core.mission.flight_plan import FlightPlan
+from companion.core.mission.mission_items import Part
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import FlightContext, HomeMoves, ReturnBudget
 from companion.core.pilot.transitions import OUTWARD_PHASES, Phase
-from companion.core.return_budget.remaining_from_plan import ahead_away, ahead_returning
 from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
-from companion.core.routing.route_planner import Plan
 
-if TYPE_CHECKING:
-    from companion.core.mission.events import HomeMoved
-    from companion.core.pilot.pilot import Pilot
-
-LOOK_S = 1.0
+ASSESS_S = 1.0
 LOW_M = 5.0
 """So far under the layer of the way back it goes on climbing before it turns to another stop."""
 
@@ -37,46 +34,184 @@ MOVING_PHASES = (*OUTWARD_PHASES, Phase.RETURN, Phase.DIVERT)
 LATER_PHASES = (Phase.RECOGNISE, Phase.LINK_LOST)
 
 
-def ordered(pilot: Pilot, event: HomeMoved) -> None:
-    """Answer the wish for another home, and take it up."""
-    reply, reason = _judged(pilot, event)
-    name = event.stop or "another stop"
-    if reply is Reply.DENIED:
-        pilot.say(Severity.WARNING, f"home not moved: {reason}")
-        pilot.decide("home_refused", f"to {name}, asked by {event.by}: {reason}")
-    pilot.do(Answer(reply, reason))
+@dataclass(slots=True)
+class PromisedStop:
+    """Where what is aboard ends were we to die now, and the stop that the truck asks for."""
+
+    noted_home: str | None = None
+    """Only on flights to a promised stop, once the autopilot was seen on its way."""
+    wanted: str | None = None
+    """`None`: the stop that it is."""
+
+    def home(self, context: FlightContext) -> str | None:
+        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
+        return self.noted_home or context.flight.site.home
+
+    def note_item(self, context: FlightContext, index: int) -> None:
+        """The autopilot flies this item: report where it leads when that is another stop."""
+        flown = context.flight_plan
+        if flown is None or flown.plan.home is None:
+            return
+        part = flown.mission.part_at(index)
+        if part is None or part is Part.END:
+            return
+        home = _end_of(flown, index)
+        before = self.home(context)
+        self.noted_home = home
+        if home == before:
+            return
+        self.want(context, None if self.wanted == home else self.wanted)
+        context.say(Severity.NOTICE, f"home is now {home}")
+        context.decide("home_moved", f"what is aboard ends at {home}, no longer at {before}")
+        context.save()
+
+    def want(self, context: FlightContext, stop: str | None) -> None:
+        """The stop that the truck asks for, or none: it and the present home may be chosen."""
+        flown = context.flight_plan
+        self.wanted = stop
+        if flown is None or flown.plan.home is None:
+            return
+        plan = flown.plan.promised(self.home(context), stop)
+        if plan != flown.plan:
+            context.flight_plan = replace(flown, plan=plan)
+            context.estimates.table = None  # it was made for other landing sites
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"home": self.noted_home, "wanted": self.wanted}
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint."""
+        self.noted_home, self.wanted = checkpoint.home, checkpoint.wanted
 
 
-def _judged(pilot: Pilot, event: HomeMoved) -> tuple[Reply, str]:
-    flown, air = pilot.flown, pilot.air
-    if pilot.flight.site.home is None:
-        return Reply.DENIED, "this flight is not to a truck's stop"
-    if pilot.phase in LATER_PHASES:
-        return Reply.LATER, f"in phase {pilot.phase.value}"
-    if flown is None or pilot.phase not in MOVING_PHASES:
-        return Reply.DENIED, f"in phase {pilot.phase.value}"
-    name = _named(pilot, event)
-    stops = [flown.plan.landing, *(stop.name for stop in flown.plan.stops)]
-    if name not in stops:
-        return Reply.DENIED, f"no such stop aboard; there are {', '.join(stops)}"
-    if air.jump is not None and end_of(flown, air.jump.index) != home_now(pilot):
-        return Reply.LATER, "turning to another landing site just now"
-    if name == home_now(pilot):
-        want(pilot, None)
-        return Reply.ACCEPTED, f"home is {name}"
-    reply, reason = _looked_at(pilot, name)
-    if reply is Reply.ACCEPTED:
-        _take_up(pilot, name, event.by)
-    return reply, reason
+class LandingSite:
+    """Moves home to the stop that the truck asks for."""
+
+    def __init__(self, promise: PromisedStop, jumps: HomeMoves, budget: ReturnBudget) -> None:
+        self._promise = promise
+        self._jumps = jumps
+        self._budget = budget
+        self._assessed_s: float | None = None
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Answer the request for another home, and take it up."""
+        if not isinstance(event, HomeMoved):
+            return
+        reply, reason = self._answer(context, event)
+        name = event.stop or "another stop"
+        if reply is Reply.DENIED:
+            context.say(Severity.WARNING, f"home not moved: {reason}")
+            context.decide("home_refused", f"to {name}, asked by {event.by}: {reason}")
+        context.do(Answer(reply, reason))
+
+    def home(self, context: FlightContext) -> str | None:
+        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
+        return self._promise.home(context)
+
+    def turn_to_wanted(self, context: FlightContext, here: Ned) -> bool:
+        """On the way home: turn to the stop that is wanted; tells whether it was ordered now."""
+        wanted, flown = self._promise.wanted, context.flight_plan
+        if wanted is None or flown is None or self._jumps.jump_index is not None:
+            return False
+        if context.telemetry.troubles() or context.since_s(self._assessed_s) < ASSESS_S - 1e-6:
+            return False
+        self._assessed_s = context.t_s
+        if here[2] > flown.plan.return_ned_m[-1][2] + LOW_M:
+            return False
+        item = _item_to(flown, here, wanted)
+        if item is None:
+            return False
+        reply, reason = self._assessed(context, wanted)
+        if reply is not Reply.ACCEPTED:
+            context.say_once(Severity.WARNING, f"not yet to {wanted}: {reason}")
+            return False
+        context.decide("move_home", f"to {wanted}: {reason}")
+        self._jumps.jump_to_other_home(context, item)
+        return True
+
+    def _answer(self, context: FlightContext, event: HomeMoved) -> tuple[Reply, str]:
+        flown, home = context.flight_plan, self._promise.home(context)
+        if context.flight.site.home is None:
+            return Reply.DENIED, "this flight is not to a truck's stop"
+        if context.phase in LATER_PHASES:
+            return Reply.LATER, f"in phase {context.phase.value}"
+        if flown is None or context.phase not in MOVING_PHASES:
+            return Reply.DENIED, f"in phase {context.phase.value}"
+        name = _stop_named(flown, event)
+        stops = [flown.plan.landing, *(stop.name for stop in flown.plan.stops)]
+        if name not in stops:
+            return Reply.DENIED, f"no such stop aboard; there are {', '.join(stops)}"
+        jump_index = self._jumps.jump_index
+        if jump_index is not None and _end_of(flown, jump_index) != home:
+            return Reply.LATER, "turning to another landing site just now"
+        if name == home:
+            self._promise.want(context, None)
+            return Reply.ACCEPTED, f"home is {name}"
+        reply, reason = self._assessed(context, name)
+        if reply is Reply.ACCEPTED:
+            self._take_up(context, name, event.by)
+        return reply, reason
+
+    def _take_up(self, context: FlightContext, name: str, by: str) -> None:
+        self._promise.want(context, name)
+        home = self._promise.home(context)
+        context.decide("home_wanted", f"{name}, asked by {by}; aboard is {home}")
+        context.say(Severity.NOTICE, f"will land at {name}")
+        context.save()
+
+    def _assessed(self, context: FlightContext, name: str) -> tuple[Reply, str]:
+        """What the gate says of a flight that ends at this stop."""
+        here, troubles = context.here_ned(), context.telemetry.troubles()
+        if here is None or troubles:
+            return Reply.LATER, troubles[0] if troubles else "no fresh position"
+        ahead = self._ending_at(context, here, name)
+        if ahead is None:
+            return Reply.DENIED, f"no clear way to {name}"
+        seen = context.estimates.assess(ahead)
+        if seen is None:
+            return Reply.LATER, "wind or energy unknown"
+        promise = 1.0 - context.estimates.limits.max_loss
+        words = f"P(home) {seen.p_home:.3f} by way of {name}"
+        if not context.options.gate_on:
+            return Reply.ACCEPTED, words
+        if ahead.stages and seen.turn_back:
+            return Reply.DENIED, f"{words}: {seen.reason}"
+        if not ahead.stages and seen.p_home < promise:
+            return Reply.DENIED, f"{words} is under {promise:.3f}"
+        return Reply.ACCEPTED, words
+
+    def _ending_at(self, context: FlightContext, here: Ned, name: str) -> Ahead | None:
+        """What is left to fly when it is to end at this stop; `None` where no clear way leads
+        there.
+        """
+        flown, budget = context.flight_plan, self._budget
+        assert flown is not None
+        plan = flown.plan.promised(self._promise.home(context), name)
+        item = None if context.outward else _item_to(flown, here, name)
+        if item is None:
+            ahead = budget.remaining(context, here, plan)
+        else:
+            ahead = budget.remaining_from(context, here, plan, item)
+        now = _ways_to(name, ahead.ways_home_now)
+        stages = tuple(
+            Stage(s.legs, _ways_to(name, s.ways_home) or s.ways_home, s.delivers)
+            for s in ahead.stages
+        )
+        ends = _ways_to(name, ahead.stages[-1].ways_home) if ahead.stages else now
+        return Ahead(now or ahead.ways_home_now, stages, ahead.delivered) if ends else None
 
 
-def _named(pilot: Pilot, event: HomeMoved) -> str | None:
+def _end_of(flown: FlightPlan, index: int) -> str:
+    """The place where the autopilot ends by itself from an item."""
+    return flown.site_of_item(index) or flown.plan.landing
+
+
+def _stop_named(flown: FlightPlan, event: HomeMoved) -> str | None:
     """The stop that is meant."""
-    flown = pilot.flown
-    if event.stop is not None or flown is None or event.lat_deg is None or event.lon_deg is None:
+    if event.stop is not None or event.lat_deg is None or event.lon_deg is None:
         return event.stop
-    frame = flown.site.frame
-    at = _ground_at(frame, event.lat_deg, event.lon_deg)
+    at = _ground_at(flown.site.frame, event.lat_deg, event.lon_deg)
     places = [(horizontal_m(ground, at), name) for name, ground in flown.site.stops_ned_m]
     away_m, name = min(places)
     return name if away_m <= STOP_RADIUS_M else None
@@ -86,116 +221,14 @@ def _ground_at(frame: LocalFrame, lat_deg: float, lon_deg: float) -> Ned:
     return frame.to_ned(math.radians(lat_deg), math.radians(lon_deg), frame.alt_amsl_m)
 
 
-def _take_up(pilot: Pilot, name: str, by: str) -> None:
-    want(pilot, name)
-    pilot.decide("home_wanted", f"{name}, asked by {by}; aboard is {home_now(pilot)}")
-    pilot.say(Severity.NOTICE, f"will land at {name}")
-    pilot.save()
-
-
-def mind(pilot: Pilot, here: Ned) -> bool:
-    """On the way home: turn to the stop that is wanted; tells whether it was ordered now."""
-    air, flown, now = pilot.air, pilot.flown, pilot.now
-    wanted = air.wanted
-    if wanted is None or flown is None or air.jump is not None or now.troubles():
-        return False
-    if now.t_s - air.looked_home_s < LOOK_S - 1e-6:
-        return False
-    air.looked_home_s = now.t_s
-    if here[2] > flown.plan.return_ned_m[-1][2] + LOW_M:
-        return False
-    item = _item_to(pilot, here, wanted)
-    if item is None:
-        return False
-    reply, reason = _looked_at(pilot, wanted)
-    if reply is not Reply.ACCEPTED:
-        pilot.say_once(Severity.WARNING, f"not yet to {wanted}: {reason}")
-        return False
-    pilot.decide("move_home", f"to {wanted}: {reason}")
-    jump(pilot, item, Purpose.MOVE)
-    return True
-
-
-def rally_instead(pilot: Pilot, here: Ned) -> str | None:
-    """On the way to a stop that home was moved to: the rally point that keeps the promise when the
-    stop does not any more. The old home is no choice: the truck may have left it.
-    """
-    flown, air, seen = pilot.flown, pilot.air, fresh_assessment(pilot)
-    if flown is None or seen is None or air.rally is None:
-        return None
-    stops = {stop.name for stop in flown.plan.stops}
-    if air.rally not in stops or seen.p_home >= 1.0 - pilot.judge.limits.max_loss:
-        return None
-    best, best_p = None, seen.p_home + DIVERT_GAIN
-    for rally in flown.plan.rally:
-        if rally.name in stops or not rally_in_sight(flown, rally.name, here):
-            continue
-        item, _ = flown.site_items(rally.name)
-        there = pilot.judge.assess(_ahead_by(pilot, here, flown.plan, item))
-        if there is not None and there.p_home > best_p:
-            best, best_p = rally.name, there.p_home
-    return best
-
-
-def _item_to(pilot: Pilot, here: Ned, name: str) -> int | None:
+def _item_to(flown: FlightPlan, here: Ned, name: str) -> int | None:
     """The item to jump to for a straight clear way to a stop; `None` while there is none."""
-    flown = pilot.flown
-    assert flown is not None
     plan = flown.plan
     if name == plan.landing:
         return flown.item_home_from(here)
     ground = next(stop.ground_ned_m for stop in plan.stops if stop.name == name)
     above = over(ground, plan.return_ned_m[-1])
     return flown.site_items(name)[0] if flown.sees(here, above) else None
-
-
-def _looked_at(pilot: Pilot, name: str) -> tuple[Reply, str]:
-    """What the gate says of a flight that ends at this stop."""
-    here, troubles = here_ned(pilot), pilot.now.troubles()
-    if here is None or troubles:
-        return Reply.LATER, troubles[0] if troubles else "no fresh position"
-    ahead = _ending_at(pilot, here, name)
-    if ahead is None:
-        return Reply.DENIED, f"no clear way to {name}"
-    seen = pilot.judge.assess(ahead)
-    if seen is None:
-        return Reply.LATER, "wind or energy unknown"
-    promise = 1.0 - pilot.judge.limits.max_loss
-    words = f"P(home) {seen.p_home:.3f} by way of {name}"
-    if not pilot.options.gate_on:
-        return Reply.ACCEPTED, words
-    if ahead.stages and seen.turn_back:
-        return Reply.DENIED, f"{words}: {seen.reason}"
-    if not ahead.stages and seen.p_home < promise:
-        return Reply.DENIED, f"{words} is under {promise:.3f}"
-    return Reply.ACCEPTED, words
-
-
-def _ending_at(pilot: Pilot, here: Ned, name: str) -> Ahead | None:
-    """What is left to fly when it is to end at this stop; `None` where no clear way leads there."""
-    flown = pilot.flown
-    assert flown is not None
-    plan = flown.plan.promised(home_now(pilot), name)
-    item = None if pilot.outward else _item_to(pilot, here, name)
-    ahead = what_is_ahead(pilot, here, plan) if item is None else _ahead_by(pilot, here, plan, item)
-    now = _ways_to(name, ahead.ways_home_now)
-    stages = tuple(
-        Stage(s.legs, _ways_to(name, s.ways_home) or s.ways_home, s.delivers) for s in ahead.stages
-    )
-    ends = _ways_to(name, ahead.stages[-1].ways_home) if ahead.stages else now
-    return Ahead(now or ahead.ways_home_now, stages, ahead.delivered) if ends else None
-
-
-def _ahead_by(pilot: Pilot, here: Ned, plan: Plan, item: int) -> Ahead:
-    """What is left to fly on the way home once the mission is at this item."""
-    flown, payload_kg = pilot.flown, pilot.judge.payload_kg
-    assert flown is not None
-    mission, delivered = flown.mission, pilot.air.delivered
-    if item in mission.away:
-        return ahead_away(plan, here, mission.away.index(item), payload_kg, delivered)
-    site = flown.site_of_item(item)
-    index = 0 if site is not None else max(0, mission.returning.index(item) - 1)
-    return ahead_returning(plan, here, index, payload_kg, delivered, site)
 
 
 def _ways_to(name: str, ways: tuple[WayHome, ...]) -> tuple[WayHome, ...]:

@@ -1,259 +1,404 @@
-"""Where in the mission the autopilot is, and jumps that are followed until it obeys."""
+"""Where in the mission the autopilot is, and jumps that are followed until it obeys.
 
-from __future__ import annotations
+A jump is believed only when telemetry shows it (jump_watch.py): asked again, then given up.
+"""
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import Any
 
-from companion.core.base.geo import horizontal_m
-from companion.core.mission.actions import (
-    JumpTo,
-    Note,
-    SetMode,
-    Severity,
-)
-from companion.core.mission.events import MissionProgress, Mode, OrderRefused
+from companion.core.base.geo import Ned, horizontal_m
+from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
+from companion.core.mission.events import Event, MissionProgress, Mode, OrderRefused
+from companion.core.mission.jump_watch import CourseWatch, JumpStatus, JumpWatch, Purpose
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.jump_confirmation import CourseWatch, JumpWatch, Purpose, Verdict
-from companion.core.pilot.mission_end import note_home, want
-from companion.core.pilot.pilot_state import Move
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import (
+    CruiseSpeed,
+    FlightContext,
+    GateState,
+    ModeOrders,
+    Preflight,
+    Promise,
+)
 from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 
-if TYPE_CHECKING:
-    from companion.core.pilot.pilot import Pilot
-
+NEAR_M = 10.0
+"""Nearer to its goal than this, the course says nothing."""
 
 MOVE_WITNESSES = 2
+"""So many messages in a row must show a move that is not ours."""
 
 
-def follow(pilot: Pilot, event: MissionProgress) -> None:
-    """Take the autopilot's current item: what it flies is where we are in the mission."""
-    air = pilot.air
-    if pilot.phase not in FLIGHT_PHASES or pilot.flown is None or event.index is None:
-        return
-    mission = pilot.flown.mission
-    state = pilot.now.state
-    if (
-        event.in_mission is False
-        and pilot.phase not in (Phase.LAND, Phase.LAST_RESORT)
-        and state is not None
-        and state.armed
-    ):
-        pilot.fire(Trigger.TAKEN_OVER, "the autopilot left the mission")
-        return
-    if event.total is not None and event.total != len(mission.items):
-        pilot.fire(Trigger.TAKEN_OVER, f"another mission aboard ({event.total} items)")
-        return
-    if air.jump is not None:
-        if air.jump.look(mission, event.index, air.jump.ordered_s) is not Verdict.CONFIRMED:
-            return  # the jump is under way; the tick asks again or gives up
-        _jump_confirmed(pilot, event.index)
-        return
-    if event.index == air.index or pilot.phase is Phase.LAND:
-        air.moved_to = None
-        return
-    if air.index is not None and not mission.follows(air.index, event.index):
-        again = air.moved_to is not None and air.moved_to.index == event.index
-        air.moved_to = Move(event.index, air.moved_to.told + 1 if again and air.moved_to else 1)
-        return  # judged at the tick: after a silence it moved on by itself
-    air.moved_to = None
-    at_item(pilot, event.index)
+@dataclass(frozen=True, slots=True)
+class ForeignMove:
+    """An item that the mission was moved to and not by us, reported so many times in a row."""
+
+    index: int
+    reports: int
 
 
-def mind_foreign_moves(pilot: Pilot) -> bool:
-    """Tell whether the mission may be in another hand; a hand that shows twice takes over.
+@dataclass(slots=True)
+class ProgressState:
+    """The item that is flown, the leg of the way out, and the jump and course that are watched."""
 
-    One message alone may be a late one from before our own jump: MISSION_CURRENT has no time.
-    """
-    moved_to, now = pilot.air.moved_to, pilot.now
-    if not now.is_fresh(now.progress, PROGRESS_MAX_AGE_S):
-        pilot.air.moved_to = None
-        return False
-    if moved_to is not None and moved_to.told >= MOVE_WITNESSES:
-        pilot.air.moved_to = None
-        pilot.fire(Trigger.TAKEN_OVER, f"somebody moved the mission to item {moved_to.index}")
-    return moved_to is not None
+    index: int | None = None
+    leg: int = 0
+    jump: JumpWatch | None = None
+    course: CourseWatch | None = None
+    foreign_move: ForeignMove | None = None
 
 
-def at_item(pilot: Pilot, index: int) -> None:
-    """The autopilot flies this item now: the phase follows."""
-    assert pilot.flown is not None
-    mission, air = pilot.flown.mission, pilot.air
-    air.index = index
-    note_home(pilot, index)
-    part = mission.part_at(index)
-    match part:
-        case Part.SETTLE if pilot.phase is Phase.CLIMB:
-            if index == mission.settle:
-                pilot.fire(Trigger.AT_HEIGHT)
-        case Part.OUTBOUND:
-            if index in mission.outbound:
-                air.leg = mission.outbound.index(index)
-        case Part.RELEASE if pilot.phase is Phase.DELIVER:
-            pilot.fire(Trigger.DROP_REACHED)
-        case Part.RETURN:
-            on_the_way_home(pilot)
-        case Part.LAND | Part.RALLY_LAND | Part.END:
-            if pilot.outward:
-                on_the_way_home(pilot)
-            pilot.fire(Trigger.LANDING)
-        case _:
+class MissionFollower:
+    """Follows the mission aboard by the items that the autopilot reports."""
+
+    def __init__(
+        self,
+        gate: GateState,
+        promise: Promise,
+        speed: CruiseSpeed,
+        preflight: Preflight,
+        modes: ModeOrders,
+    ) -> None:
+        self._state = ProgressState()
+        self._gate = gate
+        self._promise = promise
+        self._speed = speed
+        self._preflight = preflight
+        self._modes = modes
+
+    @property
+    def index(self) -> int | None:
+        """The item that the autopilot flies, as telemetry shows it."""
+        return self._state.index
+
+    @property
+    def leg(self) -> int:
+        """Which leg of the way out."""
+        return self._state.leg
+
+    @property
+    def jump_index(self) -> int | None:
+        """The item of a jump that telemetry does not show yet."""
+        return None if self._state.jump is None else self._state.jump.index
+
+    @property
+    def jumps_home(self) -> bool:
+        """A jump home is under way."""
+        return self._state.jump is not None and self._state.jump.purpose is Purpose.HOME
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"leg": self._state.leg}
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint."""
+        self._state.leg = checkpoint.leg
+
+    # --- orders ----------------------------------------------------------------------------------
+
+    def jump_onward(self, context: FlightContext, index: int) -> None:
+        """Leave to go on, to this item."""
+        self._jump(context, index, Purpose.ONWARD)
+
+    def jump_to_leg(self, context: FlightContext, leg: int) -> None:
+        """Turn outward again, to this leg."""
+        assert context.flight_plan is not None
+        self._state.leg = leg
+        self._jump(context, context.flight_plan.mission.outbound[leg], Purpose.ONWARD)
+
+    def jump_home(self, context: FlightContext, index: int) -> None:
+        """The way home, or to a rally point."""
+        self._jump(context, index, Purpose.HOME)
+
+    def jump_to_other_home(self, context: FlightContext, index: int) -> None:
+        """On the way home: to another stop's items."""
+        self._jump(context, index, Purpose.MOVE)
+
+    def cancel_jump(self) -> None:
+        """No jump of ours is waited for any more."""
+        self._state.jump = None
+
+    def forget_item(self) -> None:
+        """Which item is flown has to be found out anew."""
+        self._state.index = None
+        self._state.foreign_move = None
+
+    def restart_course(self, t_s: float) -> None:
+        """A detour is no disobedience: the course is watched from now on, where it is watched."""
+        if self._state.course is not None:
+            self._state.course = CourseWatch(t_s, math.inf)
+
+    # --- events and ticks ------------------------------------------------------------------------
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """The autopilot's current item, or its refusal of an order."""
+        match event:
+            case MissionProgress():
+                self._follow(context, event)
+            case OrderRefused():
+                self._refused(context, event)
+            case _:
+                return
+
+    def foreign_moves(self, context: FlightContext) -> bool:
+        """Tell whether somebody else may control the mission; two reports in a row: suspended.
+
+        One message alone may be a late one from before our own jump: MISSION_CURRENT has no time.
+        """
+        state, telemetry = self._state, context.telemetry
+        move = state.foreign_move
+        if not telemetry.is_fresh(telemetry.progress, PROGRESS_MAX_AGE_S):
+            state.foreign_move = None
+            return False
+        if move is not None and move.reports >= MOVE_WITNESSES:
+            state.foreign_move = None
+            why = f"somebody moved the mission to item {move.index}"
+            context.request_transition(Trigger.TAKEN_OVER, why)
+        return move is not None
+
+    def tick(self, context: FlightContext) -> None:
+        """Ask again for a jump that telemetry does not show, or give it up."""
+        jump, flown = self._state.jump, context.flight_plan
+        if jump is None or flown is None:
             return
+        progress = context.telemetry.progress
+        fresh = progress is not None and progress.t_s > jump.ordered_s
+        index = progress.index if progress is not None and fresh else None
+        match jump.update(flown.mission, index, context.t_s):
+            case JumpStatus.CONFIRMED if index is not None:
+                self._confirmed(context, index)
+            case JumpStatus.ASK_AGAIN:
+                context.do(Note(f"jump to item {jump.index} not seen yet: again"))
+                context.do(JumpTo(jump.index))
+            case JumpStatus.REFUSED:
+                self._given_up(context)
+            case _:
+                return
 
+    def strays(self, context: FlightContext, here: Ned) -> bool:
+        """Tell whether it flies away from the way home; then the course is watched no longer."""
+        state, flown = self._state, context.flight_plan
+        if flown is None or state.course is None or state.index is None:
+            return False
+        spot = flown.mission.spot_at(state.index)
+        if spot is None or not self._disobeys(context, here, flown.spot_ned(spot)):
+            return False
+        state.course = None
+        return True
 
-def on_the_way_home(pilot: Pilot) -> None:
-    """The mission itself went on to the way home."""
-    if pilot.phase is Phase.RELEASE:
-        pilot.fire(Trigger.DROP_OVER)
-    elif pilot.outward:
-        why = pilot.air.gate_closed or "no leave to go on was given in time"
-        pilot.decide("turn_back", f"the mission aboard went home by itself: {why}")
-        pilot.say(Severity.WARNING, "going home by the mission aboard")
-        pilot.fire(Trigger.HOMEWARD, why)
-
-
-def place_by_progress(pilot: Pilot) -> None:
-    """The mission aboard is ours and flies: find the phase by its current item."""
-    progress = pilot.now.progress
-    if progress is None or not pilot.now.is_fresh(progress, 3.0) or progress.index is None:
-        return
-    if pilot.now.position_troubles() and not pilot.now.is_fresh(pilot.now.position, 1.0):
-        return
-    assert pilot.flown is not None
-    mission, air = pilot.flown.mission, pilot.air
-    index = progress.index
-    air.index, air.jump, air.speed_mps = index, None, None
-    air.moved_to = None
-    if progress.total is not None and progress.total != len(mission.items):
-        pilot.fire(Trigger.MISSION_UNKNOWN, f"another mission aboard ({progress.total} items)")
-        return
-    part = mission.part_at(index)
-    words = f"at item {index} ({mission.items[index].label})" if part is not None else ""
-    if part is None:
-        pilot.fire(Trigger.MISSION_UNKNOWN, f"item {index} is not ours")
-        return
-    note_home(pilot, index)
-    pilot.decide("recognised", f"our mission, {words}")
-    pilot.authority.forget()
-    match part:
-        case Part.TAKEOFF:
-            pilot.fire(Trigger.TELEMETRY_COMES, words)
-        case Part.SETTLE:
-            pilot.fire(Trigger.AT_HEIGHT, words)
-        case Part.OUTBOUND:
-            air.leg = max((k for k, out in enumerate(mission.outbound) if out <= index), default=0)
-            pilot.fire(Trigger.GO, words)
-        case Part.DELIVER:
-            pilot.fire(Trigger.CUSTOMER_REACHED, words)
-        case Part.RELEASE:
-            pilot.fire(Trigger.DROP_REACHED, words)
-        case Part.RETURN:
-            pilot.fire(Trigger.HOMEWARD, words)
-        case Part.RALLY:
-            air.rally = rally_of_item(pilot, index)
-            pilot.fire(Trigger.RALLY_BOUND, words)
-        case Part.LAND | Part.RALLY_LAND | Part.END:
-            air.rally = rally_of_item(pilot, index)
-            pilot.fire(Trigger.LANDING, words)
-
-
-def jump(pilot: Pilot, index: int, purpose: Purpose) -> None:
-    pilot.air.jump = JumpWatch(index, purpose, pilot.now.t_s)
-    pilot.do(JumpTo(index))
-
-
-def jump_refusal(pilot: Pilot, event: OrderRefused) -> None:
-    """Take a refusal in flight: a jump is asked again at once."""
-    jump = pilot.air.jump
-    if jump is not None and event.order == f"jump to item {jump.index}":
-        jump.refused = True
-    elif pilot.phase in FLIGHT_PHASES:
-        pilot.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
-
-
-def mind_the_jump(pilot: Pilot) -> None:
-    """Ask again for a jump that telemetry does not show, or give it up."""
-    air = pilot.air
-    if air.jump is None or pilot.flown is None:
-        return
-    progress = pilot.now.progress
-    fresh = progress is not None and progress.t_s > air.jump.ordered_s
-    index = progress.index if progress is not None and fresh else None
-    match air.jump.look(pilot.flown.mission, index, pilot.now.t_s):
-        case Verdict.CONFIRMED if index is not None:
-            _jump_confirmed(pilot, index)
-        case Verdict.ASK_AGAIN:
-            pilot.do(Note(f"jump to item {air.jump.index} not seen yet: again"))
-            pilot.do(JumpTo(air.jump.index))
-        case Verdict.REFUSED:
-            _jump_refused(pilot)
-        case _:
+    def place_by_progress(self, context: FlightContext) -> None:
+        """The mission aboard is ours and flies: find the phase by its current item."""
+        telemetry, flown = context.telemetry, context.flight_plan
+        progress = telemetry.progress
+        if progress is None or not telemetry.is_fresh(progress, 3.0) or progress.index is None:
             return
+        if telemetry.position_troubles() and not telemetry.is_fresh(telemetry.position, 1.0):
+            return
+        assert flown is not None
+        mission, state, index = flown.mission, self._state, progress.index
+        state.index, state.jump, state.foreign_move = index, None, None
+        self._speed.forget_speed()
+        if progress.total is not None and progress.total != len(mission.items):
+            why = f"another mission aboard ({progress.total} items)"
+            context.request_transition(Trigger.MISSION_UNKNOWN, why)
+            return
+        part = mission.part_at(index)
+        if part is None:
+            context.request_transition(Trigger.MISSION_UNKNOWN, f"item {index} is not ours")
+            return
+        words = f"at item {index} ({mission.items[index].label})"
+        self._promise.note_item(context, index)
+        context.decide("recognised", f"our mission, {words}")
+        self._modes.forget()
+        self._enter_part(context, part, index, words)
 
+    def last_resort(self, context: FlightContext) -> None:
+        """RTL where its altitude clears every obstacle; else the mission aboard goes home."""
+        if not self._preflight.rtl_is_safe:
+            context.say(Severity.CRITICAL, "way home refused, RTL not safe")
+            words = "no RTL: its altitude is not known to clear the obstacles"
+            context.decide("last_resort", words)
+            return
+        context.say(Severity.CRITICAL, "way home refused: RTL")
+        away = context.flight_plan is not None and bool(context.flight_plan.plan.away_ned_m)
+        words = "RTL: to the launch pad, which nobody promised" if away else "RTL"
+        context.decide("last_resort", words)
+        self._modes.expect(Mode.RTL, context.telemetry.state)
+        context.do(SetMode(Mode.RTL))
 
-def _jump_confirmed(pilot: Pilot, index: int) -> None:
-    air, flown = pilot.air, pilot.flown
-    assert flown is not None
-    assert air.jump is not None
-    jump, air.jump = air.jump, None
-    part = flown.mission.part_at(jump.index)
-    air.index = jump.index
-    note_home(pilot, jump.index)
-    if jump.purpose is not Purpose.ONWARD:
-        spot = flown.mission.spot_at(jump.index)
-        position = pilot.now.position
+    # --- inside ----------------------------------------------------------------------------------
+
+    def _jump(self, context: FlightContext, index: int, purpose: Purpose) -> None:
+        self._state.jump = JumpWatch(index, purpose, context.t_s)
+        context.do(JumpTo(index))
+
+    def _follow(self, context: FlightContext, event: MissionProgress) -> None:
+        """What the autopilot flies is where we are in the mission."""
+        state, flown = self._state, context.flight_plan
+        if context.phase not in FLIGHT_PHASES or flown is None or event.index is None:
+            return
+        mission, vehicle = flown.mission, context.telemetry.state
+        if (
+            event.in_mission is False
+            and context.phase not in (Phase.LAND, Phase.LAST_RESORT)
+            and vehicle is not None
+            and vehicle.armed
+        ):
+            context.request_transition(Trigger.TAKEN_OVER, "the autopilot left the mission")
+            return
+        if event.total is not None and event.total != len(mission.items):
+            why = f"another mission aboard ({event.total} items)"
+            context.request_transition(Trigger.TAKEN_OVER, why)
+            return
+        if state.jump is not None:
+            status = state.jump.update(mission, event.index, state.jump.ordered_s)
+            if status is JumpStatus.CONFIRMED:
+                self._confirmed(context, event.index)
+            return  # else the jump is under way; the tick asks again or gives up
+        if event.index == state.index or context.phase is Phase.LAND:
+            state.foreign_move = None
+            return
+        if state.index is not None and not mission.follows(state.index, event.index):
+            move = state.foreign_move
+            again = move is not None and move.index == event.index
+            state.foreign_move = ForeignMove(event.index, move.reports + 1 if again and move else 1)
+            return  # judged at the tick: after a silence it moved on by itself
+        state.foreign_move = None
+        self._at_item(context, event.index)
+
+    def _at_item(self, context: FlightContext, index: int) -> None:
+        """The autopilot flies this item now: the phase follows."""
+        assert context.flight_plan is not None
+        mission = context.flight_plan.mission
+        self._state.index = index
+        self._promise.note_item(context, index)
+        match mission.part_at(index):
+            case Part.SETTLE if context.phase is Phase.CLIMB:
+                if index == mission.settle:
+                    context.request_transition(Trigger.AT_HEIGHT)
+            case Part.OUTBOUND:
+                if index in mission.outbound:
+                    self._state.leg = mission.outbound.index(index)
+            case Part.RELEASE if context.phase is Phase.DELIVER:
+                context.request_transition(Trigger.DROP_REACHED)
+            case Part.RETURN:
+                self._on_the_way_home(context)
+            case Part.LAND | Part.RALLY_LAND | Part.END:
+                if context.outward:
+                    self._on_the_way_home(context)
+                context.request_transition(Trigger.LANDING)
+            case _:
+                return
+
+    def _on_the_way_home(self, context: FlightContext) -> None:
+        """The mission itself went on to the way home."""
+        if context.phase is Phase.RELEASE:
+            context.request_transition(Trigger.DROP_OVER)
+        elif context.outward:
+            why = self._gate.closed_by or "no leave to go on was given in time"
+            context.decide("turn_back", f"the mission aboard went home by itself: {why}")
+            context.say(Severity.WARNING, "going home by the mission aboard")
+            context.request_transition(Trigger.HOMEWARD, why)
+
+    def _enter_part(self, context: FlightContext, part: Part, index: int, words: str) -> None:
+        """Enter the phase in which this item is flown."""
+        assert context.flight_plan is not None
+        mission = context.flight_plan.mission
+        match part:
+            case Part.TAKEOFF:
+                context.request_transition(Trigger.TELEMETRY_COMES, words)
+            case Part.SETTLE:
+                context.request_transition(Trigger.AT_HEIGHT, words)
+            case Part.OUTBOUND:
+                passed = (k for k, out in enumerate(mission.outbound) if out <= index)
+                self._state.leg = max(passed, default=0)
+                context.request_transition(Trigger.GO, words)
+            case Part.DELIVER:
+                context.request_transition(Trigger.CUSTOMER_REACHED, words)
+            case Part.RELEASE:
+                context.request_transition(Trigger.DROP_REACHED, words)
+            case Part.RETURN:
+                context.request_transition(Trigger.HOMEWARD, words)
+            case Part.RALLY:
+                self._gate.choose_landing(context.flight_plan.site_of_item(index))
+                context.request_transition(Trigger.RALLY_BOUND, words)
+            case Part.LAND | Part.RALLY_LAND | Part.END:
+                self._gate.choose_landing(context.flight_plan.site_of_item(index))
+                context.request_transition(Trigger.LANDING, words)
+
+    def _refused(self, context: FlightContext, event: OrderRefused) -> None:
+        """Take a refusal in flight: a jump is asked again at once."""
+        jump = self._state.jump
+        if jump is not None and event.order == f"jump to item {jump.index}":
+            jump.refused = True
+        elif context.phase in FLIGHT_PHASES:
+            context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
+
+    def _confirmed(self, context: FlightContext, index: int) -> None:
+        state, flown = self._state, context.flight_plan
+        assert flown is not None
+        assert state.jump is not None
+        jump, state.jump = state.jump, None
+        part = flown.mission.part_at(jump.index)
+        state.index = jump.index
+        self._promise.note_item(context, jump.index)
+        if jump.purpose is not Purpose.ONWARD:
+            self._watch_course(context, jump.index)
+            context.do(Note(f"on the way home by item {jump.index}"))
+            if jump.purpose is Purpose.MOVE:
+                site = flown.site_of_item(jump.index)
+                self._gate.choose_landing(site)
+                trigger = Trigger.HOMEWARD if site is None else Trigger.RALLY_BOUND
+                context.request_transition(trigger)
+        elif part is Part.OUTBOUND:
+            state.leg = flown.mission.outbound.index(jump.index)
+            context.request_transition(Trigger.GO)
+        elif part is Part.DELIVER:
+            context.request_transition(Trigger.CUSTOMER_REACHED)
+        if index != jump.index:
+            self._at_item(context, index)
+
+    def _watch_course(self, context: FlightContext, index: int) -> None:
+        flown, position = context.flight_plan, context.telemetry.position
+        assert flown is not None
+        spot = flown.mission.spot_at(index)
         if spot is not None and position is not None:
             away_m = horizontal_m(flown.ned_of(position), flown.spot_ned(spot))
-            air.course = CourseWatch(pilot.now.t_s, away_m)
-        pilot.do(Note(f"on the way home by item {jump.index}"))
+            self._state.course = CourseWatch(context.t_s, away_m)
+
+    def _given_up(self, context: FlightContext) -> None:
+        """The autopilot does not obey this jump."""
+        state = self._state
+        assert state.jump is not None
+        jump, state.jump = state.jump, None
+        context.say(Severity.WARNING, f"jump to item {jump.index} is not obeyed")
+        words = f"jump to item {jump.index} not confirmed by telemetry"
+        if jump.purpose is Purpose.HOME:
+            context.decide("way_home_refused", words)
+            why = "the jump home was not obeyed"
+            context.request_transition(Trigger.WAY_HOME_REFUSED, why)
+            return
         if jump.purpose is Purpose.MOVE:
-            air.rally = rally_of_item(pilot, jump.index)
-            pilot.fire(Trigger.HOMEWARD if air.rally is None else Trigger.RALLY_BOUND)
-    elif part is Part.OUTBOUND:
-        air.leg = flown.mission.outbound.index(jump.index)
-        pilot.fire(Trigger.GO)
-    elif part is Part.DELIVER:
-        pilot.fire(Trigger.CUSTOMER_REACHED)
-    if index != jump.index:
-        at_item(pilot, index)
+            self._promise.want(context, None)
+            context.decide("home_stays", words)
+            return
+        # Without leave the mission aboard goes home by itself.
+        context.decide("onward_refused", words)
+        self._gate.close("the autopilot does not jump onward")
+        progress = context.telemetry.progress
+        if progress is not None and progress.index is not None:
+            self._at_item(context, progress.index)
 
-
-def _jump_refused(pilot: Pilot) -> None:
-    air = pilot.air
-    assert air.jump is not None
-    assert pilot.flown is not None
-    jump, air.jump = air.jump, None
-    pilot.say(Severity.WARNING, f"jump to item {jump.index} is not obeyed")
-    if jump.purpose is Purpose.HOME:
-        pilot.decide("way_home_refused", f"jump to item {jump.index} not confirmed by telemetry")
-        pilot.fire(Trigger.WAY_HOME_REFUSED, "the jump home was not obeyed")
-        return
-    if jump.purpose is Purpose.MOVE:
-        want(pilot, None)
-        pilot.decide("home_stays", f"jump to item {jump.index} not confirmed by telemetry")
-        return
-    # Without leave the mission aboard goes home by itself.
-    pilot.decide("onward_refused", f"jump to item {jump.index} not confirmed by telemetry")
-    air.gate_closed = air.gate_closed or "the autopilot does not jump onward"
-    progress = pilot.now.progress
-    if progress is not None and progress.index is not None:
-        at_item(pilot, progress.index)
-
-
-def last_resort(pilot: Pilot) -> None:
-    """RTL, where its altitude clears every obstacle; else the mission aboard still goes home."""
-    unsafe = [f for f in pilot.ground.findings if f.name.startswith("RTL")]
-    if unsafe or not pilot.ground.findings_known:
-        pilot.say(Severity.CRITICAL, "way home refused, RTL not safe")
-        pilot.decide("last_resort", "no RTL: its altitude is not known to clear the obstacles")
-        return
-    pilot.say(Severity.CRITICAL, "way home refused: RTL")
-    away = pilot.flown is not None and bool(pilot.flown.plan.away_ned_m)
-    pilot.decide("last_resort", "RTL: to the launch pad, which nobody promised" if away else "RTL")
-    pilot.authority.order(Mode.RTL, pilot.now.state)
-    pilot.do(SetMode(Mode.RTL))
-
-
-def rally_of_item(pilot: Pilot, index: int) -> str | None:
-    assert pilot.flown is not None
-    return pilot.flown.site_of_item(index)
+    def _disobeys(self, context: FlightContext, here: Ned, target: Ned) -> bool:
+        course, position = self._state.course, context.telemetry.position
+        assert course is not None
+        assert position is not None
+        away_m = horizontal_m(here, target)
+        if away_m < NEAR_M:
+            self._state.course = None
+            return False
+        north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
+        closing = position.vel_n_mps * north + position.vel_e_mps * east
+        return course.disobeys(context.t_s, away_m, closing)

@@ -1,25 +1,24 @@
-"""The mission: events in, actions out. Phases and their order are data (transitions.py).
+"""The pilot: events in, actions out. Composes the controllers of one flight (context.py).
 
-One object holds the state of one vehicle; it reads no clock and does no I/O. What happens before
-take-off is in before_flight.py, what happens in the air in in_flight.py; here is what holds in
-every phase: authority, other computers, the link, restarts, reports, the checkpoint.
+It reads no clock and does no I/O. Phases and their order are data (transitions.py), and so is which
+event goes to which controller (`routes`).
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from companion.core.mission.actions import (
     Action,
-    Answer,
-    Decision,
+    Assessed,
     DropOrders,
-    Finished,
+    EnergyReport,
     Note,
     Order,
-    PhaseChanged,
-    Reply,
-    Say,
+    Publish,
+    SaveCheckpoint,
     Severity,
+    WindReport,
 )
 from companion.core.mission.events import (
     AbortOrdered,
@@ -41,7 +40,6 @@ from companion.core.mission.events import (
     MissionProgress,
     MissionReadBack,
     MissionUploaded,
-    Mode,
     ModeNow,
     NeighbourHeard,
     OrderRefused,
@@ -55,48 +53,67 @@ from companion.core.mission.events import (
 )
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.mission.preflight_checks import Requirement, RouteFacts
-from companion.core.pilot import budget_question as foresight
-from companion.core.pilot import flight_sequence as in_flight
-from companion.core.pilot import ground_sequence as before_flight
-from companion.core.pilot import landing as touchdown
-from companion.core.pilot import landing_site as moving_home
-from companion.core.pilot import mission_progress as progress
-from companion.core.pilot import reporting as reports
-from companion.core.pilot import resume as recognising
-from companion.core.pilot import return_decision as turning_back
-from companion.core.pilot import setpoint_takeover as keeping_apart
-from companion.core.pilot import traffic_exchange as apart_tracks
-from companion.core.pilot import value_table_watch as table_watch
+from companion.core.mission.preflight_checks import Finding
 from companion.core.pilot.authority import Authority
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.estimates import Judgement, Limits
-from companion.core.pilot.pilot_state import FlightState, GroundWork, PilotOptions
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
+from companion.core.pilot.context import FlightContext, PilotOptions
+from companion.core.pilot.desired_velocity import DesiredVelocity
+from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.flight_sequence import FlightSequence, FlightState
+from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
+from companion.core.pilot.landing import Landing
+from companion.core.pilot.landing_site import LandingSite, PromisedStop
+from companion.core.pilot.mission_progress import MissionFollower
+from companion.core.pilot.parcel_release import ParcelRelease, ParcelState
+from companion.core.pilot.position_loss import PositionLoss
+from companion.core.pilot.resume import Resume
+from companion.core.pilot.return_decision import BudgetWatch, ReturnDecision, ReturnState
+from companion.core.pilot.setpoint_takeover import SetpointTakeover
+from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.pilot.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
-    OUTWARD_PHASES,
+    END_PHASES,
+    FLIGHT_PHASES,
     Phase,
-    Trigger,
-    next_phase,
 )
+from companion.core.pilot.value_table_watch import ValueTableWatch
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner
+from companion.core.separation.learned_policy import AvoidancePolicy
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 
-LULL_S = 3.0
-"""A gap of the autopilot's time up to this is a lull; a longer one means reading all again."""
+REPORT_S = 1.0
+WIND_REPORT_S = 0.5
+CHECKPOINT_S = 5.0
 
-SAME_MISSION_S = 30.0
-"""After a gap up to this the mission aboard need not be read item by item again."""
 
-Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
+class Controller(Protocol):
+    """One part of the flight that takes events."""
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Take one event that is routed to it."""
+        ...
+
+
+@dataclass(slots=True)
+class ReportTimes:
+    """When each was reported last."""
+
+    values_s: float | None = None
+    wind_s: float | None = None
+    saved_s: float | None = None
 
 
 class Pilot:
-    """Flies one mission of one vehicle; `handle` is its only door."""
+    """Flies one mission of one vehicle; `handle` takes everything that happens.
+
+    `checkpoint`: of an earlier process of this flight, to go on from; a finished one is ignored.
+    `estimates`: wind, energy and the gate; made of the airframe and the wind process when `None`.
+    `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
+    """
 
     def __init__(
         self,
@@ -108,289 +125,366 @@ class Pilot:
         requirements: Requirements,
         digest: str,
         options: PilotOptions | None = None,
-        kept: Kept | None = None,
+        checkpoint: Checkpoint | None = None,
+        estimates: Estimates | None = None,
+        policy: AvoidancePolicy | None = None,
     ) -> None:
-        self.flight = flight
-        self.airframe = airframe
-        self.obstacles = obstacles
-        self.requirements = requirements
-        self.options = options or PilotOptions()
         route_energy = RouteEnergy.for_mission(airframe, flight.mission)
-        self.planner = BerPlanner(route_energy)
-        self.judge = Judgement(flight, airframe, route_energy, wind_process)
-        self.now = Situation()
-        self.authority = Authority()
-        self.phase = Phase.IDENTIFY
-        self.phase_since_s = 0.0
-        self.before: Phase | None = None
-        self.flavour: Flavour | None = None
-        self.flown: FlightPlan | None = None
-        self.air = FlightState()
-        self.ground = GroundWork()
-        self.apart = keeping_apart.Apart()
-        self.tables = table_watch.TableWatch()
-        self.assessment: Assessment | None = None
-        self.outcome: str | None = None
-        self.digest = digest
-        self.checkpoint = kept if kept is not None and not kept.finished else None
-        self._out: list[Action] = []
-        self.told = reports.Told()
-        self.noted: foresight.Noted | None = None
-        self._silent_since_s: float | None = None
-        recognising.restore(self)
+        estimates = estimates or Estimates(flight, airframe, route_energy, wind_process)
+        self._digest = digest
+        self._reported = ReportTimes()
+        self._context = FlightContext(flight, airframe, estimates, options or PilotOptions(), self)
 
-    # --- the door ------------------------------------------------------------------------------
+        self._flight_state = FlightState()
+        self._parcel_state = ParcelState()
+        self._return_state = ReturnState()
+        self._promise = PromisedStop()
+        self._position = PositionLoss()
+        self._authority = Authority()
+        self._ground = GroundSequence(
+            self._flight_state, self._authority, BerPlanner(route_energy), obstacles, requirements
+        )
+        self._progress = MissionFollower(
+            self._return_state, self._promise, self._flight_state, self._ground, self._authority
+        )
+        budget = BudgetWatch(
+            self._progress,
+            self._flight_state,
+            self._parcel_state,
+            self._return_state,
+            self._position,
+        )
+        self._decision = ReturnDecision(
+            self._return_state,
+            self._progress,
+            budget,
+            self._promise,
+            self._flight_state,
+            self._parcel_state,
+        )
+        self._release = ParcelRelease(self._parcel_state, self._progress, budget)
+        self._landing = Landing(
+            self._flight_state,
+            self._parcel_state,
+            self._return_state,
+            self._promise,
+            self._position,
+            self._ground,
+        )
+        self._landing_site = LandingSite(self._promise, self._progress, budget)
+        self._traffic = TrafficExchange(self._progress)
+        velocity = DesiredVelocity(self._progress, self._flight_state, self._traffic, policy)
+        self._setpoints = SetpointTakeover(self._progress, self._traffic, velocity, self._authority)
+        self._tables = ValueTableWatch(budget, self._flight_state)
+        self._sequence = FlightSequence(
+            self._flight_state,
+            progress=self._progress,
+            budget=budget,
+            decision=self._decision,
+            stops=self._landing_site,
+            parcel=self._parcel_state,
+            drop=self._release,
+            position=self._position,
+            landing=self._landing,
+            setpoints=self._setpoints,
+        )
+        self._resume = Resume(
+            self._flight_state,
+            self._ground,
+            self._progress,
+            self._authority,
+            self._landing,
+            obstacles,
+        )
+        self._keepers = (
+            self._ground,
+            self._flight_state,
+            self._parcel_state,
+            self._return_state,
+            self._progress,
+            self._promise,
+        )
+        self._routes = self._make_routes()
+        if checkpoint is not None and not checkpoint.finished:
+            for keeper in self._keepers:
+                keeper.restore(checkpoint)
+            self._resume.restore(self._context, checkpoint)
+
+    def _make_routes(self) -> Mapping[type[Event], tuple[Controller, ...]]:
+        """Which controllers take which event, in which order."""
+        return {
+            VehicleState: (self._authority,),
+            ModeNow: (self._authority,),
+            OtherComputer: (self._authority,),
+            ControlHandedBack: (self._authority,),
+            ControlTaken: (self._authority,),
+            LinkSilent: (self._resume,),
+            LinkBack: (self._resume,),
+            ClockLeapt: (self._resume,),
+            ClockStepped: (self._resume,),
+            Authorised: (self._ground,),
+            StreamsAsked: (self._ground,),
+            AutopilotParameters: (self._ground,),
+            ParametersSet: (self._ground,),
+            MissionUploaded: (self._ground,),
+            MissionReadBack: (self._resume, self._ground),
+            MissionProgress: (self._progress,),
+            OrderRefused: (self._ground, self._progress),
+            AbortOrdered: (self._decision,),
+            LimitsChanged: (self._decision,),
+            HomeMoved: (self._landing_site,),
+            ReleaseFeedback: (self._release,),
+            GnssTime: (self._traffic,),
+            NeighbourHeard: (self._traffic,),
+            TableMade: (self._tables,),
+        }
+
+    # --- events in, actions out ------------------------------------------------------------------
 
     def handle(self, event: Event) -> list[Action]:
         """Take one event; returns what is to be done. Orders leave only in commanding phases."""
-        self._out = []
+        context = self._context
+        context.take_outbox()
         if isinstance(event, MissionProgress):
-            event = keeping_apart.heard_progress(self, event)
-        self.now.hear(event)
-        self._hear(event)
-        actions = [keeping_apart.routed(self, action) for action in self._out]
-        self._out = []
-        if self.phase not in COMMANDING_PHASES:
+            event = self._setpoints.leads_to(context, event)
+        context.telemetry.update(event)
+        self._take(event)
+        actions = [self._setpoints.routed(context, action) for action in context.take_outbox()]
+        if context.phase not in COMMANDING_PHASES:
             actions = [action for action in actions if not isinstance(action, Order)]
         return actions
 
-    def do(self, *actions: Action) -> None:
-        """Queue actions."""
-        self._out.extend(actions)
-
-    def say(self, severity: Severity, text: str) -> None:
-        """Tell the operator, and the log."""
-        self.do(Say(severity, text))
-
-    def say_once(self, severity: Severity, text: str) -> None:
-        """Tell it the first time only."""
-        if text not in self.air.noted:
-            self.air.noted.add(text)
-            self.say(severity, text)
-
-    def decide(self, kind: str, reason: str) -> None:
-        """Record a decision with the promise that it rests on."""
-        seen = self.assessment
-        self.do(
-            Decision(
-                self.now.t_s,
-                kind,
-                reason,
-                seen.p_home if seen else None,
-                seen.p_home_now if seen else None,
-                seen.p_success if seen else None,
-                seen.margin_wh if seen else None,
-            )
-        )
-
-    def fire(self, trigger: Trigger, why: str = "") -> None:
-        """Move on in the table and do what entering the phase asks."""
-        target = next_phase(self.phase, trigger, self.before)
-        if target is self.phase:
-            return
-        left, self.phase = self.phase, target
-        if target is Phase.LINK_LOST:
-            self.before = left
-        self.phase_since_s = self.now.t_s
-        self.do(PhaseChanged(self.now.t_s, left.value, target.value, why or trigger.value))
-        self._enter(left, why)
-        self.save()
-
-    # --- every phase ---------------------------------------------------------------------------
-
-    def _hear(self, event: Event) -> None:
+    def _take(self, event: Event) -> None:
         match event:
             case Tick():
                 self._tick(late=event.late)
-            case VehicleState() | ModeNow() if self.now.state is not None:
-                self._hear_state(self.now.state)
-            case MissionProgress():
-                progress.follow(self, event)
             case Identified():
                 self._identified(event)
-            case OtherComputer():
-                self._other_computer(event)
-            case LinkSilent():
-                self._silent_since_s = self.now.t_s
-                self.do(Note("link silent"))
-                self.fire(Trigger.LINK_SILENT)
-            case LinkBack():
-                self._link_back(event.gap_s)
-            case ClockLeapt():
-                self.do(Note(f"the autopilot's clock leapt {event.ahead_s:.1f} s ahead"))
-                if self.phase is not Phase.LINK_LOST:
-                    self._link_back(event.ahead_s)
-            case ClockStepped():
-                self._rebooted(event)
-            case HomeMoved():
-                moving_home.ordered(self, event)
-            case Authorised() | ControlHandedBack() | ControlTaken() | AbortOrdered():
-                self._operator(event)
-            case LimitsChanged():
-                self._limits(event)
             case OrderRefused():
-                self.do(Note(f"{event.order} refused: {event.reason}"))
-                before_flight.order_refused(self, event)
-                progress.jump_refusal(self, event)
-            case ReleaseFeedback():
-                if self.air.release is not None:
-                    self.air.release.feedback = event.released
+                self._context.do(Note(f"{event.order} refused: {event.reason}"))
             case AutopilotText():
-                self.do(Note(f"autopilot: {event.text}"))
-            case StreamsAsked() | AutopilotParameters() | ParametersSet() | MissionUploaded():
-                before_flight.hear(self, event)
-            case MissionReadBack():
-                recognising.read_back(self, event)
-            case TableMade():
-                table_watch.take(self, event)
-            case GnssTime():
-                apart_tracks.heard_time(self, event)
-            case NeighbourHeard():
-                apart_tracks.heard_neighbour(self, event.track)
+                self._context.do(Note(f"autopilot: {event.text}"))
             case _:
-                return
-
-    def _tick(self, *, late: bool) -> None:
-        if self.flavour is None:
-            return
-        for words in self.judge.observe(self.now, self.flavour):
-            self.do(Note(words))
-        if late:
-            return
-        if self.phase is Phase.RECOGNISE:
-            recognising.tick(self)
-        else:
-            before_flight.tick(self)
-            in_flight.tick(self)
-            keeping_apart.tick(self)
-            table_watch.mind(self)
-        reports.report(self)
-
-    def _enter(self, left: Phase, why: str) -> None:
-        """Do what the new phase starts with."""
-        match self.phase:
-            case Phase.SUSPENDED:
-                self.authority.forget()
-                self.air.jump = None
-                self.do(DropOrders())
-                self.say(Severity.WARNING, f"hands off: {why}")
-                self.decide("suspended", why)
-            case Phase.PASSIVE:
-                self.do(DropOrders())
-                self.say(Severity.WARNING, f"passive: {why}")
-                self.decide("passive", why)
-            case Phase.LINK_LOST:
-                self.do(DropOrders())
-            case Phase.RECOGNISE:
-                recognising.begin(self, why)
-            case Phase.DONE | Phase.GROUNDED:
-                self.do(DropOrders())
-                touchdown.conclude(self, why)
-            case _:
-                before_flight.enter(self, left)
-                in_flight.enter(self, left)
-
-    # --- authority -----------------------------------------------------------------------------
-
-    def _hear_state(self, state: VehicleState) -> None:
-        why = self.authority.intrusion(self.phase, state, on_ground=self.now.on_ground)
-        if why is not None:
-            self.fire(Trigger.TAKEN_OVER, why)
+                pass
+        for controller in self._routes.get(type(event), ()):
+            controller.on_event(self._context, event)
 
     def _identified(self, event: Identified) -> None:
-        self.flavour = event.flavour
-        self.do(Note(f"{event.flavour.value} autopilot, system {event.system_id}"))
-        state = self.now.state
-        if state is not None and state.ready_state:
-            self.authority.ground_mode = state.mode_name
-        if self.checkpoint is not None and self.checkpoint.flying and self.flown is not None:
-            found = "armed" if self.now.armed else "disarmed"  # down meanwhile: never flown again
-            self.fire(Trigger.AIRBORNE_AT_START, f"{found}, and our checkpoint says in flight")
-        elif not self.now.armed:
-            self.fire(Trigger.IDENTIFIED)
+        context = self._context
+        context.autopilot = event.flavour
+        context.do(Note(f"{event.flavour.value} autopilot, system {event.system_id}"))
+        self._authority.begin(context.telemetry.state)
+        self._resume.identified(context)
+
+    def _tick(self, *, late: bool) -> None:
+        """Estimates first, then the controllers in this order, then reports."""
+        context = self._context
+        if context.autopilot is None:
+            return
+        for words in context.estimates.observe(context.telemetry, context.autopilot):
+            context.do(Note(words))
+        if late:
+            return
+        if context.phase is Phase.RECOGNISE:
+            self._resume.tick(context)
         else:
-            self.fire(Trigger.MISSION_UNKNOWN, "armed, and not by us")
+            self._ground.tick(context)
+            self._sequence.tick(context)
+            self._setpoints.tick(context)
+            self._tables.tick(context)
+        self._report()
 
-    def _other_computer(self, event: OtherComputer) -> None:
-        if self.phase is Phase.PASSIVE:
-            return
-        if event.active or (event.booting and self.phase is Phase.IDENTIFY):
-            self.fire(Trigger.OTHER_COMPUTER, "another onboard computer is on this system")
-            if self.phase is not Phase.PASSIVE:
-                self.say_once(Severity.WARNING, "another onboard computer on this system")
-
-    def _operator(self, event: Event) -> None:
-        match event:
-            case Authorised():
-                self.do(Answer(before_flight.authorise(self, event.by)))
-            case ControlHandedBack():
-                if self.phase is not Phase.SUSPENDED:
-                    self.do(Answer(Reply.DENIED))
-                elif self.now.armed and self.flown is None:
-                    self.say(Severity.WARNING, "cannot take control: no mission of ours aboard")
-                    self.do(Answer(Reply.DENIED))
-                else:
-                    self.do(Answer(Reply.ACCEPTED))
-                    self.decide("handed_back", f"by {event.by}")
-                    state = self.now.state
-                    if state is not None and state.armed and state.mode is not Mode.MISSION:
-                        self.authority.order(Mode.MISSION, state)
-                    self.authority.ground_mode = None
-                    self.fire(Trigger.HANDED_BACK, f"handed back by {event.by}")
-            case ControlTaken():
-                self.do(Answer(Reply.ACCEPTED))
-                self.fire(Trigger.TAKEN_OVER, f"told so by {event.by}")
-            case AbortOrdered():
-                accepted = turning_back.abort(self, event.by)
-                self.do(Answer(Reply.ACCEPTED if accepted else Reply.DENIED))
+    def enter_phase(self, left: Phase, why: str) -> None:
+        """Do what the new phase starts with; the context calls it at every transition."""
+        context = self._context
+        match context.phase:
+            case Phase.SUSPENDED:
+                self._authority.forget()
+                self._progress.cancel_jump()
+                context.do(DropOrders())
+                context.say(Severity.WARNING, f"hands off: {why}")
+                context.decide("suspended", why)
+            case Phase.PASSIVE:
+                context.do(DropOrders())
+                context.say(Severity.WARNING, f"passive: {why}")
+                context.decide("passive", why)
+            case Phase.LINK_LOST:
+                context.do(DropOrders())
+            case Phase.RECOGNISE:
+                self._resume.begin(context, why)
+            case Phase.DONE | Phase.GROUNDED:
+                context.do(DropOrders())
+                self._landing.conclude(context, why)
             case _:
-                return
+                self._ground.enter(context)
+                self._sequence.enter(context, left)
 
-    def _limits(self, event: LimitsChanged) -> None:
-        now = self.judge.limits
-        limits = Limits(
-            event.max_loss if event.max_loss is not None else now.max_loss,
-            event.reserve_frac if event.reserve_frac is not None else now.reserve_frac,
-        )
-        self.judge.limit(limits)
-        self.say(Severity.NOTICE, f"max loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
-        self.decide("limits", f"max_loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
+    # --- reports and checkpoints -----------------------------------------------------------------
 
-    # --- link, clock, restart ------------------------------------------------------------------
+    def _report(self) -> None:
+        """Report wind, energy and promise as often as each is due; save the flight now and then."""
+        context, reported = self._context, self._reported
+        wind, t_s = context.estimates.wind, context.t_s
+        wind_due = context.since_s(reported.wind_s) >= WIND_REPORT_S - 1e-6
+        if wind is not None and wind.valid and wind_due:
+            reported.wind_s = t_s
+            north, east = (float(x) for x in wind.mean_to_ne_mps)
+            cov = wind.cov_ne_m2ps2
+            spread = float(cov[0, 0]), float(cov[0, 1]), float(cov[1, 1])
+            context.do(WindReport(t_s, north, east, *spread))
+        if context.since_s(reported.values_s) >= REPORT_S - 1e-6:
+            reported.values_s = t_s
+            self._report_values()
+        flying = context.phase in FLIGHT_PHASES or context.phase is Phase.SUSPENDED
+        if flying and context.since_s(reported.saved_s) >= CHECKPOINT_S - 1e-6:
+            self.save_checkpoint(routine=True)
 
-    def _link_back(self, gap_s: float) -> None:
-        if gap_s <= LULL_S:
-            self.fire(Trigger.LULL_OVER)
+    def _report_values(self) -> None:
+        context = self._context
+        wind, energy = context.estimates.wind, context.estimates.energy
+        seen, values = context.fresh_assessment(), dict[str, float]()
+        if wind is not None and wind.valid:
+            values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
+        if energy is not None:
+            values["LW_ENERGY"] = energy.mean_wh
+            report = energy.mean_wh, energy.std_wh, energy.source, energy.used_wh
+            context.do(EnergyReport(context.t_s, *report))
+        if seen is not None:
+            values |= {
+                "LW_MARGIN": seen.margin_wh,
+                "LW_PHOME": seen.p_home,
+                "LW_PHNOW": seen.p_home_now,
+                "LW_PSUCC": seen.p_success,
+            }
+            context.do(_assessed(seen))
+        context.do(Publish(values))
+
+    def save_checkpoint(self, *, routine: bool = False) -> None:
+        """Queue a checkpoint of the present state; none while only checking."""
+        context = self._context
+        if context.options.check_only:
             return
-        self.say(Severity.WARNING, f"link back after {gap_s:.0f} s")
-        self.decide("link_back", f"nothing heard for {gap_s:.0f} s")
-        self.fire(Trigger.LINK_BACK, f"link back after {gap_s:.0f} s")
-        if self.phase is Phase.RECOGNISE and gap_s <= SAME_MISSION_S:
-            self.ground.mission_matches = True  # its number of items is compared all the same
+        self._reported.saved_s = context.t_s
+        context.do(SaveCheckpoint(checkpoint_to_dict(self.checkpoint()), routine))
 
-    def _rebooted(self, event: ClockStepped) -> None:
-        self.say(Severity.WARNING, f"autopilot clock went back {event.back_s:.0f} s: rebooted?")
-        self.decide("reboot", f"the autopilot's clock went back by {event.back_s:.0f} s")
-        self.now.forget()
-        self.air.jump = None
-        self.do(DropOrders())
-        self.fire(Trigger.REBOOTED, "the autopilot rebooted")
+    def checkpoint(self) -> Checkpoint:
+        """What a restart needs: the context's part, and each controller's own."""
+        context = self._context
+        phase, flown = context.phase, context.flight_plan
+        waiting = phase is Phase.LINK_LOST and context.interrupted_phase in FLIGHT_PHASES
+        recognising = phase is Phase.RECOGNISE and self._flight_state.flying
+        parts: dict[str, Any] = {}
+        for keeper in self._keepers:
+            parts |= keeper.to_dict()
+        return Checkpoint(
+            flight=self._digest,
+            t_s=context.t_s,
+            phase=phase.value,
+            authority=phase in FLIGHT_PHASES or waiting or recognising,
+            finished=phase in END_PHASES,
+            plan=flown.plan if flown is not None else None,
+            frame=flown.site.frame if flown is not None else None,
+            asides=flown is not None and bool(flown.mission.asides),
+            judgement=context.estimates.snapshot(),
+            **parts,
+        )
 
-    def save(self, *, routine: bool = False) -> None:
-        """Ask for a checkpoint of the present state."""
-        reports.save(self, routine=routine)
-
-    def finish(
-        self, outcome: str, reason: str, *, home: bool, margin_wh: float | None = None
-    ) -> None:
-        """End the mission."""
-        self.outcome = outcome
-        self.decide("finished", f"{outcome}: {reason}")
-        air = self.air
-        unproven = air.drop_begun and not air.delivered and self.flight.vehicle.payload_kg > 0.0
-        self.do(Finished(outcome, air.delivered, reason, home, margin_wh, unproven))
+    # --- what others ask -------------------------------------------------------------------------
 
     @property
-    def outward(self) -> bool:
-        """Flying away from home, or about to."""
-        return self.phase in OUTWARD_PHASES
+    def phase(self) -> Phase:
+        """The phase of the mission."""
+        return self._context.phase
+
+    @property
+    def telemetry(self) -> TelemetryState:
+        """What is known of the vehicle now."""
+        return self._context.telemetry
+
+    @property
+    def estimates(self) -> Estimates:
+        """Wind, energy and the gate."""
+        return self._context.estimates
+
+    @property
+    def autopilot(self) -> Flavour | None:
+        """The autopilot, `None` until it is identified."""
+        return self._context.autopilot
+
+    @property
+    def flight_plan(self) -> FlightPlan | None:
+        """The plan that is flown, `None` before one is made."""
+        return self._context.flight_plan
+
+    @property
+    def assessment(self) -> Assessment | None:
+        """The gate's newest answer, however old."""
+        return self._context.assessment
+
+    @property
+    def fresh_assessment(self) -> Assessment | None:
+        """The gate's newest answer while it is young enough to report."""
+        return self._context.fresh_assessment()
+
+    @property
+    def delivered(self) -> bool:
+        """The parcel is gone."""
+        return self._parcel_state.delivered
+
+    @property
+    def home(self) -> str | None:
+        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
+        return self._promise.home(self._context)
+
+    @property
+    def wanted_home(self) -> str | None:
+        """The stop that the truck asks for, while it is not home yet."""
+        return self._promise.wanted
+
+    @property
+    def item(self) -> int | None:
+        """The item of the mission that the autopilot flies."""
+        return self._progress.index
+
+    @property
+    def jump_item(self) -> int | None:
+        """The item of a jump that telemetry does not show yet."""
+        return self._progress.jump_index
+
+    @property
+    def leg(self) -> int:
+        """Which leg of the way out."""
+        return self._progress.leg
+
+    @property
+    def position_lost(self) -> bool:
+        """The position is in doubt for longer than one late message."""
+        return self._position.is_lost
+
+    @property
+    def on_setpoints(self) -> bool:
+        """Set-points are flown near neighbours, or wanted."""
+        return self._setpoints.active
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Settings of the autopilot that are not as the promise needs them."""
+        return self._ground.findings
+
+    def preflight(self) -> PreflightReport:
+        """The pre-flight now."""
+        return self._ground.report(self._context)
+
+
+def _assessed(seen: Assessment) -> Assessed:
+    return Assessed(
+        seen.t_s,
+        seen.p_home,
+        seen.p_home_now,
+        seen.p_success,
+        seen.margin_wh,
+        seen.energy_left_wh,
+        seen.energy_need_wh,
+        seen.p_home_unattended,
+        seen.by_table,
+    )

@@ -5,49 +5,56 @@ estimator gives up (ArduCopter's EKF failsafe, PX4's descend), and no order of a
 knows no position either could do better: it tells the operator where to look.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from companion.core.mission.actions import Severity
-from companion.core.mission.events import Mode
-
-if TYPE_CHECKING:
-    from companion.core.pilot.pilot import Pilot
+from companion.core.mission.events import Mode, Position
+from companion.core.pilot.context import FlightContext
 
 LOST_S = 1.5
 """Troubles shorter than this are one late message."""
 
 
-def mind_position(pilot: Pilot) -> None:
-    """Follow the position in flight, whoever flies."""
-    air, now = pilot.air, pilot.now
-    troubles = now.position_troubles()
-    if not troubles:
-        _is_well(pilot)
-        return
-    air.doubtful_s = now.t_s if air.doubtful_s is None else air.doubtful_s
-    if air.position_lost_s is None and now.t_s - air.doubtful_s >= LOST_S:
-        air.position_lost_s = air.doubtful_s
-        pilot.assessment = None  # what was promised from there holds no longer
-        pilot.say(Severity.CRITICAL, f"position lost: {troubles[0]}")
-        pilot.decide("position_lost", f"{'; '.join(troubles)}; {last_seen(pilot)}")
-    state = now.state
-    if air.position_lost_s is not None and state is not None and state.mode is Mode.LAND:
-        pilot.say_once(Severity.CRITICAL, f"coming down blind, {last_seen(pilot)}")
+@dataclass(slots=True)
+class PositionLoss:
+    """Since when the position is in doubt, since when it is lost, and where it was last good."""
 
+    doubtful_since_s: float | None = None
+    lost_since_s: float | None = None
+    last_good: Position | None = None
 
-def last_seen(pilot: Pilot) -> str:
-    """Where the position was last beyond doubt."""
-    sure = pilot.air.last_sure
-    return "never seen" if sure is None else f"last at {sure.lat_deg:.5f} {sure.lon_deg:.5f}"
+    @property
+    def is_lost(self) -> bool:
+        """In doubt for longer than one late message."""
+        return self.lost_since_s is not None
 
+    def last_seen(self) -> str:
+        """Where the position was last beyond doubt."""
+        good = self.last_good
+        return "never seen" if good is None else f"last at {good.lat_deg:.5f} {good.lon_deg:.5f}"
 
-def _is_well(pilot: Pilot) -> None:
-    air, now = pilot.air, pilot.now
-    air.doubtful_s, air.last_sure = None, now.position
-    if air.position_lost_s is not None:
-        gone_s = now.t_s - air.position_lost_s
-        air.position_lost_s = None
-        pilot.say(Severity.NOTICE, f"position back after {gone_s:.0f} s")
-        pilot.decide("position_back", f"after {gone_s:.0f} s")
+    def tick(self, context: FlightContext) -> None:
+        """Follow the position in flight, whoever flies."""
+        t_s = context.t_s
+        troubles = context.telemetry.position_troubles()
+        if not troubles:
+            self._is_good(context)
+            return
+        if self.doubtful_since_s is None:
+            self.doubtful_since_s = t_s
+        if self.lost_since_s is None and t_s - self.doubtful_since_s >= LOST_S:
+            self.lost_since_s = self.doubtful_since_s
+            context.assessment = None  # what was promised from there holds no longer
+            context.say(Severity.CRITICAL, f"position lost: {troubles[0]}")
+            context.decide("position_lost", f"{'; '.join(troubles)}; {self.last_seen()}")
+        state = context.telemetry.state
+        if self.lost_since_s is not None and state is not None and state.mode is Mode.LAND:
+            context.say_once(Severity.CRITICAL, f"coming down blind, {self.last_seen()}")
+
+    def _is_good(self, context: FlightContext) -> None:
+        self.doubtful_since_s, self.last_good = None, context.telemetry.position
+        if self.lost_since_s is not None:
+            gone_s = context.t_s - self.lost_since_s
+            self.lost_since_s = None
+            context.say(Severity.NOTICE, f"position back after {gone_s:.0f} s")
+            context.decide("position_back", f"after {gone_s:.0f} s")

@@ -1,4 +1,4 @@
-"""What is known of the vehicle now, how old it is, and whether that is enough to act on."""
+"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on."""
 
 from dataclasses import dataclass, field, replace
 
@@ -33,7 +33,7 @@ THROTTLE_MAX_AGE_S = 1.0
 
 
 @dataclass(slots=True)
-class Situation:
+class TelemetryState:
     """The newest sample of each kind. Late samples never replace newer ones."""
 
     t_s: float = 0.0
@@ -52,7 +52,7 @@ class Situation:
     readiness: ArmingReadiness | None = None
     _battery_times: dict[str, float] = field(default_factory=dict)
 
-    def hear(self, event: Event) -> None:
+    def update(self, event: Event) -> None:
         """Take one telemetry event."""
         self.t_s = max(self.t_s, event.t_s)
         match event:
@@ -88,7 +88,7 @@ class Situation:
                 return
 
     def _merged(self, new: Battery) -> Battery:
-        """Two messages tell of one battery; a field stays until it is told again or too old."""
+        """Two messages report one battery; a field stays until it is reported again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
             "voltage_v",
@@ -103,14 +103,15 @@ class Situation:
                 self._battery_times[name] = new.t_s
             elif (
                 self.battery is not None
-                and new.t_s - self._battery_times.get(name, -1e9) <= BATTERY_MAX_AGE_S
+                and (told_s := self._battery_times.get(name)) is not None
+                and new.t_s - told_s <= BATTERY_MAX_AGE_S
             ):
                 value = getattr(self.battery, name)
             fields[name] = value
         return Battery(new.t_s, **fields)
 
     def forget(self) -> None:
-        """Nothing that was heard holds any longer (the autopilot rebooted)."""
+        """Drop every sample: the autopilot rebooted."""
         t_s = self.t_s
         for name in (
             "state", "attitude", "position", "gnss", "estimator", "home", "battery", "throttle",

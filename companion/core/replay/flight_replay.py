@@ -1,6 +1,6 @@
 """A recorded flight seen again by the companion's own estimators, energy ledger and gate.
 
-What runs here is what flies: `Judgement` hears the same events in the same order at the same
+What runs here is what flies: `Estimates` hears the same events in the same order at the same
 times, and the gate is asked about what was ahead then. Nothing is commanded: the flight went as it
 went, and the decisions say what Leeway would have said, and when.
 """
@@ -18,10 +18,13 @@ from companion.core.mission.events import Airspeed, Attitude, AutopilotWind, Fla
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_of, make_plan, ned_of, site_map
 from companion.core.mission.preflight_checks import pack_trouble
-from companion.core.pilot.budget_question import Noted, moved_since
-from companion.core.pilot.estimates import Judgement
-from companion.core.pilot.return_decision import beats_depot
-from companion.core.pilot.telemetry_state import BATTERY_MAX_AGE_S, POSITION_MAX_AGE_S, Situation
+from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.return_decision import RecordedAssessment, beats_depot, moved_since
+from companion.core.pilot.telemetry_state import (
+    BATTERY_MAX_AGE_S,
+    POSITION_MAX_AGE_S,
+    TelemetryState,
+)
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight, moments
 from companion.core.replay.route import Planned, Route, Unplanned
 from companion.core.return_budget.budget import Assessment
@@ -125,7 +128,7 @@ class _Replay:
         self._log, self._terms = log, terms
         speed = terms.flight.mission.cruise_airspeed_mps
         self._route_energy = RouteEnergy(terms.airframe, cruise_airspeed_mps=speed)
-        self._judge = Judgement(
+        self._judge = Estimates(
             terms.flight,
             terms.airframe,
             self._route_energy,
@@ -141,7 +144,7 @@ class _Replay:
         self._closed = False
         self._diverted = False
         self._stage = ""
-        self._noted: Noted | None = None
+        self._noted: RecordedAssessment | None = None
         self._asked_s: float | None = None
         self._seen: Assessment | None = None
         self._pack_judged = False
@@ -202,7 +205,7 @@ class _Replay:
 
     # --- a tick --------------------------------------------------------------------------------
 
-    def _tick(self, now: Situation, dt_s: float) -> None:
+    def _tick(self, now: TelemetryState, dt_s: float) -> None:
         self._mind_take_off(now)
         if self._flying:
             self._flew_s += dt_s
@@ -228,7 +231,7 @@ class _Replay:
         if self._asked_s is None or now.t_s - self._asked_s >= every_s:
             self._ask(now, here)
 
-    def _mind_take_off(self, now: Situation) -> None:
+    def _mind_take_off(self, now: TelemetryState) -> None:
         if not now.airborne and self._gates and not self._pack_judged:
             self._judge_pack(now)
         if now.airborne and not self._flying:
@@ -240,7 +243,7 @@ class _Replay:
             self._flying = False
             self._land(now)
 
-    def _land(self, now: Situation) -> None:
+    def _land(self, now: TelemetryState) -> None:
         energy, reserve_wh = self._judge.energy, self._reserve_wh()
         if energy is not None and reserve_wh is not None:
             left_wh = energy.mean_wh - reserve_wh
@@ -253,7 +256,7 @@ class _Replay:
         self._closed = self._diverted = False
         self._seen, self._noted, self._route, self._stage = None, None, None, ""
 
-    def _judge_pack(self, now: Situation) -> None:
+    def _judge_pack(self, now: TelemetryState) -> None:
         """Another pack than the airframe's makes every number of energy wrong."""
         battery = now.battery
         if battery is None or battery.voltage_v is None:
@@ -266,7 +269,7 @@ class _Replay:
 
     # --- home and the way there ----------------------------------------------------------------
 
-    def _find_home(self, now: Situation) -> None:
+    def _find_home(self, now: TelemetryState) -> None:
         position = now.position
         if position is None:
             return
@@ -287,7 +290,7 @@ class _Replay:
             else:
                 self._route = Planned(flown, self._terms.flight, self._route_energy)
 
-    def _plan(self, now: Situation) -> FlightPlan | NoRoute:
+    def _plan(self, now: TelemetryState) -> FlightPlan | NoRoute:
         flight = self._terms.flight
         assert now.position is not None
         frame = frame_of(flight, now.position)
@@ -296,7 +299,7 @@ class _Replay:
         reserve_frac = self._judge.limits.reserve_frac
         return make_plan(flight, site, planner, self._judge.energy, reserve_frac)
 
-    def _look(self, now: Situation) -> Ned | None:
+    def _look(self, now: TelemetryState) -> Ned | None:
         """Where the vehicle is on its way; decides where it came to another part of it."""
         route = self._route
         if route is None or not self._flying or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
@@ -310,7 +313,7 @@ class _Replay:
                 self._stage_changed(now, here, stage)
         return here
 
-    def _mind_mission(self, now: Situation, route: Planned) -> None:
+    def _mind_mission(self, now: TelemetryState, route: Planned) -> None:
         aboard = route.another_mission
         if aboard is None or self._another_mission:
             return
@@ -319,12 +322,12 @@ class _Replay:
         said = "where it is on its way is told by its place"
         self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
 
-    def _mind_delivery(self, now: Situation, route: Planned) -> None:
+    def _mind_delivery(self, now: TelemetryState, route: Planned) -> None:
         if route.delivered and self._judge.payload_kg > 0.0:
             self._judge.payload_kg = 0.0
             self._decide(now.t_s, "delivered", route.delivered)
 
-    def _stage_changed(self, now: Situation, here: Ned, stage: str) -> None:
+    def _stage_changed(self, now: TelemetryState, here: Ned, stage: str) -> None:
         """The pilot asks before each leg: so does the replay."""
         before, self._stage = self._stage, stage
         route = self._route
@@ -347,7 +350,7 @@ class _Replay:
 
     # --- the gate ------------------------------------------------------------------------------
 
-    def _ask(self, now: Situation, here: Ned | None) -> None:
+    def _ask(self, now: TelemetryState, here: Ned | None) -> None:
         self._asked_s = now.t_s
         energy = self._judge.energy if self._gates else None
         fresh: Assessment | None = None
@@ -388,7 +391,7 @@ class _Replay:
             self._diverted = True
             self._decide(t_s, "divert", f"to {seen.best_landing}: the depot is out of the promise")
 
-    def _home_m(self, now: Situation) -> float | None:
+    def _home_m(self, now: TelemetryState) -> float | None:
         if self._home is None or now.position is None:
             return None
         return horizontal_m(ned_of(self._home, now.position), (0.0, 0.0, 0.0))
@@ -410,9 +413,9 @@ class _Replay:
             self._decide(t_s, "looked_again", f"{moved}: {seen.reason}")
         else:
             if self._noted is None:
-                self._noted = Noted(seen.margin_wh, wind_ne)
+                self._noted = RecordedAssessment(seen.margin_wh, wind_ne)
             return
-        self._noted = Noted(seen.margin_wh, wind_ne)
+        self._noted = RecordedAssessment(seen.margin_wh, wind_ne)
 
     def _decide(self, t_s: float, kind: str, reason: str) -> None:
         seen = self._seen

@@ -18,7 +18,7 @@ from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
     POSITION_MAX_AGE_S,
     WIND_MAX_AGE_S,
-    Situation,
+    TelemetryState,
 )
 from companion.core.vehicle.airframe import MULTIROTOR
 
@@ -143,17 +143,17 @@ _MEASURED = (
 )  # fmt: skip
 
 
-def moments(flight: RecordedFlight, period_s: float) -> Iterator[Situation]:
+def moments(flight: RecordedFlight, period_s: float) -> Iterator[TelemetryState]:
     """Yield the situation about every `period_s`, when everything up to then has been heard.
 
     Moments fall on telemetry, as the companion's ticks do; it is one object that goes on changing.
     Silences longer than `period_s` have moments of their own, up to `LARGEST_GAP_S`.
     """
-    now = Situation()
+    now = TelemetryState()
     ticked_s: float | None = None
     events = flight.events
     for i, event in enumerate(events):
-        now.hear(event)
+        now.update(event)
         following_s = events[i + 1].t_s if i + 1 < len(events) else math.inf
         if following_s <= event.t_s:
             continue
@@ -180,7 +180,7 @@ def sampled(flight: RecordedFlight, period_s: float = 0.2) -> FlightSamples:
     return FlightSamples(np.array(times), told[:, 0], told[:, 1], *values.T)
 
 
-def _row(now: Situation) -> list[float]:
+def _row(now: TelemetryState) -> list[float]:
     row: list[float] = []
     for name, max_age_s, fields in _MEASURED:
         sample = getattr(now, name)

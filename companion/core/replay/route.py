@@ -8,9 +8,9 @@ from companion.core.base.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import DROP_S, FlightPlan, ned_of
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.release_detection import observe_hover, watch_for
+from companion.core.pilot.parcel_release import observe_hover, watch_for
 from companion.core.pilot.return_decision import rally_in_sight
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.return_budget.remaining_from_plan import (
     ahead_away,
     ahead_delivering,
@@ -36,7 +36,7 @@ class Route(Protocol):
 
     stage: str
 
-    def look(self, now: Situation) -> Ned | None: ...
+    def look(self, now: TelemetryState) -> Ned | None: ...
     def ahead(self, here: Ned, payload_kg: float) -> Ahead: ...
 
 
@@ -48,7 +48,7 @@ class Unplanned:
         self._velocity_ne_mps = (0.0, 0.0)
         self.stage = "in flight"
 
-    def look(self, now: Situation) -> Ned | None:
+    def look(self, now: TelemetryState) -> Ned | None:
         """Take the moment in; returns where the vehicle is."""
         if now.position is None:
             return None
@@ -109,7 +109,7 @@ class Planned:
         """Flying away from home, or about to: a closed gate means something."""
         return self.stage in ("settle", "outbound", "deliver") and not self.delivered
 
-    def look(self, now: Situation) -> Ned | None:
+    def look(self, now: TelemetryState) -> Ned | None:
         """Take the moment in; returns where the vehicle is."""
         if now.position is None:
             return None
@@ -168,7 +168,7 @@ class Planned:
         points = self._flown.plan.return_ned_m
         return min(range(len(points)), key=lambda i: horizontal_m(here, points[i]))
 
-    def _by_progress(self, now: Situation) -> bool:
+    def _by_progress(self, now: TelemetryState) -> bool:
         """Follow MISSION_CURRENT; False where the log has none of our mission."""
         mission, progress = self._flown.mission, now.progress
         if progress is None or progress.index is None:
@@ -250,7 +250,7 @@ class _Drop:
     def __init__(self, route_energy: RouteEnergy, payload_kg: float) -> None:
         self._watch = watch_for(route_energy, payload_kg) if payload_kg > 0.0 else None
 
-    def look(self, now: Situation, *, released: bool) -> str:
+    def look(self, now: TelemetryState, *, released: bool) -> str:
         """Take the moment in; returns what shows that the parcel went, `""` while nothing does."""
         if self._watch is None:
             return "there was no parcel to weigh" if released else ""

@@ -20,7 +20,7 @@ from companion.app.flight.run import Run, RunOptions
 from companion.app.flight.value_table_worker import TablesHere
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.events import Authorised
-from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.track import Track as Told
 from companion.fleet.messages import decode_track, encode
@@ -369,7 +369,7 @@ class Crossing:
         north, east, down = vehicle.pos_ned_m
         crosser.truth.append((t_s, north, east, down, float(vehicle.is_airborne)))
         if crosser.companion is not None and crosser.companion.ended is None:
-            crosser.aside_s += STEP_S * crosser.companion.run.pilot.apart.wanted
+            crosser.aside_s += STEP_S * crosser.companion.run.pilot.on_setpoints
 
 
 def _polar(radius_m: float, angle_rad: float) -> tuple[float, float]:

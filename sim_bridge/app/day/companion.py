@@ -15,7 +15,7 @@ from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.run import DONE, GROUNDED, Run, RunOptions
 from companion.app.flight.standby import MISSION, Standby
 from companion.app.flight.value_table_worker import TablesHere
-from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.context import PilotOptions
 
 
 @dataclass(slots=True)

@@ -25,7 +25,7 @@ from rich.table import Table
 from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import STANDBY, FleetPort
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
 from companion.fleet.topics import VehicleKeys
@@ -195,7 +195,7 @@ def _vehicles(count: int, config_file: Path, folder: Path) -> None:
         )
 
     ports = [opened(f"v{number}") for number in range(count)]
-    nothing_known = Situation()
+    nothing_known = TelemetryState()
 
     def accept(command: Command) -> Verdict:
         return Verdict(Answered.DONE, "aboard")

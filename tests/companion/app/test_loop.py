@@ -17,8 +17,8 @@ from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import BROKEN, requirements
 from companion.core.mission.actions import Publish
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.pilot_state import PilotOptions
 from companion.core.pilot.transitions import Phase
 
 ROOT = Path(__file__).parents[3]

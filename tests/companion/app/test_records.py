@@ -31,7 +31,7 @@ from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
-from companion.core.pilot.checkpoint import Kept, kept_to_dict
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.routing.route_planner import Plan, RallyWay
 
 ROOT = Path(__file__).parents[3]
@@ -47,7 +47,7 @@ PLAN = Plan(
     time_s=100.0,
     route_std_wh=1.0,
 )
-KEPT = Kept(
+KEPT = Checkpoint(
     flight="abc",
     t_s=120.5,
     phase="outbound",
@@ -71,14 +71,14 @@ KEPT = Kept(
 
 
 def test_a_checkpoint_comes_back_as_it_went(tmp_path):
-    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
     assert read_checkpoint(tmp_path, "abc") == KEPT
     assert read_checkpoint(tmp_path / "nowhere", "abc") is None
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
 def test_a_torn_checkpoint_is_known_for_one(tmp_path, share):
-    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
     path = tmp_path / NAME
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
@@ -87,7 +87,7 @@ def test_a_torn_checkpoint_is_known_for_one(tmp_path, share):
 
 
 def test_a_checkpoint_with_one_flipped_digit_is_not_believed(tmp_path):
-    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
     path = tmp_path / NAME
     path.write_text(path.read_text().replace("120.5", "520.5"))
     with pytest.raises(LeewayError, match="checksum"):
@@ -95,13 +95,13 @@ def test_a_checkpoint_with_one_flipped_digit_is_not_believed(tmp_path):
 
 
 def test_a_checkpoint_of_another_flight_is_not_ours(tmp_path):
-    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
     with pytest.raises(LeewayError, match="another flight"):
         read_checkpoint(tmp_path, "xyz")
 
 
 def test_a_write_that_dies_halfway_leaves_the_checkpoint_before(tmp_path):
-    write_checkpoint(tmp_path, kept_to_dict(KEPT))
+    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
     (tmp_path / f"{NAME}.new").write_text('{"crc32": 1, "con')
     assert read_checkpoint(tmp_path, "abc") == KEPT
 
@@ -188,7 +188,7 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
 
 def test_the_recorder_puts_checkpoints_on_disk(tmp_path):
     recorder = Recorder(tmp_path)
-    recorder.take(SaveCheckpoint(kept_to_dict(KEPT)), 1.0)
+    recorder.take(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
     recorder.close()
     assert read_checkpoint(tmp_path, "abc") == KEPT
     assert "gate" not in (tmp_path / "companion.log").read_text()
@@ -379,4 +379,4 @@ def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
 def test_the_kept_state_is_strict():
     table = msgspec.to_builtins(KEPT) | {"surprise": 1}
     with pytest.raises(msgspec.ValidationError, match="surprise"):
-        msgspec.convert(table, Kept)
+        msgspec.convert(table, Checkpoint)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from companion.adapters.autopilots.codec import mavlink
 from companion.adapters.autopilots.mission_wire import item_from_wire, wire_items
 from companion.core.base.errors import LeewayError
+from companion.core.mission.jump_watch import JumpStatus, JumpWatch, Purpose
 from companion.core.mission.mission_items import (
     PLACED,
     DeadMansMission,
@@ -20,7 +21,6 @@ from companion.core.mission.mission_items import (
     build_dead_mans_mission,
     differences,
 )
-from companion.core.pilot.jump_confirmation import JumpWatch, Purpose, Verdict
 
 
 def mission(legs: int = 3, rallies: int = 2, entries: list[int] | None = None) -> DeadMansMission:
@@ -123,11 +123,11 @@ def test_an_item_of_the_way_home_shows_no_jump_outward_though_it_follows_one():
     out, home = flight.outbound[1], flight.entry_of_outbound[1]
     assert flight.follows(out, home)
     onward = JumpWatch(out, Purpose.ONWARD, 0.0)
-    assert onward.look(flight, home, 0.1) is Verdict.WAITING
-    assert onward.look(flight, out, 0.2) is Verdict.CONFIRMED
-    assert onward.look(flight, out + 1, 0.2) is Verdict.CONFIRMED
+    assert onward.update(flight, home, 0.1) is JumpStatus.WAITING
+    assert onward.update(flight, out, 0.2) is JumpStatus.CONFIRMED
+    assert onward.update(flight, out + 1, 0.2) is JumpStatus.CONFIRMED
     back = JumpWatch(home, Purpose.HOME, 0.0)
-    assert back.look(flight, home + 1, 0.1) is Verdict.CONFIRMED
+    assert back.update(flight, home + 1, 0.1) is JumpStatus.CONFIRMED
 
 
 def test_the_spot_of_an_item_without_a_place_is_where_the_mission_flies_next():

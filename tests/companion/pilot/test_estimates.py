@@ -8,9 +8,9 @@ from msgspec.structs import replace
 
 from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
 from companion.core.mission import events as ev
-from companion.core.pilot.estimates import Judgement, Limits
-from companion.core.pilot.release_detection import ReleaseWatch
-from companion.core.pilot.telemetry_state import Situation
+from companion.core.pilot.estimates import Estimates, Limits
+from companion.core.pilot.parcel_release import ReleaseWatch
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
 from companion.core.return_budget.remaining_mission import Ahead, OnTheWay, hurried
@@ -25,16 +25,16 @@ AIRFRAME = read_airframe("m100")
 WIND_PROCESS = read_wind_process("coast")
 
 
-def judgement() -> Judgement:
-    return Judgement(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
+def judgement() -> Estimates:
+    return Estimates(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
 
 
-def standing(t_s: float, *events: ev.Event, now: Situation | None = None) -> Situation:
-    now = now or Situation()
-    now.hear(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
+def standing(t_s: float, *events: ev.Event, now: TelemetryState | None = None) -> TelemetryState:
+    now = now or TelemetryState()
+    now.update(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
     for event in events:
-        now.hear(event)
-    now.hear(ev.Tick(t_s))
+        now.update(event)
+    now.update(ev.Tick(t_s))
     return now
 
 
@@ -63,7 +63,7 @@ def test_the_autopilots_wind_is_believed_as_far_as_it_says():
     flight = replace(FLIGHT, vehicle=vehicle)
     spread = []
     for std_mps in (0.5, 3.0):
-        judge = Judgement(flight, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
+        judge = Estimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
         judge.observe(standing(1.0, ev.AutopilotWind(1.0, 5.0, 2.0, std_mps)), ev.Flavour.PX4)
         assert judge.wind is not None
         spread.append(float(np.trace(judge.wind.cov_ne_m2ps2)))
@@ -72,30 +72,30 @@ def test_the_autopilots_wind_is_believed_as_far_as_it_says():
 
 
 def test_two_battery_messages_make_one_picture_and_old_fields_fade():
-    now = Situation()
-    now.hear(ev.Battery(1.0, voltage_v=22.0, current_a=20.0, remaining_frac=0.6))
-    now.hear(ev.Battery(1.5, consumed_ah=1.2, temperature_c=21.0))
+    now = TelemetryState()
+    now.update(ev.Battery(1.0, voltage_v=22.0, current_a=20.0, remaining_frac=0.6))
+    now.update(ev.Battery(1.5, consumed_ah=1.2, temperature_c=21.0))
     assert now.battery is not None
     assert (now.battery.voltage_v, now.battery.consumed_ah) == (22.0, 1.2)
-    now.hear(ev.Battery(9.0, consumed_ah=1.4))
+    now.update(ev.Battery(9.0, consumed_ah=1.4))
     assert now.battery.voltage_v is None, "eight seconds old"
 
 
 @pytest.mark.parametrize("kind", ["position", "attitude"])
 def test_late_samples_never_replace_newer_ones(kind):
-    now = Situation()
+    now = TelemetryState()
     make = {
         "position": lambda t: ev.Position(t, 55.0, 8.0, t, t, 0.0, 0.0, 0.0),
         "attitude": lambda t: ev.Attitude(t, t, 0.0, 0.0),
     }[kind]
-    now.hear(make(5.0))
-    now.hear(make(4.0))
+    now.update(make(5.0))
+    now.update(make(4.0))
     assert getattr(now, kind).t_s == 5.0
 
 
 def test_troubles_name_what_is_missing():
-    now = Situation()
-    now.hear(ev.Tick(10.0))
+    now = TelemetryState()
+    now.update(ev.Tick(10.0))
     assert set(now.troubles()) == {
         "no fresh position",
         "nothing heard of the satellite receiver",
@@ -180,7 +180,7 @@ class ScriptedTable:
         return self.reading
 
 
-def in_flight(resting_v: float) -> tuple[Judgement, Ahead]:
+def in_flight(resting_v: float) -> tuple[Estimates, Ahead]:
     """A judgement that knows a wind and a battery, over the depot of the default flight."""
     judge = judgement()
     battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5)
@@ -254,7 +254,7 @@ def test_a_stale_table_is_not_used(spoilt):
     assert not seen.turn_back
 
 
-def fastest_in_flight(voltage_v: float) -> tuple[Judgement, Ahead]:
+def fastest_in_flight(voltage_v: float) -> tuple[Estimates, Ahead]:
     """The same mission by an operator who wants the fastest that the budget allows."""
     judge, ahead = in_flight(voltage_v)
     hasty = RouteEnergy(AIRFRAME, speed_rule="fastest")

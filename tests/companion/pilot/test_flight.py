@@ -1,21 +1,12 @@
-"""The pilot flown event by event against a vehicle of a few lines, with a scripted gate.
-
-The vehicle obeys orders at once and follows the mission as autopilots do. Wind, energy and the
-gate are scripted: how the mission acts on what they say is what is tested here.
-"""
+"""The pilot flown event by event against a fake vehicle, with a scripted gate."""
 
 import math
-import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
 
-from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     Action,
@@ -37,342 +28,26 @@ from companion.core.mission.actions import (
     Release,
     Reply,
     SaveCheckpoint,
-    Say,
     SetGroundSpeed,
     SetMode,
     UploadMission,
 )
-from companion.core.mission.events import Ground, Mode
-from companion.core.mission.flight_file import Flight
-from companion.core.mission.mission_items import ItemKind, MissionItem, differences
-from companion.core.mission.preflight_checks import Finding, Requirement
-from companion.core.pilot import resume as recognising
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.estimates import Limits
-from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.pilot_state import PilotOptions
-from companion.core.pilot.transitions import COMMANDING_PHASES, Phase
-from companion.core.return_budget.budget import Ahead, Assessment
-from companion.core.return_budget.remaining_mission import OnTheWay
-from companion.core.return_budget.value_table.mission_value import Reading
-from companion.core.vehicle.energy_ledger import EnergyBelief
-from companion.core.wind.estimator import WindBelief
-
-DEPOT = (55.47, 8.45, 12.0)
-M_PER_DEG = 111_194.93  # one degree on a sphere of 6,371,008.8 m
-FLIGHT = msgspec.convert(
-    tomllib.loads(
-        """
-        format = "flight/1"
-        [site]
-        depot = { lat_deg = 55.47, lon_deg = 8.45, alt_amsl_m = 12.0 }
-        customer = { name = "customer", north_m = 300.0, east_m = 0.0, up_m = 3.0 }
-        rally = [{ name = "quay", north_m = 150.0, east_m = 120.0 }]
-        [vehicle]
-        airframe = "m100"
-        payload_kg = 0.6
-        [mission]
-        leg_length_m = 100.0
-        cruise_height_m = 30.0
-        wind_settle_s = 4.0
-        """
-    ),
-    Flight,
+from companion.core.mission.events import Mode
+from companion.core.mission.mission_items import ItemKind, MissionItem
+from companion.core.mission.preflight_checks import Requirement
+from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
+from companion.core.pilot.context import PilotOptions
+from companion.core.pilot.transitions import Phase
+from tests.companion.pilot.fake_vehicle import (
+    AIRFRAME,
+    CLOSED,
+    DEPOT,
+    FLIGHT,
+    M_PER_DEG,
+    World,
+    start,
+    world,
 )
-AIRFRAME = read_airframe("m100")
-WIND_PROCESS = read_wind_process("coast")
-CLOSED = "the return needs more than is left"
-
-
-@dataclass
-class ScriptedJudge:
-    """Wind, energy and gate as the test says."""
-
-    route_energy: Any
-    payload_kg: float = 0.6
-    limits: Limits = field(default_factory=lambda: Limits(0.01, 0.15))
-    turn_back: Callable[["ScriptedJudge"], bool] = lambda judge: False
-    best_landing: str = "depot"
-    depot_p_home: float = 0.999
-    wind_ne: tuple[float, float] = (0.0, 0.0)
-    known: bool = True
-    t_s: float = 0.0
-    asked: list[Ahead] = field(default_factory=list)
-    restored: bool = False
-    table: Any = None
-    p_home_by_table: float = 0.999
-    tables_asked: list[OnTheWay] = field(default_factory=list)
-
-    @property
-    def energy(self) -> EnergyBelief | None:
-        return EnergyBelief(self.t_s, 80.0, 2.0, 110.0, "test") if self.known else None
-
-    @property
-    def wind(self) -> WindBelief:
-        return WindBelief(self.t_s, np.array(self.wind_ne), np.eye(2), ("test",), self.known)
-
-    def observe(self, now: Any, flavour: Any) -> tuple[str, ...]:
-        self.t_s = now.t_s
-        return ()
-
-    def depart(self, ahead: Ahead) -> Assessment | None:
-        return self.assess(ahead)
-
-    def limit(self, limits: Limits) -> None:
-        self.limits = limits
-
-    def assess(self, ahead: Ahead) -> Assessment | None:
-        if not self.known:
-            return None
-        self.asked.append(ahead)
-        only_depot = {way.landing for way in ahead.ways_home_now} == {"depot"}
-        p_home = self.depot_p_home if only_depot else 0.999
-        closed = self.turn_back(self)
-        return Assessment(
-            self.t_s, p_home, 0.999, 0.9, 20.0, closed, self.best_landing, None, 80.0, 60.0,
-            CLOSED if closed else "open",
-        )  # fmt: skip
-
-    def reading(self, at: OnTheWay) -> Reading | None:
-        home = self.p_home_by_table
-        return None if self.table is None else Reading(home, home, 1.0, False)
-
-    def table_request(self, plan: Any, at: OnTheWay, *, on_ground: bool = False) -> Any:
-        self.tables_asked.append(at)
-        return SimpleNamespace(plan=plan, on_ground=on_ground) if self.known else None
-
-    def ground_speed_mps(self, here: Any, to: Any) -> float:
-        return 10.0 + self.wind_ne[0]
-
-    def snapshot(self) -> dict[str, object]:
-        return {"ledger": {}, "outlook": {}, "scale": {}, "wind": {}, "payload_kg": self.payload_kg,
-                "max_loss": 0.01, "accepted_loss": None, "reserve_frac": 0.15}  # fmt: skip
-
-    def restore(self, kept: Any) -> None:
-        self.restored = True
-        self.payload_kg = kept.payload_kg
-
-
-def one_requirement(flavour: Any, facts: Any) -> tuple[Requirement, ...]:
-    """A failsafe that is off until it is configured."""
-    return (
-        Requirement(
-            ("LOW_ACT",),
-            "a low-battery action is set",
-            lambda v: None if v.get("LOW_ACT") is None else v["LOW_ACT"] == 2.0,
-            lambda v: {"LOW_ACT": 2.0},
-            True,
-        ),
-    )
-
-
-@dataclass
-class World:
-    """A vehicle that obeys, its clock, and everything that the pilot did."""
-
-    pilot: Pilot
-    judge: ScriptedJudge
-    t_s: float = 0.0
-    north: float = 0.0
-    east: float = 0.0
-    height: float = 0.0
-    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mode: Mode = Mode.HOLD
-    armed: bool = False
-    disarms: bool = True
-    items: tuple[MissionItem, ...] = ()
-    index: int = 0
-    waited: float = 0.0
-    speed: float = 10.0
-    loaded: bool = True
-    gripper_works: bool = True
-    values: dict[str, float | None] = field(default_factory=lambda: {"LOW_ACT": 0.0})
-    obeys_jumps: bool = True
-    gnss: bool = True
-    volts: float | None = 22.0
-    mute: set[type] = field(default_factory=set)
-    log: list[tuple[float, Action]] = field(default_factory=list)
-    answers: list[ev.Event] = field(default_factory=list)
-    rewrite: Callable[[tuple[MissionItem, ...]], tuple[MissionItem, ...]] = lambda items: items
-
-    def tell(self, event: ev.Event) -> list[Action]:
-        """Give the pilot one event; obey its orders."""
-        actions = self.pilot.handle(event)
-        for action in actions:
-            self.log.append((self.t_s, action))
-            if isinstance(action, Order):
-                assert self.pilot.phase in COMMANDING_PHASES
-                self.obey(action)
-        return actions
-
-    def obey(self, order: Order) -> None:
-        match order:
-            case AskTelemetry():
-                self.answers.append(ev.StreamsAsked(self.t_s))
-            case AskParameters():
-                self.answers.append(ev.AutopilotParameters(self.t_s, dict(self.values)))
-            case Configure():
-                self.values |= order.values
-                self.answers += [
-                    ev.ParametersSet(self.t_s),
-                    ev.AutopilotParameters(self.t_s, dict(self.values)),
-                ]
-            case UploadMission():
-                self.items = self.rewrite(order.items)
-                self.index = 0
-                self.answers.append(ev.MissionUploaded(self.t_s))
-            case ReadMissionBack():
-                found = differences(order.items, self.items)
-                self.answers.append(ev.MissionReadBack(self.t_s, found))
-            case SetMode():
-                self.mode = order.mode
-            case Arm():
-                self.armed = True
-            case Disarm():
-                self.armed = self.armed and not self.disarms
-            case JumpTo() if self.obeys_jumps:
-                self.index, self.waited = order.index, 0.0
-            case SetGroundSpeed():
-                self.speed = order.ground_speed_mps
-            case Release():
-                self.loaded = self.loaded and not self.gripper_works
-            case _:
-                return
-
-    def fly(self, dt_s: float) -> None:
-        """Follow the mission, by itself."""
-        self.velocity = (0.0, 0.0, 0.0)
-        if not self.armed or self.mode is not Mode.MISSION or self.index >= len(self.items):
-            return
-        item = self.items[self.index]
-        match item.kind:
-            case ItemKind.JUMP:
-                self.index = int(item.value)
-                return
-            case ItemKind.RELEASE:
-                self.loaded = self.loaded and not self.gripper_works
-                self.index += 1
-                return
-            case ItemKind.SPEED:
-                self.speed = item.value
-                self.index += 1
-                return
-            case _:
-                pass
-        assert item.spot is not None
-        goal_n = (item.spot.lat_deg - DEPOT[0]) * M_PER_DEG
-        goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
-        if item.kind is ItemKind.TAKEOFF:
-            goal_n, goal_e = self.north, self.east
-        away = math.dist((goal_n, goal_e), (self.north, self.east))
-        step = min(away, self.speed * dt_s, 0.8 * away + 0.05)
-        if away > 0.0:
-            north, east = (goal_n - self.north) / away * step, (goal_e - self.east) / away * step
-            self.velocity = (north / dt_s, east / dt_s, 0.0)
-            self.north, self.east = self.north + north, self.east + east
-        if item.kind is not ItemKind.LAND or away < 2.0:
-            climb = max(-3.0 * dt_s, min(3.0 * dt_s, item.spot.height_rel_m - self.height))
-            self.height += climb
-            self.velocity = (*self.velocity[:2], -climb / dt_s)
-        if away < 2.0 and abs(self.height - item.spot.height_rel_m) < 0.3:
-            if item.kind is ItemKind.LAND:
-                self.armed = not self.disarms
-                return
-            self.waited += dt_s
-            hold = item.value if item.kind in (ItemKind.LOITER_TIME, ItemKind.WAYPOINT) else 0.0
-            if self.waited >= hold:
-                self.index, self.waited = self.index + 1, 0.0
-
-    def telemetry(self) -> list[ev.Event]:
-        t = self.t_s
-        power = 470.0 if self.loaded else 370.0
-        found: list[ev.Event] = [
-            ev.Attitude(t, 0.0, 0.0, 0.0),
-            ev.Position(
-                t,
-                DEPOT[0] + self.north / M_PER_DEG,
-                DEPOT[1] + self.east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
-                DEPOT[2] + self.height,
-                self.height,
-                *self.velocity,
-            ),
-            ev.GnssFix(t, self.gnss),
-            ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
-            ev.MissionProgress(t, self.index, len(self.items) or None),
-            ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
-        ]
-        if round(t * 10) % 5 == 0:
-            found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
-        return [event for event in found if type(event) not in self.mute]
-
-    def step(self, dt_s: float = 0.1) -> None:
-        """One tick of the autopilot's clock."""
-        self.t_s = round(self.t_s + dt_s, 3)
-        self.fly(dt_s)
-        answers, self.answers = self.answers, []
-        for event in (*answers, *self.telemetry(), ev.Tick(self.t_s)):
-            self.tell(event)
-
-    def run(self, until: Callable[["World"], bool], limit_s: float = 300.0) -> "World":
-        """Fly until something holds."""
-        end_s = self.t_s + limit_s
-        while not until(self):
-            assert self.t_s < end_s, f"never came: {self.pilot.phase}, {self.kinds}"
-            self.step()
-        return self
-
-    def until(self, phase: Phase) -> "World":
-        return self.run(lambda w: w.pilot.phase is phase)
-
-    def to_the_end(self) -> Finished:
-        self.run(lambda w: any(isinstance(a, Finished) for _, a in w.log))
-        return next(a for _, a in self.log if isinstance(a, Finished))
-
-    def orders_after(self, t_s: float) -> list[Order]:
-        return [a for t, a in self.log if isinstance(a, Order) and t > t_s]
-
-    @property
-    def kinds(self) -> list[str]:
-        return [a.kind for _, a in self.log if isinstance(a, Decision)]
-
-    @property
-    def said(self) -> str:
-        return "; ".join(a.text for _, a in self.log if isinstance(a, Say))
-
-
-def world(
-    *,
-    options: PilotOptions | None = None,
-    kept: Kept | None = None,
-    flight: Flight = FLIGHT,
-    armed: bool = False,
-) -> World:
-    """A pilot with a scripted judge beside a vehicle at the depot."""
-    pilot = Pilot(
-        flight,
-        AIRFRAME,
-        WIND_PROCESS,
-        obstacles=None,
-        requirements=one_requirement,
-        digest="test",
-        options=options or PilotOptions(configure=True, authorise=True),
-    )
-    judge = ScriptedJudge(pilot.judge.route_energy)
-    pilot.judge = judge  # type: ignore[assignment]
-    if kept is not None:
-        pilot.checkpoint = kept
-        recognising.restore(pilot)
-    made = World(pilot, judge, armed=armed)
-    if not armed:
-        start(made)
-    return made
-
-
-def start(made: World) -> None:
-    """Let the pilot recognise the autopilot."""
-    made.tell(ev.VehicleState(made.t_s, made.mode, made.mode.value, made.armed))
-    made.tell(ev.Identified(made.t_s, ev.Flavour.PX4, 1))
-
 
 # --- the straight way ----------------------------------------------------------------------------
 
@@ -391,7 +66,7 @@ def test_a_flight_with_an_open_gate_delivers_and_comes_home():
 def test_leave_for_the_next_leg_comes_before_the_waypoint_so_that_it_does_not_slow():
     w = world()
     w.until(Phase.OUTBOUND)
-    target = w.pilot.flown.plan.outbound_ned_m[0]
+    target = w.pilot.flight_plan.plan.outbound_ned_m[0]
     w.run(lambda w: "onward" in w.kinds)
     away = math.dist((w.north, w.east), target[:2])
     braking = 10.0**2 / (2 * AIRFRAME.speeds.accel_mps2)
@@ -545,7 +220,7 @@ def test_safety_rule_1_in_flight_the_one_that_flies_goes_on_when_another_wakes()
 
 def test_safety_rule_1_somebody_else_who_moves_the_mission_takes_over():
     w = reach(Phase.OUTBOUND)
-    w.index = w.pilot.flown.mission.deliver
+    w.index = w.pilot.flight_plan.mission.deliver
     w.step()
     w.step()
     assert w.pilot.phase is Phase.SUSPENDED
@@ -555,7 +230,7 @@ def test_one_late_message_from_before_our_own_jump_is_no_other_hand():
     # UDP reorders; MISSION_CURRENT carries no time.
     w = reach(Phase.OUTBOUND)
     before = w.index
-    w.run(lambda x: x.pilot.air.leg == 1 and x.pilot.air.jump is None)
+    w.run(lambda x: x.pilot.leg == 1 and x.pilot.jump_item is None)
     w.tell(ev.MissionProgress(w.t_s, before, len(w.items)))
     w.tell(ev.Tick(w.t_s))
     assert w.pilot.phase is Phase.OUTBOUND
@@ -623,7 +298,7 @@ def test_safety_rule_3_a_closed_gate_is_one_jump_home_confirmed_by_telemetry():
     turned = next(t for t, a in w.log if isinstance(a, Decision) and a.kind == "turn_back")
     jumps = [a for t, a in w.log if isinstance(a, JumpTo) and t >= turned]
     assert len(jumps) == 1
-    assert jumps[0].index in w.pilot.flown.mission.returning
+    assert jumps[0].index in w.pilot.flight_plan.mission.returning
     assert CLOSED in w.said
 
 
@@ -660,9 +335,14 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
     assert w.orders_after(taken_s) == []
 
 
+def low_rtl(flavour: Any, facts: Any) -> tuple[Requirement, ...]:
+    """An RTL altitude that is too low, and no hindrance to take-off."""
+    words = "an RTL above every obstacle"
+    return (Requirement(("RTL_ALT",), words, lambda v: False, lambda v: {}, False),)
+
+
 def test_safety_rule_3_no_rtl_where_its_altitude_is_not_known_to_clear_the_obstacles():
-    w = reach(Phase.OUTBOUND)
-    w.pilot.ground.findings = (Finding("RTL_ALT", "an RTL above every obstacle", blocks=True),)
+    w = world(requirements=low_rtl).until(Phase.OUTBOUND)
     w.obeys_jumps = False
     w.judge.turn_back = lambda judge: True
     w.until(Phase.LAST_RESORT)
@@ -689,7 +369,7 @@ def test_a_position_lost_in_flight_is_said_with_where_it_was_and_promises_nothin
 def test_an_autopilot_that_comes_down_blind_is_left_alone_and_the_operator_knows_where():
     w = reach(Phase.OUTBOUND)
     w.gnss = False
-    w.run(lambda x: x.pilot.air.position_lost_s is not None)
+    w.run(lambda x: x.pilot.position_lost)
     w.mode = Mode.LAND
     taken_s = w.t_s
     w.run(lambda x: x.pilot.phase is Phase.SUSPENDED)
@@ -765,11 +445,11 @@ def test_safety_rule_6_small_moves_of_the_wind_are_not_chased():
     w.run(lambda w: any(isinstance(a, SetGroundSpeed) for _, a in w.log))
     w.step()
     w.log.clear()
-    leg = w.pilot.air.index
+    leg = w.pilot.item
     for k in range(200):
         w.judge.wind_ne = (0.3 * math.sin(k), 0.0)
         w.step()
-        if w.pilot.air.index != leg:
+        if w.pilot.item != leg:
             break
     assert not any(isinstance(a, SetGroundSpeed) for t, a in w.log if t < w.t_s)
 
@@ -828,7 +508,7 @@ def test_nothing_onward_is_commanded_on_stale_data_and_the_mission_comes_home(ki
     stale_s = w.t_s
     while w.armed and w.t_s < stale_s + 200.0:
         w.step()
-    onward = {*w.pilot.flown.mission.outbound, w.pilot.flown.mission.deliver}
+    onward = {*w.pilot.flight_plan.mission.outbound, w.pilot.flight_plan.mission.deliver}
     jumps = [o.index for o in w.orders_after(stale_s) if isinstance(o, JumpTo)]
     assert not onward & set(jumps)
     assert w.loaded
@@ -839,7 +519,6 @@ def test_unknown_wind_and_energy_give_no_leave_to_go():
     w = world()
     w.until(Phase.MEASURE)
     w.judge.known = False
-    w.pilot.assessment = None
     w.run(lambda w: not w.armed)
     assert "go" not in w.kinds
 
@@ -929,17 +608,14 @@ def test_a_rebooted_autopilot_is_read_again_and_no_energy_is_won():
     assert done.outcome == "SUC"
 
 
-def interrupted(phase: Phase) -> tuple[World, Kept]:
+def interrupted(phase: Phase) -> tuple[World, Checkpoint]:
     """A flight whose companion is killed in a phase; its last checkpoint."""
     w = reach(phase)
     w.step()
-    w.pilot.save()
-    content = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)]
-    w.pilot._out.clear()
-    return w, msgspec.convert(content[-1], Kept)
+    return w, checkpoint_from_dict(checkpoint_to_dict(w.pilot.checkpoint()), "a checkpoint")
 
 
-def restarted(w: World, kept: Kept, *, mode: Mode | None = None) -> World:
+def restarted(w: World, kept: Checkpoint, *, mode: Mode | None = None) -> World:
     """A new companion process beside the same vehicle, some seconds later."""
     for _ in range(30):
         w.t_s = round(w.t_s + 0.1, 3)
@@ -999,7 +675,7 @@ def test_restarted_after_it_was_suspended_it_stays_suspended_in_our_own_mode():
     w = reach(Phase.OUTBOUND)
     w.tell(ev.VehicleState(w.t_s, Mode.OTHER, "POSCTL", True))
     content = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)]
-    again = restarted(w, msgspec.convert(content[-1], Kept), mode=Mode.MISSION)
+    again = restarted(w, msgspec.convert(content[-1], Checkpoint), mode=Mode.MISSION)
     assert again.pilot.phase is Phase.SUSPENDED
     assert not any(isinstance(a, Order) for _, a in again.log)
 
@@ -1025,7 +701,7 @@ def test_a_restart_on_the_ground_needs_a_new_authorisation():
     w = reach(Phase.READY)
     w.tell(ev.Authorised(w.t_s, "255/190"))
     content = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)]
-    kept = msgspec.convert(content[-1], Kept)
+    kept = msgspec.convert(content[-1], Checkpoint)
     assert kept.authorised
     again = world(kept=kept, options=PilotOptions(configure=True, authorise=True))
     again.until(Phase.READY)
@@ -1058,7 +734,7 @@ def test_a_check_changes_nothing_and_says_what_is_missing():
     w.to_the_end()
     orders = {type(a) for _, a in w.log if isinstance(a, Order)}
     assert orders == {AskTelemetry, AskParameters}
-    assert [f.blocks for f in w.pilot.ground.findings] == [True]
+    assert [f.blocks for f in w.pilot.findings] == [True]
     assert not any(isinstance(a, SaveCheckpoint) for _, a in w.log)
 
 
@@ -1166,8 +842,8 @@ def test_a_table_whose_policy_loses_more_than_is_accepted_from_here_is_made_agai
 def test_without_any_table_the_flight_goes_on_and_it_is_said_once():
     w = world()
     w.until(Phase.CLIMB)
-    for _ in range(6):
-        w.run(lambda w: w.pilot.tables.asked is not None or w.pilot.phase is Phase.RETURN)
+    for answered in range(6):
+        w.run(lambda w, n=answered: len(tables_asked(w)) > n or w.pilot.phase is Phase.RETURN)
         w.tell(ev.TableMade(w.t_s, None, "the worker died"))
     assert w.to_the_end().outcome == "SUC"
     assert w.said.count("no value table") == 1
@@ -1175,11 +851,13 @@ def test_without_any_table_the_flight_goes_on_and_it_is_said_once():
 
 
 def test_a_table_for_another_plan_is_not_used():
-    w = reach(Phase.OUTBOUND)
-    assert w.pilot.tables.asked is not None
-    w.pilot.tables.asked = SimpleNamespace(plan="another")  # type: ignore[assignment]
-    w.tell(ev.TableMade(w.t_s, made_table()))
-    assert w.judge.table is None
+    for plan, used in (("another", False), (None, True)):
+        w = world()
+        w.judge.table_plan = plan
+        w.until(Phase.OUTBOUND)
+        assert len(tables_asked(w)) == 1
+        w.tell(ev.TableMade(w.t_s, made_table()))
+        assert (w.judge.table is not None) == used
 
 
 def test_restarted_in_mid_air_it_flies_without_a_table_and_asks_for_a_new_one():

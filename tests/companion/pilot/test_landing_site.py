@@ -16,8 +16,8 @@ from companion.core.mission.actions import Answer, Arm, JumpTo, Reply, SaveCheck
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
 from companion.core.mission.mission_items import DeadMansMission, ItemKind, Part
-from companion.core.pilot.checkpoint import Kept
-from companion.core.pilot.mission_end import home_now
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.budget import Ahead, Assessment
 from companion.core.return_budget.remaining_from_plan import (
@@ -29,7 +29,7 @@ from companion.core.return_budget.remaining_from_plan import (
 from companion.core.return_budget.value_table.decision_graph import build_mission_graph
 from companion.core.routing.leg_energy import LegKind, RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
-from tests.companion.pilot.test_flight import AIRFRAME, ScriptedJudge, World, start, world
+from tests.companion.pilot.fake_vehicle import AIRFRAME, ScriptedJudge, World, start, world
 
 TABLE: dict[str, Any] = tomllib.loads(
     """
@@ -89,11 +89,13 @@ class StopsJudge(ScriptedJudge):
         return replace(seen, p_home=p_home, turn_back=seen.turn_back or p_home < 0.99)
 
 
-def truck_world(kept: Kept | None = None, *, armed: bool = False) -> World:
-    made = world(flight=flight(), kept=kept, armed=armed)
-    judge = StopsJudge(made.pilot.judge.route_energy)
-    made.judge = made.pilot.judge = judge  # type: ignore[assignment]
-    return made
+def truck_world(
+    kept: Checkpoint | None = None, *, armed: bool = False, options: PilotOptions | None = None
+) -> World:
+    truck_flight = flight()
+    energy = RouteEnergy.for_mission(AIRFRAME, truck_flight.mission)
+    judge = StopsJudge(energy)
+    return world(flight=truck_flight, kept=kept, armed=armed, judge=judge, options=options)
 
 
 def reach(phase: Phase) -> World:
@@ -101,8 +103,8 @@ def reach(phase: Phase) -> World:
 
 
 def flown_of(w: World) -> FlightPlan:
-    assert w.pilot.flown is not None
-    return w.pilot.flown
+    assert w.pilot.flight_plan is not None
+    return w.pilot.flight_plan
 
 
 def wish(w: World, stop: str) -> Answer:
@@ -293,7 +295,7 @@ def test_a_way_back_in_the_lower_layer_sinks_first_and_is_not_cheaper_than_one_w
 
 def test_safety_rule_3_a_flight_ends_at_the_promised_stop_and_never_asks_for_another():
     w = truck_world()
-    assert home_now(w.pilot) == "stop-2"
+    assert w.pilot.home == "stop-2"
     done = w.to_the_end()
     assert (done.outcome, done.home) == ("SUC", True)
     assert math.dist((w.north, w.east), PADS["stop-2"]) < 3.0
@@ -342,13 +344,13 @@ def test_safety_rule_3_moved_on_the_way_out_home_stays_until_the_autopilot_flies
     w = reach(Phase.OUTBOUND)
     assert wish(w, "stop-3").reply is Reply.ACCEPTED
     w.judge.asked.clear()
-    homes = [home_now(w.pilot)]
+    homes = [w.pilot.home]
     while w.pilot.phase is not Phase.RETURN:
         w.step()
-        homes.append(home_now(w.pilot))
+        homes.append(w.pilot.home)
     assert set(homes) == {"stop-2"}  # the old promise binds the truck until the jump is seen
     assert asked_landings(w) == {"stop-2", "stop-3", "quay"}
-    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    w.run(lambda w: w.pilot.home == "stop-3")
     over, _ = flown_of(w).site_items("stop-3")
     assert w.index == over
     w.judge.asked.clear()
@@ -360,11 +362,11 @@ def test_safety_rule_3_moved_on_the_way_out_home_stays_until_the_autopilot_flies
 def test_moved_on_the_way_home_it_turns_at_once_and_may_be_moved_again():
     w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
     assert wish(w, "stop-3").reply is Reply.ACCEPTED
-    w.run(lambda w: home_now(w.pilot) == "stop-3", 3.0)
+    w.run(lambda w: w.pilot.home == "stop-3", 3.0)
     assert wish(w, "stop-1").reply is Reply.ACCEPTED
-    w.run(lambda w: home_now(w.pilot) == "stop-1", 3.0)
+    w.run(lambda w: w.pilot.home == "stop-1", 3.0)
     assert wish(w, "stop-2").reply is Reply.ACCEPTED  # and back to the end of the way home
-    w.run(lambda w: home_now(w.pilot) == "stop-2", 3.0)
+    w.run(lambda w: w.pilot.home == "stop-2", 3.0)
     assert w.pilot.phase is Phase.RETURN
     done = w.to_the_end()
     assert (done.outcome, ended_at(w)) == ("SUC", "stop-2")
@@ -375,7 +377,7 @@ def test_low_over_the_customer_it_climbs_out_before_it_turns_to_another_stop():
     w = reach(Phase.RETURN)
     assert w.height < 20.0
     assert wish(w, "stop-3").reply is Reply.ACCEPTED
-    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    w.run(lambda w: w.pilot.home == "stop-3")
     assert w.height > 42.0 - 5.5
     assert math.dist((w.north, w.east), (300.0, 0.0)) < 5.0
 
@@ -406,7 +408,7 @@ def test_while_it_turns_to_one_stop_it_takes_no_other_wish():
     w.run(lambda w: "move_home" in w.kinds, 3.0)
     assert wish(w, "stop-2") == Answer(Reply.LATER, "turning to another landing site just now")
     w.mute.clear()
-    w.run(lambda w: home_now(w.pilot) == "stop-3", 3.0)
+    w.run(lambda w: w.pilot.home == "stop-3", 3.0)
     assert wish(w, "stop-2").reply is Reply.ACCEPTED
 
 
@@ -435,16 +437,14 @@ REFUSALS: list[tuple[str, Phase, str, Callable[[World], None], Reply, str]] = [
 @pytest.mark.parametrize("case", REFUSALS, ids=[case[0] for case in REFUSALS])
 def test_a_move_that_cannot_be_is_refused_with_its_reason_and_changes_nothing(case):
     _, phase, stop, change, reply, words = case
-    w = truck_world()
-    if phase is Phase.READY:
-        w.pilot.options = replace(w.pilot.options, authorise=False)
-    w.until(phase)
+    options = PilotOptions(configure=True, authorise=phase is not Phase.READY)
+    w = truck_world(options=options).until(phase)
     change(w)
     plan = flown_of(w).plan
     answer = wish(w, stop)
     assert answer.reply is reply
     assert answer.reason.startswith(words)
-    assert home_now(w.pilot) == "stop-2"
+    assert w.pilot.home == "stop-2"
     assert flown_of(w).plan == plan
 
 
@@ -467,7 +467,7 @@ def test_an_autopilot_that_does_not_jump_to_the_new_stop_goes_to_the_old_one_and
     wish(w, "stop-3")
     w.obeys_jumps = False
     done = w.to_the_end()
-    assert (done.home, ended_at(w), home_now(w.pilot)) == (True, "stop-2", "stop-2")
+    assert (done.home, ended_at(w), w.pilot.home) == (True, "stop-2", "stop-2")
     assert "home_stays" in w.kinds
     assert not any(isinstance(a, SetMode) and a.mode is ev.Mode.RTL for _, a in w.log)
 
@@ -477,7 +477,7 @@ def test_an_operator_without_a_desk_names_the_stop_by_where_its_pad_is():
     lat = 55.47 + 41.0 / 111_194.93
     lon = 8.45 - 111.0 / (111_194.93 * math.cos(math.radians(55.47)))
     w.tell(ev.HomeMoved(w.t_s, "255/190", None, lat, lon))
-    assert w.pilot.air.wanted == "stop-3"
+    assert w.pilot.wanted_home == "stop-3"
     (answer,) = (
         a
         for a in w.tell(ev.HomeMoved(w.t_s, "255/190", None, 55.48, 8.45))
@@ -493,13 +493,13 @@ def test_safety_rule_3_a_wish_and_a_moved_home_outlive_a_restart_of_the_companio
         w.run(lambda w: w.height > 41.0)
     wish(w, "stop-3")
     if seen:
-        w.run(lambda w: home_now(w.pilot) == "stop-3")
+        w.run(lambda w: w.pilot.home == "stop-3")
     kept = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)][-1]
-    again = truck_world(msgspec.convert(kept, Kept), armed=True)
+    again = truck_world(msgspec.convert(kept, Checkpoint), armed=True)
     for name in ("t_s", "north", "east", "height", "items", "index", "waited", "loaded", "values"):
         setattr(again, name, getattr(w, name))
     again.mode = w.mode
-    assert home_now(again.pilot) == ("stop-3" if seen else "stop-2")
+    assert again.pilot.home == ("stop-3" if seen else "stop-2")
     start(again)
     done = again.to_the_end()
     assert (done.outcome, ended_at(again)) == ("SUC", "stop-3")
@@ -509,8 +509,8 @@ def test_safety_rule_3_a_wish_and_a_moved_home_outlive_a_restart_of_the_companio
 def test_a_stop_that_no_longer_keeps_the_promise_is_left_for_a_rally_point_that_does():
     w = reach(Phase.RETURN).run(lambda w: w.height > 41.0)
     wish(w, "stop-3")
-    w.run(lambda w: home_now(w.pilot) == "stop-3")
+    w.run(lambda w: w.pilot.home == "stop-3")
     w.judge.p_home_by["stop-3"] = 0.9  # type: ignore[attr-defined]
-    w.run(lambda w: home_now(w.pilot) == "quay", 5.0)
+    w.run(lambda w: w.pilot.home == "quay", 5.0)
     jumps = [a.index for _, a in w.log if isinstance(a, JumpTo)]
     assert jumps[-1] == flown_of(w).site_items("quay")[0]

@@ -1,6 +1,6 @@
 """The pilot beside neighbours, event by event: who takes over when, and what ends it.
 
-The vehicle is test_pilot_flight's, and obeys velocity set-points as each flavour does.
+The vehicle is fake_vehicle's, and obeys velocity set-points as each autopilot does.
 """
 
 import math
@@ -13,15 +13,16 @@ from companion.core.mission import events as ev
 from companion.core.mission.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
 from companion.core.mission.events import Flavour, Mode
 from companion.core.mission.mission_items import ItemKind, Part
-from companion.core.pilot import setpoint_takeover as keeping_apart
-from companion.core.pilot.jump_confirmation import Purpose
-from companion.core.pilot.mission_progress import jump
-from companion.core.pilot.pilot_state import PilotOptions
+from companion.core.pilot.authority import Authority
+from companion.core.pilot.context import FlightContext, PilotOptions
+from companion.core.pilot.desired_velocity import DesiredVelocity
+from companion.core.pilot.setpoint_takeover import SetpointTakeover
+from companion.core.pilot.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.setpoint_motion import FLEET, backing_off
 from companion.core.separation.track import Track
 from companion.core.separation.traffic_tracks import NeighbourTracks, Report
-from tests.companion.pilot.test_flight import DEPOT, M_PER_DEG, World, world
+from tests.companion.pilot.fake_vehicle import AIRFRAME, DEPOT, FLIGHT, M_PER_DEG, World, world
 
 UNIX_S = 1.8e9
 OPTIONS = PilotOptions(configure=True, authorise=True, keep_apart=True, name="d1")
@@ -130,7 +131,7 @@ def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
     assert w.away_m > 40.0
     w.neighbour_vel = (0.0, 0.0, 0.0)
     nearest = math.inf
-    while w.pilot.apart.wanted:
+    while w.pilot.on_setpoints:
         w.step()
         nearest = min(nearest, max(w.away_m / 6.0, w.above_m / 5.0))
         assert w.t_s < 120.0
@@ -138,7 +139,7 @@ def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
     assert "back" in w.kinds
     w.run(lambda _: not w.guided, 3.0)
     assert (w.mode, w.pilot.phase) == (Mode.MISSION, Phase.OUTBOUND)
-    assert w.index == w.pilot.air.index
+    assert w.index == w.pilot.item
 
 
 @BOTH
@@ -154,7 +155,7 @@ def test_who_hovers_with_its_goal_across_our_way_is_taken_for_one_that_goes_ther
     w.step()
     w.step()
     across = goal_east_m == -300.0
-    assert w.pilot.apart.wanted == across
+    assert w.pilot.on_setpoints == across
 
 
 def test_backing_off_leads_level_away_from_the_nearest():
@@ -211,7 +212,7 @@ def homeward(flavour: Flavour) -> Beside:
     w.run(lambda w: w.north > 80.0)
     coming(w)
     w.judge.turn_back = lambda judge: True
-    w.run(lambda w: w.pilot.phase is Phase.RETURN and w.pilot.air.jump is None, 5.0)
+    w.run(lambda w: w.pilot.phase is Phase.RETURN and w.pilot.jump_item is None, 5.0)
     return w
 
 
@@ -219,68 +220,109 @@ def homeward(flavour: Flavour) -> Beside:
 def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_hand_back(flavour):
     """The autopilot counts no waypoint then: two stood over two that were 3 m apart, for good."""
     w = homeward(flavour)
-    flown, first = w.pilot.flown, w.pilot.air.index
+    flown, first = w.pilot.flight_plan, w.pilot.item
     assert flown is not None
     assert first == flown.mission.returning[-1]
     # somebody waits over the pad, too near to its height for it to hand back there
     w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
-    while w.pilot.air.index == first:
+    while w.pilot.item == first:
         w.step()
         assert max(w.away_m / 6.0, w.above_m / 5.0) >= 1.0
         assert w.t_s < 120.0
     assert w.guided
     assert math.hypot(w.north, w.east) < 5.0
     assert w.height > 10.0
-    assert w.pilot.air.index == flown.mission.land
+    assert w.pilot.item == flown.mission.land
     assert w.pilot.phase is Phase.LAND
     assert flown.mission.stands_for(w.index) == flown.mission.land
     w.neighbour = None
     w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
 
 
+@dataclass
+class Leave:
+    """Mission progress as the test says: the item that is flown, and a jump under way."""
+
+    index: int | None
+    jump_index: int | None = None
+    leg: int = 0
+    speed_mps: float | None = None
+
+    def restart_course(self, t_s: float) -> None:
+        """No course is watched."""
+
+    def forget_speed(self) -> None:
+        """There is none."""
+
+
+class NoTransition:
+    """Nobody acts on transitions."""
+
+    def enter_phase(self, left: Phase, why: str) -> None:
+        """Nothing to start."""
+
+    def save_checkpoint(self, *, routine: bool) -> None:
+        """Nothing to keep."""
+
+
 @BOTH
-def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour, monkeypatch):
+def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour):
     """Leave to go on was given as the way became free, and the item before was ordered again: the
-    pilot then took the one for somebody else's hand, and let the vehicle go home undelivered."""
+    pilot then took that for somebody else's hand, and let the vehicle go home undelivered."""
     w = coming(beside(flavour))
-    flown = w.pilot.flown
+    flown = w.pilot.flight_plan
     assert flown is not None
-    onward = flown.mission.outbound[w.pilot.air.leg + 1]
-    w.neighbour = None
-    w.pilot.apart.tracks = NeighbourTracks(FLEET)
+    before, onward = flown.mission.outbound[0], flown.mission.outbound[1]
+    context = FlightContext(FLIGHT, AIRFRAME, w.judge, OPTIONS, NoTransition())
+    context.autopilot, context.flight_plan, context.phase = flavour, flown, Phase.OUTBOUND
+    leave, modes, gone_s = Leave(before), Authority(), w.t_s + 60.0
+    traffic = TrafficExchange(leave)
+    setpoints = SetpointTakeover(
+        leave, traffic, DesiredVelocity(leave, leave, traffic, None), modes
+    )
 
-    def both(pilot, *_):
-        jump(pilot, onward, Purpose.ONWARD)
-        keeping_apart._hand_back(pilot, "the way is free")
+    def tick() -> None:
+        """The vehicle stands still, and its telemetry goes on."""
+        w.t_s = round(w.t_s + 0.1, 3)
+        for event in w.telemetry():
+            context.telemetry.update(event)
+            traffic.on_event(context, event)
+        context.take_outbox()
+        setpoints.tick(context)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(keeping_apart, "_decide", both)
-        w.run(lambda _: not w.pilot.apart.wanted, 1.0)
-    w.run(lambda _: not w.guided, 3.0)
-    for _ in range(20):
-        w.step()
-    assert w.pilot.phase is Phase.OUTBOUND
-    assert w.pilot.air.index == onward
+    while not setpoints.active:
+        tick()
+        assert w.t_s < gone_s
+    setpoints.leads_to(context, ev.MissionProgress(w.t_s, w.index, len(w.items)))
+    assert setpoints.is_flown(context)
+    w.tells = False  # lost after half a minute
+    while setpoints.active:
+        leave.jump_index = onward
+        tick()
+        assert w.t_s < gone_s
+    orders = [a for a in context.take_outbox() if isinstance(a, JumpTo | SetMode)]
+    jump = SetMode(Mode.MISSION) if flavour is Flavour.PX4 else JumpTo(onward)
+    assert orders == [jump]
 
 
 @BOTH
 def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(flavour):
     w = homeward(flavour)
-    first = w.pilot.air.index
+    first = w.pilot.item
     w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
     w.run(lambda _: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
     w.deaf_to_jumps = True
     for _ in range(100):
         w.step()
     asked = [a for t, a in w.log if isinstance(a, JumpTo) and t > w.t_s - 10.0]
-    flown = w.pilot.flown
+    flown = w.pilot.flight_plan
     assert flown is not None
     led = {flown.mission.land, flown.mission.aside_of(flown.mission.land)}
     assert len([a for a in asked if a.index in led]) == 3
-    assert w.pilot.air.index == first
+    assert w.pilot.item == first
     w.deaf_to_jumps, w.neighbour_vel = False, (0.0, 8.0, 0.0)  # the other one goes
     w.run(lambda _: not w.guided, 30.0)
-    assert w.pilot.air.index == first
+    assert w.pilot.item == first
     w.run(lambda w: w.pilot.phase is Phase.DONE, 90.0)
 
 
@@ -293,8 +335,7 @@ def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(flavour
     def stand_before(w: Beside) -> None:
         w.neighbour, w.neighbour_vel = (w.north + 14.0, w.east, -w.height), (0.0, 0.0, 0.0)
 
-    rank = w.pilot.apart.rank
-    while w.pilot.apart.rank == rank:
+    while w.told_velocity is None or w.told_velocity[0] > -0.5:  # until it backs off
         stand_before(w)
         w.step()
         assert w.t_s < 120.0
@@ -322,8 +363,7 @@ def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flav
         w.step()
     assert w.guided
     assert w.north < north + 60.0  # it does not press on to where the silent one may be
-    w.run(lambda w: not w.pilot.apart.tracks.tracks, 20.0)
-    assert "neighbour lost: d2" in w.said
+    w.run(lambda w: "neighbour lost: d2" in w.said, 20.0)
     w.neighbour = None
     w.run(lambda _: not w.guided, 10.0)
 
@@ -335,7 +375,7 @@ def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(fla
     w.log.clear()
     for _ in range(50):
         w.step()
-    assert not w.pilot.apart.wanted
+    assert not w.pilot.on_setpoints
     times = [a.gnss_s for _, a in w.log if isinstance(a, TellPlace)]
     assert len(times) == 25
     assert all(abs(t / 0.2 - round(t / 0.2)) < 1e-3 for t in times)
@@ -343,9 +383,15 @@ def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(fla
 
 def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_companion_is_back():
     """A companion that begins anew finds the vehicle at an item of set-points: on, at once."""
-    w = coming(beside(Flavour.ARDUPILOT))
-    w.neighbour = None
-    w.pilot.apart.stop()
-    w.pilot.apart.tracks = type(w.pilot.apart.tracks)()
-    w.run(lambda _: not w.guided, 3.0)
+    before = coming(beside(Flavour.ARDUPILOT))
+    kept = before.pilot.checkpoint()
+    pilot = world(options=OPTIONS, kept=kept, armed=True)
+    w = Beside(pilot.pilot, pilot.judge, flavour=Flavour.ARDUPILOT)
+    for name in ("t_s", "north", "east", "height", "items", "index", "loaded", "values", "mode"):
+        setattr(w, name, getattr(before, name))
+    w.armed = True
+    w.tell(ev.VehicleState(w.t_s, w.mode, w.mode.value, True))
+    w.tell(ev.Identified(w.t_s, Flavour.ARDUPILOT, 1))
+    assert w.guided
+    w.run(lambda _: not w.guided, 5.0)
     assert w.pilot.phase is Phase.OUTBOUND

@@ -19,7 +19,7 @@ class Purpose(Enum):
     MOVE = "another home"
 
 
-class Verdict(Enum):
+class JumpStatus(Enum):
     """What has become of a jump."""
 
     WAITING = "waiting"
@@ -38,24 +38,24 @@ class JumpWatch:
     tries: int = 1
     refused: bool = False
 
-    def look(self, mission: DeadMansMission, index: int | None, t_s: float) -> Verdict:
+    def update(self, mission: DeadMansMission, index: int | None, t_s: float) -> JumpStatus:
         """Judge by the item that the autopilot says it flies."""
         if index is not None and self._shows(mission, index):
-            return Verdict.CONFIRMED
+            return JumpStatus.CONFIRMED
         if not self.refused and t_s - self.ordered_s < CONFIRM_S:
-            return Verdict.WAITING
+            return JumpStatus.WAITING
         if self.tries >= TRIES:
-            return Verdict.REFUSED
+            return JumpStatus.REFUSED
         self.tries += 1
         self.refused = False
         self.ordered_s = t_s
-        return Verdict.ASK_AGAIN
+        return JumpStatus.ASK_AGAIN
 
     def _shows(self, mission: DeadMansMission, index: int) -> bool:
         """Tell whether this item shows that the jump was obeyed.
 
         The way home follows every outbound waypoint: there it may just as well be where the
-        vehicle was before a jump outward (flown: MISSION_CURRENT has no time).
+        vehicle was before a jump outward (MISSION_CURRENT has no time).
         """
         if index == self.index:
             return True
