@@ -1,8 +1,8 @@
-"""A vehicle on zenoh: what is asked of it waits in one queue, what it says leaves by one thread.
+"""A fleet member's zenoh link: requests wait in one queue, messages leave by one thread.
 
-The flight never waits for zenoh: the session is opened in the background, and again until it opens;
-what cannot leave is dropped, the oldest first, because states are repeated and events are kept
-(event_log.py) until somebody asks for them.
+The flight never waits for zenoh. The session opens in the background, with retries. What cannot be
+sent is dropped, oldest first: states are repeated anyway, and events are kept (`event_log`) until
+somebody asks for them.
 """
 
 import os

@@ -1,4 +1,7 @@
-"""What a `delivery-scenario/1` file says: the graph, the budget, the vehicle and the wind."""
+"""The `delivery-scenario/1` file: one mission on a graph, with its budget, vehicle and wind.
+
+docs/reference/outcomes.md describes it.
+"""
 
 import json
 import math
@@ -54,7 +57,7 @@ class LogWind(
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One mission to plan, as `evaluation.md` section 2 defines it; checked by `parse_scenario`."""
+    """One mission to plan, as docs/reference/outcomes.md defines it; `parse_scenario` checks it."""
 
     format: Literal["delivery-scenario/1"]
     name: str
