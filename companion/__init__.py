@@ -1,0 +1,1 @@
+"""The program on the companion computer: estimates the wind, keeps the return budget, flies."""

@@ -1,4 +1,4 @@
-"""The only places where the companion's time comes from: the autopilot's clock and the wall's."""
+"""The companion's only sources of time: the autopilot's clock and the wall clock."""
 
 import time
 from dataclasses import dataclass

@@ -1,0 +1,1 @@
+"""The programs: wiring of core, adapters and fleet. Imported by nothing."""

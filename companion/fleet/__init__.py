@@ -1,0 +1,1 @@
+"""What drones, trucks and the dispatcher share: messages, topics, commands. Imports the core."""

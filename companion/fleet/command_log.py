@@ -1,4 +1,4 @@
-"""Commands that a vehicle has taken: each is carried out once, and answered the same ever after.
+"""Commands that were received: each is carried out once, and always gets the same answer.
 
 Written down before a command is carried out and again with its answer, so that a companion killed
 between the two does not launch a second time: it answers `interrupted`.

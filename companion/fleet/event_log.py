@@ -1,4 +1,4 @@
-"""What happened aboard, kept on the disk until a dispatcher has asked for it.
+"""Events of a fleet member, kept on disk until a dispatcher has asked for them.
 
 One JSON line an event, flushed as it happens; outcomes also wait for the disk. The newest are kept
 (`KEPT`), so that a vehicle without a ground never fills its disk.

@@ -1,4 +1,4 @@
-"""What vehicle and dispatcher say to one another: typed, versioned, bounded JSON.
+"""Messages between vehicles, trucks and the dispatcher: typed, versioned, bounded JSON.
 
 A message of another version, of too many bytes, with an unknown field or a number out of range is
 refused in words (`Refused`), never guessed at. `epoch_us` is the sender's own wall clock, for

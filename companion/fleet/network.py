@@ -1,4 +1,4 @@
-"""What a member of the fleet needs of a network: zenoh, or a bus within one process."""
+"""The network as a fleet member needs it: zenoh, or a bus within one process."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The key space on zenoh, written down once (docs/dispatch.md draws it).
+"""The fleet's zenoh key space (docs/reference/key-space.md).
 
 leeway/FLEET/vehicle/ID/alive/LIFE   liveliness token of one life of a companion
 leeway/FLEET/vehicle/ID/state        published about once a second; asked for, the newest

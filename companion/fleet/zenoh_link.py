@@ -1,8 +1,8 @@
-"""A vehicle on zenoh: what is asked of it waits in one queue, what it says leaves by one thread.
+"""A fleet member's zenoh link: requests wait in one queue, messages leave by one thread.
 
-The flight never waits for zenoh: the session is opened in the background, and again until it opens;
-what cannot leave is dropped, the oldest first, because states are repeated and events are kept
-(event_log.py) until somebody asks for them.
+The flight never waits for zenoh. The session opens in the background, with retries. What cannot be
+sent is dropped, oldest first: states are repeated anyway, and events are kept (`event_log`) until
+somebody asks for them.
 """
 
 import os
@@ -80,12 +80,12 @@ class ZenohLink:
     def _hear_command(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
         answer = self._answer(query, self._keys.command)
-        self._put(Asked(Ask.COMMAND, answer, payload))
+        self.put(Asked(Ask.COMMAND, answer, payload))
 
     def _hear_events_wanted(self, query: zenoh.Query) -> None:
         after = query.parameters.get(AFTER) or "0"
         answer = self._answer(query, self._keys.event)
-        self._put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
+        self.put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
 
     def _hear_state_wanted(self, query: zenoh.Query) -> None:
         if self._state:
@@ -94,7 +94,7 @@ class ZenohLink:
     def _hear_alive(self, sample: zenoh.Sample) -> None:
         seen = life_of(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT and seen is not None and seen[1] != self._life:
-            self._put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
+            self.put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
 
     def tracks(self) -> list[bytes]:
         """What neighbours told since the last call."""
@@ -118,7 +118,8 @@ class ZenohLink:
 
         return answer
 
-    def _put(self, asked: Asked) -> None:
+    def put(self, asked: Asked) -> None:
+        """Queue what was asked, and wake whoever waits for it."""
         try:
             self._asked.put_nowait(asked)
         except queue.Full:

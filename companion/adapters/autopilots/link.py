@@ -118,6 +118,11 @@ class UdpLink(_Reader):
         if data:
             self._put(Incoming(data, peer))
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port of our own end."""
+        return self._socket.getsockname()
+
     def answer_to(self, peer: Any) -> None:
         """Send to this address from now on (a caller keeps to whom it called)."""
         if not self._fixed_peer:

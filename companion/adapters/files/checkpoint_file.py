@@ -1,4 +1,4 @@
-"""The checkpoint on disk: written whole or not at all, and read with suspicion."""
+"""The checkpoint on disk: written whole or not at all, checked when read."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a replay leaves: wind.csv (evaluation.md, 9) and the JSON record (docs/replay.md)."""
+"""Output files of a replay: wind.csv and the JSON record (docs/reference/replay-json.md)."""
 
 import json
 import math
@@ -41,7 +41,7 @@ def replay_record(
     score: WindScore | None,
     cpu_s: float,
 ) -> dict[str, Any]:
-    """The whole replay as plain rows; docs/replay.md explains each."""
+    """The whole replay as plain rows; docs/reference/replay-json.md explains each."""
     seen = [m.seen for m in result.moments if m.seen is not None]
     energies = [m for m in result.moments if m.energy_left_wh is not None]
     record = {

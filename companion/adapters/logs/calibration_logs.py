@@ -1,4 +1,4 @@
-"""Recorded flights of any kind as calibration takes them."""
+"""Flight logs of any format as calibration records."""
 
 import math
 from pathlib import Path

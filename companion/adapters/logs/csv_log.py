@@ -1,4 +1,5 @@
-"""CSV telemetry: `t_s, vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, ...` (docs/replay.md).
+"""Read telemetry from CSV: `t_s, vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, ...`
+(docs/how-to/replay-a-log.md).
 
 An empty cell is unknown, and so is a missing column but for time and velocities. Columns that we
 do not know are left alone. `airspeed_mps` is a magnitude.

@@ -1,4 +1,4 @@
-"""ArduPilot dataflash (.bin) by pymavlink's DFReader: its messages to events (docs/replay.md)."""
+"""Read an ArduPilot dataflash log (.bin) by pymavlink's DFReader: its messages become events."""
 
 import contextlib
 import io

@@ -1,4 +1,6 @@
-"""What was heard, believed and decided, as MCAP with JSON schemas (Foxglove opens it).
+"""Write the decision log: telemetry, estimates and decisions as MCAP with JSON schemas.
+
+Foxglove opens it.
 
 Chunks are off and every message is handed to the system at once, so that after `kill -9` the file
 lacks only its index: readers that stream it, and `mcap recover`, get every message.

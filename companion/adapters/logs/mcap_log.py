@@ -1,4 +1,4 @@
-"""Our own MCAP: what the companion heard, written at each tick as it was judged, and read back."""
+"""Read our own MCAP decision log back as a recorded flight."""
 
 from pathlib import Path
 

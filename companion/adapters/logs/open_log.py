@@ -1,4 +1,4 @@
-"""Any log by what is in it, not by its name."""
+"""Open a flight log of any known format, recognised by its content and not by its name."""
 
 from collections.abc import Callable
 from pathlib import Path

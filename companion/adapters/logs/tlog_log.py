@@ -1,7 +1,7 @@
-"""A .tlog read back by the very decoding that the companion uses in flight.
+"""Read a .tlog (MAVLink telemetry log) with the same decoding that the companion uses in flight.
 
-Frames are told apart by their headers first: most of a ground station's log is nothing that we
-listen to, and the rest comes faster than the estimators look.
+Frames are sorted by their headers before they are decoded: most messages of a ground station's log
+are not used here, and the others come faster than the estimators need them.
 """
 
 from collections import Counter

@@ -1,6 +1,6 @@
-"""The MAVLink stream as a .tlog (microseconds since 1970, big-endian, then the frame), both ways.
+"""Write the MAVLink stream, both ways, as a .tlog: microseconds since 1970 (big-endian), frame.
 
-MAVExplorer, MAVProxy and QGroundControl open it.
+MAVExplorer, MAVProxy and QGroundControl open it. `tlog_log` reads it back; what flies writes only.
 """
 
 import struct

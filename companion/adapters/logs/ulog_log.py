@@ -1,4 +1,4 @@
-"""PX4 ULog by pyulog: topics to the events that PX4's telemetry makes (docs/replay.md)."""
+"""Read a PX4 ULog (.ulg) by pyulog: topics become the events that PX4's telemetry gives."""
 
 import contextlib
 import io

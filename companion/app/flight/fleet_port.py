@@ -1,7 +1,7 @@
-"""The vehicle's side of the dispatcher's desk: states and events out, commands in, each answered.
+"""The vehicle's connection to the dispatcher: states and events out, commands in and answered.
 
-It turns commands into the very events that an operator's MAVLink commands become
-(operator_port.py), so safety rule 1 is the pilot's and nobody else's.
+Commands become the same events as an operator's MAVLink commands (`operator_port`), so the pilot
+alone keeps safety rule 1.
 """
 
 import re

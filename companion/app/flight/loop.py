@@ -1,8 +1,8 @@
-"""The loop: bytes in, events, actions, bytes out; one thread, on the autopilot's clock.
+"""The flight loop: bytes to events, the pilot, actions to bytes; one thread, the autopilot's clock.
 
-With TIMESYNC requests from the autopilot (the simulator's lockstep, and real PX4) a request is a
-tick: everything before it has been heard, the outputs leave, and it is answered last. Without
-them telemetry itself ticks about ten times a second.
+Where the autopilot sends TIMESYNC requests (the simulator's lockstep, and real PX4), each request
+is a tick: everything before it has been received, the outputs leave, and it is answered last.
+Without them, telemetry ticks about ten times a second.
 """
 
 from collections.abc import Callable

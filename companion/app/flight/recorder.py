@@ -1,4 +1,4 @@
-"""Everything that a run leaves in its folder: log, decisions, stream, checkpoint, result."""
+"""Writes a run's folder: text log, decision log, MAVLink stream, checkpoint and result."""
 
 import json
 import logging

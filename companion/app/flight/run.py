@@ -74,7 +74,7 @@ def run(
     Raises LeewayError for a mistake in the input, before anything is opened.
     """
     flown = Run.begin(options, open_link, on_action=on_action, port=port)
-    return _fly(flown), flown.pilot
+    return fly_to_the_end(flown), flown.pilot
 
 
 @dataclass(slots=True)
@@ -208,7 +208,8 @@ def _kept(options: RunOptions, digest: str) -> tuple[Checkpoint | None, str]:
         return None, f"checkpoint not used: {error}"
 
 
-def _fly(flown: Run) -> int:
+def fly_to_the_end(flown: Run) -> int:
+    """Run the loop until the flight ends, a signal comes or something breaks; the exit code."""
     stopped: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:

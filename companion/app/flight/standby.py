@@ -1,8 +1,8 @@
-"""A vehicle between missions: it listens to its autopilot, tells the desk, and waits for work.
+"""A vehicle between missions: it watches its autopilot, reports to the dispatcher and waits.
 
-The autopilot hears heartbeats of ours, the answers to its TIMESYNC, and what telemetry we want
-(ArduPilot sends no position unasked, and the desk gives no mission to a drone that it does not see
-on its pad); nothing else is ordered here.
+The autopilot gets our heartbeats, answers to its TIMESYNC, and requests for telemetry: ArduPilot
+sends no position unless asked, and a dispatcher gives no mission to a drone that is not seen on its
+pad. No other command is sent here.
 """
 
 import json

@@ -1,0 +1,1 @@
+"""What runs at a desk: replay, calibrate, fit-wind, and their pictures and reports."""

@@ -216,5 +216,5 @@ def _holdout_comment(holdout: Holdout | None) -> list[str]:
                 f" {inside}"
             )
     if any(s.method == GAUSSIAN for s in holdout.scores):
-        lines.append("# With normal tails fewer lie within; see docs/wind.md.")
+        lines.append("# With normal tails fewer lie within; see docs/explanation/wind-process.md.")
     return lines

@@ -1,0 +1,1 @@
+"""What every room uses: errors, geodesy, documents, array types. Imports nothing of ours."""

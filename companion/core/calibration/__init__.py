@@ -1,0 +1,1 @@
+"""An airframe identified from its own flight logs. What flies never imports this room."""

@@ -30,7 +30,8 @@ from companion.core.vehicle.power import max_airspeed_mps
 
 _PIECE_BLOCKS = 60  # of the holdout's energy: two minutes, a leg home
 _LEAST_MODEL_STD_FRAC = 0.03
-"""What the model leaves of the M100's published power over speed (3.1 % rms; docs/calibrate.md)."""
+"""Residual of the model against the M100's published power over speed: 3.1 % rms
+(docs/results/calibration.md)."""
 _LEAST_GAIN_STD_FRAC = 0.05
 """Drag goes with the air's density: 5 % are 15 degrees, between the days of logs and of use."""
 _FASTEST_PERCENTILE = 98.0

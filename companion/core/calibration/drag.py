@@ -37,7 +37,7 @@ _ROUNDS = 3
 _LEAST_SPEED_MPS = 0.5
 _OPTIMISM = 1.5
 """Rms of error over stated std without it: four fits to three simulated flights each, drag ahead
-and sideways at 4.9 and 14 m/s against the simulator's own (docs/calibrate.md)."""
+and sideways at 4.9 and 14 m/s against the simulator's own (docs/results/calibration.md)."""
 _SCALES = np.geomspace(0.1, 4.0, 10)
 
 

@@ -1,4 +1,4 @@
-"""How uncertain a least-squares fit is whose residuals hang together within a minute."""
+"""Covariance of a least-squares fit whose residuals are autocorrelated within a minute."""
 
 from collections.abc import Iterable
 

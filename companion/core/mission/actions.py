@@ -1,4 +1,4 @@
-"""What the mission can ask for. Adapters turn these into what the flavour understands."""
+"""Actions: what the pilot asks for. Adapters turn them into what the autopilot understands."""
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
@@ -162,7 +162,7 @@ class Publish(Action):
 
 @dataclass(frozen=True, slots=True)
 class Decision(Action):
-    """A decision with what it rests on (evaluation, section 8)."""
+    """A decision with the probabilities that it rests on (docs/reference/outcomes.md)."""
 
     t_s: float
     kind: str

@@ -1,7 +1,7 @@
-"""What the mission can hear: everything that enters the core, already in SI and in one language.
+"""Events: everything that enters the core, in SI units and the same for every autopilot.
 
-Adapters make these from MAVLink and stamp them with the autopilot's clock (`t_s`, monotonic).
-Mission indices are flavour-free (0 is the first item that we uploaded). Unknown is `None`.
+Adapters make them from MAVLink and stamp them with the autopilot's clock (`t_s`, monotonic).
+Mission indices count our own items (0 is the first that we uploaded). Unknown is `None`.
 """
 
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ class VehicleState(Event):
 
 @dataclass(frozen=True, slots=True)
 class ModeNow(Event):
-    """The flight mode between two heartbeats, where the flavour tells it."""
+    """The flight mode between two heartbeats, where the autopilot tells it."""
 
     mode: Mode
     mode_name: str

@@ -1,4 +1,4 @@
-"""From a flight file to what is flown: the site in its frame, the plan, the mission aboard."""
+"""From a flight file to what is flown: the site in its local frame, the plan, the mission items."""
 
 import math
 from dataclasses import dataclass

@@ -15,7 +15,7 @@
 Every LAND leads to the end: PX4 (1.18, flown) goes on to the item after a LAND that it has
 completed and takes off again for it, and does not disarm while a mission is in progress; led to
 a last item without a place it finishes, landed, and disarms. ArduCopter disarms at any LAND.
-Items are flavour-free and numbered from 0; a flavour shifts and encodes them (ArduPilot keeps
+Items are numbered from 0 for every autopilot; adapters shift and encode them (ArduPilot keeps
 its home at 0). Only a companion that is alive jumps the autopilot onward.
 """
 
@@ -285,8 +285,9 @@ VALUE_TOLERANCE = 0.02
 def differences(ours: Sequence[MissionItem], aboard: Sequence[MissionItem]) -> tuple[str, ...]:
     """Say where the mission read back departs from ours; empty when it is the same flight.
 
-    Both are flavour-free: what a flavour is known to rewrite (frames, NaN, radius, home item) was
-    undone or ignored by its translator, so anything left over changes the flight.
+    Both are as we number and encode them: what an autopilot is known to rewrite (frames, NaN,
+    radius, home item) was undone or ignored by its adapter, so anything
+    left over changes the flight.
     """
     found: list[str] = []
     if len(ours) != len(aboard):

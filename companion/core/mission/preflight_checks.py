@@ -1,6 +1,6 @@
-"""The pre-flight in words: what is missing, what is off, which failsafe the promise rests on.
+"""Pre-flight checks: which parameters, failsafes and batteries would break the promise.
 
-The lists of parameters are the flavours' own (adapters); how they are judged is here.
+Each autopilot's list of requirements is in its adapter; how they are judged is here.
 """
 
 from collections.abc import Callable, Iterable, Mapping

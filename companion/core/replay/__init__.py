@@ -1,0 +1,1 @@
+"""Recorded flights through the estimators and the gate. What flies never imports this room."""

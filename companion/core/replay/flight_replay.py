@@ -1,8 +1,8 @@
-"""A recorded flight seen again by the companion's own estimators, energy ledger and gate.
+"""Replay of a recorded flight through the companion's own estimators, energy ledger and gate.
 
-What runs here is what flies: `Estimates` hears the same events in the same order at the same
-times, and the gate is asked about what was ahead then. Nothing is commanded: the flight went as it
-went, and the decisions say what Leeway would have said, and when.
+The code that runs here is the code that flies: `Estimates` takes the same events in the same order
+at the same times, and the gate is asked about what was ahead then. Nothing is commanded. The
+decisions show what Leeway would have decided, and when.
 """
 
 import math
@@ -35,7 +35,7 @@ from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
 
 TICK_S = 0.1
-"""As the companion ticks in flight."""
+"""The same as in flight."""
 
 LEAST_HEIGHT_M = 2.0
 NO_ENERGY = "nothing said about energy and the way home"

@@ -1,8 +1,8 @@
-"""A flight as a log kept it: the very telemetry events that the companion hears in flight.
+"""A recorded flight: the same telemetry events that the companion receives in flight.
 
-Adapters read them from PX4 ULog, ArduPilot dataflash, .tlog, our MCAP and CSV
-(companion/adapters/open_log.py). Times are seconds on the log's own clock and never go back: what
-a reader had to leave out or to shift for that is among the findings.
+The readers in companion.adapters.logs make it from PX4 ULog, ArduPilot dataflash, .tlog, our MCAP
+and CSV. Times are seconds on the log's own clock and never go back. What a reader had to leave out
+or shift for that is among the findings.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What is left to fly at a moment of a recorded flight: with the flight's own plan, or without."""
+"""The remaining mission at a moment of a recorded flight, with its flight file or without one."""
 
 import math
 from dataclasses import replace

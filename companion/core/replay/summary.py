@@ -1,4 +1,4 @@
-"""What a replay comes to in numbers: wind, against a reference where there is one, and promise."""
+"""Scores of a replay: the wind, against a reference where there is one, and the promise."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from companion.core.replay.flight_replay import ReplayResult
 from companion.core.replay.recorded_flight import WindReference
 
 SETTLED_S = 30.0
-"""Judged from so long into the flight, as evaluation.md has it (8 and 9)."""
+"""Scores count from so long into the flight."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,13 @@
-"""The return budget: does flying on keep the promise of coming home?
+"""The return budget, a go/no-go monitor: does flying on keep the promise of coming home?
 
-Option-aware: the question at each decision point is not whether the whole trip will work out, but
-whether home can still be reached, with the promised probability, after flying to the NEXT
-decision point; there one may still turn. (The literal rule, go only while the whole trip is 99 %
-certain, hardly ever flies: evaluation.md, 10.) The last such question is the delivery.
+At each decision point the question is not whether the whole trip will succeed. It is whether home
+can still be reached, with the promised probability, after flying to the NEXT decision point, where
+the vehicle may still turn back. The last such question is the delivery. (The plain rule, to go on
+only while the whole trip is 99 % certain, hardly ever flies.)
 
-Monte Carlo over the wind's path (one set of quasi-random numbers, the same at every call, so that
-replay is exact), with the energy model's and the battery's own errors integrated in closed form
-wherever nothing depends on when they show themselves. A tail of 1 % is then a smooth number.
+Monte Carlo over the wind's path, with one fixed set of quasi-random numbers, so that a replay is
+exact. The errors of the energy model and of the battery are integrated in closed form wherever
+nothing depends on when they become known. A tail of 1 % is then a smooth number.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ class GateParams:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """The gate's answer; probabilities as in evaluation.md, section 8.
+    """The gate's answer; probabilities as in docs/reference/outcomes.md.
 
     `turn_back`: fly the way home now, to `best_landing`. `p_home_unattended`: landing home if no
     further command ever arrives (None where no way home has unattended legs). `margin_wh`: energy
@@ -72,7 +72,7 @@ class Assessment:
     energy_need_wh: float
     reason: str
     by_table: bool = False
-    """P(home) and P(success) are the value table's (value_gate.py)."""
+    """P(home) and P(success) are the value table's (value_table)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ class Gate:
 
         `max_loss` bounds the loss of the whole mission as seen from departure. Most flights never
         meet a decision that is close, so a close one may risk more than the bound and the mission
-        still keeps it (a Lagrange weight, found by search: evaluation.md, section 4). The boldest
+        still keeps it (a Lagrange weight, found by search). The boldest
         share is taken with which the policy, flown through every sampled wind, loses no more than
         `max_loss`; never more than `boldest` times it.
         """
@@ -205,7 +205,7 @@ class Gate:
 
         A vehicle lost is worth 0, one delivered and home 1, one home undelivered `promise`: with
         this weight a decision that succeeds or loses is taken at `promise` or over, and losses are
-        given out where they buy most deliveries (evaluation.md, section 4).
+        given out where they buy most deliveries.
         """
         least = min(self.params.min_success, promise)
         if seen.p_onward >= promise and seen.p_whole < least:

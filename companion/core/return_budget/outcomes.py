@@ -1,6 +1,6 @@
-"""The chances that a gate decides by: of turning here, of flying on, of what later gates will do.
+"""Probabilities that the gate decides by: of turning back here, of flying on, of later decisions.
 
-All of it is the same whatever loss is accepted, but `Chances.of_flying_on`.
+None of them depends on the accepted loss, except `Chances.of_flying_on`.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from companion.core.base.arrays import Bools, Floats
 from companion.core.return_budget.leg_costs import POLICY, LegTable, Need
 from companion.core.return_budget.wind_samples import PathSampler
 
-# Share of a delivery's worth that the next look is taken to be able to save (`Look.goes_on`).
+# Share of a delivery's worth that the next decision is taken to save (`LaterDecision.goes_on`).
 _WAITING_FRAC = 0.3
 _MARGIN_WH = 0.005  # how finely a margin is found
 _TIE = 0.002  # of probability: landing sites closer than this are ranked by their order

@@ -1,0 +1,1 @@
+"""Routes on the waypoint graph and what their legs cost. Imports wind and below."""

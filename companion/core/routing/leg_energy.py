@@ -1,9 +1,10 @@
-"""Safety rules 4 and 6: what the legs that are left cost, to the ground, as the autopilot flies.
+"""Energy and time of the remaining legs in many winds, down to the landed vehicle.
 
-A leg is what one mission item makes the autopilot do. In AUTO it flies a GROUND speed until tilt
-saturates: the companion commands for each leg the ground speed that the wind triangle gives for
-the speed to fly, and a leg that nobody commands any more keeps the speed it was told. Winds are
-(K, 2) or (K, legs, 2), north and east, where the air moves to. Energies in Wh (see energy_ledger).
+A leg is what one mission item makes the autopilot do (safety rules 4 and 6). In AUTO an autopilot
+flies a GROUND speed until its tilt saturates. So the companion commands, for each leg, the ground
+speed that the wind triangle gives for the speed to fly. A leg that gets no further command keeps
+the last ground speed. Winds are (K, 2) or (K, legs, 2): north and east, where the air moves to.
+Energies are in Wh.
 """
 
 import math
@@ -289,7 +290,7 @@ class RouteEnergy:
         return level + share * (float(power.climb_w(speed)[0]) - level)
 
     def hover_power_w(self, payload_kg: float) -> float:
-        """Electrical power in still-air hover: tells a drop (safety rule 5)."""
+        """Electrical power in still-air hover; a drop shows as a fall of it."""
         return self.power_w(payload_kg, 0.0)
 
     def _steady_power(self, payload_kg: float) -> SteadyPower:

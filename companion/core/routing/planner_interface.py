@@ -1,4 +1,4 @@
-"""What a planner is: it looks at many missions at once and names the next edge of each.
+"""The interface of the paper's planners: a batch of missions in, the next edge of each out.
 
 One mission is a batch of one: the vehicle and the campaign run the same code.
 """

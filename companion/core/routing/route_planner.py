@@ -1,8 +1,8 @@
-"""Row 6 on board: the mission's way out and back by the surrogate cost, checked by ReturnOK.
+"""The mission's way out and back: least surrogate cost, and only where the return is affordable.
 
-The route search is the planners' own (`planners/routes.py`), over the site's graph with the
-airframe's energy model. Whether to fly on along it is the gate's question, and the value table's
-(`value_gate.py`), whose solver is that of `planners/ber.py`.
+BER on board (arXiv 2604.13441, IV-B: surrogate cost and ReturnOK), over the site's waypoint graph
+with the airframe's energy model. The search is `shortest_paths`. Whether to fly on along the route
+is decided in flight, by the return budget.
 """
 
 import math

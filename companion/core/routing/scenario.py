@@ -1,4 +1,7 @@
-"""What a `delivery-scenario/1` file says: the graph, the budget, the vehicle and the wind."""
+"""The `delivery-scenario/1` file: one mission on a graph, with its budget, vehicle and wind.
+
+docs/reference/outcomes.md describes it.
+"""
 
 import json
 import math

@@ -1,4 +1,7 @@
-"""Row 4: the directed waypoint graph of one site, and what its edges cost in wind."""
+"""The directed waypoint graph of one site, and what its edges cost in wind.
+
+arXiv 2604.13441, IV-B.
+"""
 
 import math
 from dataclasses import dataclass, replace

@@ -1,0 +1,1 @@
+"""Separation from neighbours: safety filter, tracks, learned actor. Imports base only."""

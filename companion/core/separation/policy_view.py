@@ -1,8 +1,8 @@
-"""What the learned actor is shown in flight, and what its answer wishes (paper, IV-B; row 10).
+"""The learned actor's observation in flight, and its action as a velocity (paper, IV-B).
 
-The view of docs/avoidance.md: 155 x 155 cells of 2 m about the vehicle, up is the way to the goal;
-channels: obstacles, neighbours, neighbours' goals. It must be what the actor was trained on: a test
-holds it against the training environment's own.
+The view (docs/explanation/avoidance.md): 155 x 155 cells of 2 m about the vehicle, with the
+direction to the goal up. Channels: obstacles, neighbours, neighbours' goals. It must be what the
+actor was trained on: a test holds it against the training environment's own.
 """
 
 import math

@@ -1,10 +1,10 @@
-"""Velocity set-points in, set-points that keep the separation out: the last word before flight.
+"""The safety filter: desired velocity set-points in, set-points that keep the separation out.
 
-A new velocity is let through only if flying it for one tick and braking then stays, at every
-instant, nearer to the vehicle's own braking path than to each neighbour's, by the whole separation
-and all that is not known of the neighbour (`braking_paths`). Where all do so, no two paths come
+A new velocity passes only if flying it for one tick and then braking stays, at every instant,
+nearer to the vehicle's own braking path than to each neighbour's, by the whole separation and the
+uncertainty about the neighbour (`stopping_paths`). Where all vehicles do so, no two paths come
 closer than the separation, and braking stays safe at the next tick. The proof and its assumptions
-are in docs/avoidance.md.
+are in docs/explanation/avoidance.md.
 
 Arrays are batched: A vehicles, J neighbours each; (A, ..., 3) local NED as asked and answered,
 (3, A, ...) inside.

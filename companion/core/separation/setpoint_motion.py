@@ -1,6 +1,7 @@
-"""How one vehicle moves among its fleet: the numbers all share, the wish, the way told ahead.
+"""How one vehicle moves under velocity set-points: shared parameters, desired velocity, motion.
 
-Pure geometry in local NED; who takes over when, and by which orders, is keeping_apart.py's.
+Pure geometry in local NED. When the companion takes over is decided by
+`companion.core.pilot.setpoint_takeover`.
 """
 
 import math
@@ -17,11 +18,11 @@ SPAN_M = 1.0
 """Between the tips of two opposite propellers: 0.65 m and 13 inches (DJI Matrice 100)."""
 
 FLEET = SeparationParams(
-    horizontal_m=5.0 + SPAN_M,  # between centres; evaluation.md, 12
+    horizontal_m=5.0 + SPAN_M,  # between centres
     vertical_m=4.0 + SPAN_M,
     accel_mps2=2.0,  # ArduCopter's GUIDED has 2.5 (WPNAV_ACCEL), PX4 3: what is left, corrects
     climb_accel_mps2=1.0,  # ArduCopter's WPNAV_ACCEL_Z, 1; PX4's MPC_ACC_DOWN_MAX is 3
-    tracking_m=0.8,  # measured, docs/avoidance.md
+    tracking_m=0.8,  # measured, docs/explanation/avoidance.md
     tracking_vertical_m=0.3,
 )
 SKEW_S = 0.1

@@ -2,8 +2,9 @@
 
 Every vehicle holds, at every tick, one manoeuvre: brake to a stop, now. `separation_filter` asks
 here, for each velocity that it looks at, how much nearer the path stays to the vehicle's own
-braking path than to each neighbour's. The proof that this is enough is in docs/avoidance.md;
-distances are measured in the norm whose unit ball is the separation cylinder.
+braking path than to each neighbour's. The proof that this is enough is in
+docs/explanation/avoidance.md. Distances are measured in the norm whose unit ball is the separation
+cylinder.
 
 Arrays are batched and component first, which takes half the calls: (3, A, ...) north, east, down of
 A vehicles, C velocities, J neighbours, T instants, from where each vehicle is now. What is
@@ -25,7 +26,7 @@ IN_CACHE = 60_000  # numbers worked on at once
 class SeparationParams:
     """What must be kept, what a vehicle can do, and how wrong a neighbour's report may be."""
 
-    horizontal_m: float = 5.0  # evaluation.md, 12
+    horizontal_m: float = 5.0
     vertical_m: float = 4.0
     tick_s: float = 0.2
     max_speed_mps: float = 15.0
@@ -250,7 +251,8 @@ def relevant(pos_ned_m: Floats, vel: Floats, told: Neighbours, now: Instants) ->
 def reports_of(heard: Heard, now: Instants) -> Reports:
     """A report of age t: half a t^2 and a t more than its own errors in position and velocity.
 
-    The braking path is at most min(tau, v / a) as far off as the velocity (docs/avoidance.md).
+    The braking path is at most min(tau, v / a) as far off as the velocity
+    (docs/explanation/avoidance.md).
     """
     sigmas, age, vel = now.params.error_sigmas, heard.age_s, heard.vel_mps
     braking = braking_of(vel, now)

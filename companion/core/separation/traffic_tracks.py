@@ -1,7 +1,7 @@
-"""What is known of each neighbour from its reports, as the separation filter wants it.
+"""Tracks of the neighbours from their reports, as input for the separation filter.
 
-Reports come late, jump, freeze, lie or stop coming. None of that is repaired by guessing: what
-does not fit widens the neighbour's error, and the filter keeps away by as much.
+Reports may be late, jump, freeze, be wrong or stop. None of that is repaired by guessing: what does
+not fit widens the neighbour's error, and the filter keeps away by that much more.
 """
 
 from collections.abc import Mapping

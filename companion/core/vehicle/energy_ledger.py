@@ -1,8 +1,8 @@
-"""Safety rule 4: usable energy left, from whatever the autopilot knows; it only ever falls.
+"""Usable energy left, from whatever the autopilot measures (safety rule 4). It only ever falls.
 
-The start comes from the resting voltage, less what each source counts as consumed since; the
-source that counts most rules. Energies are in Wh throughout, as in evaluation.md, on battery
-labels and in the checkpoint.
+It starts from the resting voltage. Each source (current counter, percentage, power model) tells
+what was consumed since; the one that tells most is believed. Energies are in Wh, as on battery
+labels.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""Row 3: electrical power in steady flight, by the paper's model and by a multirotor model.
+"""Electrical power in steady flight: the paper's model and a multirotor model.
 
-The paper's `P = P_c + T V_A / c_T` hardly feels payload in level flight, because weight enters
-only through the climb angle. The multirotor model beside it adds what a rotor pays to carry
-weight: induced power (Glauert's momentum theory), blade profile power, and parasite power.
+The paper's `P = P_c + T V_A / c_T` (arXiv 2604.13441, III-B) hardly depends on payload in level
+flight, because weight enters only through the climb angle. The multirotor model adds what a rotor
+needs to carry weight: induced power (Glauert's momentum theory), blade profile power and parasite
+power.
 All functions take scalars or arrays that broadcast.
 """
 

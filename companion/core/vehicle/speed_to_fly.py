@@ -1,8 +1,8 @@
-"""The airspeed that costs least per metre over the ground, and what the autopilot makes of it.
+"""Speed to fly: the airspeed of least energy per metre over ground, and what the autopilot flies.
 
-Row 21. The operator chooses (`SpeedRule`): the least energy per metre; or the cruise airspeed, and
-faster only where a headwind makes faster cheaper; or the fastest that the return budget allows.
-Flying slower than the air that comes against it, a vehicle never comes home: no rule does.
+The operator chooses a `SpeedRule`: least energy per metre; or the cruise airspeed, and faster only
+where a headwind makes faster cheaper; or the fastest that the return budget allows. No rule flies
+slower than the headwind: such a vehicle would never come home.
 """
 
 from collections.abc import Callable

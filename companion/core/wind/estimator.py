@@ -1,18 +1,19 @@
-"""Row 5: the horizontal wind where the vehicle is, from whatever says anything of it.
+"""The horizontal wind at the vehicle, with its covariance, from every measurement there is.
 
-- Tilt and acceleration tell the drag (`wind_from_tilt`), an airspeed the air's speed or vector
-  (`wind_from_airspeed`), an autopilot its own estimate with its covariance. Any of them may be
-  missing, come, and go.
-- The trims are along BODY axes: what causes them (a level that is off, a centre of gravity beside
-  the thrust's) turns with the airframe. So flying on another heading, or faster, tells trim from
-  wind; on one heading for ever they stay apart only by their priors (`wind_state`).
-- The heading error turns the air that the vehicle flies through: 3 degrees at 14 m/s are 0.7 m/s
-  of wind across, which the way back on the other heading gives away.
-- Whether the air is calm is for two filters to tell apart (`wind_airs`).
-- While an airspeed enters, another filter goes without it. It is what the airspeed is judged by,
-  and what is believed at once when the airspeed proves false: nothing of it has to be unlearned.
-- A parcel that goes changes the drag by more than its mass tells, so the gains are opened again.
-- A plain numpy filter. filterpy's is the oracle in the tests and the reference in replay
+- Tilt and acceleration measure drag (`drag_update`). An airspeed sensor measures the speed of the
+  air, or its vector (`airspeed_update`). An autopilot may send its own estimate with a covariance.
+  Any of them may be missing, appear and disappear.
+- Trims are states along BODY axes: their causes (a level that is off, a centre of gravity beside
+  the thrust) turn with the airframe. Another heading or speed tells trim from wind; on one heading
+  only their priors do (`ekf`).
+- A heading error turns the air velocity: 3 degrees at 14 m/s are 0.7 m/s of cross-wind. The way
+  back on the opposite heading shows it.
+- Two filters, one for calm and one for turbulent air, are weighed against each other
+  (`multiple_model`).
+- While an airspeed is used, another filter runs without it. The airspeed is checked against it,
+  and when the airspeed proves false that filter takes over at once.
+- A released parcel changes the drag by more than its mass tells, so the gains are opened again.
+- The filter is plain numpy. filterpy is the oracle in the tests and the reference in replay
   (`companion.core.replay.reference_estimator`); it never flies.
 """
 

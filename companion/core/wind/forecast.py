@@ -1,8 +1,8 @@
 """How the wind may move from now on, over minutes.
 
-The process that the outlook rests on comes from a file (`wind_process.py`, params/wind): on each
+The process that the outlook rests on comes from a file (`process`, params/wind): on each
 axis a level plus a few Ornstein-Uhlenbeck processes. A small Kalman filter over these parts takes
-the place of running averages over 30 and 300 s (evaluation.md, section 6): it weighs the history
+the place of running averages over 30 and 300 s: it weighs the history
 as the process itself would have it.
 """
 

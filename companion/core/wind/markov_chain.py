@@ -114,7 +114,7 @@ def class_centre(wind_en_mps: ArrayLike, classes: int) -> Floats:
     """The wind with its direction moved to the centre of its sector; speed kept; (..., 2).
 
     `classes` equal sectors, the first centred on east, counted towards north
-    (`evaluation.md`, 2); a direction on a boundary belongs to the sector that begins there.
+    (docs/reference/outcomes.md); a direction on a boundary belongs to the sector that begins there.
     """
     if classes not in (4, 8):
         raise LeewayError(f"wind classes = {classes}: expected 4 or 8")

@@ -1,4 +1,4 @@
-"""What the wind estimator hears, and what it answers."""
+"""Input and output of the wind estimator: observations and the belief."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ class WindObservation:
 
     `airspeed_mps` only from a real pitot on the forward axis (or `airspeed_is_magnitude`);
     `airspeed_fr_mps` from a sensor with two axes: the vehicle's horizontal velocity through the
-    air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the flavour's adapter
+    air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the autopilot's adapter
     knows it to be a real estimate, with its variances and covariance (nn, ne, ee) where it says;
     `height_m` above the ground, for the size of the eddies.
     """

@@ -25,7 +25,7 @@ from companion.core.wind_fit.score import (
 BLOCK_S = 1200.0
 JUDGED_BLOCKS = 2  # judged together, so that a forecast of twenty minutes fits in
 MOST_FOLDS = 5
-SEEN_STD_MPS = 0.5  # what a vehicle's estimate is off at each look (evaluation.md, section 10)
+SEEN_STD_MPS = 0.5  # error of a vehicle's wind estimate at each decision
 FITTED, GAUSSIAN = "fitted process", "fitted process, Gaussian tails"
 PERSISTENCE, LONG_MEAN = "mean of the last 30 s", "mean of the last 300 s"
 _SEED = 20_230_512  # of the estimate's noise
@@ -175,7 +175,7 @@ def _without(
 
 def changes_mps(recordings: Sequence[WindMeans], probability: float) -> list[tuple[float, float]]:
     """(H, quantile): mean headwind over the next H s less that of the last 30 s, the worst of
-    eight directions (evaluation.md, section 6), where the recordings are long enough.
+    eight directions, where the recordings are long enough.
     """
     random = np.random.default_rng(_SEED)
     found = joined([running_mean_errors(whole(r), 30.0, 0.0, random) for r in recordings])

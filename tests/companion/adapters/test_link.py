@@ -462,7 +462,7 @@ def test_a_link_url_that_is_none_says_what_one_looks_like(url):
 def test_a_listening_link_answers_only_whom_it_is_told_to():
     link = UdpLink("127.0.0.1", 0, listen=True)
     try:
-        here = link._socket.getsockname()
+        here = link.address
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
             peer.settimeout(2.0)
             peer.sendto(b"hello", here)

@@ -53,7 +53,7 @@ def ask(port: fleet_port.FleetPort, deed: Deed, id_: str = "c1") -> Result:
     command = Command(
         id=id_, vehicle="d1", life=port.life, as_of_s=port.uptime_s, by="desk", deed=deed
     )
-    port.link._put(Asked(Ask.COMMAND, replies.extend, encoded(command)))
+    port.link.put(Asked(Ask.COMMAND, replies.extend, encoded(command)))
     port.turn(lambda asked: Verdict(Answered.DONE, "done"))
     (raw,) = replies
     result = decode_result(raw)

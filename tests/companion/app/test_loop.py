@@ -304,7 +304,10 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
 
     station.pilot.handle = broken  # type: ignore[method-assign]
     station.put(*station.telemetry(1000), station.sync(1.0))
-    assert run_module._fly(run_module.Run(station.loop, station.recorder, station.pilot)) == BROKEN
+    assert (
+        run_module.fly_to_the_end(run_module.Run(station.loop, station.recorder, station.pilot))
+        == BROKEN
+    )
     log = (tmp_path / "companion.log").read_text()
     assert "boom" in log
     assert "Traceback" in log

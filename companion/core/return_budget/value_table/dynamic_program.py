@@ -2,7 +2,7 @@
 
 A mission has two phases. Once delivered, the best policy maximises P(home), whatever the loss is
 worth. Before, with failure worth 0, success 1 and a safe stop at the depot worth sigma, the best
-policy maximises P(SUC) + sigma P(ABRT). With the Lagrange weight c on the loss (evaluation.md, 4),
+policy maximises P(SUC) + sigma P(ABRT). With the Lagrange weight c on the loss ,
 P(SUC) - c P(loss) = (1 + c) (P(SUC) + sigma P(ABRT)) - c where sigma = c / (1 + c): the same.
 
 The sweep goes up the energy levels once. Each (edge, state) owns a delay line as long as its cost

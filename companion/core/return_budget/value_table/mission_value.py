@@ -3,8 +3,8 @@
 A table is made for one plan (`make_table`: seconds, in a worker) and read at a place on the way out
 (`ValueTable.read`: microseconds). What is hidden when it is read (the wind between the lattice's
 points, the energy model's error) is averaged over, for the choice that is made now; what is chosen
-later is taken to know it, as the gate's own later decisions do (gate.py): it shows on the way. The
-battery's error never shows before the ground, and is in the table (mission_graph.py).
+later is taken to know it, as the gate's own later decisions do (budget.py): it shows on the way.
+The battery's error never shows before the ground, and is in the table (decision_graph.py).
 """
 
 import math
