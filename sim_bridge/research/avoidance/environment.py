@@ -15,13 +15,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bytes, Floats
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.scenes import CELL_M, VIEW_CELLS, cells_of
 from sim_bridge.research.avoidance.ways_around import WaysAround
 from sim_bridge.research.avoidance.world import DECISION_S, GOAL_M, MAX_SPEED_MPS, TICKS, World
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 CHANNELS = 3
 MARK_CELLS = 1  # a neighbour or a goal is a square of 3 x 3 cells

@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from companion.core.base.arrays import Floats
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.flight_power import climb_cost_j_per_m, power_of
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.avoidance.world import GOAL_M, MAX_SPEED_MPS, TICK_S, TICKS, World
 from sim_bridge.research.avoidance.yardsticks import Pilot
-
-Floats = NDArray[np.float64]
 
 EVALUATION_SCENES = 16  # drawn from another stream than the 24 of training
 LONGEST_S = 150.0

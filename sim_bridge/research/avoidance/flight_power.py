@@ -3,12 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_airframe
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.power import multirotor_power_w
-
-Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 FASTEST_MPS = 30.0

@@ -35,10 +35,9 @@ from torchrl.objectives import (  # pyright: ignore[reportMissingImports]
 )
 from vmas import make_env  # pyright: ignore[reportMissingImports]
 
+from companion.core.base.arrays import Singles
 from sim_bridge.research.avoidance.maddpg import Learner, Replay, Task, TrainParams
 from sim_bridge.research.campaign.report import Sheet
-
-Singles = NDArray[np.float32]
 
 SCENARIO, AGENTS, SEEN, GOAL_M = "navigation", 3, 18, 0.1
 WORLDS, HORIZON = 32, 100  # side by side; steps, then all start anew

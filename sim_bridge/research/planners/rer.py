@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from companion.core.routing.planner_interface import Decider, Look
 from sim_bridge.research.planners.online import OnlineModel, Remembered, Viewpoints
-
-Ints = NDArray[np.int64]
 
 
 class Rer:

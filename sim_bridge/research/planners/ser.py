@@ -3,11 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from companion.core.routing.planner_interface import STAY, Decider, Look
 from companion.core.routing.shortest_paths import Routes
 from sim_bridge.research.planners.online import OnlineModel, Viewpoints
-
-Ints = NDArray[np.int64]
 
 
 class Ser:
