@@ -20,14 +20,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.wind.observation import WindBelief, WindObservation
-
-FloatArray = NDArray[np.float64]
 
 SNAPSHOT_FORMAT = "reference-estimator/1"
 LONGEST_STEP_S = 1.0  # a longer gap hides what the vehicle did
@@ -138,7 +136,7 @@ class ReferenceEstimator:
         self._correct("tilt", seen.t_s, _Reading(measured, -drag, slope @ turn.T, variance))
         self._seen_s += dt_s
 
-    def _acceleration(self, seen: WindObservation) -> tuple[FloatArray, float] | None:
+    def _acceleration(self, seen: WindObservation) -> tuple[Floats, float] | None:
         """Acceleration (north, east) since the velocity before, and the time between them."""
         before, self._velocity_before = self._velocity_before, None
         if seen.vel_ned_mps is None or seen.roll_rad is None or seen.pitch_rad is None:
@@ -199,19 +197,19 @@ class _Reading:
     """A measurement (m,), what the wind as believed makes of it, its derivative by the wind (m, 2)
     and the variance of each of its rows."""
 
-    measured: FloatArray
-    expected: FloatArray
-    slope: FloatArray
+    measured: Floats
+    expected: Floats
+    slope: Floats
     variance: float
 
 
-def _from_heading(yaw_rad: float) -> FloatArray:
+def _from_heading(yaw_rad: float) -> Floats:
     """Turns (forward, right) into (north, east)."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[cos, -sin], [sin, cos]])
 
 
-def _thrust_ne_mps2(seen: WindObservation) -> FloatArray:
+def _thrust_ne_mps2(seen: WindObservation) -> Floats:
     """Horizontal thrust acceleration: along minus the body's z axis, with gravity held up."""
     roll, pitch = seen.roll_rad or 0.0, seen.pitch_rad or 0.0
     forward = -GRAVITY_MPS2 * math.tan(pitch)
@@ -220,8 +218,8 @@ def _thrust_ne_mps2(seen: WindObservation) -> FloatArray:
 
 
 def _drag(
-    airframe: Airframe, mass_kg: float, air_fr_mps: FloatArray, sink_mps: float
-) -> tuple[FloatArray, FloatArray]:
+    airframe: Airframe, mass_kg: float, air_fr_mps: Floats, sink_mps: float
+) -> tuple[Floats, Floats]:
     """Drag acceleration forward and right (m/s2), and its derivative by the air velocity (2, 2)."""
     speed = max(math.hypot(*air_fr_mps, sink_mps), 1e-3)
     linear = np.array(airframe.drag_linear_n_per_mps(mass_kg)) / mass_kg

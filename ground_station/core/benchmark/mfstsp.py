@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ground_station.core.truck_drones.problem import DroneKind, Floats, Legs, TruckAndDrones
+from companion.core.base.arrays import Floats
+from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
 
 EARTH_RADIUS_M = 6_378_100.0
 POUND_KG = 0.453592

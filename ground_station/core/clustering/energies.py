@@ -7,11 +7,9 @@ the course: both are taken from `Reach` for each parcel's weight class and a fan
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, SortieNeed
-
-FloatArray = NDArray[np.float64]
 
 COURSES = 36
 """Every 10 degrees; between two the rate is interpolated."""
@@ -21,11 +19,11 @@ SHORT_M, LONG_M = 100.0, 1100.0
 
 def energy_matrix(
     reach: Reach,
-    places_ne_m: FloatArray,
-    mass_kg: FloatArray,
-    detour: FloatArray,
+    places_ne_m: Floats,
+    mass_kg: Floats,
+    detour: Floats,
     charge_frac: float | None = None,
-) -> FloatArray:
+) -> Floats:
     """(n, n): mean Wh of a delivery to j from a stop at i; infinite where not within reach.
 
     `detour` (n, n) multiplies a sortie's energy where obstacles stand in its way.
@@ -52,11 +50,11 @@ def energy_matrix(
 def _of_class(
     reach: Reach,
     payload_kg: float,
-    length_m: FloatArray,
-    course: FloatArray,
-    detour: FloatArray,
+    length_m: Floats,
+    course: Floats,
+    detour: Floats,
     charge_frac: float | None,
-) -> FloatArray:
+) -> Floats:
     if payload_kg > reach.airframe.mass.max_payload_kg:
         return np.full_like(length_m, np.inf)
     fan = np.linspace(-math.pi, math.pi, COURSES + 1)
@@ -76,13 +74,13 @@ def _sortie(reach: Reach, payload_kg: float, length_m: float, course_rad: float)
 
 
 def _along(
-    fan: FloatArray,
-    course: FloatArray,
-    length_m: FloatArray,
+    fan: Floats,
+    course: Floats,
+    length_m: Floats,
     short: list[SortieNeed],
     long: list[SortieNeed],
     name: str,
-) -> FloatArray:
+) -> Floats:
     """A straight line in length through both sorties of each course."""
     near = np.array([getattr(need, name) for need in short])
     far = np.array([getattr(need, name) for need in long])

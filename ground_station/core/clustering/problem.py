@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class ClusteringProblem:
     """
 
     ids: tuple[str, ...]
-    places_ne_m: FloatArray
-    mass_kg: FloatArray
-    energy_wh: FloatArray
+    places_ne_m: Floats
+    mass_kg: Floats
+    energy_wh: Floats
     conditions: Conditions
     count: int
     capacity_kg: float

@@ -11,10 +11,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.base.geo import ObstacleMap
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Points = tuple[tuple[float, float], ...]
 
 BEYOND_M = 2.0
@@ -130,14 +129,14 @@ def _lengths(a_ne_m: Floats, b_ne_m: Floats) -> Floats:
     return np.hypot(away[..., 0], away[..., 1])
 
 
-def _inside(ne_m: Floats, grown: list[shapely.Polygon]) -> Flags:
+def _inside(ne_m: Floats, grown: list[shapely.Polygon]) -> Bools:
     found = np.zeros(len(ne_m), dtype=np.bool_)
     for outline in grown:
         found |= shapely.intersects_xy(outline, ne_m[:, 0], ne_m[:, 1])
     return found
 
 
-def _blocked(a_ne_m: Floats, b_ne_m: Floats, grown: list[shapely.Polygon]) -> Flags:
+def _blocked(a_ne_m: Floats, b_ne_m: Floats, grown: list[shapely.Polygon]) -> Bools:
     found = np.zeros((len(a_ne_m), len(b_ne_m)), dtype=np.bool_)
     if not grown or not found.size:
         return found

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.routing.leg_energy import Leg, LegKind
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
 from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach
-from ground_station.core.truck_drones.problem import Floats, Legs
+from ground_station.core.truck_drones.problem import Legs
 
 COURSES = 360
 BETWEEN_COURSES = 1.0 + 1e-4

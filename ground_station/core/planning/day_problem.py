@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, ShortInts
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, obstacles_from_geojson, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from companion.core.routing.leg_energy import RouteEnergy
@@ -20,9 +21,6 @@ from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.orders import Order, Service, place_of
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
-
-Floats = NDArray[np.float64]
-Counts = NDArray[np.int32]
 
 LEAD_S = 30.0
 """A drone lands this long after the truck is planned to have come, or later."""
@@ -227,7 +225,7 @@ def layer_height_m(cruise_height_m: float, number: int) -> float:
     return cruise_height_m + LAYER_GAP_M * number
 
 
-def layers_over(ground_up_m: Floats, cruise_height_m: float) -> tuple[Counts, Counts]:
+def layers_over(ground_up_m: Floats, cruise_height_m: float) -> tuple[ShortInts, ShortInts]:
     """By place: the lowest layer with room above the ground, and the first that is too high."""
     lowest = np.ceil((ground_up_m + LEAST_ROOM_M - cruise_height_m) / LAYER_GAP_M - 1e-9)
     layers = np.floor((TOP_M + ground_up_m - cruise_height_m) / LAYER_GAP_M) + 1

@@ -11,10 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +46,7 @@ class DroneKind:
     count: int
     launch_s: float
     recover_s: float
-    can_serve: Flags
+    can_serve: Bools
     """By node: parcel light enough, service of a kind that a drone can give."""
     from_s: float = 0.0
     """Before this none of them can be launched: still in the air, or its pack is being swapped."""
@@ -88,7 +86,7 @@ class TruckAndDrones:
     deliver_s: Floats
     kinds: tuple[DroneKind, ...]
     legs: tuple[Legs, ...]
-    truck_can_serve: Flags
+    truck_can_serve: Bools
     """By node; a customer that no road reaches must be served by a drone."""
     pads: bool = False
     lead_s: float = 0.0

@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 SPAN_M = 1.0
 """DJI Matrice 100: 0.65 m between motors across, 13 inch propellers; told by its maker."""

@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bytes, Floats
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.scenes import CELL_M, VIEW_CELLS, cells_of
 from sim_bridge.research.avoidance.ways_around import WaysAround
@@ -25,9 +26,6 @@ from sim_bridge.research.avoidance.world import (
     TICKS,
     AvoidanceWorld,
 )
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 CHANNELS = 3
 MARK_CELLS = 1  # a neighbour or a goal is a square of 3 x 3 cells

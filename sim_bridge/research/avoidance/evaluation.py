@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from companion.adapters.files.params import read_airframe
+from companion.core.base.arrays import Floats
 from companion.core.separation.separation_filter import SeparationFilter
 from companion.core.vehicle.power import multirotor_power_w
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.avoidance.world import GOAL_M, MAX_SPEED_MPS, TICK_S, TICKS, AvoidanceWorld
 from sim_bridge.research.avoidance.yardsticks import Pilot
-
-Floats = NDArray[np.float64]
 
 EVALUATION_SCENES = 16  # drawn from another stream than the 24 of training
 LONGEST_S = 150.0

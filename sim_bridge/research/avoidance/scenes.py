@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-Floats = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 CELL_M = 2.0  # the paper gives 155 x 155 cells and no size; at 2 m it sees 155 m each way
 VIEW_CELLS = 155

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
+from companion.core.base.arrays import Bools, Floats
 from sim_bridge.research.avoidance.scenes import Scene
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 CLEAR_M = 8.0  # the filter's 3 m, 3 m of the raster's cells, and room to steer in
 BEYOND_M = 0.5  # corners stand so far outside the grown boxes
@@ -90,7 +88,7 @@ def _corners(boxes: Floats) -> Floats:
     within = (corners[:, :, None] > boxes[:, None, :, :2]) & (
         corners[:, :, None] < boxes[:, None, :, 2:]
     )
-    covered: Mask = np.asarray(np.any(np.all(within, axis=-1), axis=-1))
+    covered: Bools = np.asarray(np.any(np.all(within, axis=-1), axis=-1))
     return np.where(covered[..., None], 2.0 * FAR_M, corners)
 
 
@@ -114,7 +112,7 @@ def _legs_m(start: Floats, ends: Floats, boxes: Floats) -> Floats:
         one, other = low[:, None, :, k] * share, high[:, None, :, k] * share
         np.maximum(enter, np.minimum(one, other), out=enter)
         np.minimum(leave, np.maximum(one, other), out=leave)
-    cut: Mask = np.asarray(np.any(enter < leave, axis=-1))
+    cut: Bools = np.asarray(np.any(enter < leave, axis=-1))
     length = _lengths(way)
     return np.where(cut | (length >= 0.5 * FAR_M), FAR_M, length)
 
@@ -122,7 +120,7 @@ def _legs_m(start: Floats, ends: Floats, boxes: Floats) -> Floats:
 def _pushed_out(pos: Floats, boxes: Floats) -> tuple[Floats, Floats]:
     """The nearest place outside the grown box that a drone is in, and how far that is."""
     apart = np.minimum(pos[:, None] - boxes[..., :2], boxes[..., 2:] - pos[:, None])
-    inside: Mask = np.asarray(apart.min(axis=-1) > 0.0)
+    inside: Bools = np.asarray(apart.min(axis=-1) > 0.0)
     which = inside.argmax(axis=1)
     rows = np.arange(len(pos))
     box = boxes[rows, which]

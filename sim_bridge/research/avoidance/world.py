@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats
 from companion.core.separation.separation_filter import SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours, SeparationParams
 from sim_bridge.research.avoidance.scenes import HALF_SIDE_M, Scene, Start, cells_of, draw_start
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DECISION_S = 2.0
 TICK_S = 0.2
@@ -194,7 +192,7 @@ class AvoidanceWorld:
         self.arrived_s[there] = self.t_s
         self.active &= ~there
 
-    def outside(self) -> Mask:
+    def outside(self) -> Bools:
         return np.abs(self.pos_m[..., :2]).max(axis=-1) > HALF_SIDE_M + 60.0
 
     def velocity_of(self, heading_rad: Floats, speed_mps: Floats) -> Floats:

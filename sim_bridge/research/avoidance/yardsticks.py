@@ -4,13 +4,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.separation.learned_policy import AvoidancePolicy, pooled
 from sim_bridge.research.avoidance.environment import ViewFrame, heading_of, observe, speed_of
 from sim_bridge.research.avoidance.world import MAX_SPEED_MPS, TICK_S, TICKS, AvoidanceWorld
-
-Floats = NDArray[np.float64]
 
 
 class Pilot(Protocol):

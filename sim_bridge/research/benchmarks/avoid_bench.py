@@ -14,7 +14,6 @@ from time import process_time_ns
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from companion.core.separation.learned_policy import AvoidancePolicy
 from companion.core.separation.policy_view import Around, wish_of
@@ -22,8 +21,6 @@ from companion.core.separation.separation_filter import FilterAction, Separation
 from companion.core.separation.stopping_paths import Neighbours
 from sim_bridge.research.avoidance.scenes import make_scene
 from sim_bridge.research.results.sheet import Sheet
-
-Floats = NDArray[np.float64]
 
 SPEED_MPS, WISH_MPS = 12.0, (14.0, 3.0, 0.0)
 NEAREST_M, SPREAD_M = (30.0, 60.0, 90.0, 140.0), 90.0

@@ -11,13 +11,11 @@ from time import process_time
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.results.sheet import Sheet
-
-Floats = NDArray[np.float64]
 
 AIRSPEED_MPS, RADIUS_M, SIDE_M, HEIGHT_M = 15.0, 60.0, 800.0, 60.0
 WINDS_MPS = (0.0, 5.0, 10.0)

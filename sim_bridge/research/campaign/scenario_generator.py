@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 import msgspec
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.routing.scenario import ChainWind, Power, Scenario
-
-Floats = NDArray[np.float64]
 
 GOLDEN = 0.6180339887498949
 FITTING_SEED = 2604_13441  # settings were chosen on scenarios of this seed; tables use others

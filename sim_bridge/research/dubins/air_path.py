@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from companion.core.base.arrays import Floats
+
 PARTS = 4  # a leading arc where a climb needs a longer way, and the word's three
 
 

@@ -13,8 +13,9 @@ goal will be: lengthening needs no rendezvous.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.dubins.air_path import PARTS, AirPaths
 from sim_bridge.research.dubins.limits import FlightLimits, require_air_faster
@@ -35,9 +36,6 @@ from sim_bridge.research.dubins.words import (
     Turns,
     length_of,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _CHUNK = 4096  # paths at a time: many enough for numpy, few enough for the cache
 _CALM_MPS = 1e-6

@@ -13,15 +13,13 @@ from itertools import pairwise
 
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, ObstacleMap, course_rad, horizontal_m
 from sim_bridge.research.dubins.air_path import AirPaths
 from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.dubins.words import WORDS
-
-Floats = NDArray[np.float64]
 
 STEP_M = 5.0
 """Paths are screened by points no further apart over the ground than this."""

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits, require_air_faster
-
-Floats = NDArray[np.float64]
 
 WINDOW_S = 2.0
 """Max turn is the largest change of heading within this time (docs/reference/outcomes.md)."""

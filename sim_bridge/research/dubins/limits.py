@@ -4,12 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.power import GRAVITY_MPS2
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ def turn_radius_m(airspeed_mps: float, bank_rad: float) -> float:
     return airspeed_mps**2 / (GRAVITY_MPS2 * math.tan(bank_rad))
 
 
-def require_air_faster(airspeed_mps: float, wind_to_ne_mps: FloatArray) -> None:
+def require_air_faster(airspeed_mps: float, wind_to_ne_mps: Floats) -> None:
     """Refuse wind that blows as fast as the vehicle flies, or that is not a number."""
     speed = np.hypot(wind_to_ne_mps[..., 0], wind_to_ne_mps[..., 1])
     worst = float(np.max(speed, initial=0.0)) if np.isfinite(speed).all() else math.nan

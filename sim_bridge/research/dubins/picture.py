@@ -5,14 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Obstacle, ObstacleMap
 from sim_bridge.research.dubins.clear import ClearPath, clear_path
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.dubins.sampling import mission_points
-
-Floats = NDArray[np.float64]
 
 START = np.array([0.0, 0.0, -40.0, math.radians(40.0)])
 GOAL = np.array([60.0, 420.0, -40.0, math.radians(200.0)])

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.dubins.words import (
     FIRST,
     LAST,
@@ -30,8 +31,6 @@ from sim_bridge.research.dubins.words import (
     round_off,
     turns_of,
 )
-
-Floats = NDArray[np.float64]
 
 _NEWTON_STEPS = 5
 _GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 10))  # denser where words begin and end

@@ -10,13 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned
 from sim_bridge.research.dubins.air_path import PARTS, AirPaths
-
-Floats = NDArray[np.float64]
 
 LARGEST_TURN_RAD = math.radians(15.0)
 """At one mission item, where the acceptance radius allows."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from sim_bridge.research.dubins.air_path import PARTS
 from sim_bridge.research.dubins.rendezvous import Meeting
 from sim_bridge.research.dubins.words import (
@@ -23,9 +24,6 @@ from sim_bridge.research.dubins.words import (
     round_off,
     turns_of,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _WIDEST = 3.0  # a radius grows to at most this many times the least
 _ARCS = np.linspace(0.0, TWO_PI, 33)

@@ -13,9 +13,8 @@ centre at `p + R s n(h)`. With `c` from the first turn's centre to the last one'
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 TWO_PI = 2.0 * np.pi
 NEARLY_ROUND = 1e-9  # a turn this near to a full circle is none

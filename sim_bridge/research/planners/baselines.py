@@ -7,11 +7,10 @@ online at each vertex. GER, greedy energy-minimising routing, looks one edge ahe
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
 from companion.core.routing.shortest_paths import Routes
 from sim_bridge.research.planners.online import OnlineModel, Remembered, Viewpoints
-
-Ints = NDArray[np.int64]
 
 
 class Ser:

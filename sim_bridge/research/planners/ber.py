@@ -9,6 +9,7 @@ became, the class seen tells which are left; it then takes the edge of the best 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.return_budget.value_table.bounded_loss_policy import ValuePolicy
 from companion.core.return_budget.value_table.dynamic_program import LOSS_NOTHING_HELPS, STOP
 from companion.core.routing.energy_graph import EnergyGraph
@@ -16,9 +17,6 @@ from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Loo
 from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.markov_chain import Sight
 from sim_bridge.research.planners.uncertainty import seen_prior
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ENERGY_MATCH = 1e-6  # relative: how well an edge's energy must fit a state to have been it
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.return_budget.value_table.dynamic_program import (
     DeliveryTable,
     HomeTable,
@@ -17,9 +18,6 @@ from companion.core.return_budget.value_table.edge_transitions import NEVER, Ste
 from companion.core.routing.planner_interface import STAY, Decider, Look
 from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LOSS_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 3000.0)
 SECTOR_POINTS = 5  # directions that stand for a sector whose centre is all that is seen

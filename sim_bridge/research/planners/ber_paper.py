@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from companion.core.routing.planner_interface import STAY, Decider, Look
 from companion.core.routing.shortest_paths import INFEASIBLE_WH
 from sim_bridge.research.planners.online import (
@@ -25,8 +26,6 @@ from sim_bridge.research.planners.online import (
     Viewpoints,
     through_out_edges,
 )
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

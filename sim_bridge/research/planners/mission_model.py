@@ -11,12 +11,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph, sector_of
 from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
 from companion.core.wind.markov_chain import Sight, WindChain, class_centre
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Outcome(IntEnum):

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.planner_interface import Look
 from companion.core.routing.shortest_paths import RouteFinder
 from sim_bridge.research.planners.uncertainty import RiskCost
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

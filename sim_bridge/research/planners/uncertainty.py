@@ -8,13 +8,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph
 from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind, Sight, WindChain
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LAG_STEP_S = 5.0  # a chain's spread changes little within it: dwell times are longer
 

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
-
-Floats = NDArray[np.float64]
 
 _FITTED = 4
 

@@ -5,14 +5,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.promise.recording import Stretch
 from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, TruePower
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BLOCK_S = 1200
 BEFORE_S = 30  # of wind that the distance is chosen by, and that is seen before the start

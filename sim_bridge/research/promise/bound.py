@@ -8,14 +8,12 @@ from all others, does at least as well as any policy that has to decide on the w
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.promise.planner import NOISE_MPS, MissionView
 from sim_bridge.research.promise.truth import Missions, TrueMissions
 from sim_bridge.research.promise.world import PromiseWorld
 from sim_bridge.truth.wind_days import DayProcess
-
-Floats = NDArray[np.float64]
 
 FUTURES = 200
 

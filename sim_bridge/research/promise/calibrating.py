@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.process import WindProcessParams
@@ -24,8 +24,6 @@ from companion.core.wind_fit.holdout import fit_with_tail
 from sim_bridge.research.promise.blocks import Block
 from sim_bridge.research.promise.planner import AVERAGE_S, HISTORY_S, NOISE_MPS
 from sim_bridge.research.promise.recording import Stretch
-
-Floats = NDArray[np.float64]
 
 _KEPT_BACK = 0.06
 

@@ -7,9 +7,9 @@ from itertools import zip_longest
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.core.base.arrays import Floats
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.process import WindProcessParams
@@ -33,8 +33,6 @@ from sim_bridge.research.promise.planner import (
 from sim_bridge.research.promise.recording import Stretch
 from sim_bridge.research.promise.world import PromiseWorld, Setting, simulated_days
 from sim_bridge.truth.steady_flight import SteadyFlight
-
-Floats = NDArray[np.float64]
 
 LEVELS = (
     0.002,

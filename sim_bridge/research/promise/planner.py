@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.return_budget.budget import (
     Ahead,
     Gate,
@@ -27,8 +27,6 @@ from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import LEG_S, WindForecast, WindOutlook
 from companion.core.wind.process import WindProcessParams
 from sim_bridge.research.promise.truth import Profile
-
-Floats = NDArray[np.float64]
 
 HISTORY_S = 300
 NOISE_MPS = 0.5

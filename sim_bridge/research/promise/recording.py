@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.adapters.logs.wind_logs import read_wind_log
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.wind_fit.log_checks import Samples
-
-Floats = NDArray[np.float64]
 
 LEAST_STRETCH_S = 120.0
 

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Bools, Floats
 from sim_bridge.research.promise.truth import TrueMissions
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 PX4_FACTOR, PX4_ADDED_S = 1.1, 100.0
 THRESHOLDS = {"threshold_25": 0.25, "threshold_35": 0.35}

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from sim_bridge.research.promise.bound import most_success
 from sim_bridge.research.promise.flying import Fitted, GateFlight
 from sim_bridge.research.promise.rules import Ends, ends_of
@@ -23,9 +23,6 @@ from sim_bridge.research.promise.verdict import (
 )
 from sim_bridge.research.promise.world import PromiseWorld, block_words
 from sim_bridge.research.results.sheet import Sheet
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RULES = ("px4_time", "threshold_25", "threshold_35", "clairvoyant")
 BOUND = "bound: the same information, the true process"

@@ -13,14 +13,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.steady_flight import SteadyFlight
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _POWER_STEP_MPS = 0.5
 _POWER_TOP_MPS = 45.0

@@ -10,15 +10,11 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from companion.core.base.arrays import Bools, Floats, Ints
 from sim_bridge.research.promise.planner import PHASES
 from sim_bridge.research.promise.rules import Ends
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 RESAMPLES = 4000
 LEAST_MISSIONS = 100  # in a reliability bin

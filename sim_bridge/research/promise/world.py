@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Ints
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.promise.blocks import (
     BLOCK_S,
@@ -29,8 +29,6 @@ from sim_bridge.research.promise.rules import (
 from sim_bridge.research.promise.truth import Profile, TruePower
 from sim_bridge.truth.params import AirframeTruth, load_airframe
 from sim_bridge.truth.wind_days import DayProcess, day_of_wind, day_process
-
-Ints = NDArray[np.int64]
 
 WIND_OVER_AIR = {"hard": 0.4, "easy": 0.4, "stress": 0.63}
 DAY_S = 3600

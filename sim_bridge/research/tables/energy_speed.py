@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w, paper_power_w
 from sim_bridge.research.results.sheet import Sheet
-
-Floats = NDArray[np.float64]
 
 WIND_MPS = 5.0
 WINDS = ("tailwind", "calm", "crosswind", "headwind")

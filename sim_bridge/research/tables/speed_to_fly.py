@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.steady_flight import SteadyFlight
-
-Floats = NDArray[np.float64]
 
 MOST_WIND_MPS = 12.0
 WIND_STEP_MPS = 1.0

@@ -11,16 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.routing.energy_graph import EnergyGraph, least_energy_wh
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.llm import LlmParams
 from ground_station.app.planning.clusters import cluster_by_llm
 from ground_station.core.clustering.methods import conditioned, k_means, no_clusters
 from ground_station.core.clustering.problem import Clustered, ClusteringProblem, Conditions
-
-Floats = NDArray[np.float64]
 
 STOPS = 4
 DRONES = 4

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph
 from companion.core.routing.planner_interface import Decider, Look
 from companion.core.wind.markov_chain import WindChain
@@ -23,9 +24,6 @@ from sim_bridge.research.dubins.corners import (
 )
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.planners.mission_model import ChainWinds
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ROOM = 0.5
 """Share of a leg that the corner at either end may use."""

@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 import msgspec
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 from shapely import LineString, box
 
+from companion.core.base.arrays import Floats
 from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
 from companion.core.routing.scenario import Power, Scenario
 from sim_bridge.research.campaign.scenario_generator import WindRose
-
-Floats = NDArray[np.float64]
 
 WAKE_DEFICIT = 0.6  # of the wind's speed, right behind the building
 WAKE_HEIGHTS = 5.0  # over which it fades

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator, WindObservation
 from companion.core.wind.observation import WindFilter
-
-Floats = NDArray[np.float64]
 
 WARM_UP_S = 30.0
 COLUMNS = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_deg", "yaw_deg")

@@ -11,16 +11,14 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from companion.core.base.arrays import Floats
 from sim_bridge.truth.dryden import DrydenTurbulence
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.signals import Actuation, SensorReadings, Truth
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import WindField
-
-Floats = NDArray[np.float64]
 
 DRAG_STD_FRAC = 0.05
 AXIS_STD_FRAC = 0.03

@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator, WindObservation
 from companion.core.wind.observation import WindFilter
 from sim_bridge.research.wind.envelope_flight import SAMPLE_S, EnvelopeFlight
-
-Floats = NDArray[np.float64]
 
 WARM_UP_S = 30.0
 HALF_WINDOW_S = 5.0

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.replay.reference_estimator import ReferenceEstimator
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
@@ -36,8 +36,6 @@ from sim_bridge.research.wind.envelope_score import Errors, judged, nees_band95,
 from sim_bridge.research.wind.px4_drag_fusion import DragFusionParams, drag_fusion
 from sim_bridge.research.wind.wind_bound import least_errors_m2ps2
 from sim_bridge.truth.params import AirframeTruth
-
-Floats = NDArray[np.float64]
 
 FIELD_DENSITY_KGPM3 = 1.09  # the anemometer flight's, 1,160 m above the sea (ISO 2533)
 PX4_RATES_HZ = (5.0, 50.0)

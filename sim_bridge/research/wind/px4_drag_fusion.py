@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from companion.core.base.arrays import Floats
 
 _GRAVITY_MPS2 = 9.80665
 _SEA_LEVEL_KGPM3 = 1.225

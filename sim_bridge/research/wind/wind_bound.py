@@ -38,8 +38,8 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.wind.envelope_flight import (
     AXIS_STD_FRAC,
     DRAG_STD_FRAC,
@@ -53,8 +53,6 @@ from sim_bridge.truth.airframe import Airframe
 from sim_bridge.truth.atmosphere import GRAVITY_MPS2, air_density_kgpm3
 from sim_bridge.truth.dryden import dryden_intensities_mps, dryden_scales_m
 from sim_bridge.truth.params import AirframeTruth, SensorParams
-
-Floats = NDArray[np.float64]
 
 HALF_WINDOW = 50  # samples in 5 s
 BLOCK = 5  # samples that are kept as one sum

@@ -15,9 +15,9 @@ with STEP_CHANCE, at any time alike.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
+from companion.core.base.arrays import Floats
 from sim_bridge.research.wind.envelope_flight import (
     END_S,
     SAMPLE_S,
@@ -25,8 +25,6 @@ from sim_bridge.research.wind.envelope_flight import (
     WIND_STEP_LASTS_S,
     WIND_STEP_MPS,
 )
-
-Floats = NDArray[np.float64]
 
 EVERY_S = 1.0
 STEP_CHANCE = 0.5
