@@ -1,4 +1,4 @@
-"""The day as people write it: depot, fleet, truck, limits, forecast (`day/1`), checked whole."""
+"""The day file (`day/1`): depot, fleet, truck, limits, forecast; checked as a whole."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from companion.fleet.topics import checked_name
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One thing that is wrong in a file: where (row 1 is the header's) and what was expected."""
+    """One mistake in a file: where (row 1 is the header) and what was expected."""
 
     file: str
     row: int | None
@@ -28,7 +28,7 @@ class FileProblem:
 
 
 class DayFilesError(LeewayError):
-    """Everything that is wrong in the day's files, a line each."""
+    """Everything that is wrong in the day's files, one line each."""
 
     def __init__(self, problems: list[FileProblem]) -> None:
         self.problems = problems
@@ -36,7 +36,7 @@ class DayFilesError(LeewayError):
 
 
 class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One vehicle: `id` is its companion's name in the fleet."""
+    """One drone. `id`: the name of its companion in the fleet."""
 
     id: str
     airframe: str
@@ -52,13 +52,14 @@ class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where no road matrix is given, the truck drives straight lines, `detour_factor` longer.
+    """The truck and its driver.
 
-    `deliver_s`, `launch_s` and `recover_s` are the driver's, one thing at a time: a parcel to the
-    door, a drone with its parcel onto its pad, a drone aboard again with a fresh pack (the last two
-    as Murray and Raj have them, Transportation Research C 110, 2020). `ready_s`: from then on until
-    it takes off, without the driver: it finds its position, takes its mission and checks it.
-    `capacity_kg` is all that rides on the truck: the drones' parcels too.
+    Without a road matrix it drives straight lines, `detour_factor` longer. The driver does one
+    thing at a time: `deliver_s` for a parcel to the door, `launch_s` to put a drone with its
+    parcel on its pad, `recover_s` to take a drone aboard and change its pack (the last two as in
+    Murray and Raj, Transportation Research C 110, 2020). `ready_s`: from then until take-off,
+    without the driver: the drone finds its position, takes its mission and checks it.
+    `capacity_kg`: everything on the truck, the drones' parcels too.
     """
 
     speed_mps: float = 8.0
@@ -80,7 +81,7 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wind at cruise height that the desk plans with; `std_mps` is how wrong it may be."""
+    """The wind at cruise height to plan with; `std_mps`: its standard deviation."""
 
     speed_mps: float = 0.0
     from_deg: float = 0.0
@@ -99,7 +100,7 @@ class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where truck and drones start. `terrain` tells heights of orders that state none."""
+    """Start of truck and drones. `terrain`: heights of orders that state none."""
 
     lat_deg: float
     lon_deg: float
@@ -122,9 +123,9 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `day/1` file as read. File names in it stand beside it.
+    """A `day/1` file. File names in it are relative to it.
 
-    `orders`: CSV or GeoJSON; `no_fly`: GeoJSON polygons with `height_m`; `roads`: CSV matrix of
+    `orders`: CSV or GeoJSON. `no_fly`: GeoJSON polygons with `height_m`. `roads`: a CSV matrix of
     seconds between the depot and the orders.
     """
 

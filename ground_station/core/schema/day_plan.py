@@ -1,9 +1,9 @@
-"""A day's plan as planner, desk, simulator and people share it (`day-plan/1`, JSON).
+"""The day plan (`day-plan/1`, JSON) that planner, desk, simulator and people share.
 
 Times are seconds after the truck leaves the depot for the first time. Stops are in the order of the
 truck's route; the first and the last are the depot. A sortie's home is a stop that the truck
-promises (safety rule 3): the truck is there before the drone lands, and stays until it is down or
-has read back another end point.
+promises (safety rule 3): the truck is there before the drone lands, and stays until the drone is
+down or has confirmed another home.
 """
 
 from typing import Annotated, Literal
@@ -24,10 +24,11 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class PlannedStop(_Part, frozen=True, kw_only=True):
-    """Where the truck stands from `arrive_s` to `depart_s`; `serves`: orders the driver brings.
+    """The truck stands here from `arrive_s` to `depart_s`. `serves`: orders that the driver
+    delivers.
 
-    `pads` are where drones stand for launch and landing, one for each drone that uses the stop:
-    apart enough for two to go up and down at once.
+    `pads`: one for each drone that launches or lands here, far enough apart for two drones to
+    climb and descend at once.
     """
 
     id: Id
@@ -42,9 +43,9 @@ class PlannedSortie(_Part, frozen=True, kw_only=True):
     """One flight: `order` by `vehicle`, from the pad at stop `launch` to that at stop `home`.
 
     `launch_s` is its launch slot, `land_s` the expected touchdown. Heights are above the launch
-    pad, one layer for the way out, one for the way back (safety rule 7). `others` names further
-    stops that it could land at, should the truck promise them. `energy_wh` is what the flight is
-    expected to use, `sure_wh` the same at the accepted loss, `usable_wh` what it may use.
+    pad: one layer for the way out, one for the way back (safety rule 7). `others`: further stops
+    where it could land if the truck promised them. `energy_wh`: expected energy. `sure_wh`: the
+    same at the accepted loss. `usable_wh`: what it may use.
     """
 
     order: Id
@@ -70,9 +71,9 @@ class Unplanned(_Part, frozen=True, kw_only=True):
 
 
 class DayPlan(_Part, frozen=True, kw_only=True):
-    """A `day-plan/1` file.
+    """A `day-plan/1` file. `revision` counts re-plans of one day.
 
-    `revision` counts re-plans of one day. `policy`, `seed` and `trials` make it again.
+    `policy`, `seed` and `trials` reproduce it.
     """
 
     format: Literal["day-plan/1"]
@@ -87,7 +88,7 @@ class DayPlan(_Part, frozen=True, kw_only=True):
     revision: Annotated[int, Meta(ge=0)] = 0
 
     def stop(self, id_: str) -> PlannedStop:
-        """The stop of this name. Raises KeyError where there is none."""
+        """The stop of this id. Raises KeyError where there is none."""
         for stop in self.stops:
             if stop.id == id_:
                 return stop
