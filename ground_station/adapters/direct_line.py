@@ -1,4 +1,4 @@
-"""Straight to an autopilot by MAVSDK, past a companion that has gone silent: return to launch."""
+"""A direct line to an autopilot over MAVSDK, past a silent companion: return to launch."""
 
 import asyncio
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Returned:
 
 
 def return_to_launch(url: str) -> Returned:
-    """Order the autopilot at `url` (udpin://HOST:PORT, tcpout://...) home by its own RTL.
+    """Command the autopilot at `url` (udpin://HOST:PORT, tcpout://...) to fly its own RTL.
 
     Raises LeewayError where there is none, or it refuses.
     """
@@ -25,7 +25,7 @@ def return_to_launch(url: str) -> Returned:
 
 
 async def _return_to_launch(url: str) -> Returned:
-    try:  # only who needs it loads the native library
+    try:  # loads a native library: only where it is needed
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
         from mavsdk.asyncio.plugins.action import ActionAsync
         from mavsdk.exceptions import MavsdkError

@@ -1,4 +1,4 @@
-"""An LLM behind any OpenAI-compatible server: one question, one answer, bounded."""
+"""An LLM behind any OpenAI-compatible server: one question, one answer, within bounds."""
 
 import asyncio
 import json
@@ -12,7 +12,7 @@ LARGEST_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class LlmParams:
-    """Where and whom to ask. `url` is the server's base, for example http://127.0.0.1:8000/v1."""
+    """The server and the model. `url`: its base, for example http://127.0.0.1:8000/v1."""
 
     url: str
     model: str
@@ -22,20 +22,20 @@ class LlmParams:
 
 @dataclass(frozen=True, slots=True)
 class LlmAnswer:
-    """What the model answered."""
+    """The text of the answer."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class NoAnswer:
-    """Why there is none."""
+    """Why there is no answer."""
 
     reason: str
 
 
 def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> LlmAnswer | NoAnswer:
-    """Ask once, whatever the server does: no longer than `timeout_s`, no more than 1 MiB."""
+    """Ask once. Takes at most `timeout_s` and 1 MiB, whatever the server does."""
     body = {
         "model": params.model,
         "temperature": 0,
@@ -55,9 +55,11 @@ def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> Ll
 
 
 async def _bounded(params: LlmParams, body: dict[str, Any]) -> bytes | NoAnswer:
-    """httpx bounds each read, which a server that drips its headers never exceeds: hence one
-    timeout around all. Compressed answers are not asked for and not unpacked: they may unpack to
-    anything.
+    """The raw answer, within the bounds.
+
+    httpx bounds each read, and a server that sends its headers byte by byte never exceeds that:
+    hence one time-out around everything. Compressed answers are neither asked for nor unpacked:
+    they may unpack to any size.
     """
     headers = {"Accept-Encoding": "identity"}
     if params.key:

@@ -1,4 +1,6 @@
-"""Where machine code is kept between runs: a folder of the user's for each state of the sources."""
+"""The cache of the planner's machine code: one folder of the user's for each state of the
+sources.
+"""
 
 import hashlib
 import os
@@ -14,8 +16,10 @@ KEPT_STATES = 4
 
 
 def keep_compiled_code() -> bool:
-    """Keep what the planner compiles; call before its first import. False: compiled for the first
-    time, which takes some ten seconds of one core."""
+    """Cache what the planner compiles; call it before the planner's first import.
+
+    False: it compiles for the first time, which takes some ten seconds of one core.
+    """
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leeway"
     folder = root / f"truck_drones-{_digest()}"
     known = folder.is_dir()
@@ -24,7 +28,7 @@ def keep_compiled_code() -> bool:
         folder.touch()
         _forget_old(root)
     except OSError:
-        return False  # a read-only home: compiled in each process
+        return False  # a read-only home: each process compiles again
     config.CACHE_DIR = str(folder)  # pyright: ignore[reportAttributeAccessIssue]
     return known
 

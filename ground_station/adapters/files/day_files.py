@@ -1,4 +1,4 @@
-"""The day's files: TOML, CSV and GeoJSON; everything that is wrong is listed at once."""
+"""The day's files: TOML, CSV and GeoJSON. Everything that is wrong is listed at once."""
 
 import csv
 import io
@@ -78,7 +78,7 @@ def _read_orders(
 
 
 def _csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
-    """Rows with the line each starts in; a header that is wrong ends it there."""
+    """Rows, with the line where each starts; none where the header is wrong."""
     reader = csv.reader(io.StringIO(_text(path)), strict=True)
     found: list[tuple[int, dict[str, str]]] = []
     try:
@@ -147,7 +147,9 @@ def _read_no_fly(path: Path, day: Day, problems: list[FileProblem]) -> dict[str,
     if not isinstance(features, list):
         features, document = [document], {"type": "FeatureCollection", "features": None}
     frame = frame_at(day.depot.place)
-    for row, feature in enumerate(features, start=1):  # one at a time, so that all are named
+    for row, feature in enumerate(
+        features, start=1
+    ):  # one at a time, so that every mistake is named
         try:
             obstacles_from_geojson(frame, document | {"features": [feature]})
         except LeewayError as error:
@@ -169,7 +171,7 @@ def _read_airframes(day: Day, path: Path, problems: list[FileProblem]) -> dict[s
 def _read_roads(
     path: Path, ids: set[str], problems: list[FileProblem]
 ) -> dict[tuple[str, str], float] | None:
-    """A square table of seconds: first row and first column name `depot` and orders."""
+    """A square table of seconds: its first row and first column name `depot` and the orders."""
     file = str(path)
     try:
         table = list(csv.reader(io.StringIO(_text(path)), strict=True))

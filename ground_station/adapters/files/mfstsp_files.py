@@ -1,4 +1,6 @@
-"""Murray & Raj's problem folders, vehicle files, published results. Errors name file and line."""
+"""Murray and Raj's problem folders, vehicle files and published results. Errors name file and
+line.
+"""
 
 import csv
 from collections.abc import Callable, Iterator
@@ -80,7 +82,10 @@ def read_vehicles(path: Path) -> Vehicles:
 def read_published(
     path: Path,
 ) -> tuple[dict[PublishedKey, Published], dict[PublishedKey, Published]]:
-    """The authors' heuristic, and their integer program (8 customers); empty without the file."""
+    """The authors' results: by their heuristic, and by their integer program (8 customers).
+
+    Both are empty where there is no such file.
+    """
     heuristic: dict[PublishedKey, Published] = {}
     program: dict[PublishedKey, Published] = {}
     if not path.exists():
@@ -130,4 +135,4 @@ def _number(path: Path, line: int, text: str, kind: Callable[[str], Any] = float
     try:
         return kind(text)
     except ValueError as error:
-        raise LeewayError(f"{path}:{line}: {text!r} is no number") from error
+        raise LeewayError(f"{path}:{line}: {text!r} is not a number") from error

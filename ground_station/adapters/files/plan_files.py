@@ -1,4 +1,4 @@
-"""Day plans on disk (`day-plan/1`, JSON): written whole or not at all, read strictly."""
+"""Day plans on disk (`day-plan/1`, JSON): written as a whole or not at all, read strictly."""
 
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,12 @@ from ground_station.core.schema.day_plan import DayPlan
 
 
 def write_day_plan(path: Path, plan: DayPlan) -> None:
-    """Replace a plan file."""
+    """Write a plan, in place of an older one."""
     write_json(path, plan)
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Replace a JSON file, whole or not at all."""
+    """Write a JSON file, as a whole or not at all."""
     fresh = path.with_name(path.name + ".new")
     try:
         fresh.write_bytes(msgspec.json.format(msgspec.json.encode(document)) + b"\n")
@@ -25,7 +25,7 @@ def write_json(path: Path, document: Any) -> None:
 
 
 def read_day_plan(path: Path) -> DayPlan:
-    """A plan from a file; LeewayError says what is wrong in it."""
+    """The plan of a file; LeewayError says what is wrong in it."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=DayPlan)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Steps of the transactions of a truck's day: each is given the one that it is a part of."""
+"""Steps of the transactions of a day with a truck; each gets the transaction that it is part of."""
 
 from typing import Any
 
@@ -15,12 +15,12 @@ from ground_station.core.schema.sortie_rows import SortieRow
 
 
 def lock(db: sa.Connection) -> None:
-    """Where the truck goes and what is promised: one transaction at a time (PostgreSQL)."""
+    """One transaction at a time decides where the truck goes and what is promised (PostgreSQL)."""
     db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
 
 
 def drives(db: sa.Connection) -> list[tuple[Drive, Answered | None]]:
-    """What the truck was told and has not refused, oldest first."""
+    """The truck's drive commands that it has not refused, oldest first."""
     query = sa.select(t.commands.c.deed, t.commands.c.answer).where(t.commands.c.id.like("drive-%"))
     found: list[tuple[Drive, Answered | None]] = []
     for row in db.execute(query.order_by(t.commands.c.n)):
@@ -38,7 +38,7 @@ def last_drive(db: sa.Connection) -> str | None:
 
 
 def bound(db: sa.Connection) -> list[SortieRow]:
-    """Every flight, for what it binds the truck to."""
+    """All sorties, for what binds the truck."""
     query = sa.select(t.assignments, t.sorties).join(
         t.sorties, t.sorties.c.assignment == t.assignments.c.id
     )
@@ -46,7 +46,7 @@ def bound(db: sa.Connection) -> list[SortieRow]:
 
 
 def serving(db: sa.Connection) -> bool:
-    """Whether the driver has an order in hand."""
+    """Whether the driver is bringing an order."""
     query = sa.select(sa.func.count()).where(
         t.assignments.c.vehicle == TRUCK,
         t.assignments.c.state.in_([state.value for state in rows.IN_FORCE]),
@@ -70,7 +70,7 @@ def held(db: sa.Connection, assignment: str) -> bool:
 
 
 def sortie_row(row: Any, answers: Any) -> SortieRow:
-    """A flight as the core knows it, with what was answered about it."""
+    """A row as the core's type, with the answers to its commands."""
     launches = [a.answer for a in answers if a.id.startswith(f"{row.id}:launch")]
     return SortieRow(
         row=rows.assignment_row(row),

@@ -1,7 +1,7 @@
-"""What binds a day with a truck, in the store: the plan in force, promises, the truck's orders.
+"""What binds a day with a truck: the active plan, promises, the truck's orders, its visits.
 
-Each method is one transaction, as in `store.py`. What the truck may not do (leave a stop that it
-has promised) is looked at in the very transaction that would order it.
+Each method is one transaction, as in `order_store`. Whether the truck may leave a stop is checked
+in the same transaction that orders it to drive.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ BEGAN = "day_began_us"
 
 
 class DayStore:
-    """One desk's door to the truck's day."""
+    """The store of one desk for a day with a truck."""
 
     def __init__(self, database: Database, epoch_us: Callable[[], int]) -> None:
         self._database = database
@@ -45,26 +45,26 @@ class DayStore:
     # --- the plan ------------------------------------------------------------------------------
 
     def plan(self) -> DayPlan | None:
-        """The plan in force: that of the highest revision."""
+        """The active plan: that of the highest revision."""
         query = sa.select(t.plans.c.content).order_by(t.plans.c.revision.desc()).limit(1)
         with self._database.read() as db:
             found = db.execute(query).scalar_one_or_none()
         return None if found is None else msgspec.json.decode(found, type=DayPlan)
 
     def plan_made_us(self) -> int:
-        """When the plan in force was put in force; 0: there is none."""
+        """When the active plan was taken; 0: there is none."""
         with self._database.read() as db:
             return db.execute(sa.select(sa.func.max(t.plans.c.made_us))).scalar() or 0
 
     def plans(self) -> list[tuple[DayPlan, str]]:
-        """Every plan that was ever in force, and why it was made."""
+        """All plans of the day, and why each was made."""
         query = sa.select(t.plans.c.content, t.plans.c.why).order_by(t.plans.c.revision)
         with self._database.read() as db:
             found = db.execute(query).all()
         return [(msgspec.json.decode(row.content, type=DayPlan), row.why) for row in found]
 
     def take_plan(self, plan: DayPlan, why: str, wind: Forecast | None = None) -> bool:
-        """Put a plan in force; False where there is one of this revision already."""
+        """Make a plan the active one; False where there is one of this revision."""
         try:
             with self._database.write() as db:
                 db.execute(
@@ -81,21 +81,21 @@ class DayStore:
         return True
 
     def wind(self) -> Forecast | None:
-        """The wind that was measured and planned with last; None: the day's forecast."""
+        """The measured wind of the last plan; None: that was made with the day's forecast."""
         query = sa.select(t.plans.c.wind).where(t.plans.c.wind.is_not(None))
         with self._database.read() as db:
             found = db.execute(query.order_by(t.plans.c.revision.desc()).limit(1)).scalar()
         return None if found is None else msgspec.json.decode(found, type=Forecast)
 
     def began_us(self) -> int | None:
-        """When the day began, by the desk's wall clock."""
+        """When the day began, by the desk's clock."""
         query = sa.select(t.about.c.value).where(t.about.c.name == BEGAN)
         with self._database.read() as db:
             found = db.execute(query).scalar_one_or_none()
         return None if found is None else int(found)
 
     def begin(self) -> int:
-        """The day begins, where it has not; returns when it did."""
+        """Begin the day, where it has not; returns when it began."""
         try:
             with self._database.write() as db:
                 db.execute(sa.insert(t.about).values(name=BEGAN, value=str(self._now())))
@@ -106,7 +106,7 @@ class DayStore:
         return began
 
     def newest_us(self) -> int | None:
-        """The newest stamp of the day: the day's time does not go back behind it."""
+        """The newest time stamp of the day; the day's time must not go back behind it."""
         stamps = (
             t.visits.c.arrived_us, t.visits.c.left_us, t.sorties.c.launched_us,
             t.sorties.c.landed_us, t.plans.c.made_us,
@@ -125,10 +125,11 @@ class DayStore:
         obstacles: Any,
         by: str,
     ) -> str | None:
-        """Promise a flight its home, tell the driver to put its drone out, and hold its mission
-        back until that has been done. `flight_of(assignment)` makes the `flight/1` table.
+        """Promise a sortie its home, have its drone put out, and hold back its mission until
+        that is done.
 
-        None: the order is not open, the drone not free, or the truck not at the launch stop.
+        `flight_of(assignment)` makes the `flight/1` table. None: the order is not open, the
+        drone not free, or the truck not at the launch stop.
         """
         try:
             with self._database.write() as db:
@@ -181,7 +182,7 @@ class DayStore:
         self._put_out(db, f"{id_}:assign", sortie.vehicle, id_, deed, by, held=True)
 
     def release(self, assignment: str) -> bool:
-        """Its drone stands on its pad: send the mission. False where it was, or is void."""
+        """The drone is on its pad: send the mission. False where it was sent, or is void."""
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.commands)
@@ -195,13 +196,13 @@ class DayStore:
         return done.rowcount == 1
 
     def withdraw(self, assignment: str, by: str, why: str) -> bool:
-        """Take back a flight that has not been launched; False where it cannot be any more."""
+        """Withdraw a sortie before its launch; False where it is too late."""
         states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
         with self._database.write() as db:
             row = rows.in_state(db, assignment, states)
             if row is None or steps.launching(db, assignment):
                 return False
-            if steps.held(db, assignment):  # its companion has never heard of it
+            if steps.held(db, assignment):  # its companion knows nothing of it
                 state = AssignmentState.WITHDRAWN
                 rows.end_assignment(db, self._now(), row, state, False, why)
             else:
@@ -214,7 +215,7 @@ class DayStore:
         return True
 
     def recover(self, assignment: str, pad: Place, by: str) -> bool:
-        """Tell the driver to take a drone aboard; False where that was told."""
+        """Have the driver take a drone aboard; False where that was ordered before."""
         with self._database.write() as db:
             row = db.execute(
                 sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
@@ -233,7 +234,9 @@ class DayStore:
         return True
 
     def ask_home(self, assignment: str, stop: str, by: str) -> bool:
-        """Ask a flight to end at another stop; both bind until it has said where it ends."""
+        """Ask a flight to land at another stop; both bind the truck until the flight has
+        answered.
+        """
         here = t.sorties.c.assignment == assignment
         with self._database.write() as db:
             steps.lock(db)
@@ -249,9 +252,7 @@ class DayStore:
         return True
 
     def home_is(self, assignment: str, stop: str) -> bool:
-        """A flight has said that it ends at the stop that it was asked for: the old promise is
-        void.
-        """
+        """The flight has confirmed its new home: the old promise is void."""
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.sorties)
@@ -261,13 +262,13 @@ class DayStore:
         return done.rowcount == 1
 
     def note(self, assignment: str, **facts: bool | float) -> None:
-        """`away` or `lapsed`: nothing waits for it any more; `used_wh`: what it used."""
+        """`away` or `lapsed`: nothing waits for it any more. `used_wh`: energy that it used."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
             db.execute(sa.update(t.sorties).where(here).values(**facts))
 
     def sorties(self) -> list[SortieRow]:
-        """Every flight from the truck, as they were assigned."""
+        """All sorties from the truck, in the order of their assignment."""
         query = (
             sa.select(t.assignments, t.sorties)
             .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
@@ -284,7 +285,7 @@ class DayStore:
     # --- the truck -----------------------------------------------------------------------------
 
     def serve(self, order_id: str, by: str) -> str | None:
-        """Give an open order to the driver; None where it is not open."""
+        """Have the driver bring an open order; None where it is not open."""
         with self._database.write() as db:
             id_ = rows.order_taken(db, order_id)
             if id_ is None:
@@ -295,8 +296,9 @@ class DayStore:
         return id_
 
     def drive(self, here: str, stop: PlannedStop, by: str) -> bool:
-        """Order the truck from `here` to its next stop; False where something binds it to here,
-        or it has been told already.
+        """Order the truck from `here` to its next stop.
+
+        False where something binds it to `here`, or it was ordered to drive before.
         """
         with self._database.write() as db:
             steps.lock(db)
@@ -330,7 +332,7 @@ class DayStore:
             db.execute(sa.update(visits).where(*others).values(left_us=self._now()))
 
     def visits(self) -> list[Visit]:
-        """Where the truck has been, in order."""
+        """The truck's visits to stops, in order."""
         with self._database.read() as db:
             found = db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us)).all()
         return [Visit(row.stop, row.arrived_us, row.left_us) for row in found]

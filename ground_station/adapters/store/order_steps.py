@@ -1,4 +1,4 @@
-"""Steps of the store's transactions: each is given the transaction that it is a part of."""
+"""Steps of the store's transactions; each gets the transaction that it is part of."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ from ground_station.core.schema.orders import (
 
 
 def order_taken(db: sa.Connection, order_id: str) -> str | None:
-    """Take an open order; returns the id of the assignment that is to be made, None: not open."""
+    """Take an open order; the id of the assignment to be made, None: the order is not open."""
     taken = db.execute(
         sa.update(t.orders)
         .where(t.orders.c.id == order_id, t.orders.c.state == OrderState.OPEN.value)
@@ -47,7 +47,7 @@ def order_taken(db: sa.Connection, order_id: str) -> str | None:
 
 
 def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, vehicle: str) -> None:
-    """Note who is to bring what. IntegrityError: the drone has another in force."""
+    """Insert an assignment. IntegrityError: the drone has another one in force."""
     db.execute(
         sa.insert(t.assignments).values(
             id=id_,
@@ -90,7 +90,7 @@ def put_out(
 def in_state(
     db: sa.Connection, id_: str, states: tuple[AssignmentState, ...]
 ) -> AssignmentRow | None:
-    """The assignment, locked until the transaction ends, where it is in one of these states."""
+    """The assignment, locked until the transaction ends, if it is in one of these states."""
     row = db.execute(
         sa.select(t.assignments)
         .where(
@@ -103,14 +103,14 @@ def in_state(
 
 
 def set_state(db: sa.Connection, id_: str, state: AssignmentState, why: str) -> None:
-    """Move an assignment on."""
+    """Change the state of an assignment."""
     db.execute(
         sa.update(t.assignments).where(t.assignments.c.id == id_).values(state=state.value, why=why)
     )
 
 
 def unanswered(db: sa.Connection, assignment: str) -> bool:
-    """Tell whether a command about an assignment waits for its answer."""
+    """Whether a command about an assignment waits for its answer."""
     waiting = sa.select(sa.func.count()).where(
         t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
     )
@@ -118,7 +118,7 @@ def unanswered(db: sa.Connection, assignment: str) -> bool:
 
 
 def count_commands(db: sa.Connection, prefix: str) -> int:
-    """How many commands have an id that begins so."""
+    """How many commands have an id with this prefix."""
     asked = sa.select(sa.func.count()).where(t.commands.c.id.startswith(prefix, autoescape=True))
     return db.execute(asked).scalar_one()
 
@@ -133,7 +133,7 @@ def end_assignment(
     *,
     unproven: bool = False,
 ) -> None:
-    """An assignment is over: what becomes of its order, and what was still to be said is void."""
+    """An assignment is over: its order changes state, and its unanswered commands are void."""
     db.execute(
         sa.update(t.assignments)
         .where(t.assignments.c.id == row.id)
@@ -157,7 +157,7 @@ def end_assignment(
 
 
 def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """The flight is over. Only the vehicle that holds the assignment can end it, and once."""
+    """A flight is over. Only the vehicle that holds the assignment can end it, and only once."""
     row = in_state(db, event.assignment or "", IN_FORCE)
     if row is None or row.vehicle != event.vehicle:
         return
@@ -169,7 +169,7 @@ def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
 
 
 def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """What the truck's driver has done, or cannot do, for a drone."""
+    """What the driver has done, or cannot do, for a drone."""
     here = t.sorties.c.assignment == event.assignment
     row = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
     if row is None or event.vehicle != TRUCK:
@@ -192,7 +192,7 @@ def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
 
 
 def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
-    """The order whose parcel may still be on a drone that came home; None: all is known."""
+    """The order whose parcel may still be on a drone that came home; None: its place is known."""
     query = (
         sa.select(t.orders.c.id)
         .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
@@ -226,7 +226,7 @@ def _parcel_found(db: sa.Connection, assignment: str, *, gone: bool) -> None:
 def follow(
     db: sa.Connection, now_us: int, command: CommandRow, answer: Answered, reason: str
 ) -> None:
-    """What an answer means for the assignment that the command was about."""
+    """What the answer to a command means for its assignment."""
     row = in_state(db, command.assignment or "", IN_FORCE)
     if row is None:
         return
@@ -264,14 +264,14 @@ def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
 
 
 def assignment_row(row: Any) -> AssignmentRow:
-    """A row as the core knows it."""
+    """A row as the core's type."""
     return AssignmentRow(
         row.id, row.order_id, row.vehicle, AssignmentState(row.state), row.delivered, row.why
     )
 
 
 def command_row(row: Any) -> CommandRow:
-    """A row as the core knows it."""
+    """A row as the core's type."""
     return CommandRow(
         row.id,
         row.vehicle,

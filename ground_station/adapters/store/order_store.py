@@ -1,8 +1,8 @@
-"""The day's truth: every order, assignment, command and event, in SQLite (WAL) or PostgreSQL.
+"""Orders, assignments, commands and events of the day, in SQLite (WAL) or PostgreSQL.
 
-Each method is one transaction: it has happened whole, and is on the disk, when it returns, or not
-at all. Commands lie here before they are sent (an outbox), so whoever is killed between the two
-sends the same command again, and the vehicle flies it once.
+Each method is one transaction: when it returns, it has happened as a whole and is on the disk, or
+not at all. Commands are stored before they are sent (an outbox). A desk that is killed between the
+two sends the same command again, and the vehicle carries it out once.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from ground_station.core.schema.orders import (
 
 DRIVER = (EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
 _IN_FORCE = [state.value for state in IN_FORCE]
-_ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: often asked
+_ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: used often
 _ASSIGNMENTS_IN_FORCE = _ASSIGNMENTS.where(t.assignments.c.state.in_(_IN_FORCE))
 _OUTBOX = (
     sa.select(t.commands)
@@ -40,7 +40,7 @@ _OUTBOX = (
 
 @dataclass(frozen=True, slots=True)
 class IntakeResult:
-    """What became of orders that were handed in; `conflicts` have a known id and other content."""
+    """What became of orders that were handed in. `conflicts`: a known id with other content."""
 
     added: tuple[str, ...]
     known: tuple[str, ...]
@@ -48,7 +48,7 @@ class IntakeResult:
 
 
 class Store:
-    """One desk's door to the store. `epoch_us` stamps rows for people; nothing is decided on it."""
+    """The store of one desk. `epoch_us` stamps rows for people; nothing is decided by it."""
 
     def __init__(self, database: Database, epoch_us: Callable[[], int]) -> None:
         self._database = database
@@ -56,20 +56,20 @@ class Store:
 
     @property
     def database(self) -> Database:
-        """Where it lies."""
+        """The database."""
         return self._database
 
     def close(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._database.close()
 
     # --- orders --------------------------------------------------------------------------------
 
     def add_orders(self, orders: list[Order]) -> IntakeResult:
-        """Take orders: all of them or, where an id comes with other content, none."""
+        """Take all orders or, where an id comes with other content, none."""
         try:
             return self._add_orders(orders)
-        except IntegrityError:  # another desk took one of them at this moment: now it is known
+        except IntegrityError:  # another desk took one of them just now: now it is known
             return self._add_orders(orders)
 
     def _add_orders(self, orders: list[Order]) -> IntakeResult:
@@ -111,7 +111,7 @@ class Store:
         return IntakeResult(added, tuple(known), tuple(conflicts))
 
     def orders(self) -> list[OrderRow]:
-        """All orders as they came."""
+        """All orders, in the order they came."""
         with self._database.read() as db:
             found = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
         return [
@@ -142,9 +142,9 @@ class Store:
     def assign(
         self, order_id: str, vehicle: str, flight: dict[str, Any], obstacles: Any, by: str
     ) -> str | None:
-        """Give an open order to a free vehicle and put the command in the outbox.
+        """Assign an open order to a free vehicle and put the command into the outbox.
 
-        Returns the assignment's id, or `None` where the order is not open or the vehicle not free.
+        Returns the assignment's id; None where the order is not open or the vehicle not free.
         """
         try:
             with self._database.write() as db:
@@ -159,7 +159,9 @@ class Store:
         return id_
 
     def launch(self, assignment: str, by: str) -> bool:
-        """Authorise an assignment that is aboard; False where it is not, or already asked."""
+        """Authorise the launch of an assignment that is aboard; False where it is not, or was asked
+        before.
+        """
         with self._database.write() as db:
             row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
             if row is None or rows.unanswered(db, assignment):
@@ -181,7 +183,7 @@ class Store:
             return db.execute(refused).scalar_one()
 
     def not_flying(self, assignment: str, why: str) -> bool:
-        """The launch came to nothing (its companion restarted before take-off): aboard again."""
+        """The launch did not happen (the companion restarted before take-off): aboard again."""
         with self._database.write() as db:
             row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
             if row is None:
@@ -190,7 +192,7 @@ class Store:
         return True
 
     def withdraw(self, assignment: str, by: str) -> bool:
-        """Take back an assignment that has not been launched; False where it cannot be any more."""
+        """Withdraw an assignment before its launch; False where it is too late."""
         states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
         with self._database.write() as db:
             row = rows.in_state(db, assignment, states)
@@ -204,7 +206,7 @@ class Store:
         return True
 
     def command(self, id_: str, vehicle: str, deed: Deed, by: str) -> bool:
-        """Put any other command in the outbox; False where this id is there already."""
+        """Put any other command into the outbox; False where this id is there already."""
         try:
             with self._database.write() as db:
                 rows.put_out(db, self._now(), id_, vehicle, None, deed, by)
@@ -219,7 +221,7 @@ class Store:
         return [rows.command_row(row) for row in found]
 
     def commands(self) -> list[CommandRow]:
-        """Every command ever ordered, oldest first."""
+        """All commands, oldest first."""
         with self._database.read() as db:
             found = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
         return [rows.command_row(row) for row in found]
@@ -235,7 +237,7 @@ class Store:
         return done.rowcount == 1
 
     def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
-        """The final answers of these commands, `None` while they wait."""
+        """The final answers of these commands; None while there is none."""
         query = sa.select(t.commands.c.id, t.commands.c.answer)
         with self._database.read() as db:
             found = db.execute(query.where(t.commands.c.id.in_(command_ids))).all()
@@ -249,7 +251,7 @@ class Store:
         return [rows.command_row(row) for row in found]
 
     def tried(self, command_id: str, reason: str) -> None:
-        """A command was sent and not answered for good; it stays in the outbox."""
+        """A command was sent without a final answer; it stays in the outbox."""
         with self._database.write(settle=False) as db:
             db.execute(
                 sa.update(t.commands).where(t.commands.c.id == command_id).values(reason=reason)
@@ -258,7 +260,8 @@ class Store:
     def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
         """Note a final answer and what follows from it; False where it was answered before.
 
-        No wait for the disk: after a power cut the command is sent again, and answered the same.
+        It does not wait for the disk: after a power cut the command is sent again, and answered
+        the same.
         """
         with self._database.write(settle=False) as db:
             row = db.execute(
@@ -280,7 +283,7 @@ class Store:
         return True
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
-        """Assignments as they were made; with `in_force` only those that are not over."""
+        """All assignments, oldest first; with `in_force` only those that are not over."""
         query = _ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS
         with self._database.read() as db:
             found = db.execute(query).all()
@@ -289,14 +292,14 @@ class Store:
     # --- events --------------------------------------------------------------------------------
 
     def take_events(self, events: list[FleetEvent], *, replayed: bool = False) -> list[FleetEvent]:
-        """Note events and what follows from them, each once; returns those that were new.
+        """Note events and what follows from them, each once; returns those that are new.
 
-        `replayed`: they are all that the vehicle still has after `seen_to`, so none is missing
-        before the last that could still be had.
+        `replayed`: they are all that the member still has after `seen_to`, so none that can
+        still be had is missing before the last.
         """
         try:
             return self._take_all(events, replayed)
-        except IntegrityError:  # another desk heard them at this moment: now they are known
+        except IntegrityError:  # another desk took them just now: now they are known
             return self._take_all(events, replayed)
 
     def _take_all(self, events: list[FleetEvent], replayed: bool) -> list[FleetEvent]:
@@ -307,12 +310,12 @@ class Store:
         return new
 
     def seen_to(self, vehicle: str, log: str) -> int:
-        """The event of this log up to which nothing is missing that can be had; 0: none."""
+        """The event of this log up to which none is missing that can be had; 0: none."""
         with self._database.read() as db:
             return self._seen_to(db, vehicle, log) or 0
 
     def events(self, kind: EventKind | None = None) -> list[FleetEvent]:
-        """Every event heard, in the order it was heard."""
+        """All events, in the order in which they were received."""
         query = sa.select(t.events.c.content).order_by(t.events.c.n)
         if kind is not None:
             query = query.where(t.events.c.kind == kind.value)

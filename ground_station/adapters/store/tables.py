@@ -1,8 +1,8 @@
 """The store's tables (SQLAlchemy Core), the same in SQLite and PostgreSQL.
 
-What must never happen is a constraint here, not a habit elsewhere: one assignment in force for each
-order and for each drone, one command for each id, one event for each place in a vehicle's log, one
-plan for each revision.
+What must never happen is a constraint here: one assignment in force for each order and for each
+drone, one command for each id, one event for each place in a member's log, one plan for each
+revision.
 """
 
 from sqlalchemy import (

@@ -1,4 +1,4 @@
-"""The benchmark's table: our makespans against the published ones."""
+"""The table of `benchmark mfstsp`: our makespans against the published ones."""
 
 import math
 import statistics
@@ -14,11 +14,11 @@ from ground_station.adapters.files.mfstsp_files import Published, PublishedKey
 Row = dict[str, Any]
 Results = dict[PublishedKey, Published]
 SAME_S = 0.01
-"""Makespans closer than this are the same: the published ones are rounded."""
+"""Makespans closer than this are equal: the published ones are rounded."""
 
 
 def print_report(console: Console, rows: list[Row], heuristic: Results, program: Results) -> None:
-    """All rows, by size, by vehicle file, by drones."""
+    """Print all rows, by size, by vehicle file, by number of drones."""
     table = Table(title="makespan against the published ones (in brackets: 95 % interval)")
     for name in ("rows of", "rows", "mean gap %", "worse %", "gap to optima %", "s a row", "most"):
         table.add_column(name, justify="left" if name == "rows of" else "right")
@@ -51,7 +51,7 @@ def customers_of(row: Row) -> int:
 
 
 def gaps_percent(rows: Iterable[Row], published: Results) -> list[float]:
-    """How far each makespan lies over the published one; rows without one are left out."""
+    """Gap of each makespan to the published one; rows without one are left out."""
     found = ((row, published.get(_key(row))) for row in rows)
     return [100.0 * (row["makespan_s"] / ref.makespan_s - 1.0) for row, ref in found if ref]
 
@@ -72,7 +72,7 @@ def _grouped(rows: list[Row], name: Callable[[Row], str]) -> list[tuple[str, lis
 
 
 def _with_interval(values: list[float]) -> str:
-    """Mean and its normal interval: over rows, which share problems, so rather too narrow."""
+    """Mean and its normal interval. Rows share problems, so the interval is rather too narrow."""
     if not values:
         return "-"
     mean = statistics.fmean(values)
@@ -83,7 +83,7 @@ def _with_interval(values: list[float]) -> str:
 
 
 def _share_worse(rows: list[Row], heuristic: Results) -> str:
-    """Share of rows over the heuristic, with Wilson's interval."""
+    """Share of rows above the heuristic, with its Wilson interval."""
     found = [
         (row["makespan_s"], heuristic[_key(row)].makespan_s)
         for row in rows

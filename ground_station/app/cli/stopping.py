@@ -1,4 +1,4 @@
-"""Ends that leave nothing half done: signals are noted, and the loop looks."""
+"""Orderly ends: signals are noted, and the loop checks for them."""
 
 import signal
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import Any
 
 @contextmanager
 def stop_signals() -> Iterator[list[int]]:
-    """While inside, SIGINT and SIGTERM are noted: a turn is finished, nothing is left half done."""
+    """While inside, SIGINT and SIGTERM are noted, so that a turn is always finished."""
     seen: list[int] = []
 
     def note(number: int, frame: Any) -> None:

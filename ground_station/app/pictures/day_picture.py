@@ -1,4 +1,4 @@
-"""A day plan on a map: the truck's route, each drone's sorties, and what stands in the way."""
+"""A day plan on a map: the truck's route, the drones' sorties, obstacles and no-fly areas."""
 
 from pathlib import Path
 
@@ -31,11 +31,11 @@ COLOURS = (
 )
 OBSTACLE, NO_FLY = "0.75", "#f4b6b6"
 NO_FLY_FROM_M = 120.0
-"""What is as high as drones may fly is drawn as an area to stay out of."""
+"""An obstacle as high as drones may fly is drawn as a no-fly area."""
 
 
 def draw_day_plan(data: DayData, plan: DayPlan, out: Path) -> None:
-    """The plan into a PNG, metres east and north of the depot."""
+    """Draw the plan into a PNG, metres east and north of the depot."""
     figure = Figure(figsize=(9.5, 9.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""A plan on a map: the truck's route, its stops, and each drone's sorties."""
+"""A benchmark plan on a map: the truck's route, its stops, and the drones' sorties."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ DRONE_COLOURS = ("tab:orange", "tab:green", "tab:purple", "tab:red", "tab:brown"
 
 
 def draw_row(folder: Path, row: dict[str, Any], out: Path) -> None:
-    """Draw a benchmark row in kilometres about the depot."""
+    """Draw a benchmark row, in kilometres from the depot."""
     data = read_problem(folder / row["problem"])
     km = 6378.1 * np.radians(
         np.column_stack(
@@ -38,7 +38,7 @@ def draw_plan(
     title: str,
     out: Path,
 ) -> None:
-    """Nodes' places (n x 2), route and sorties into a PNG."""
+    """Draw nodes' places (n x 2), route and sorties into a PNG."""
     figure = Figure(figsize=(8.0, 8.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""Clustering wired together: the problem from a day, the method by name, the LLM never trusted."""
+"""Clustering of a day: the problem from its data, the methods by name, and the LLM's proposal."""
 
 import json
 from dataclasses import asdict
@@ -29,16 +29,15 @@ from ground_station.core.schema.orders import Order, Service
 BUILT_IN: dict[str, Method] = {"none": no_clusters, "kmeans": k_means, "ours": conditioned}
 
 DETOUR = 1.3
-"""A blocked straight line costs about this much more: the way around one building of the harbour
-site, whose longest side is 60 m, on legs of 100 to 300 m.
-"""
+"""Cost factor of a blocked straight line: the way around one building of the harbour site, whose
+longest side is 60 m, on legs of 100 to 300 m."""
 
 
 def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> ClusteringProblem:
     """The drones' orders of a day as a clustering problem."""
     orders = [order for order in data.orders if order.service is not Service.TRUCK]
-    chooser = DepotAssigner(data.day, data.airframes)
-    places = [chooser.ground_ned(order) for order in orders]
+    assigner = DepotAssigner(data.day, data.airframes)
+    places = [assigner.ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
     airframe = data.airframes[drone.airframe]
     reach = Reach(drone, airframe, data.day.mission, data.day.forecast)
@@ -68,9 +67,9 @@ def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> Clu
 def cluster_by_llm(
     problem: ClusteringProblem, params: LlmParams, log: Path | None = None
 ) -> Clustered:
-    """What the model proposes, checked and repaired; ours where it proposes nothing usable.
+    """The model's proposal, checked and repaired; our own method where it proposes nothing usable.
 
-    Prompt, answer and repair are appended to `log`, a JSON line each time.
+    Prompt, answer and result are appended to `log`, one JSON line each time.
     """
     user = user_message(problem)
     said = ask(params, SYSTEM, user, SCHEMA)
@@ -86,7 +85,7 @@ def cluster_by_llm(
         return done
     try:
         _append(log, params, user, answer, done)
-    except OSError as error:  # a full disk costs the log, not the day
+    except OSError as error:  # a full disk costs only the log
         return done.noting(f"{log}: nothing logged: {error.strerror}")
     return done
 

@@ -1,4 +1,4 @@
-"""Each sortie's mission as its companion would upload it, as QGroundControl's `.plan` files."""
+"""Each sortie's mission as its companion would upload it, as QGroundControl `.plan` files."""
 
 import math
 from pathlib import Path
@@ -17,7 +17,9 @@ from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 
 
 def write_missions(data: DayData, plan: DayPlan, folder: Path) -> int:
-    """One file a sortie, named by its order; how many. LeewayError where one cannot be laid out."""
+    """Write one file for each sortie, named by its order; how many. LeewayError: a sortie has no
+    route.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -31,7 +33,7 @@ def write_missions(data: DayData, plan: DayPlan, folder: Path) -> int:
 
 
 def companion_plan(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> FlightPlan:
-    """The sortie as its companion plans it on the ground, with a full pack and no wind known."""
+    """The sortie as its companion plans it on the ground, with a full pack and unknown wind."""
     flight = planned_flight(data, plan, sortie)
     depot = flight.site.depot
     if depot is None:
@@ -60,7 +62,7 @@ def _airframe(data: DayData, sortie: PlannedSortie) -> str:
 
 
 def _items(flown: FlightPlan) -> list[PlanItem]:
-    """As PX4 would get them, but counted from 1: a `.plan` jumps to its own numbers (doJumpId)."""
+    """The items as for PX4, but numbered from 1: a `.plan` jumps to its own numbers (doJumpId)."""
     found: list[PlanItem] = []
     for item in flown.mission.items:
         place = None

@@ -1,4 +1,4 @@
-"""The day in numbers."""
+"""The day in figures: a report as JSON and as tables."""
 
 from collections import Counter
 from statistics import fmean, median
@@ -17,7 +17,7 @@ from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 
 def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
-    """The day in numbers, JSON-safe; with `day`, of one with a truck."""
+    """The figures, JSON-safe; with `day` those of a day with a truck too."""
     orders, assignments = store.orders(), store.assignments()
     commands, events = store.commands(), store.events()
     outcomes = _outcomes(events)
@@ -46,7 +46,7 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
 
 
 def _truck_figures(day: DayStore) -> dict[str, Any]:
-    """Plan against actual, and what became of the promises; nothing for a day without a truck."""
+    """Plan against actual, and the outcome of promises; nothing for a day without a truck."""
     plans, began_us = day.plans(), day.began_us()
     if not plans or began_us is None:
         return {}
@@ -73,7 +73,7 @@ def _truck_figures(day: DayStore) -> dict[str, Any]:
 
 
 def _kept(row: SortieRow, visits: dict[str, Visit]) -> str:
-    """What became of the last promise to a flight."""
+    """The outcome of the last promise to a flight."""
     visit = visits.get(row.promised)
     if row.lapsed or row.landed_us is None:
         return "lapsed" if row.lapsed else "open"
@@ -84,7 +84,7 @@ def _kept(row: SortieRow, visits: dict[str, Visit]) -> str:
 
 
 def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
-    """What each vehicle ended, and with how little above its reserve."""
+    """What each vehicle has ended, and its smallest margin above the reserve."""
     found: dict[str, dict[str, Any]] = {}
     for name in sorted({event.vehicle for event in outcomes}):
         mine = [event for event in outcomes if event.vehicle == name]
@@ -99,7 +99,9 @@ def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
 
 
 def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
-    """The first outcome of each assignment: a companion killed at the end may tell it twice."""
+    """The first outcome of each assignment: a companion that was killed at the end may report it
+    twice.
+    """
     first: dict[str, FleetEvent] = {}
     for event in events:
         if event.kind is EventKind.OUTCOME and event.assignment:
@@ -108,7 +110,7 @@ def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
 
 
 def report_view(figures: dict[str, Any]) -> RenderableType:
-    """The same for people."""
+    """The figures as tables."""
     table = Table("what", "figure", title="the day", title_justify="left", box=box.SIMPLE_HEAD)
     for name, value in figures.items():
         if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):

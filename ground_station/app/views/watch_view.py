@@ -1,6 +1,7 @@
-"""The live view of a fleet: every vehicle a line, what wants a person's eye, what comes next.
+"""The live view of a fleet: one line for each vehicle, then what needs attention and what comes
+next.
 
-Made for 80 columns: what a vehicle last said is cut off there, and only that.
+Made for 80 columns: only what a vehicle last reported is cut off there.
 """
 
 from collections import Counter
@@ -27,7 +28,7 @@ FIGURES_FROM = 4
 
 @dataclass(frozen=True, slots=True)
 class DayShown:
-    """A day with a truck, for people: the plan in force, its flights, the truck's last stop."""
+    """A day with a truck, for people: the active plan, its sorties, the day's time."""
 
     plan: DayPlan
     sorties: list[SortieRow]
@@ -35,7 +36,7 @@ class DayShown:
     now_us: int
 
     def following(self, open_orders: set[str]) -> list[PlannedSortie]:
-        """The flights that come next."""
+        """The next sorties."""
         begun = [row.sortie for row in self.sorties]
         left = [s for s in self.plan.sorties if s.order in open_orders and s not in begun]
         return sorted(left, key=lambda s: s.launch_s)[:NEXT]
@@ -50,17 +51,17 @@ class DayShown:
         return f"plan {self.plan.revision}, {_clock(now_s)} of {planned}"
 
     def sortie(self, vehicle: str) -> SortieRow | None:
-        """The flight that a drone is put out for, in the air on, or back from and not aboard."""
+        """The sortie of a drone that is put out, in the air, or back and not aboard."""
         mine = (row for row in self.sorties if row.vehicle == vehicle)
         return next((row for row in mine if not (row.aboard or row.gone)), None)
 
     def binding(self, stop: str) -> list[str]:
-        """Which flights keep the truck at a stop."""
+        """Which sorties keep the truck at a stop."""
         return [why for row in self.sorties if (why := row.binds(stop)) is not None]
 
 
 def day_shown(day: DayStore, now_us: int) -> DayShown | None:
-    """What the store tells of a day with a truck; None: it is none."""
+    """The day with a truck that the store holds; None: there is none."""
     plan = day.plan()
     return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
 
@@ -71,28 +72,28 @@ def _clock(seconds: float) -> str:
 
 
 def watch_view(
-    picture: FleetStatus,
+    status: FleetStatus,
     rows: list[AssignmentRow],
     orders: list[OrderRow],
     t_s: float,
     day: DayShown | None = None,
 ) -> RenderableType:
-    """Every vehicle with what it says, what is wrong, and what comes next."""
+    """Every vehicle with its state, then alarms, then what comes next."""
     held = {row.vehicle: row for row in rows if row.state in IN_FORCE}
-    names = {*picture.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
+    names = {*status.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
     lines: list[tuple[tuple[str, ...], bool]] = []
     wrong: list[str] = []
     for name in sorted(names, key=lambda name: (name != TRUCK, name)):
-        line = _Line(picture.of(name), held.get(name), day, t_s)
+        line = _Line(status.of(name), held.get(name), day, t_s)
         alarms = [f"{name}: {words}" for words in line.alarms()]
         lines.append((line.cells(), bool(alarms)))
         wrong += alarms
     table = _table(_title(orders, day), lines)
-    return Group(table, *(Text(words) for words in _below(picture, orders, day, wrong)))
+    return Group(table, *(Text(words) for words in _below(status, orders, day, wrong)))
 
 
 def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
-    """Columns as wide as what is in them; the last gives way."""
+    """Columns as wide as their content; the last one gives way."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     table.show_edge = table.pad_edge = False
     for k, name in enumerate(COLUMNS):
@@ -112,7 +113,7 @@ def _title(orders: list[OrderRow], day: DayShown | None) -> str:
 
 
 def _below(
-    picture: FleetStatus, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
+    status: FleetStatus, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
 ) -> Iterator[str]:
     yield from (f"LOOK: {words}" for words in wrong)
     stuck = [row for row in orders if row.state is OrderState.STUCK]
@@ -121,7 +122,7 @@ def _below(
     if day is None:
         yield f"next: {', '.join(waiting[:NEXT]) or 'nothing'}"
         return
-    state = picture.of(TRUCK).state
+    state = status.of(TRUCK).state
     here = None if state is None or state.phase == DRIVING else state.stop
     if here is not None and (binding := day.binding(here)):
         yield f"the truck waits at {here} for:"
@@ -146,7 +147,7 @@ class _Line:
 
     @property
     def _off(self) -> str | None:
-        """Where a drone is that is rightly not heard."""
+        """Where a silent drone is, if its silence is expected."""
         if self.day is None or self.seen.vehicle == TRUCK or self.seen.lives:
             return None
         sortie = self._sortie
@@ -157,7 +158,7 @@ class _Line:
         return "starting up" if sortie.placed else "to be put out"
 
     def alarms(self) -> Iterator[str]:
-        """What wants a person's eye."""
+        """What needs attention."""
         seen, state = self.seen, self.seen.state
         yield from seen.doubts
         if self._off is None and not seen.lives:
@@ -173,7 +174,7 @@ class _Line:
         return state is not None and bool(state.armed and state.assignment)
 
     def cells(self) -> tuple[str, ...]:
-        """Its line of the table."""
+        """The cells of its line."""
         seen, state, sortie = self.seen, self.seen.state, self._sortie
         silent_s = seen.silent_s(self.t_s)
         heard = "-" if silent_s is None or self._off else f"{silent_s:.0f}"

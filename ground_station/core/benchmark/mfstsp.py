@@ -1,10 +1,10 @@
-"""Murray & Raj's problem (the multiple flying sidekicks travelling salesman, mFSTSP) as ours.
+"""The multiple flying sidekicks travelling salesman problem (mFSTSP) as a truck-and-drones problem.
 
 C. C. Murray, R. Raj, "The multiple flying sidekicks traveling salesman problem: Parcel delivery
-with multiple drones", Transportation Research C 110 (2020), with the truck at the depot for
-launches there, a driver who does one thing at a time, and their non-linear endurance (Etype 1),
-whose power model is Liu, Sengupta, Kurzhanskiy, "A power consumption model for multi-rotor small
-unmanned aircraft systems", ICUAS 2017.
+with multiple drones", Transportation Research C 110 (2020): the truck is at the depot for launches
+there, the driver does one thing at a time, and endurance is non-linear (their Etype 1). Its power
+model is Liu, Sengupta, Kurzhanskiy, "A power consumption model for multi-rotor small unmanned
+aircraft systems", ICUAS 2017.
 """
 
 import math
@@ -21,7 +21,7 @@ DRONE_MASS_KG = 1.5
 GRAVITY_MPS2 = 9.8
 HALF_TURN_DEG = 180.0
 
-# Liu et al. (2017), as the authors of the problems took them over.
+# Liu et al. (2017), with the numbers of the authors of the problems.
 LIFT_SPEED_N_S2PM2 = 0.0279
 ATTACK_RAD = math.radians(10.0)
 DRAG_N_S2PM2 = 0.0296
@@ -48,12 +48,12 @@ class MfstspDrone:
 
     @property
     def takeoff_s(self) -> float:
-        """Up to cruise height, and a half turn."""
+        """Climb to cruise height, and a half turn."""
         return self.cruise_alt_m / self.takeoff_mps + HALF_TURN_DEG / self.yaw_rate_degps
 
     @property
     def landing_s(self) -> float:
-        """Down from cruise height."""
+        """Descent from cruise height."""
         return self.cruise_alt_m / self.landing_mps
 
 
@@ -68,7 +68,7 @@ class MfstspData:
 
 
 def thrust_n(parcel_kg: Floats, airspeed_mps: float) -> Floats:
-    """What the rotors must pull, level."""
+    """Rotor thrust in level flight."""
     lift_n = LIFT_SPEED_N_S2PM2 * (airspeed_mps * math.cos(ATTACK_RAD)) ** 2
     weight_n = (DRONE_MASS_KG + parcel_kg) * GRAVITY_MPS2
     return np.hypot(weight_n - lift_n, DRAG_N_S2PM2 * airspeed_mps**2)
@@ -88,7 +88,7 @@ def cruise_w(parcel_kg: Floats, airspeed_mps: float) -> Floats:
 
 
 def vertical_j(drone: MfstspDrone, parcel_kg: Floats) -> Floats:
-    """A takeoff and a landing."""
+    """Energy of a take-off and a landing."""
     pull_n = thrust_n(parcel_kg, 0.0)
     up_w = induced_and_profile_w(pull_n, drone.takeoff_mps)
     down_w = induced_and_profile_w(pull_n, drone.landing_mps)
@@ -116,7 +116,7 @@ class EtypeOne:
     distance_m: Floats
 
     def legs(self, drone_kind: int) -> Legs:
-        """Takeoff, flight, landing, and on the way out the service, which costs no energy."""
+        """Take-off, flight, landing, and on the way out the service, which costs no energy."""
         drone, empty_kg = self.drone, np.zeros(1)
         flight_s = self.distance_m / drone.cruise_mps
         leg_s = drone.takeoff_s + flight_s + drone.landing_s

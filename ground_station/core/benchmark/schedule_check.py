@@ -1,7 +1,7 @@
-"""Is a reported mFSTSP schedule what the rules allow, and does the day end when it says?
+"""An independent check of a reported mFSTSP schedule: is it allowed, and does it end when it says?
 
-Written from the rules alone and on purpose without numpy, numba or anything of the planner: plain
-sums over the problem's files, one node and one sortie at a time.
+Written from the rules alone, on purpose without numpy, numba or anything of the planner: plain sums
+over the problem's files, one node and one sortie at a time.
 """
 
 import math
@@ -32,7 +32,7 @@ class CheckedDrone:
 
 @dataclass(frozen=True, slots=True)
 class CheckedProblem:
-    """A problem as its files say it; node 0 is the depot, customers + 1 the depot at the end."""
+    """A problem as its files state it; node 0 is the depot, customers + 1 the depot at the end."""
 
     places_deg: Sequence[tuple[float, float]]
     parcels_lb: Sequence[float]
@@ -52,11 +52,11 @@ class CheckedProblem:
 
 
 def violations_of(problem: CheckedProblem, row: Row) -> list[str]:
-    """Everything that the rules forbid in this row; nothing where it is right."""
+    """Every rule that this row breaks; empty where it is right."""
     route, sorties = row["truck_route"], row["sorties"]
     faults = [*_route_faults(problem, route, sorties)]
     if faults:
-        return faults  # what follows needs a route to stand on
+        return faults  # the other checks need a valid route
     place = {node: at for at, node in enumerate(route)}
     faults += _truck_faults(problem, route, row["truck"])
     faults += _driver_faults(problem, row["truck"], row["driver"])

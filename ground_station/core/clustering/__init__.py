@@ -1,1 +1,1 @@
-"""Customers into groups that one stop of the truck serves: k-means, ours, or an LLM's."""
+"""Groups of customers that one stop of the truck serves: by k-means, k-medoids, or an LLM."""

@@ -1,7 +1,7 @@
-"""What each delivery costs from each possible stop, for hundreds of customers at once.
+"""The energy of each delivery from each possible stop, for hundreds of customers at once.
 
 Over flat ground the energy of a sortie is a constant plus its length times a rate that depends on
-the course: both are taken from `Reach` for each parcel's weight class and a fan of courses.
+the course. Both come from `Reach`, for each payload step and a set of courses.
 """
 
 import math
@@ -12,7 +12,7 @@ from companion.core.base.arrays import Floats
 from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, SortieNeed
 
 COURSES = 36
-"""Every 10 degrees; between two the rate is interpolated."""
+"""Every 10 degrees; between two courses the rate is interpolated."""
 
 SHORT_M, LONG_M = 100.0, 1100.0
 
@@ -24,9 +24,9 @@ def energy_matrix(
     detour: Floats,
     charge_frac: float | None = None,
 ) -> Floats:
-    """(n, n): mean Wh of a delivery to j from a stop at i; infinite where not within reach.
+    """(n, n): mean Wh of a delivery to j from a stop at i; infinite where it is infeasible.
 
-    `detour` (n, n) multiplies a sortie's energy where obstacles stand in its way.
+    `detour` (n, n) multiplies a sortie's energy where obstacles are in its way.
     """
     away = places_ne_m[None, :, :] - places_ne_m[:, None, :]
     length_m = np.hypot(away[..., 0], away[..., 1])

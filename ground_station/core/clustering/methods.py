@@ -1,4 +1,6 @@
-"""The built-in methods: none (the ablation), k-means over metres, and ours over energies."""
+"""The built-in methods: none (the ablation), k-means over distances, and k-medoids over
+energies.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +17,21 @@ from ground_station.core.clustering.problem import (
 
 ROUNDS = 50
 OUT_OF_REACH_WH = 1e6
-"""What a delivery out of reach counts as while stops are chosen: worse than any sum of others."""
+"""Cost of an infeasible delivery while stops are chosen: more than any sum of others."""
 
 
 def no_clusters(problem: ClusteringProblem) -> Clustered:
-    """All customers in one group, reach and capacity notwithstanding."""
+    """All customers in one group, whatever reach and capacity say."""
     if not problem.ids:
         return Clustered((), "none")
     return Clustered((Cluster(problem.ids[0], problem.ids),), "none")
 
 
 def k_means(problem: ClusteringProblem) -> Clustered:
-    """Lloyd's k-means over metres (scipy), started from customers far apart; then repaired.
+    """Lloyd's k-means over distances (scipy), started from customers far apart, then repaired.
 
-    It knows nothing of wind, energy or load: what of its groups will not do is repaired, and said.
+    It knows nothing of wind, energy or load. Groups that break a condition are repaired, with a
+    note.
     """
     if not problem.ids:
         return Clustered((), "k-means")
@@ -43,11 +46,11 @@ def k_means(problem: ClusteringProblem) -> Clustered:
 def conditioned(problem: ClusteringProblem) -> Clustered:
     """Ours: k-medoids over the energy of each delivery from each possible stop.
 
-    `energy_wh` holds the four conditions: wind (out against it, loaded, costs more than home),
-    voltage and coverage (out of reach is out of the question) and obstacles (ways around). Stops
-    are added one at a time where they save most, then exchanged for other places while that saves
-    anything (PAM, Kaufman and Rousseeuw 1990); while anybody is out of reach, a stop more. No
-    random numbers.
+    `energy_wh` contains the four conditions: wind (loaded against it costs more than back),
+    voltage and coverage (what is infeasible is infinite), obstacles (detours). Stops are added
+    one at a time where they save most, then exchanged for other places while that saves anything
+    (PAM, Kaufman and Rousseeuw 1990). While a customer is out of reach, one more stop is added.
+    No random numbers.
     """
     n = len(problem.ids)
     if n == 0:
@@ -75,7 +78,7 @@ def _done(problem: ClusteringProblem, clusters: tuple[Cluster, ...], method: str
 
 
 def _one_more(cost: NDArray[np.float64], stops: list[int]) -> list[int]:
-    """The stop that saves most; among equals the first."""
+    """With the stop that saves most; among equals the first."""
     now = cost[stops].min(axis=0) if stops else np.full(cost.shape[0], OUT_OF_REACH_WH)
     saved = np.maximum(now[None, :] - cost, 0.0).sum(axis=1)
     saved[stops] = -1.0
@@ -83,7 +86,7 @@ def _one_more(cost: NDArray[np.float64], stops: list[int]) -> list[int]:
 
 
 def _settle(cost: NDArray[np.float64], stops: list[int]) -> tuple[list[int], NDArray[np.intp]]:
-    """Exchange a stop for another place while that saves anything, the best exchange first."""
+    """Exchange a stop for another place while that saves anything, best exchange first."""
     for _ in range(ROUNDS * len(stops)):
         total = cost[stops].min(axis=0).sum()
         best, best_total = None, total * (1.0 - 1e-9)
@@ -101,7 +104,7 @@ def _settle(cost: NDArray[np.float64], stops: list[int]) -> tuple[list[int], NDA
 
 
 def _far_apart(places: NDArray[np.float64], count: int) -> list[int]:
-    """Customers far from one another: first the one farthest from the middle."""
+    """Customers far from one another, beginning with the one farthest from the centre."""
     chosen = [int(np.argmax(((places - places.mean(axis=0)) ** 2).sum(axis=1)))]
     while len(chosen) < count:
         away = ((places[:, None, :] - places[chosen][None, :, :]) ** 2).sum(axis=2).min(axis=1)

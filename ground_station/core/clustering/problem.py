@@ -1,4 +1,4 @@
-"""What every clustering method is given, what it answers, and whether that will do."""
+"""The clustering problem, its answer, and the check and repair of an answer."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -11,11 +11,11 @@ from companion.core.base.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """The paper's four (IV-A): coverage, wind level, drone voltage, obstacle complexity.
+    """The four conditions of arXiv 2604.13441, section IV-A.
 
-    `coverage_m`: how far from a stop a drone serves at the accepted loss; `wind_to_ne_mps`: the
-    forecast; `voltage_v`: the weakest drone's resting voltage, `None` unknown; `obstacle_frac`: the
-    share of straight lines between customers that an obstacle blocks.
+    `coverage_m`: how far from a stop a drone serves at the accepted loss. `wind_to_ne_mps`: the
+    forecast. `voltage_v`: resting voltage of the weakest drone, None where unknown.
+    `obstacle_frac`: share of straight lines between customers that an obstacle blocks.
     """
 
     coverage_m: float
@@ -26,8 +26,10 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class ClusteringProblem:
-    """Customers by id: `places_ne_m` (n, 2), `mass_kg` (n,), and `energy_wh` (n, n): a delivery to
-    j launched and landed at i, infinite where it is out of reach at the accepted loss.
+    """Customers by id: `places_ne_m` (n, 2), `mass_kg` (n,), and `energy_wh` (n, n).
+
+    `energy_wh[i, j]`: a delivery to j launched and landed at i; infinite where it is infeasible
+    at the accepted loss. `count`: number of groups to aim at.
     """
 
     ids: tuple[str, ...]
@@ -39,13 +41,13 @@ class ClusteringProblem:
     capacity_kg: float
 
     def index(self) -> dict[str, int]:
-        """Where each id stands."""
+        """The number of each id."""
         return {id_: i for i, id_ in enumerate(self.ids)}
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Customers served from a stop at one of them."""
+    """Customers that are served from a stop at one of them."""
 
     stop: str
     customers: tuple[str, ...]
@@ -53,8 +55,9 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True)
 class Clustered:
-    """Every customer once. `method` made it; `notes` say what had to be repaired, or why another
-    method stands behind it.
+    """Groups with every customer once. `method` made them.
+
+    `notes` say what had to be repaired, or why another method was used.
     """
 
     clusters: tuple[Cluster, ...]
@@ -67,7 +70,7 @@ class Clustered:
 
 
 class Method(Protocol):
-    """One way to cluster; the same problem gives the same answer."""
+    """A clustering method; the same problem gives the same answer."""
 
     def __call__(self, problem: ClusteringProblem) -> Clustered: ...
 
@@ -83,10 +86,10 @@ def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[st
             if id_ not in known:
                 found.append(f"{where}: no customer {id_[:40]!r}")
             elif id_ in seen:
-                found.append(f"{where}: {id_} stands in another already")
+                found.append(f"{where}: {id_} is in another cluster already")
             seen.add(id_)
         if cluster.stop not in cluster.customers or cluster.stop not in known:
-            found.append(f"{where}: its stop {cluster.stop[:40]!r} is none of its customers")
+            found.append(f"{where}: its stop {cluster.stop[:40]!r} is not one of its customers")
             continue
         mine = [known[id_] for id_ in cluster.customers if id_ in known]
         mass_kg = float(problem.mass_kg[mine].sum())
@@ -103,7 +106,7 @@ def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[st
 
 
 def repair(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> tuple[Cluster, ...]:
-    """The nearest clusters that will do: what is wrong is taken out and put where it costs least.
+    """The nearest valid clusters: what is wrong is taken out, and put where it costs least.
 
     A customer that no stop reaches within capacity gets a cluster of its own.
     """
@@ -130,7 +133,7 @@ def repair(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> tuple[C
 
 
 def _that_fit(problem: ClusteringProblem, stop: int, members: list[int]) -> list[int]:
-    """The stop itself, then the cheapest others, as far as reach and capacity go."""
+    """The stop itself, then the cheapest others, as far as reach and capacity allow."""
     kept, mass_kg = [stop], float(problem.mass_kg[stop])
     for i in sorted(members, key=lambda i: (problem.energy_wh[stop, i], i)):
         if i == stop:
@@ -157,7 +160,7 @@ def _put(problem: ClusteringProblem, groups: list[tuple[int, list[int]]], i: int
 
 
 def _medoid(problem: ClusteringProblem, members: list[int]) -> int:
-    """The member from which all are served most cheaply; what it cannot reach costs a lot."""
+    """The member from which serving all others costs least; infeasible ones cost a lot."""
     energy = problem.energy_wh[np.ix_(members, members)]
     costly = np.where(np.isfinite(energy), energy, 1e9).sum(axis=1)
     return members[int(np.argmin(costly))]
@@ -166,7 +169,7 @@ def _medoid(problem: ClusteringProblem, members: list[int]) -> int:
 def clusters_of(
     problem: ClusteringProblem, stops: list[int], label: NDArray[np.intp]
 ) -> tuple[Cluster, ...]:
-    """Clusters from an assignment of customers to stops; empty ones are left out."""
+    """Clusters from labels of customers; empty ones are left out."""
     found: list[Cluster] = []
     for number, stop in enumerate(stops):
         mine = [int(i) for i in np.flatnonzero(label == number)]

@@ -1,7 +1,7 @@
-"""What an LLM is asked, and how its answer is read: numbers and aliases only, strictly.
+"""The question to an LLM, and the strict reading of its answer: numbers and aliases only.
 
-No text of an order ever reaches the model: customers are `c1`, `c2`, ..., so an order cannot steer
-it. No text of the model reaches anything: its answer is parsed into aliases, and unknown ones are
+No text of an order reaches the model: customers are `c1`, `c2`, ..., so an order cannot steer it.
+No text of the model reaches anything: its answer is parsed into aliases, and unknown ones are
 refused.
 """
 
@@ -54,7 +54,7 @@ class _Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def user_message(problem: ClusteringProblem) -> str:
-    """The problem as JSON: conditions, and each customer's alias, place and mass."""
+    """The problem as JSON: conditions, and alias, place and mass of each customer."""
     seen = problem.conditions
     table = {
         "groups": problem.count,
@@ -72,14 +72,14 @@ def user_message(problem: ClusteringProblem) -> str:
 
 
 def alias(index: int) -> str:
-    """How the model knows a customer."""
+    """The name of a customer for the model."""
     return f"c{index + 1}"
 
 
 def clusters_from(text: str, problem: ClusteringProblem) -> tuple[Cluster, ...] | str:
-    """The model's groups with the real ids; or in words why its answer is none.
+    """The model's groups with the real ids; or, as text, why its answer is not usable.
 
-    Unknown aliases stay as they are: `faults` names them and `repair` takes them out.
+    Unknown aliases stay: `faults` names them and `repair` takes them out.
     """
     try:
         answer = msgspec.json.decode(text.encode(), type=_Answer)
@@ -91,7 +91,7 @@ def clusters_from(text: str, problem: ClusteringProblem) -> tuple[Cluster, ...] 
     real = {alias(i): id_ for i, id_ in enumerate(problem.ids)}
 
     def known(name: str) -> str:
-        return real.get(name, f"?{name}")  # no id of ours: they begin with a letter or digit
+        return real.get(name, f"?{name}")  # never an order id: those begin with a letter or digit
 
     return tuple(
         Cluster(known(group.stop), tuple(known(name) for name in group.customers))

@@ -1,4 +1,4 @@
-"""Where drones stand at a stop: a ring of pads, each drone on the side that it flies to."""
+"""Pads of drones at a stop: rings around the truck, each drone on the side that it flies to."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,10 +8,11 @@ import shapely
 from companion.core.base.geo import Ned, ObstacleMap
 
 PAD_APART_M = 21.0
-"""Two drones go up and down at once: 20 m by the rule, a metre for setting down a pad by hand."""
+"""Two drones may climb and descend at once: 20 m between them, and 1 m for placing a pad by
+hand."""
 RING_PADS = 8
 LEAST_RADIUS_M = 15.0
-"""From the truck: people work there."""
+"""Least distance from the truck, where people work."""
 RINGS = 3
 
 
@@ -21,7 +22,7 @@ def ring_radius_m() -> float:
 
 
 def pad_places(stop_ned_m: Ned, obstacles: ObstacleMap) -> list[Ned]:
-    """Places for pads, nearest ring first, clear of everything that stands about the stop."""
+    """Places for pads, nearest ring first, clear of all obstacles around the stop."""
     grown = obstacles.grown_at(0.0)
     found: list[Ned] = []
     for ring in range(RINGS):
@@ -38,14 +39,14 @@ def pad_places(stop_ned_m: Ned, obstacles: ObstacleMap) -> list[Ned]:
 
 @dataclass(slots=True)
 class StopPads:
-    """The pads of one stop, as drones get them one after the other."""
+    """The pads of one stop, and which drone has which."""
 
     stop_ned_m: Ned
     places: list[Ned]
     of: dict[str, Ned] = field(default_factory=dict[str, Ned])
 
     def best(self, drone: str, to_ned_m: Ned) -> tuple[float, Ned] | None:
-        """The pad that this drone has, or would get, and how far it is off the way, rad."""
+        """The pad that this drone has or would get, and its angle off the direct way, rad."""
         if drone in self.of:
             return self._off_rad(self.of[drone], to_ned_m), self.of[drone]
         taken = set(self.of.values())
@@ -56,7 +57,7 @@ class StopPads:
         return min((self._off_rad(place, to_ned_m), place) for place in near)
 
     def _off_rad(self, pad: Ned, to_ned_m: Ned) -> float:
-        """How much the way from the pad leans back over the stop and the other pads."""
+        """How far the way from the pad turns back over the stop and the other pads."""
         out = math.atan2(pad[1] - self.stop_ned_m[1], pad[0] - self.stop_ned_m[0])
         way = math.atan2(to_ned_m[1] - pad[1], to_ned_m[0] - pad[0])
         return abs((way - out + math.pi) % (2.0 * math.pi) - math.pi)

@@ -1,10 +1,11 @@
-"""Safety rule 7: who may be in the air with whom, by plan, whatever their companions decide.
+"""Separation by plan (safety rule 7): who may be in the air with whom, whatever the companions do.
 
-A sortie fills its layer over the whole ground that it may cross (way out, way back, and every way
-from the one to the other when it turns back early), and a column from the ground to that layer at
-each place where it goes up or down. Two sorties whose times in the air may overlap must be apart by
-that alone: no rule leans on where along its way a drone is, so a drone that turns back, waits, or
-is late stays apart too. Only who is in the air counts, and that the desk knows at each launch.
+Each sortie gets an operational volume: its layer over all the ground that it may cross (way out,
+way back, and every shortcut between them when it turns back early), and a column from the ground to
+that layer at each place where it climbs or descends. Two sorties whose times in the air may overlap
+must have volumes that are apart. No rule depends on where along its way a drone is, so a drone that
+turns back, waits, or is late stays separated too. Only who is in the air counts, and the desk knows
+that at each launch.
 """
 
 from collections.abc import Iterable
@@ -14,17 +15,19 @@ from functools import cached_property
 import shapely
 
 APART_M = 16.0
-"""Sideways: 10 m between centres, and 3 m of each for position error and gusts."""
+"""Horizontal: 10 m between centres, and 3 m of each for position error and gusts."""
 LAYER_GAP_M = 12.0
-"""Up: 10 m between centres, and 1 m of each for barometers and overshoot."""
+"""Vertical: 10 m between centres, and 1 m of each for barometer error and overshoot."""
 SLACK_S = 30.0
-"""How much later than planned a sortie may still be in the air, when a plan is made."""
+"""How much later than planned a sortie may still be in the air."""
 
 
 @dataclass(frozen=True)
 class OperationalVolume:
-    """What one sortie may fill: `ground_ne_m` are the points between which it moves level,
-    `columns_ne_m` where it goes up and down; heights above the depot. Times as planned.
+    """The airspace that one sortie may use.
+
+    `ground_ne_m`: the points between which it flies level. `columns_ne_m`: where it climbs and
+    descends. Heights are above the depot, times as planned.
     """
 
     vehicle: str
@@ -38,35 +41,38 @@ class OperationalVolume:
 
     @cached_property
     def ground(self) -> shapely.Geometry:
-        """The hull of all level movement."""
+        """The hull of all level flight, seen from above."""
         return shapely.convex_hull(shapely.MultiPoint(self.ground_ne_m))
 
     @cached_property
     def columns(self) -> shapely.Geometry:
-        """The feet of the columns."""
+        """The columns, seen from above."""
         return shapely.MultiPoint(self.columns_ne_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Proximity:
-    """What of two sorties comes near one another as seen from above."""
+    """Which parts of two sorties come close, seen from above."""
 
     layers: bool
     columns: bool
     under_first: bool
-    """A column of the second stands under the first's way: the first must be the higher one."""
+    """A column of the second lies below level flight of the first: the first must be the higher
+    one."""
     under_second: bool
 
     def conflict(self, first: tuple[float, float], second: tuple[float, float]) -> str | None:
-        """Why they cannot both be in the air in these layers (lowest, highest); None: they can."""
+        """Why they cannot both be in the air with these layers (lowest, highest); None: they
+        can.
+        """
         if self.columns:
-            return "they go up and down too near one another"
+            return "they climb and descend too close to each other"
         if self.layers and not (_above(first, second) or _above(second, first)):
-            return "their ways come near in layers that are too near"
+            return "their ways come close in layers that are too close"
         if self.under_first and not _above(first, second):
-            return "one flies where the other goes up or down"
+            return "one flies where the other climbs or descends"
         if self.under_second and not _above(second, first):
-            return "one flies where the other goes up or down"
+            return "one flies where the other climbs or descends"
         return None
 
 
@@ -75,7 +81,7 @@ def _above(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def proximity(first: OperationalVolume, second: OperationalVolume) -> Proximity:
-    """What of these two comes near."""
+    """Which parts of these two come close."""
     return Proximity(
         layers=_close(first.ground, second.ground),
         columns=_close(first.columns, second.columns),
@@ -95,9 +101,10 @@ def conflict(first: OperationalVolume, second: OperationalVolume) -> str | None:
 
 
 def may_launch(sortie: OperationalVolume, in_air_now: Iterable[OperationalVolume]) -> str | None:
-    """The desk's last check: why this one must wait; None: it may go, whatever the others do.
+    """The desk's last check before a launch: why the sortie must wait; None: it may go.
 
-    The same check, with the sortie as it would be then, is asked before its home is moved.
+    The same check is made before the home of a sortie in the air is moved, with the sortie as it
+    would be then.
     """
     for other in in_air_now:
         if other.vehicle == sortie.vehicle:

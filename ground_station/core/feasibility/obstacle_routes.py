@@ -1,6 +1,7 @@
-"""The shortest level ways between many places around what stands as high: straight, or by corners.
+"""Shortest level routes between many places around obstacles of that height.
 
-The corners are those that the companion's own planner flies around (`ObstacleMap.outlines_ne_m`).
+A route is straight, or goes by corners: those that the companion's own planner flies around
+(`ObstacleMap.outlines_ne_m`).
 """
 
 from collections.abc import Callable
@@ -17,31 +18,31 @@ from companion.core.base.geo import ObstacleMap
 Points = tuple[tuple[float, float], ...]
 
 BEYOND_M = 2.0
-"""Corners stand this much further out than the clearance, as in companion's `waypoint_graph`."""
+"""Distance of corners beyond the clearance, as in companion's `waypoint_graph`."""
 
 
 class Price(NamedTuple):
-    """What legs take, each (from, to): time, mean energy, and one standard deviation of it."""
+    """Cost of legs, each (from, to): time, mean energy, and its standard deviation."""
 
     s: Floats
     wh: Floats
     std_wh: Floats
 
     def plus(self, other: "Price") -> "Price":
-        """One leg after the other. Deviations add: an upper bound whatever their correlation."""
+        """One leg after the other. Deviations add up: an upper bound whatever their correlation."""
         return Price(self.s + other.s, self.wh + other.wh, self.std_wh + other.std_wh)
 
     def at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> "Price":
-        """Single legs."""
+        """The prices of single legs."""
         return Price(*(table[rows, columns] for table in self))
 
 
 PriceOf = Callable[[Floats, Floats], Price]
-"""Straight legs from (a, 2) to (b, 2) places, north and east."""
+"""Prices of straight legs from (a, 2) to (b, 2) places, north and east."""
 
 
 class ObstacleRoutes:
-    """The ways at one height between places (north, east), m."""
+    """The routes at one height between places (north, east), m."""
 
     def __init__(self, obstacles: ObstacleMap, ne_m: Floats, height_m: float) -> None:
         self._ne_m, self.height_m = ne_m, height_m
@@ -50,9 +51,9 @@ class ObstacleRoutes:
         self._corners = np.array(corners).reshape(-1, 2)
         self._corners = self._corners[~_inside(self._corners, grown)]
         self.blocked = _blocked(ne_m, ne_m, grown)
-        """(n, n): no straight way."""
+        """(n, n): the straight line is blocked."""
         self.buried = _inside(ne_m, grown)
-        """(n,): the place itself is within the clearance of something."""
+        """(n,): the place itself is within the clearance of an obstacle."""
         if self.blocked.any():
             self._route(grown)
 
@@ -80,7 +81,7 @@ class ObstacleRoutes:
         self._none = ~np.isfinite(whole_m[np.arange(len(rows)), last])
 
     def priced(self, price_of: PriceOf) -> Price:
-        """What every way takes; infinite where there is none."""
+        """The price of every route; infinite where there is none."""
         straight = price_of(self._ne_m, self._ne_m)
         if not self.blocked.any():
             return straight
@@ -99,20 +100,20 @@ class ObstacleRoutes:
         return Price(*ways)
 
     def _around(self, legs: Price) -> Price:
-        """From corner to corner along the shortest way; nothing where they are one."""
+        """From corner to corner along the shortest route; zero from a corner to itself."""
         count = len(self._corners)
         sums = [np.zeros((count, count)) for _ in legs]
         for start in range(count):
             for end in np.argsort(self._between_m[start]).tolist():
                 before = int(self._before[start, end])
-                if before < 0:  # the start itself, or no way
+                if before < 0:  # the start itself, or no route
                     continue
                 for total, leg in zip(sums, legs, strict=True):
                     total[start, end] = total[start, before] + leg[before, end]
         return Price(*sums)
 
     def via(self, start: int, end: int) -> Points:
-        """The corners on the way between two places; none where it is straight."""
+        """The corners on the route between two places; none where it is straight."""
         if not self.blocked[start, end]:
             return ()
         at = int(np.nonzero((self._rows == start) & (self._columns == end))[0][0])

@@ -1,8 +1,8 @@
-"""Who can bring what, by the energy model that the vehicles fly with: out, drop, home, landed.
+"""What a drone can bring, by the energy model that it flies with: out, drop, home, landed.
 
-A filter for the desk, not the promise: a straight line each way in the forecast, priced by
-`RouteEnergy` and widened to the accepted loss. Routes around obstacles, and the gate's decisions on
-the way, are the companion's: it may still refuse, and says so.
+This is the desk's filter, not the promise: a straight line each way in the forecast wind, priced by
+`RouteEnergy` and widened to the accepted loss. Routes around obstacles and the decisions of the
+return budget in flight are the companion's: it may still refuse, and then says why.
 """
 
 import math
@@ -20,15 +20,17 @@ from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Drone, Forecast
 
 Waypoints = tuple[tuple[float, float], ...]
-"""Points (north, east) of a way around what stands in it."""
+"""Points (north, east) of a route around obstacles."""
 
 PAYLOAD_STEP_KG = 0.1
-"""Payloads are priced rounded up to this, so that few power tables are made."""
+"""Payloads are rounded up to this step, so that few power tables are made."""
 
 
 @dataclass(frozen=True, slots=True)
 class SortieNeed:
-    """What a delivery takes: mean and standard deviation of its energy, and its mean time."""
+    """Energy and time of a delivery: mean and standard deviation of the energy, and the mean
+    time.
+    """
 
     mean_wh: float
     std_wh: float
@@ -38,7 +40,7 @@ class SortieNeed:
 
 @dataclass(frozen=True, slots=True)
 class Feasible:
-    """It can, with this much to spare at the accepted loss."""
+    """The drone can bring it, with this much energy to spare at the accepted loss."""
 
     spare_wh: float
     time_s: float
@@ -46,14 +48,14 @@ class Feasible:
 
 @dataclass(frozen=True, slots=True)
 class Infeasible:
-    """It cannot, why, and what would make it possible."""
+    """The drone cannot bring it: why, and what would make it possible."""
 
     why: str
     remedy: str
 
 
 class Reach:
-    """One drone's reach under a forecast."""
+    """What one drone can bring under a forecast."""
 
     def __init__(
         self,
@@ -89,10 +91,12 @@ class Reach:
         out_via: Waypoints = (),
         back_via: Waypoints = (),
     ) -> SortieNeed:
-        """A delivery's energy and time; `customer` is the GROUND point there, NED about the depot.
+        """Energy and time of a delivery. `customer` is the ground point there, NED about the
+        depot.
 
-        `start` and `end` are ground points too: the depot, or stops of the truck. Flown `height_m`
-        above the depot (None: the mission's cruise height), over the points (north, east) given.
+        `start` and `end` are ground points too: the depot, or stops of the truck. The flight is
+        `height_m` above the depot (None: the mission's cruise height), by the points (north,
+        east) given.
         """
         up_m = self.mission.cruise_height_m if height_m is None else height_m
         legs = self._legs(rounded_up(payload_kg), (start, customer, end), up_m, out_via, back_via)
@@ -127,7 +131,9 @@ class Reach:
     def time_s(
         self, payload_kg: float, customer: Ned, charge_frac: float | None = None
     ) -> float | None:
-        """How long a delivery from the depot takes; None: it cannot (reasons take longer)."""
+        """Time of a delivery from the depot; None: infeasible. Faster than `can_bring`: no
+        reasons.
+        """
         if payload_kg > self.airframe.mass.max_payload_kg:
             return None
         depot = (0.0, 0.0, 0.0)

@@ -1,11 +1,11 @@
-"""Sorties priced by the energy model that the vehicles fly with, in tables: `Reach` for thousands.
+"""Tables of what sorties cost, for thousands of them: the energy model of `Reach`, leg by leg.
 
 `Reach` asks of a whole sortie whether `budget - mean - z hypot(wind, model, battery)` is left, with
-z for the accepted loss. That does not come apart into a table out and a table back, but an upper
-bound of it does: the deviation of a sum is at most the sum of the legs' deviations (Minkowski), and
-`hypot(s, c) <= c + k s` for all s that can be afforded, k the slope of the chord. What fits here
-fits there, and so keeps the accepted loss. Energy stands as seconds of hover without a parcel in
-that wind.
+z for the accepted loss. That is not a sum of a table out and a table back, but an upper bound of it
+is: the deviation of a sum is at most the sum of the legs' deviations (Minkowski), and
+`hypot(s, c) <= c + k s` for every s that the budget can pay for, where k is the slope of the chord.
+So what is feasible here is feasible there, and keeps the accepted loss. Energy is expressed as
+seconds of hover without a parcel in that wind.
 """
 
 import math
@@ -24,26 +24,28 @@ from ground_station.core.truck_drones.problem import Legs
 
 COURSES = 360
 BETWEEN_COURSES = 1.0 + 1e-4
-"""A leg is priced as the dearer of the two courses beside its own; half a degree from both, what
-rises above them is (pi / 360)^2 / 2 = 4e-5 of it, for a price that turns with the cosine."""
+"""A leg is priced as the dearer of the two courses beside its own. Half a degree from both the
+price exceeds them by at most (pi / 360)^2 / 2 = 4e-5, for a price that varies with the cosine."""
 SHORT_M, LONG_M = 100.0, 1100.0
 LOW_M, HIGH_M = 30.0, 90.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A price that grows with a length: at none, and for each metre. Scalars, or by course."""
+    """A price that is linear in a length: at zero length, and for each metre. Scalars, or by
+    course.
+    """
 
     base: Price
     per_m: Price
 
     def at(self, metres: Floats) -> Price:
-        """The price of so many metres."""
+        """The price of this length."""
         grown = (b + metres * m for b, m in zip(self.base, self.per_m, strict=True))
         return Price(*grown)
 
     def worst_ratio(self) -> float:
-        """The largest deviation for each Wh of the mean."""
+        """The largest standard deviation for each Wh of the mean."""
         found = 0.0
         for price in (self.base, self.per_m):
             some = np.isfinite(price.wh) & (price.wh > 1e-12)
@@ -54,7 +56,7 @@ class _Line:
 
 @dataclass(frozen=True, slots=True)
 class _Rates:
-    """Prices of one payload: cruise by course, up, down to the drop, to the ground, waiting."""
+    """Prices of one payload: cruise by course, climb, descent to the drop, landing, waiting."""
 
     cruise: _Line
     climb: _Line
@@ -64,13 +66,15 @@ class _Rates:
     drop: Price
 
     def worst_ratio(self) -> float:
-        """The largest deviation for each Wh of the mean, over all."""
+        """The largest standard deviation for each Wh of the mean, over all."""
         lines = (self.cruise, self.climb, self.descend, self.land)
         return max(line.worst_ratio() for line in lines)
 
 
 class WindSorties:
-    """`SortieModel` over places (NED about the depot, of the ground); one `Reach` a kind."""
+    """`SortieModel` over places (NED about the depot, on the ground), with one `Reach` for each
+    kind.
+    """
 
     def __init__(
         self,
@@ -81,8 +85,8 @@ class WindSorties:
         ways: ObstacleRoutes,
         beside_m: float = 0.0,
     ) -> None:
-        """`height_m`: above the depot, of the flight to each place. `beside_m`: how far pads may
-        be from the stops; each cruise is priced as that much longer.
+        """`height_m`: height above the depot of the flight to each place. `beside_m`: how far
+        pads may be from their stop; each cruise is priced as that much longer.
         """
         self._ned_m, self._height_m, self._reaches = ned_m, height_m, reaches
         self._steps = np.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9).astype(np.int64)
@@ -138,7 +142,7 @@ class WindSorties:
     def _cruise(self, rates: _Rates):
         def price_of(a_ne_m: Floats, b_ne_m: Floats) -> Price:
             away = b_ne_m[None, :, :] - a_ne_m[:, None, :2]
-            # Not 0, for an impossible course times no way is no number.
+            # Not 0: an infinite price times no length would be NaN.
             length_m = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6) + self._beside_m
             turn = np.arctan2(away[..., 1], away[..., 0]) / (2.0 * np.pi) * COURSES
             below = np.floor(turn).astype(np.int64) % COURSES
@@ -157,9 +161,9 @@ def _by_course(cruise: _Line, course: np.ndarray, length_m: Floats) -> Price:
 
 
 def _chord_slope(reach: Reach, rates: list[_Rates], budgets: list[tuple[float, float]]) -> float:
-    """k of `hypot(s, c) <= c + k s` for every deviation s that the budget can pay for.
+    """The slope k of `hypot(s, c) <= c + k s`, for every deviation s that the budget can pay for.
 
-    Where mean + z s <= budget and s <= r mean, s <= budget / (z + 1 / r).
+    From mean + z s <= budget and s <= r mean follows s <= budget / (z + 1 / r).
     """
     ratio = max(rate.worst_ratio() for rate in rates)
     most_wh = max(budget for budget, _ in budgets)
@@ -221,12 +225,12 @@ def _line(
     short_m: float,
     long_m: float,
 ) -> _Line:
-    """Through the prices of the same legs at two lengths."""
+    """The line through the prices of the same legs at two lengths."""
     (s, wh), gradient = _priced(reach, short, before_short)
     (far_s, far_wh), far_gradient = _priced(reach, long, before_long)
     over_m = long_m - short_m
     rise_s = (far_s - s) / over_m
-    possible = np.isfinite(wh) & np.isfinite(far_wh)  # else the price at no metre is infinite
+    possible = np.isfinite(wh) & np.isfinite(far_wh)  # else the price at zero length is infinite
     rise_wh = np.subtract(far_wh, wh, where=possible, out=np.zeros_like(wh)) / over_m
     rise_gradient = (far_gradient - gradient) / over_m
     base = (s - short_m * rise_s, wh - short_m * rise_wh)
@@ -239,7 +243,7 @@ def _line(
 def _priced(
     reach: Reach, legs: Sequence[Leg], before: Sequence[Leg | None]
 ) -> tuple[tuple[Floats, Floats], Floats]:
-    """Time and mean energy of each leg, and the latter's gradient to the wind."""
+    """Time and mean energy of each leg, and the gradient of its energy to the wind."""
     compiled = reach.energy.compile(tuple(legs), tuple(before))
     costs = reach.energy.costs(compiled, reach.wind_to_ne_mps[None, :])
     wh = np.where(costs.feasible[0], costs.energy_wh[0], np.inf)
@@ -247,7 +251,7 @@ def _priced(
 
 
 def _with_std(reach: Reach, means: tuple[Floats, Floats], gradient: Floats) -> Price:
-    """With the deviation that the wind's error and the power model's make."""
+    """With the standard deviation that the wind's error and the power model's make."""
     s, wh = means
     wind = np.einsum("li,ij,lj->l", gradient, reach.wind_cov_ne_m2ps2, gradient)
     model_wh = reach.airframe.power_rotor.model_std_frac * np.abs(wh)

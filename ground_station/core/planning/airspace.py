@@ -1,4 +1,4 @@
-"""What planned sorties fill of the air: for the planner, and for the desk's last check."""
+"""The operational volumes of planned sorties: for the planner, and for the desk's last check."""
 
 from collections.abc import Iterable, Mapping
 
@@ -15,7 +15,7 @@ from ground_station.core.schema.orders import place_of
 
 
 class Airspace:
-    """The volumes that planned sorties may fill. Routes around obstacles are the planner's."""
+    """The airspace of one day. Routes around obstacles are laid as the planner lays them."""
 
     def __init__(self, data: DayData) -> None:
         self.frame = frame_at(data.day.depot.place)
@@ -24,7 +24,7 @@ class Airspace:
         self._cruise_m = data.day.mission.cruise_height_m
 
     def volume(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> OperationalVolume:
-        """What a sortie may fill: all ways between its pads and its customer."""
+        """The operational volume of a sortie: all ways between its pads and its customer."""
         here, home = (
             place_ned(self.frame, stops[id_].pads[sortie.vehicle])
             for id_ in (sortie.launch, sortie.home)
@@ -53,9 +53,9 @@ class Airspace:
     ) -> str | None:
         """The desk's last check: why this sortie must wait; None: it may go.
 
-        `in_air_now`: each with the home that is promised now; one that was asked to move and has
-        not answered stands there twice, once for each home. Before a home is moved the same is
-        asked of the sortie with its new home, beside all others in the air.
+        `in_air_now`: each sortie with its promised home. One that was asked to move and has not
+        answered is in it twice, once for each home. Before a home is moved the same is asked of
+        the sortie with its new home, beside all others in the air.
         """
         mine = self.volume(sortie, stops)
         return may_launch(mine, [self.volume(other, stops) for other in in_air_now])

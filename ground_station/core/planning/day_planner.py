@@ -1,4 +1,4 @@
-"""From the day's data and where it stands to a day plan: who brings what, from where, and when."""
+"""The planner: from the day's data and its present state to a day plan."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -32,21 +32,24 @@ from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
 DAY_TRIALS_FRAC = 0.45
-"""Of the default: with pads a trial takes that much longer than in the published problem (200
-customers, 8 drones: 51 s of one core at the default, goal 30 s)."""
+"""Share of the default number of trials: with pads a trial takes so much longer than in the
+published problem (200 customers, 8 drones: 51 s of one core at the default, the goal is 30 s)."""
 LAYERED_SHARE = 10
 """One trial with layers for so many without: each takes five to ten times as long."""
 LAYERED_CUSTOMERS = 40
-"""With more customers fewer in proportion: launches, and who is in the air at each, grow too."""
+"""With more customers fewer in proportion: there are more launches, and more drones in the air."""
 LAYERED_FROM = 0.3
-"""A share of the cooling: hot enough to move a sortie, too cold to lose the plan it starts from."""
+"""Start of the cooling, as a share: hot enough to move a sortie, too cold to lose the first
+plan."""
 Tell = Callable[[float, float], None]
-"""Called now and then with the share of the search that is done, and the makespan so far."""
+"""Called now and then with the share of the search that is done, and the best makespan so far."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanParams:
-    """`search`, or the paper's `dynamic` assignment. `trials` None: by the number of orders."""
+    """`search`, or the `dynamic` assignment of arXiv 2604.13441. `trials` None: by the number of
+    orders.
+    """
 
     policy: PolicyName = "search"
     trials: int | None = None
@@ -59,16 +62,16 @@ def plan_day(
     params: PlanParams = PlanParams(),
     tell: Tell = lambda done_frac, best_s: None,
 ) -> DayPlan:
-    """The plan that goes on from `start`; what is promised there stays as it is.
+    """The plan that goes on from `start`; what is promised there stays.
 
-    Raises LeewayError where `start` does not hold together.
+    Raises LeewayError where `start` is not consistent.
     """
     _check_state(data, start)
     return _DayPlanner(data, start, params, tell).planned()
 
 
 def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
-    """The truck-and-drones problem that the policies are given, without layers."""
+    """The truck-and-drones problem of the policies, without layers."""
     planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
     return replace(planner.nodes().problem, air=None)
 
@@ -95,7 +98,7 @@ class _DayPlanner:
             nodes = without(nodes, {order.id})
 
     def _driven(self, nodes: DayProblem) -> ForwardSchedule:
-        """The best of the policy's plans, driven forward."""
+        """The best of the policy's plans, after the forward pass."""
         drive = self._drive(nodes)
         found = [self._repaired(nodes, drive, *plan) for plan in self._plans(nodes)]
         route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
@@ -106,7 +109,7 @@ class _DayPlanner:
     def _repaired(
         self, nodes: DayProblem, drive: ForwardPass, problem: TruckAndDrones, plan: Plan
     ) -> tuple[list[int], list[SortieRequest], ForwardSchedule]:
-        """Who finds no slot is brought by the truck, where it may."""
+        """Customers without a slot are served by the truck, where it may."""
         route, wishes = drive.wished(problem, plan)
         driven = drive.driven(route, wishes)
         while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
@@ -146,18 +149,18 @@ class _DayPlanner:
         return self._here.serves[0] if self._here.serves else DEPOT
 
     def _hold_s(self) -> float:
-        """Until when the truck stays where the new plan begins: all that it promised there."""
+        """Until when the truck stays where the new plan begins: as long as it promised there."""
         recover_s = self._data.day.truck.recover_s
         lands_s = [s.land_s + recover_s for s in self._start.flying if s.home == self._here.id]
         until_s = max([self._here.arrive_s, self._here.depart_s, *lands_s])
         return until_s - self._t0_s
 
     def _plans(self, nodes: DayProblem) -> Iterator[tuple[TruckAndDrones, Plan]]:
-        """Plans, each with the problem that it is one of.
+        """Plans, each with the problem that it solves.
 
-        By the search: two that know of no layers, with drones met where they were launched, and met
-        anywhere (the first loses least to layers, the second reaches furthest); then the first
-        again, cooled once more with layers priced.
+        The search makes two that ignore layers: drones recovered where they were launched, and
+        recovered anywhere (the first loses least to layers, the second reaches furthest). Then
+        the first is cooled once more with layers priced.
         """
         layered = nodes.problem
         anywhere = replace(layered, air=None)
@@ -197,7 +200,7 @@ class _DayPlanner:
     def _kept_apart(
         self, problem: TruckAndDrones, rng: np.random.Generator, start: Plan, trials: int
     ) -> Plan | None:
-        """From a plan that knew of no layers to one that does, by the colder part of a round.
+        """From a plan without layers to one with them, by the colder part of a round.
 
         None: some sortie of the first finds no layer at all, however long it waits.
         """
@@ -272,7 +275,7 @@ class _DayPlanner:
         )
 
     def _stop_ids(self, driven: ForwardSchedule) -> dict[int, str]:
-        """A stop's name stays its own through the day: later revisions use names of their own."""
+        """A stop keeps its name through the day: later revisions use names of their own."""
         prefix = f"r{self._start.revision}-" if self._start.revision else ""
         nodes = [stop.node for stop in driven.stops]
         ids = {node: f"{prefix}stop-{number}" for number, node in enumerate(nodes)}
@@ -293,7 +296,7 @@ class _DayPlanner:
     def _others(
         self, nodes: DayProblem, driven: ForwardSchedule, slot: LaunchSlot, ids: dict[int, str]
     ) -> list[str]:
-        """Other stops that it could land at, with a pad: its launch, and the one after home."""
+        """Other stops where it could land, with a pad: its launch, and the one after its home."""
         wish = slot.wish
         route = [stop.node for stop in driven.stops]
         after = route[route.index(wish.meet) + 1 :][:1]
@@ -348,7 +351,7 @@ class _DayPlanner:
 
 
 def _worth(driven: ForwardSchedule) -> tuple[int, float]:
-    """Fewer orders lost, then sooner home."""
+    """Fewer lost orders first, then the shorter makespan."""
     return len(driven.lost), driven.makespan_s
 
 

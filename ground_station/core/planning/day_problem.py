@@ -1,7 +1,7 @@
-"""The day as the truck-and-drones problem: places, road times, kinds of drones, who may bring what.
+"""A day as a truck-and-drones problem: places, road times, kinds of drones, who may bring what.
 
-Node 0 is where the truck is (the depot, or the last stop that it has promised), then the orders,
-then the depot where the day ends.
+Node 0 is where the truck is (the depot, or the last stop that it has promised), then come the
+orders, then the depot where the day ends.
 """
 
 from dataclasses import dataclass, replace
@@ -23,18 +23,18 @@ from ground_station.core.schema.orders import Order, Service, place_of
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 
 LEAD_S = 30.0
-"""A drone lands this long after the truck is planned to have come, or later."""
+"""A drone lands at least this long after the planned arrival of the truck."""
 TOP_M = 120.0
-"""Above the ground: EU 2019/947, UAS.OPEN.010, and the same in 14 CFR 107.51 (400 ft)."""
+"""Greatest height above ground: EU 2019/947, UAS.OPEN.010; 14 CFR 107.51 (400 ft)."""
 LEAST_ROOM_M = 10.0
-"""Of a layer above pads and customers."""
+"""Least height of a layer above pads and customers."""
 PRICED_LAYER = 2
 """Sorties are priced in the third layer until each has its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class DroneClass:
-    """Drones that are alike: same airframe and pack, free from the same time on."""
+    """Drones that are alike: same airframe and pack, available from the same time."""
 
     ids: tuple[str, ...]
     reach: Reach
@@ -55,13 +55,13 @@ class DayProblem:
     cruise_height_m: float
 
     def ned(self, node: int) -> Ned:
-        """The ground at a node."""
+        """The ground point of a node."""
         north, east, down = self.ned_m[node].tolist()
         return north, east, down
 
 
 def obstacle_map(data: DayData) -> ObstacleMap:
-    """What stands in the day's way, with the companion's own clearances."""
+    """The day's obstacles, with the companion's own clearances."""
     if data.no_fly is None:
         return ObstacleMap((), CLEARANCE_M, CLEARANCE_UP_M)
     prisms = obstacles_from_geojson(frame_at(data.day.depot.place), data.no_fly)
@@ -69,7 +69,7 @@ def obstacle_map(data: DayData) -> ObstacleMap:
 
 
 def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneClass, ...]:
-    """The drones that may be used, by what makes them alike."""
+    """The available drones, grouped by what makes them alike."""
     day = data.day
     energies = {
         name: RouteEnergy.for_mission(airframe, day.mission)
@@ -115,9 +115,9 @@ def build_day_problem(
     hold_s: float,
     pads_m: float,
 ) -> DayProblem:
-    """The problem of bringing these orders; `start_name` is the start's name in the road matrix.
+    """The problem of bringing these orders. `start_name`: the start's name in the road matrix.
 
-    Times are counted from the truck's arrival at the start.
+    Times count from the truck's arrival at the start.
     """
     frame = frame_at(data.day.depot.place)
     places = [
@@ -168,7 +168,7 @@ def build_day_problem(
 
 
 def _nobody(nodes: int) -> DroneKind:
-    """The kind of a fleet without drones: the truck alone."""
+    """The kind of a fleet without drones."""
     return DroneKind(0, 1.0, 1.0, np.zeros(nodes, dtype=np.bool_))
 
 
@@ -221,7 +221,7 @@ def _air_of(air: Air, keep: list[int]) -> Air:
 
 
 def layer_height_m(cruise_height_m: float, number: int) -> float:
-    """How high above the depot a layer lies."""
+    """The height of a layer above the depot."""
     return cruise_height_m + LAYER_GAP_M * number
 
 
@@ -244,7 +244,7 @@ def _can_fly(orders: list[Order], drones: DroneClass) -> NDArray[np.bool_]:
 
 
 def _travel_s(data: DayData, orders: list[Order], ned_m: Floats, start_name: str) -> Floats:
-    """The truck's times, by the matrix of roads or by its speed; 0 from a place to itself."""
+    """The truck's times, by the road matrix or by its speed; 0 from a place to itself."""
     names = [start_name, *(order.id for order in orders), DEPOT]
     if data.roads_s is not None:
         roads_s = data.roads_s

@@ -1,9 +1,10 @@
-"""The day driven forward, as the desk will: a launch waits until it is apart from all in the air.
+"""The plan of the search carried out event by event, as the desk will: with pads, drones, layers.
 
-The search decides who is brought by whom, from where to where and in which order; here its plan is
-carried out event by event with pads, drones and layers. At a stop the driver launches what can be
-launched, in the search's order, takes in what has landed, delivers, waits. A launch that is blocked
-by a drone on its way to a later stop goes to the next stop itself: the truck cannot wait for it.
+The search decides who is brought by whom, from where to where and in which order. Here the driver
+launches at each stop what can be launched, in the search's order, recovers what has landed,
+delivers, and waits. A launch waits until it is separated from everybody in the air. A launch that
+is blocked by a drone on its way to a later stop goes to the next stop itself: the truck cannot wait
+for that drone here.
 """
 
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,7 @@ EPSILON_S = 1e-6
 
 @dataclass(slots=True)
 class ForwardSchedule:
-    """A day driven: stops, sorties, pads by node, and customers that found no slot."""
+    """Stops, launch slots, pads by node, and the customers that found no slot."""
 
     stops: list[Stop] = field(default_factory=list[Stop])
     slots: list[LaunchSlot] = field(default_factory=list[LaunchSlot])
@@ -38,11 +39,11 @@ class ForwardSchedule:
 
 POLISH_DRIVES = 50
 POLISH_ORDERS = 2_000
-"""Together: with more orders fewer drives, since each takes longer too."""
+"""Together: with more orders fewer passes, since each takes longer."""
 
 
 class ForwardPass:
-    """Drives one plan of the search, as often as it takes that no drone lands before the truck."""
+    """Carries out one plan of the search, repeated until no drone lands before the truck."""
 
     def __init__(
         self,
@@ -52,7 +53,7 @@ class ForwardPass:
         t0_s: float,
         ready_s: float,
     ) -> None:
-        """`standing`: what is in the air already (the day's time; the truck starts at `t0_s`)."""
+        """`standing`: volumes in the air already (the day's time; the truck starts at `t0_s`)."""
         self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
         self._ready_s = ready_s
 
@@ -63,7 +64,7 @@ class ForwardPass:
         return [stop.node for stop in stops], wishes
 
     def driven(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
-        """The day; the truck is at each home `lead_s` before its drones."""
+        """The schedule; at each rendezvous the truck is there `lead_s` before its drones."""
         release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
         pushes = dict.fromkeys(release_s, 0)
         early: list[tuple[int, float, float]] = []
@@ -78,13 +79,15 @@ class ForwardPass:
             for customer, by_s, starts_s in early:
                 pushes[customer] += 1
                 release_s[customer] = starts_s + by_s + EPSILON_S
-                if pushes[customer] > 3:  # the truck waits for its launch: the two never meet
+                if pushes[customer] > 3:  # the truck waits for its launch, so they never meet
                     wishes = [_as_loop(w) if w.customer == customer else w for w in wishes]
                     release_s[customer] = 0.0
         return ForwardSchedule(lost=[customer for customer, _, _ in early])
 
     def _too_early(self, day: ForwardSchedule) -> list[tuple[int, float, float]]:
-        """Customers whose drone would be home before the truck: by how much, and its start."""
+        """Customers whose drone would land before the truck is there: by how much, and its
+        start.
+        """
         arrive_s = {stop.node: stop.arrive_s for stop in day.stops}
         problem = self._nodes.problem
         found: list[tuple[int, float, float]] = []
@@ -100,7 +103,7 @@ class ForwardPass:
 def polished(
     drive: ForwardPass, route: list[int], wishes: list[SortieRequest], driven: ForwardSchedule
 ) -> ForwardSchedule:
-    """Drones that a stop launches last are met at the next one, where that ends the day sooner."""
+    """Recover the last launches of a stop at the next one, where that ends the day sooner."""
     left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(wishes)))
     for here, there in pairwise(route):
         loops = [s for s in driven.slots if s.wish.launch == s.wish.meet == here]
@@ -143,7 +146,7 @@ class _Pass:
             for of, kind in zip(nodes.classes, nodes.problem.kinds, strict=False)
         ]
         self._out: list[LaunchSlot] = []
-        """Not taken in yet."""
+        """Not recovered yet."""
         self._blocked_until_s: dict[int, float] = {}
 
     def drive(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
@@ -157,7 +160,7 @@ class _Pass:
             put_off = self._stop(node, mine, last=following is None)
             if number == 0:
                 self._now_s = max(self._now_s, self._problem.hold_s)
-            # Nobody leaves a drone that has not taken off.
+            # The truck does not leave a drone that has not taken off.
             self._now_s = max([self._now_s, *(slot.launched_s for slot in self._out)])
             day.stops.append(Stop(node, arrive_s, self._now_s))
             if following is not None:
@@ -168,7 +171,7 @@ class _Pass:
         return day
 
     def _stop(self, node: int, wishes: list[SortieRequest], *, last: bool) -> list[SortieRequest]:
-        """Everything at this stop; the launches that must go to the next one."""
+        """Everything at this stop; returns the launches that must go to the next one."""
         deliver_s = float(self._problem.deliver_s[node])
         waiting, put_off = list(wishes), list[SortieRequest]()
         while True:
@@ -196,12 +199,12 @@ class _Pass:
         self._now_s += self._problem.kinds[slot.wish.kind].recover_s
         self._out.remove(slot)
         self._aboard[slot.wish.kind][slot.drone] = self._now_s
-        self._blocked_until_s.clear()  # its pads may be out of the way
+        self._blocked_until_s.clear()  # its pads may lie better
 
     def _launch(
         self, waiting: list[SortieRequest], put_off: list[SortieRequest], node: int, *, last: bool
     ) -> tuple[SortieRequest | None, list[float]]:
-        """Launch the first that can go now; else when others may be able to."""
+        """Launch the first that can go now; else the times when others may be able to."""
         until_s: list[float] = []
         for wish in list(waiting):
             not_before_s = max(
@@ -257,7 +260,7 @@ class _Pass:
         self._pass_on(wish, waiting, put_off, last=last)
 
     def _coming(self, kind: int, node: int) -> bool:
-        """Will a drone of this kind be taken in here?"""
+        """Whether a drone of this kind will be recovered here."""
         return any(slot.wish.meet == node and slot.wish.kind == kind for slot in self._out)
 
     def _pass_on(
@@ -275,12 +278,14 @@ class _Pass:
             put_off.append(wish)
 
     def _in_air(self, at_s: float) -> list[OperationalVolume]:
-        """Who may be in the air at this time or later."""
+        """Volumes that may be in use at this time or later."""
         until_s = self._t0_s + at_s - SLACK_S
         volume = [slot.volume for slot in self._day.slots]
         return [one for one in (*self._standing, *volume) if one.to_s > until_s]
 
 
 def _from(wish: SortieRequest, node: int, before: int) -> SortieRequest:
-    """Launched at the next stop instead; met there where it would have been met before."""
+    """Launched at the next stop instead; recovered there where it would have been recovered
+    here.
+    """
     return replace(wish, launch=node, meet=node if wish.meet == before else wish.meet)

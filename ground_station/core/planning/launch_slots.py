@@ -1,7 +1,7 @@
-"""A pad, a drone and a layer for each launch: apart from everybody who is in the air.
+"""Launch slots: a pad, a drone and a layer for each launch, separated from everybody in the air.
 
-Of the drones that are aboard the one whose pads lie on the way; of the layers the lowest in which
-the sortie is apart from all others in the air, and for which the energy is there.
+Of the drones aboard, the one whose pads lie best on the way. Of the layers, the lowest in which the
+sortie is separated from all others in the air and for which its energy suffices.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ Points = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class SortieRequest:
-    """A sortie as the search wants it."""
+    """A sortie as the search wants it: nodes of launch and rendezvous, and the kind of drone."""
 
     customer: int
     kind: int
@@ -30,7 +30,9 @@ class SortieRequest:
 
 @dataclass(frozen=True, slots=True)
 class LaunchSlot:
-    """One sortie with all that it was given; times from the truck's arrival at the start."""
+    """A sortie with its drone, pads, times and volume; times from the truck's arrival at the
+    start.
+    """
 
     wish: SortieRequest
     drone: str
@@ -43,13 +45,15 @@ class LaunchSlot:
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """Who is in the way in the layer that is free first; None: no layer has the energy or room."""
+    """No slot now. `until_s`: when the first blocked layer is free; None: no layer has energy or
+    room.
+    """
 
     until_s: float | None
 
 
 class SlotFinder:
-    """Finds slots over one problem; what it has worked out is kept."""
+    """Finds launch slots for one problem; keeps what it has worked out."""
 
     def __init__(self, nodes: DayProblem, t0_s: float, start_pads: dict[str, Ned]) -> None:
         """`t0_s`: when the truck is at the start, in the day's time."""
@@ -60,7 +64,7 @@ class SlotFinder:
         self._places: dict[int, list[Ned]] = {}
 
     def pads_at(self, node: int, *, first: bool) -> StopPads:
-        """An empty set of pads for a stop; at the start with those that are promised already."""
+        """The pads of a stop, still free; at the start with those that are promised already."""
         ned = self._nodes.ned(node)
         if node not in self._places:
             self._places[node] = pad_places(ned, self._nodes.obstacles)
@@ -74,7 +78,7 @@ class SlotFinder:
         pads: dict[int, StopPads],
         in_air: list[OperationalVolume],
     ) -> LaunchSlot | Blocked:
-        """A slot for a launch now, beside these; pads are given only where it is found."""
+        """A slot for a launch now, beside these. Pads are assigned only where it is found."""
         crew = self._crew(wish, drones, pads)
         if crew is None:
             return Blocked(None)
@@ -117,13 +121,13 @@ class SlotFinder:
         return min(able)[1:] if able else None
 
     def _layers(self, wish: SortieRequest, here: Ned, there: Ned) -> Iterator[int]:
-        """Layers with the room for this sortie, upwards."""
+        """Layers with room for this sortie, from the lowest up."""
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
         yield from range(int(lowest.max()), int(layers.min()))
 
     def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
-        """What it takes in this layer; None where that is more than there is."""
+        """Its need in this layer; None where that is more than there is."""
         key = (wish, here, there, layer)
         if key not in self._needs:
             nodes = self._nodes
@@ -140,7 +144,7 @@ class SlotFinder:
         return self._needs[key]
 
     def _filled(self, wish: SortieRequest, drone: str, here: Ned, there: Ned) -> OperationalVolume:
-        """Its ways and columns, in no layer and at no time yet."""
+        """Its volume on the ground, without layer and times yet."""
         nodes = self._nodes
         points = (here, nodes.ned(wish.customer), there)
         out = nodes.ways.via(wish.launch, wish.customer)

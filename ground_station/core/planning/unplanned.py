@@ -9,7 +9,7 @@ from ground_station.core.schema.orders import Order, Service
 
 
 def beyond_capacity(orders: list[Order], capacity_kg: float) -> list[Unplanned]:
-    """What must stay at the depot so that as many orders as can be ride: the heaviest."""
+    """The heaviest orders, which must stay at the depot so that as many as possible fit."""
     left: list[Unplanned] = []
     sum_kg = sum(order.mass_kg for order in orders)
     for order in sorted(orders, key=lambda o: (-o.mass_kg, o.id)):
@@ -22,7 +22,7 @@ def beyond_capacity(orders: list[Order], capacity_kg: float) -> list[Unplanned]:
 
 
 def beyond_reach(nodes: DayProblem) -> list[Unplanned]:
-    """Orders that the truck may not bring and no drone can from any stop."""
+    """Orders that the truck may not bring and no drone can bring from any stop."""
     problem = nodes.problem
     stops = [0, *np.flatnonzero(problem.truck_can_serve).tolist(), problem.end]
     found: list[Unplanned] = []
@@ -59,7 +59,7 @@ def _why(nodes: DayProblem, customer: int, order: Order, stops: list[int]) -> Un
             "another drone, or the truck",
         )
     else:
-        # Out of reach can be mended by a stop of the truck; too heavy cannot.
+        # A stop of the truck can mend "out of reach", not "too heavy".
         best = max(cannot, key=lambda found: "short" in found.why)
         why, remedy = best.why, best.remedy
     if order.service is Service.DRONE:
@@ -71,6 +71,6 @@ def _why(nodes: DayProblem, customer: int, order: Order, stops: list[int]) -> Un
 
 
 def no_slot(order: Order) -> Unplanned:
-    """No layer and no time for it beside the other sorties."""
+    """An order with no free layer and launch slot beside the other sorties."""
     why = "no layer, pad or launch slot in which its flight is apart from the others"
     return Unplanned(order=order.id, why=why, remedy="fewer drones at once, or service any")

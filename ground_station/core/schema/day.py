@@ -1,4 +1,4 @@
-"""The day as people write it: depot, fleet, truck, limits, forecast (`day/1`), checked whole."""
+"""The day file (`day/1`): depot, fleet, truck, limits, forecast; checked as a whole."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from companion.fleet.topics import checked_name
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One thing that is wrong in a file: where (row 1 is the header's) and what was expected."""
+    """One mistake in a file: where (row 1 is the header) and what was expected."""
 
     file: str
     row: int | None
@@ -28,7 +28,7 @@ class FileProblem:
 
 
 class DayFilesError(LeewayError):
-    """Everything that is wrong in the day's files, a line each."""
+    """Everything that is wrong in the day's files, one line each."""
 
     def __init__(self, problems: list[FileProblem]) -> None:
         self.problems = problems

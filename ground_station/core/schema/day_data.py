@@ -1,4 +1,4 @@
-"""A day with everything that its files hold, as the planner takes it."""
+"""A day with everything that its files contain."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,13 +8,15 @@ from ground_station.core.schema.day import Day
 from ground_station.core.schema.orders import Order
 
 DEPOT = "depot"
-"""The depot's name in a matrix of road times."""
+"""Name of the depot in a matrix of road times."""
 
 
 @dataclass(frozen=True, slots=True)
 class DayData:
-    """`roads_s` is None where the truck's speed rules: else seconds from one place (`depot`, or an
-    order's id) to another. `no_fly` is the GeoJSON document.
+    """The day and its files. `no_fly` is the GeoJSON document.
+
+    `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
+    speed.
     """
 
     day: Day

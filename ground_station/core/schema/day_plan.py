@@ -1,9 +1,9 @@
-"""A day's plan as planner, desk, simulator and people share it (`day-plan/1`, JSON).
+"""The day plan (`day-plan/1`, JSON) that planner, desk, simulator and people share.
 
 Times are seconds after the truck leaves the depot for the first time. Stops are in the order of the
 truck's route; the first and the last are the depot. A sortie's home is a stop that the truck
-promises (safety rule 3): the truck is there before the drone lands, and stays until it is down or
-has read back another end point.
+promises (safety rule 3): the truck is there before the drone lands, and stays until the drone is
+down or has confirmed another home.
 """
 
 from typing import Annotated, Literal
@@ -111,7 +111,7 @@ class DayPlan(_Part, frozen=True, kw_only=True):
     """Counts re-plans of one day."""
 
     def stop(self, id_: str) -> PlannedStop:
-        """The stop of this name. Raises KeyError where there is none."""
+        """The stop of this id. Raises KeyError where there is none."""
         for stop in self.stops:
             if stop.id == id_:
                 return stop

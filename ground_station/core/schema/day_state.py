@@ -1,4 +1,4 @@
-"""What a plan begins from: the start of the day, or a day under way with promises to keep."""
+"""What a plan begins from: the start of the day, or a day under way with its promises."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,13 @@ from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
 
 @dataclass(frozen=True, slots=True)
 class DayState:
-    """The part of the day that stands.
+    """The part of the day that stays as it is.
 
-    `stops`: done and promised, in order, with the times as expected now; the last is where the new
-    plan begins, and keeps its id. `flying`: sorties in the air, or so near their launch that they
-    stay as they are; each ends at one of `stops`. `open`: the orders still to be planned, neither
-    with one of `flying` nor served at one of `stops`. `free_from_s`: the drones that can be used
-    again, and from when (aboard with a fresh pack); one that is lost is absent.
+    `stops`: past and promised ones, in order, with the times expected now; the new plan begins
+    at the last one. `flying`: sorties in the air, or too close to their launch to change; each
+    ends at one of `stops`. `open`: orders still to be planned: neither with one of `flying` nor
+    served at one of `stops`. `free_from_s`: when each drone can be used again (aboard with a
+    fresh pack); a lost drone is absent.
     """
 
     stops: tuple[PlannedStop, ...]
@@ -25,7 +25,7 @@ class DayState:
 
 
 def first_state(data: DayData) -> DayState:
-    """Everything at the depot, all orders open."""
+    """The start of the day: everything at the depot, all orders open."""
     depot = PlannedStop(id="depot", place=data.day.depot.place, arrive_s=0.0, depart_s=0.0)
     return DayState(
         stops=(depot,),

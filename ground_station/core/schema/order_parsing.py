@@ -79,7 +79,7 @@ def duplicates(file_rows: list[tuple[str, int, Order]]) -> list[FileProblem]:
     for file, row, order in file_rows:
         here = f"{file} row {row}"
         if order.id in by_id:
-            words = f"{order.id!r} stands in {by_id[order.id]} already"
+            words = f"{order.id!r} is in {by_id[order.id]} already"
             problems.append(FileProblem(file, row, "id", words))
         by_id.setdefault(order.id, here)
         around = (one for cell in _cells(order, (-1, 0, 1)) for one in near.get(cell, ()))
@@ -115,7 +115,7 @@ def _is_same_parcel(one: Order, other: Order) -> bool:
 
 
 def problems_at(problems: list[FileProblem], file: str, row: int) -> bool:
-    """Tell whether this row has been named."""
+    """Whether this row has been named already."""
     return any(problem.file == file and problem.row == row for problem in problems)
 
 

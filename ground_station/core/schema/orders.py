@@ -1,4 +1,4 @@
-"""Orders, assignments and what becomes of them: states as data, shared by store and desk."""
+"""Orders, assignments and their states, shared by store and desk."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -22,11 +22,11 @@ BOUNDS = {
     "alt_amsl_m": (-500.0, 9000.0),
     "mass_kg": (0.0, 500.0),
 }
-"""Of an order's numbers."""
+"""Ranges of an order's numbers."""
 
 
 class Service(Enum):
-    """Who may bring it."""
+    """Who may deliver an order."""
 
     ANY = "any"
     DRONE = "drone"
@@ -34,9 +34,9 @@ class Service(Enum):
 
 
 class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One parcel to one place; `alt_amsl_m` is the height of the GROUND there (safety rule 8).
+    """One parcel to one place. `alt_amsl_m`: height of the ground there (safety rule 8).
 
-    `note` is data for people: nothing decides on it.
+    `note` is for people: nothing decides by it.
     """
 
     id: OrderId
@@ -63,8 +63,8 @@ def place_of(order: Order) -> Place:
 
 
 class OrderState(Enum):
-    """`stuck` waits for a person: too many attempts, a vehicle was lost with it, or nothing proved
-    that it was dropped.
+    """`stuck` waits for a person: too many attempts, its vehicle was lost, or nothing proved the
+    drop.
     """
 
     OPEN = "open"
@@ -75,8 +75,9 @@ class OrderState(Enum):
 
 
 class AssignmentState(Enum):
-    """From the desk's wish to the end. While it is in force (`IN_FORCE`) it holds order and
-    vehicle.
+    """From the order to the vehicle until the end.
+
+    While it is in force (`IN_FORCE`) it holds its order and its vehicle.
     """
 
     ORDERED = "ordered"
@@ -98,12 +99,12 @@ IN_FORCE = (
 )
 
 ATTEMPTS = 3
-"""Flights that an order gets by itself before a person has to look at it."""
+"""Flights that an order gets before a person has to look at it."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrderRow:
-    """An order with what has become of it."""
+    """An order and its state."""
 
     order: Order
     state: OrderState
@@ -113,7 +114,7 @@ class OrderRow:
 
 @dataclass(frozen=True, slots=True)
 class AssignmentRow:
-    """Who brings what."""
+    """An assignment: which vehicle brings which order."""
 
     id: str
     order_id: str
@@ -125,7 +126,7 @@ class AssignmentRow:
 
 @dataclass(frozen=True, slots=True)
 class CommandRow:
-    """A command in the outbox (no answer yet), or answered by the companion's life `life`."""
+    """A command in the outbox (no answer yet), or answered by the life `life`."""
 
     id: str
     vehicle: str
@@ -138,12 +139,12 @@ class CommandRow:
 
 
 def assignment_id(order: str, attempt: int) -> str:
-    """One for each attempt at an order: two desks that try at once mean the same."""
+    """One for each attempt at an order: two desks that try at once use the same."""
     return f"{order}.{attempt}"
 
 
 def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
-    """How an assignment ends by the outcome of its flight (evaluation, section 1)."""
+    """How an assignment ends, by the outcome of its flight (docs/reference/outcomes.md)."""
     if outcome in ("DEL", "FAIL") or not home:
         return AssignmentState.LOST
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
@@ -152,10 +153,10 @@ def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
 def order_after(
     state: AssignmentState, delivered: bool, attempts: int, unproven: bool = False
 ) -> OrderState:
-    """What becomes of an order when its assignment has ended.
+    """The state of an order when its assignment has ended.
 
-    A parcel aboard a lost vehicle, or one that was perhaps dropped (`unproven`), is nobody's to
-    send again: a person looks, and decides.
+    A parcel aboard a lost vehicle, or one that may have been dropped (`unproven`), is not sent
+    again by itself: a person looks, and decides.
     """
     if delivered or state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED

@@ -1,4 +1,4 @@
-"""Flights from a truck as the store keeps them: what is promised, and what binds the truck."""
+"""Sorties from a truck and visits of the truck, as the store keeps them: what binds the truck."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,14 @@ from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, Assignmen
 
 @dataclass(frozen=True, slots=True)
 class SortieRow:
-    """One flight. `pads` are the places that it could land at, by stop, launch pad among them.
+    """One sortie. `pads`: where it could land, by stop, its launch pad among them.
 
-    `promised` is the stop where it ends (safety rule 3); `asked` one that it was asked to move to
-    and has not read back: both bind. `placed`: the driver has put it on its launch pad;
-    `recovered`: has taken it aboard again; `away`: it lies where the truck does not come. `lapsed`:
-    it has not been heard for so long that it cannot be in the air any more. `launching`: a launch
-    is under way to it; `refused` counts those that it refused; `recovering`: the driver was told.
+    `promised`: the stop where it ends (safety rule 3). `asked`: a stop that it was asked to move
+    to and has not confirmed; both bind the truck. `placed`: the driver has put it on its launch
+    pad. `recovered`: the driver has taken it aboard again. `away`: it is down where the truck
+    does not come. `lapsed`: it is overdue, not heard for longer than it can fly. `launching`: a
+    launch command waits for its answer. `refused`: launches that it refused. `recovering`: its
+    recovery was ordered.
     """
 
     row: AssignmentRow
@@ -36,12 +37,12 @@ class SortieRow:
 
     @property
     def id(self) -> str:
-        """Its assignment."""
+        """The id of its assignment."""
         return self.row.id
 
     @property
     def vehicle(self) -> str:
-        """Who flies it."""
+        """The drone."""
         return self.row.vehicle
 
     @property
@@ -62,18 +63,18 @@ class SortieRow:
 
     @property
     def gone(self) -> bool:
-        """Its drone is not to be had again today."""
+        """Its drone cannot be used again today."""
         lost = self.row.state is AssignmentState.LOST
         return lost or self.away or self.lapsed
 
     def binds(self, stop: str) -> str | None:
-        """Why the truck may not leave this stop because of it; None: it may."""
+        """Why it keeps the truck at this stop; None: it does not."""
         if self.gone or self.aboard:
             return None
         here = f"{self.vehicle} ({self.id})"
         if stop in (self.promised, self.asked):
             return f"{here} is promised this stop"
-        stands_here = self.launched_us is None or self.recovering  # else it stands where it landed
+        stands_here = self.launched_us is None or self.recovering  # else it is where it landed
         if self.sortie.launch == stop and self.over and stands_here:
             return f"{here} is not aboard again"
         flying = self.row.state is AssignmentState.FLYING
@@ -84,7 +85,7 @@ class SortieRow:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """The truck at a stop, by the desk's clock."""
+    """A visit of the truck to a stop, by the desk's clock."""
 
     stop: str
     arrived_us: int

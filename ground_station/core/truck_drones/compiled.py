@@ -1,9 +1,9 @@
-"""How this package compiles its inner loops.
+"""Compilation of the inner loops.
 
-numba's own cache looks only at the file of the function that it keeps, not at those it calls: a
-changed `simulate.py` would go on running as it was inside a kept `anneal.py`. Code is therefore
-kept only where somebody has named a folder that belongs to these very sources
-(`ground_station.adapters.files.compiled_code`); else each process compiles anew.
+numba's own cache looks only at the file of a compiled function, not at the files of those that it
+calls: with a changed `simulate.py` a cached `search.py` would still run the old one. So code is
+cached only in a folder that belongs to exactly these sources
+(`ground_station.adapters.files.compiled_code`); without one each process compiles again.
 """
 
 from collections.abc import Callable

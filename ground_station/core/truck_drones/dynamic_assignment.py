@@ -1,9 +1,10 @@
-"""The paper's own policy (section IV-A): decided at each arrival of the truck, never revised.
+"""The dynamic assignment of arXiv 2604.13441, section IV-A: decided at each arrival, never revised.
 
-The truck's tour over all whom it can serve is fixed first. At each stop, for each free drone, the
-fastest first: of the customers not yet served whom it can carry to and be met again within its
-endurance, the nearest to the truck. The truck drops them from its tour. The paper leaves open where
-a drone is met: here at the first stop ahead where it can be, which the truck then may not drop.
+The truck's tour over all customers that it can serve is fixed first. At each stop each free drone,
+fastest first, gets the customer nearest to the truck, of those not yet served that it can carry to
+and be recovered from within its endurance. The truck drops that customer from its tour. The paper
+leaves open where a drone is recovered: here at the first possible stop ahead, which the truck then
+must not drop.
 """
 
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ class DynamicAssignment:
     """`Policy`: nearest customer to the truck, fastest free drone."""
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
-        """The plan that comes out when the truck has driven its tour; it draws no random number."""
+        """The plan after the truck has driven its tour. It draws no random numbers."""
         lost = problem.unreachable()
         if lost:
             raise LeewayError(f"customers {lost}: no truck and no drone can serve them")
@@ -45,7 +46,7 @@ class DynamicAssignment:
 
 
 class _Tour:
-    """The truck on its way."""
+    """The truck on its tour."""
 
     def __init__(self, problem: TruckAndDrones, tables: Tables) -> None:
         self._problem, self._tables = problem, tables
@@ -54,7 +55,7 @@ class _Tour:
         self._unserved = set(range(1, problem.end))
         self._promised: set[int] = set()
         self._met_at: list[tuple[int, int]] = []
-        """Where each drone in the air will be met, and its kind."""
+        """Where each drone in the air will be recovered, and its kind."""
 
     def driven(self) -> Plan:
         at = 0

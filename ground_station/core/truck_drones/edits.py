@@ -1,4 +1,4 @@
-"""Changes to a plan's arrays that keep its sorties attached: the vocabulary of all moves."""
+"""Elementary changes of a plan's arrays that keep its sorties valid; all moves are made of them."""
 
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.random_stream import below
@@ -14,7 +14,7 @@ from ground_station.core.truck_drones.tables import (
 
 @compiled
 def index_route(plan, place):
-    """Where each node stands on the route (NOWHERE: not on it); the number of places."""
+    """Note the place of each node on the route (NOWHERE: not on it); the number of places."""
     end = plan.shape[1] - 1
     for node in range(end + 1):
         place[node] = NOWHERE
@@ -61,7 +61,7 @@ def remove_stop(plan, place, node, stream):
 
 @compiled
 def take_out(plan, place, customer, stream):
-    """Nobody serves this customer any more."""
+    """Leave this customer unserved."""
     if place[customer] >= 0:
         remove_stop(plan, place, customer, stream)
     else:
@@ -71,7 +71,7 @@ def take_out(plan, place, customer, stream):
 
 @compiled
 def turn_sorties_forward(plan, place):
-    """Sorties that a changed route would meet before they are launched fly the other way round."""
+    """Turn round sorties whose rendezvous would come before their launch on the changed route."""
     for customer in range(1, plan.shape[1] - 1):
         launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
         if launch != NOWHERE and place[launch] > place[meet]:
@@ -80,7 +80,7 @@ def turn_sorties_forward(plan, place):
 
 @compiled
 def reverse_stops(plan, place, first, last):
-    """Drive these places the other way round."""
+    """Reverse the order of these places."""
     while first < last:
         one, other = plan[ROUTE, first], plan[ROUTE, last]
         plan[ROUTE, first], plan[ROUTE, last] = other, one
@@ -92,7 +92,7 @@ def reverse_stops(plan, place, first, last):
 
 @compiled
 def _other_end(node, end):
-    """The same node on a day that is driven the other way round."""
+    """The same node on the reversed day."""
     if node == 0:
         return end
     return 0 if node == end else node
@@ -100,7 +100,7 @@ def _other_end(node, end):
 
 @compiled
 def reverse_day(plan, place):
-    """Drive the whole tour, and fly every sortie, the other way round."""
+    """Reverse the tour and every sortie."""
     end = plan.shape[1] - 1
     first, last = 1, place[end] - 1
     while first < last:
@@ -117,7 +117,9 @@ def reverse_day(plan, place):
 
 @compiled
 def exchange(plan, place, one, other):
-    """Two customers take each other's part in the plan, stops with all that hangs on them."""
+    """Exchange the parts of two customers in the plan, with all sorties that hang on their
+    stops.
+    """
     for customer in range(1, plan.shape[1] - 1):
         for row in (LAUNCH, MEET):
             if plan[row, customer] == one:

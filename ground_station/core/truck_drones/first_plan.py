@@ -21,11 +21,11 @@ from ground_station.core.truck_drones.tables import (
 from ground_station.core.truck_drones.tour import truck_alone
 
 AHEAD = 6
-"""How many stops after its launch a drone is met at the latest, at first."""
+"""How many stops after its launch a drone is recovered at the latest, at first."""
 
 
 def first_plan(problem: TruckAndDrones, tables: Tables, work: Work) -> Plan:
-    """A plan that can be carried out; LeewayError names the customers that nobody can serve."""
+    """A feasible plan; LeewayError names the customers that nobody can serve."""
     lost = problem.unreachable()
     if lost:
         raise LeewayError(f"customers {lost}: no truck and no drone can serve them")
@@ -44,10 +44,10 @@ def first_plan(problem: TruckAndDrones, tables: Tables, work: Work) -> Plan:
 
 @compiled
 def hand_to_drone(t, w, plan, place, customer, give_up_s, reach):
-    """Fly this customer, who is on no stop, where the day ends soonest; the makespan.
+    """Serve this customer, who is on no stop, by the drone that ends the day soonest; the makespan.
 
-    inf, and nobody serves the customer, where no sortie ends the day by `give_up_s`. Launches and
-    meetings up to `reach` places from the nearest stop.
+    inf, and the customer stays unserved, where no sortie ends the day by `give_up_s`. Launch and
+    recovery are at most `reach` places from the nearest stop.
     """
     last = place[plan.shape[1] - 1]
     at = 0
@@ -77,7 +77,9 @@ def hand_to_drone(t, w, plan, place, customer, give_up_s, reach):
 
 @compiled
 def hand_over(t, w, plan, place, makespan_s):
-    """Each stop without launches and recoveries, in turn: by drone instead, if that saves time."""
+    """For each stop without launches and recoveries, in turn: by drone instead, if that saves
+    time.
+    """
     busy = np.zeros(plan.shape[1], dtype=np.bool_)
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] != NOWHERE:

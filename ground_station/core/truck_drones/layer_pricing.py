@@ -1,9 +1,9 @@
-"""Which sorties may be in the air at once, as the compiled search sees it (safety rule 7).
+"""Which sorties may be in the air at once, inside the compiled search (safety rule 7).
 
-The rule itself is `deconfliction.separation`; every plan is driven by that before it counts.
-Here it is told in shorter form, so that a search can ask it a million times a second: the level
-ground of a sortie is the triangle of its pads and its customer, each pad stands where its drone
-leaves for its customer, ways around obstacles are left out.
+The rule itself is `deconfliction.separation`, and every plan passes it before it counts. This is an
+approximation that a search can evaluate a million times a second: the level ground of a sortie is
+the triangle of its pads and its customer, each pad lies where its drone leaves for its customer,
+and routes around obstacles are left out.
 """
 
 import math
@@ -29,12 +29,12 @@ from ground_station.core.truck_drones.tables import (
 )
 
 FLEETS_BACK = 6
-"""How far back launches are looked at for who is still in the air, in fleets."""
+"""How far back launches are checked for who is still in the air, in fleets."""
 
 
 @compiled
 def lay_ground(air, plan, times_s, customer):
-    """Where a sortie's pads and its customer are."""
+    """Note the positions of a sortie's pads and its customer."""
     north, east = air.at[NORTH, customer], air.at[EAST, customer]
     times_s[CUSTOMER_N, customer], times_s[CUSTOMER_E, customer] = north, east
     for row, node in ((PAD_N, plan[LAUNCH, customer]), (HOME_N, plan[MEET, customer])):
@@ -64,7 +64,7 @@ def _side(an, ae, bn, be, pn, pe):
 
 @compiled
 def near_ground(g, one, pn, pe, apart_m2):
-    """Is this point nearer than that to the triangle of a sortie?"""
+    """Whether this point is nearer than that to the triangle of a sortie."""
     an, ae = g[PAD_N, one], g[PAD_E, one]
     bn, be = g[CUSTOMER_N, one], g[CUSTOMER_E, one]
     cn, ce = g[HOME_N, one], g[HOME_E, one]
@@ -92,7 +92,7 @@ def _cross(an, ae, bn, be, cn, ce, dn, de):
 
 @compiled
 def _edges_cross(g, one, other):
-    """Do any edges of two triangles cross?"""
+    """Whether any edges of two triangles cross."""
     for first in range(3):
         an, ae = g[PAD_N + 2 * first, one], g[PAD_E + 2 * first, one]
         to = PAD_N + 2 * ((first + 1) % 3)
@@ -107,7 +107,7 @@ def _edges_cross(g, one, other):
 
 @compiled
 def _boxes_apart(g, one, other, apart_m):
-    """A quick yes for most pairs that are far apart."""
+    """A quick test that most distant pairs pass."""
     for axis in range(2):
         p, q, r = PAD_N + axis, CUSTOMER_N + axis, HOME_N + axis
         low = min(g[p, one], g[q, one], g[r, one]) - apart_m
@@ -121,7 +121,9 @@ def _boxes_apart(g, one, other, apart_m):
 
 @compiled
 def _stands_under(apart_m, plan, g, above, below):
-    """Does a column of `below` stand under the ways of `above`? Pads of one stop are kept apart."""
+    """Whether a column of `below` lies under the ways of `above`. Pads of one stop are apart
+    anyway.
+    """
     apart_m2 = apart_m * apart_m
     if near_ground(g, above, g[CUSTOMER_N, below], g[CUSTOMER_E, below], apart_m2):
         return True
@@ -135,7 +137,7 @@ def _stands_under(apart_m, plan, g, above, below):
 
 @compiled
 def _near_one_another(apart_m, g, one, other):
-    """Do the triangles come near (a corner of either near the other covers all but crossings)?"""
+    """Whether the triangles come close (corners near the other triangle, or crossing edges)."""
     apart_m2 = apart_m * apart_m
     for corner in range(PAD_N, HOME_E, 2):
         if near_ground(g, one, g[corner, other], g[corner + 1, other], apart_m2):
@@ -163,8 +165,8 @@ def closed_layers(apart_m, plan, g, one, other, layer):
 
 @compiled
 def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
-    """The lowest layer that is free for a launch that ends then, and when to ask again if none is:
-    (layer or -1, time at which the first who is in the way has landed).
+    """The lowest free layer for a launch that ends then, and when to ask again if there is none:
+    (layer or -1, time at which the first drone that blocks it has landed).
     """
     off_s = launched_s + air.ready_s
     launch, meet = plan[LAUNCH, customer], plan[MEET, customer]

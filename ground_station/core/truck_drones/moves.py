@@ -1,4 +1,4 @@
-"""Small random changes of a plan: what the search tries. False: nothing was changed."""
+"""Small random changes of a plan, which the search tries. False: nothing was changed."""
 
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import (
@@ -23,12 +23,12 @@ from ground_station.core.truck_drones.tables import (
 
 TRIES = 8
 REACH = 4
-"""How many places from the nearest stop a sortie may be launched or met, at first."""
+"""How many places from the nearest stop a new sortie may be launched or recovered."""
 
 
 @compiled
 def near_node(t, node, stream):
-    """A node near this one, nearer ones more often."""
+    """A node near this one; nearer ones are more likely."""
     near = t.near
     drawn = uniform(stream)
     return near[node, int(drawn * drawn * near.shape[1])]
@@ -36,7 +36,7 @@ def near_node(t, node, stream):
 
 @compiled
 def near_place(t, place, node, stream):
-    """Where on the route a stop near this node is."""
+    """The place on the route of a stop near this node."""
     for _ in range(TRIES):
         at = place[near_node(t, node, stream)]
         if at >= 0:
@@ -46,7 +46,7 @@ def near_place(t, place, node, stream):
 
 @compiled
 def any_flown(plan, stream):
-    """A customer served by a drone, or NOWHERE."""
+    """A random customer served by a drone, or NOWHERE."""
     customers = plan.shape[1] - 2
     start = below(stream, customers)
     for step in range(customers):
@@ -70,7 +70,7 @@ def any_kind(t, customer, stream):
 
 @compiled
 def put_on_truck(t, plan, place, customer, stream):
-    """Serve a customer by the truck, beside a stop near it."""
+    """Serve a customer by truck, next to a stop near it."""
     if not t.truck_can[customer]:
         return False
     at = near_place(t, place, customer, stream) + below(stream, 2)
@@ -80,7 +80,7 @@ def put_on_truck(t, plan, place, customer, stream):
 
 @compiled
 def put_on_drone(t, plan, place, customer, stream):
-    """Serve a customer by a drone, launched and met about a stop near it."""
+    """Serve a customer by drone, launched and recovered around a stop near it."""
     kind = any_kind(t, customer, stream)
     if kind == NOWHERE:
         return False
@@ -115,8 +115,9 @@ def relocate(t, plan, place, stream):
 
 @compiled
 def retime(t, plan, place, stream):
-    """Launch or meet one drone a stop or two earlier or later, or in another order at its stops, or
-    fly another kind."""
+    """Launch or recover one drone a stop or two earlier or later, or in another order at its
+    stops, or use another kind of drone.
+    """
     customer = any_flown(plan, stream)
     if customer == NOWHERE:
         return False
@@ -147,7 +148,7 @@ def retime(t, plan, place, stream):
 
 @compiled
 def _fits(t, plan, place, customer, role):
-    """May this customer be served as that other one is?"""
+    """Whether this customer can take the part of that other one."""
     if place[role] >= 0:
         return t.truck_can[customer]
     return t.drone_can[plan[KIND, role], customer]
@@ -155,7 +156,7 @@ def _fits(t, plan, place, customer, role):
 
 @compiled
 def trade(t, plan, place, stream):
-    """Two customers near one another take each other's part."""
+    """Exchange the parts of two customers near each other."""
     end = plan.shape[1] - 1
     one = 1 + below(stream, end - 1)
     other = near_node(t, one, stream)
@@ -169,7 +170,7 @@ def trade(t, plan, place, stream):
 
 @compiled
 def turn_round(t, plan, place, stream):
-    """Drive a part of the route the other way round (2-opt), beginning beside a near stop."""
+    """Reverse a part of the route (2-opt), beginning next to a near stop."""
     last = place[plan.shape[1] - 1]
     one = below(stream, last)
     other = near_place(t, place, plan[ROUTE, one], stream)
@@ -184,7 +185,7 @@ def turn_round(t, plan, place, stream):
 
 @compiled
 def shift_stops(t, plan, place, stream):
-    """Drive one to three stops in a row at another time, beside a near stop (Or-opt)."""
+    """Move one to three stops in a row next to a near stop (Or-opt)."""
     last = place[plan.shape[1] - 1]
     if last < 4:
         return False
@@ -195,7 +196,7 @@ def shift_stops(t, plan, place, stream):
     if first - 1 <= to <= final:
         return False
     back = below(stream, 2) == 0
-    if to > final:  # the stops between move ahead: three reversals make a rotation
+    if to > final:  # three reversals make a rotation
         if not back:
             reverse_stops(plan, place, first, final)
         final_to = min(to, last - 1)
@@ -212,7 +213,7 @@ def shift_stops(t, plan, place, stream):
 
 @compiled
 def any_move(t, plan, place, stream):
-    """One of the moves, by fixed shares (chosen by hand, not tuned)."""
+    """A random move, by fixed shares (chosen by hand, not tuned)."""
     drawn = uniform(stream)
     if drawn < 0.002:
         reverse_day(plan, place)

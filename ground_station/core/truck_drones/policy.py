@@ -1,4 +1,4 @@
-"""Who serves whom: the interface behind which the day's planners stand."""
+"""The interface of the policies: who serves whom."""
 
 from typing import Protocol
 
@@ -9,8 +9,8 @@ from ground_station.core.truck_drones.tables import Plan
 
 
 class Policy(Protocol):
-    """Makes a plan in which every customer is served once, or says by LeewayError why not."""
+    """Makes a plan that serves every customer once; LeewayError says why there is none."""
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
-        """A plan that can be carried out (`schedule_of` tells when)."""
+        """A feasible plan (`schedule_of` tells its times)."""
         ...

@@ -1,8 +1,8 @@
-"""One truck, its drones and their customers, as times and energies; tables tell who flies how.
+"""One truck, its drones and their customers, as times and energies.
 
-Nodes are numbered: 0 the depot (or where the truck stands now), 1 to c the customers, c + 1 the
-depot again at the end. Sorties are priced by two legs, out with the parcel and back without, so
-that any energy model fits, also one in which wind makes the way back another than the way out.
+Nodes are numbered: 0 the depot (or where the truck is now), 1 to c the customers, c + 1 the depot
+again at the end. A sortie is priced by two legs, out with the parcel and back without, so any
+energy model fits, also one in which wind makes the way back different from the way out.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ from companion.core.base.errors import LeewayError
 class Legs:
     """What one kind of drone needs from node to node, as (c + 2) x (c + 2) tables.
 
-    `out_*[i, j]` is launched at i, the customer j served; `back_*[j, k]` from there to above k and
-    down. Energy stands as the seconds of hover that it would pay for, for what is left of
-    `endurance_hover_s` can be spent hovering until the driver is free. NaN nowhere; inf: cannot.
+    `out_*[i, j]`: launched at i, the customer j served. `back_*[j, k]`: from there to above k
+    and down. Energy is expressed as the seconds of hover that it would pay for: what is left of
+    `endurance_hover_s` can be spent hovering until the driver is free. No NaN; inf: impossible.
     """
 
     out_s: Floats
@@ -32,7 +32,7 @@ class Legs:
 
 
 class SortieModel(Protocol):
-    """An energy model as the day's planner needs it."""
+    """An energy model for the day's planner."""
 
     def legs(self, drone_kind: int) -> Legs:
         """Times and energies of this kind of drone between all nodes."""
@@ -49,16 +49,16 @@ class DroneKind:
     can_serve: Bools
     """By node: parcel light enough, service of a kind that a drone can give."""
     from_s: float = 0.0
-    """Before this none of them can be launched: still in the air, or its pack is being swapped."""
+    """Before this none can be launched: still in the air, or its pack is being changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """The day's air, for days on which drones are kept apart by plan (safety rule 7).
+    """The airspace, for days on which drones are separated by plan (safety rule 7).
 
-    By node: where it is (north, east), the lowest layer with room above its ground and the first
-    that is too high over it. Pads lie `pads_m` from a stop; a drone lifts off `ready_s` after its
-    launch and may land `slack_s` late; sorties are apart from `apart_m` on.
+    By node: its place (north, east), the lowest layer with room above its ground, and the first
+    layer that is too high over it. Pads lie `pads_m` from a stop. A drone takes off `ready_s`
+    after its launch and may land `slack_s` late. Sorties are separated from `apart_m` on.
     """
 
     ne_m: Floats
@@ -74,12 +74,12 @@ class Air:
 class TruckAndDrones:
     """The whole problem. `travel_s` is directed; `deliver_s` is 0 where nobody is served.
 
-    `pads`: each drone has a pad of its own at each stop. It may be met where it was launched, lands
-    by itself, `lead_s` after the truck has come or later, and waits on the ground. Without (the
-    published mFSTSP) it is met at a later stop and hovers until the driver takes it.
-    `loops_only`: every drone is met where it was launched.
-    `hold_s`: the truck does not leave the first node before. `release_s`, by customer: the driver
-    does not begin to launch its drone before (a launch slot). `air`: where drones must keep apart.
+    `pads`: each drone has its own pad at each stop. It may be recovered where it was launched,
+    lands by itself at least `lead_s` after the truck has come, and waits on the ground. Without
+    pads (the published mFSTSP) it is recovered at a later stop and hovers until the driver takes
+    it. `loops_only`: every drone is recovered where it was launched. `hold_s`: the truck does
+    not leave the first node before. `release_s`, by customer: the driver does not begin its
+    launch before (a launch slot). `air`: set where drones must be separated.
     """
 
     travel_s: Floats
@@ -111,12 +111,12 @@ class TruckAndDrones:
 
     @property
     def nodes(self) -> int:
-        """Customers and two for the depot."""
+        """Customers, and two for the depot."""
         return len(self.travel_s)
 
     @property
     def customers(self) -> int:
-        """Nodes but the depot and its copy."""
+        """Nodes without the depot and its copy."""
         return self.nodes - 2
 
     @property

@@ -1,4 +1,4 @@
-"""Random numbers inside compiled code: a stream of its own, started by a numpy Generator."""
+"""Random numbers inside compiled code: a stream of its own, seeded by a numpy Generator."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""A plan as people and vehicles need it: route, sorties by drone, and when everything happens."""
+"""A plan with its times: route, sorties by drone, and the driver's tasks."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -58,7 +58,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """A whole day: ends when the truck and every drone are back."""
+    """A whole day; it ends when the truck and every drone are back."""
 
     makespan_s: float
     stops: tuple[Stop, ...]
@@ -73,7 +73,7 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class FlightTimes:
-    """When one customer's drone flies: off its pad, down again, taken aboard by the driver."""
+    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver."""
 
     customer: int
     kind: int
@@ -159,7 +159,7 @@ def _drone_tasks(
 
 
 def _drones(problem: TruckAndDrones, plan: Plan, work: Work) -> dict[int, int]:
-    """Which drone of its kind serves each customer: of those aboard, the lowest number.
+    """The drone of each customer: of those aboard, the one with the lowest number.
 
     In order of launches; a drone is aboard again when its recovery has ended.
     """

@@ -1,24 +1,27 @@
 """The default policy: simulated annealing over tour, sorties and the driver's order, in steps."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from ground_station.core.truck_drones.anneal import anneal
+from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
+from ground_station.core.truck_drones.moves import any_move
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.random_stream import random_stream
+from ground_station.core.truck_drones.random_stream import random_stream, uniform
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import Plan, tables_of, work_for
 
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """Temperatures in shares of the first plan's time a node; a round cools from hot to cold.
+    """Temperatures as shares of the first plan's time for each node; a round cools from hot to
+    cold.
 
-    Above 0.4 a plan gets worse than the first one and stays so, below 0.04 it no longer changes
-    (docs/truck-and-drones.md).
+    Above 0.4 a plan becomes worse than the first one and stays so; below 0.04 it no longer
+    changes (docs/explanation/truck-and-drones.md).
     """
 
     hot_legs: float = 0.4
@@ -33,7 +36,7 @@ SMALL_ROUNDS = 3
 
 
 def default_trials(customers: int) -> int:
-    """In all; with more customers fewer for each, since each trial then takes longer too.
+    """Trials in all. With more customers fewer for each of them, since each trial takes longer.
 
     Chosen for 200 customers in 30 s and 1,000 in 5 minutes of one core.
     """
@@ -43,12 +46,51 @@ def default_trials(customers: int) -> int:
 
 
 def default_rounds(customers: int) -> int:
-    """Small problems freeze in one plan or another; large ones gain more from one slow cooling."""
+    """Small problems settle in different plans, so they get more rounds; large ones gain more from
+    one slow cooling.
+    """
     return SMALL_ROUNDS if customers <= SMALL_CUSTOMERS else 1
 
 
+@compiled
+def _copy(source, target):
+    for row in range(source.shape[0]):
+        for column in range(source.shape[1]):
+            target[row, column] = source[row, column]
+
+
+@compiled
+def anneal(
+    t, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
+):
+    """Try `trials` moves while the temperature falls from `hot_s` to `cold_s`, s of makespan.
+
+    Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A move is accepted when the
+    makespan rises by no more than temperature x Exp(1), so hopeless simulations stop early.
+    """
+    cooling = (cold_s / hot_s) ** (1.0 / trials)
+    temperature_s = hot_s
+    for _ in range(trials):
+        temperature_s *= cooling
+        _copy(plan, spare_plan)
+        for node in range(len(place)):
+            spare_place[node] = place[node]
+        if not any_move(t, spare_plan, spare_place, stream):
+            continue
+        give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(stream))
+        makespan_s = simulate(t, spare_plan, w, give_up_s)
+        if makespan_s > give_up_s:
+            continue
+        _copy(spare_plan, plan)
+        index_route(plan, place)
+        costs_s[0] = makespan_s
+        if makespan_s < costs_s[1] - 1e-9:
+            costs_s[1] = makespan_s
+            _copy(plan, best)
+
+
 class Search:
-    """A search that is under way: `step` as often as wanted, `best` at any time."""
+    """A search under way: `step` as often as wanted; `best` is valid at any time."""
 
     def __init__(
         self,
@@ -74,7 +116,7 @@ class Search:
 
     @property
     def best_s(self) -> float:
-        """Makespan of the best plan yet."""
+        """Makespan of the best plan so far."""
         return float(self._costs_s[1])
 
     def step(self, trials: int, from_frac: float, to_frac: float) -> None:
@@ -110,7 +152,7 @@ def _temperature(params: SearchParams, frac: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
-    """`Policy`: `trials` in all, in `rounds` coolings; None: as many as the size deserves."""
+    """`Policy`: `trials` in all, in `rounds` coolings; None: by the size of the problem."""
 
     params: SearchParams = SearchParams()
     trials: int | None = None

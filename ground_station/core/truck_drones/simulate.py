@@ -1,13 +1,14 @@
-"""When everything happens in a plan: truck, driver and drones, in one pass along the route.
+"""The times of a plan: truck, driver and drones, in one pass along the route.
 
-At a node the driver takes, of what can be done now, a recovery that cannot wait for a launch; else
-the launch that is met again first; else a recovery; else the truck's own delivery; else a launch
-that is marked LATE; and waits where nothing can be done, or nothing that ends before a drone comes
-that is marked AT_ONCE. A drone that would hover too long before it is met is launched later by as
-much (which costs nothing where the truck waits on the way), and the pass goes on from there: with
-the order of launches and recoveries thus given, these are the earliest times. Where drones have
-pads of their own, the same is done with one that would land before the truck has come. Where they
-must keep apart, a launch that finds no layer waits until the first who is in its way has landed.
+At a node the driver takes, of what can be done now: a recovery that cannot wait for a launch; else
+the launch that is recovered first; else a recovery; else the truck's own delivery; else a launch
+that is marked LATE. Where nothing can be done, or nothing that ends before a drone marked AT_ONCE
+comes, the driver waits. A drone that would hover too long before its recovery is launched later by
+as much (this costs nothing where the truck waits on the way), and the pass is repeated from there.
+With the order of launches and recoveries thus given, these are the earliest times. Where drones
+have pads of their own, the same is done with one that would land before the truck has come. Where
+drones must be separated, a launch without a free layer waits until the first drone that blocks it
+has landed.
 """
 
 import math
@@ -51,12 +52,12 @@ MOST_PUSHES = 3
 
 IMPOSSIBLE = math.inf
 ON_THE_GROUND_S = 1e7
-"""How long a drone that has landed can wait: for ever, as days go."""
+"""How long a landed drone can wait: longer than any day."""
 
 
 @compiled
 def _index_sorties(t, plan, whole, times_s):
-    """Sorties by node, and their flight and spare times; False where one cannot be."""
+    """Sorties by node, with their flight and spare times; False where one is impossible."""
     launch_s, recover_s, out_s, back_s = t.launch_s, t.recover_s, t.out_s, t.back_s
     out_hover_s, back_hover_s, endurance_s = t.out_hover_s, t.back_hover_s, t.endurance_hover_s
     release_s, from_s = t.release_s, t.from_s
@@ -91,7 +92,9 @@ def _index_sorties(t, plan, whole, times_s):
 
 @compiled
 def index_plan(t, plan, whole, times_s):
-    """Places, sorties by node, sum of work; the number of places, or 0 where a sortie cannot be."""
+    """Places, sorties by node, sum of work; the number of places, or 0 where a sortie is
+    impossible.
+    """
     travel_s, deliver_s = t.travel_s, t.deliver_s
     end = plan.shape[1] - 1
     for node in range(end + 1):
@@ -116,7 +119,7 @@ def index_plan(t, plan, whole, times_s):
 
 @compiled
 def _mark_pending(plan, whole, times_s, node):
-    """All sorties of this node are still to be launched (1) and met (2) here; loops first 1."""
+    """Mark the sorties of this node: 1 to be launched, 2 to be recovered; loops first 1."""
     customer = whole[FIRST_LAUNCH, node]
     while customer >= 0:
         whole[PENDING, customer] = 1
@@ -131,7 +134,7 @@ def _mark_pending(plan, whole, times_s, node):
 
 @compiled
 def _put_off(plan, whole, times_s, launch_s, customer, launched_s):
-    """Launch this drone later; may we?"""
+    """Launch this drone later; whether that is allowed once more."""
     whole[PUSHES, customer] += 1
     if whole[PUSHES, customer] > MOST_PUSHES:
         return False
@@ -141,7 +144,9 @@ def _put_off(plan, whole, times_s, launch_s, customer, launched_s):
 
 @compiled
 def _launch_before(plan, whole, times_s, one, other):
-    """Is this launch done before that one? LATE ones last, then by place and time of meeting."""
+    """Whether this launch is done before that one: LATE ones last, then by place and time of
+    recovery.
+    """
     late = (plan[ORDER, one] & LATE) - (plan[ORDER, other] & LATE)
     if late != 0:
         return late < 0
@@ -192,7 +197,7 @@ def _meeting_to_do(plan, whole, times_s, node, now_s):
 
 @compiled
 def _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
-    """Is this launch done before what else can be done now?"""
+    """Whether this launch is done before what else can be done now."""
     if meet >= 0 and (deadline_s < ends_s or plan[ORDER, meet] & AT_ONCE):
         return False
     return not (plan[ORDER, launch] & LATE and (meet >= 0 or deliver))
@@ -212,7 +217,7 @@ def _too_early(whole, times_s, node, from_s):
 
 @compiled
 def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
-    """Do all that is to do at this place. (departure, place to go on from; -1: impossible)."""
+    """Do everything at this place. Returns (departure, place to go on from; -1: impossible)."""
     node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
     _mark_pending(plan, whole, times_s, node)
     deliver, logged = deliver_s > 0.0, whole[LOGGED, at]

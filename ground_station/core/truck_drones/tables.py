@@ -1,8 +1,8 @@
 """The problem and a plan as flat arrays: what the compiled search reads and writes.
 
-A plan under search is an int32 array of five rows and one column a node: the truck's route, and for
-each customer served by a drone where it is launched, where it is met again, by which kind, and what
-is special about when the driver does so.
+A plan under search is an int32 array of five rows and one column for each node: the truck's route,
+and for each customer served by a drone its launch node, its recovery node, its kind of drone, and
+flags on when the driver launches and recovers it.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class Tables(NamedTuple):
 
 
 class AirTable(NamedTuple):
-    """`Air` for the compiled rule; one array, for the reason that `Work` gives."""
+    """`Air` for the compiled rule, in one array, for the reason that `Work` gives."""
 
     priced: bool
     """Is rule 7 priced? What follows is empty where it is not."""

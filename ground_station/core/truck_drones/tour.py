@@ -1,7 +1,7 @@
-"""The truck's tour alone: nearest neighbour, then 2-opt and Or-opt on the directed travel times.
+"""The truck's tour alone: nearest neighbour, then 2-opt and Or-opt on directed travel times.
 
-Deterministic, no clock, and fit for a directed matrix; fast-tsp's budget is in seconds and it takes
-a symmetric one. How they compare: docs/truck-and-drones.md.
+It is deterministic, needs no clock, and takes a directed matrix; fast-tsp's budget is in seconds
+and its matrix is symmetric. The two are compared in docs/explanation/truck-and-drones.md.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def first_tour(tables: Tables, customers: list[int]) -> NDArray[np.int32]:
 
 
 def truck_alone(problem: TruckAndDrones, tables: Tables) -> Plan:
-    """The truck serves whom it can on a short tour; nobody else is served."""
+    """The truck serves every customer that it can on a short tour; the others are not served."""
     by_truck = [j for j in range(1, problem.end) if problem.truck_can_serve[j]]
     plan = empty_plan(problem.nodes)
     route = first_tour(tables, by_truck)
@@ -55,7 +55,7 @@ def _turn(route, first, last):
 
 @compiled
 def _turn_gain_s(travel_s, route, forth_s, back_s, first, last):
-    """Time saved by driving the places first .. last the other way round."""
+    """Time saved by reversing the places first .. last."""
     before, after = route[first - 1], route[last + 1]
     old_s = forth_s[last + 1] - forth_s[first - 1]
     new_s = (
@@ -68,7 +68,7 @@ def _turn_gain_s(travel_s, route, forth_s, back_s, first, last):
 
 @compiled
 def _shift_gain_s(travel_s, route, first, last, to):
-    """Time saved by driving the places first .. last between `to` and its next place instead."""
+    """Time saved by moving the places first .. last between `to` and its next place."""
     before, after = route[first - 1], route[last + 1]
     one, other = route[to], route[to + 1]
     old_s = travel_s[before, route[first]] + travel_s[route[last], after] + travel_s[one, other]
@@ -78,7 +78,7 @@ def _shift_gain_s(travel_s, route, first, last, to):
 
 @compiled
 def _shift(route, first, last, to):
-    """Rotate places so that first .. last stand right behind what stood at `to`."""
+    """Move the places first .. last right behind `to`."""
     if to > last:
         _turn(route, first, last)
         _turn(route, last + 1, to)
@@ -91,7 +91,7 @@ def _shift(route, first, last, to):
 
 @compiled
 def _improve_from(travel_s, near, route, place, forth_s, back_s, at):
-    """Apply the first change about this place that saves time; was there one?"""
+    """Apply the first change around this place that saves time; whether there was one."""
     end_at = len(route) - 1
     for other in near[route[at]]:
         to = place[other]

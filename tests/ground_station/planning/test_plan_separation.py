@@ -169,10 +169,10 @@ def volume(
     ("other", "reason"),
     [
         (volume("d2", ((0.0, 30.0), (400.0, 30.0)), 40.0), None),
-        (volume("d2", ((0.0, 10.0), (400.0, 300.0)), 64.0), "go up and down too near"),
-        (volume("d2", ((200.0, -300.0), (200.0, 300.0)), 51.0), "layers that are too near"),
+        (volume("d2", ((0.0, 10.0), (400.0, 300.0)), 64.0), "climb and descend too close"),
+        (volume("d2", ((200.0, -300.0), (200.0, 300.0)), 51.0), "layers that are too close"),
         (volume("d2", ((200.0, -300.0), (200.0, 300.0)), 52.0), None),
-        (volume("d2", ((0.0, -300.0), (0.0, 300.0)), 28.0), "flies where the other goes up"),
+        (volume("d2", ((0.0, -300.0), (0.0, 300.0)), 28.0), "flies where the other climbs"),
         (volume("d2", ((0.0, -300.0), (0.0, 300.0)), 52.0), None),
         (volume("d1", ((0.0, 900.0), (0.0, 990.0)), 52.0), "in the air already"),
     ],
