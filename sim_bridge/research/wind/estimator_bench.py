@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
+from sim_bridge.research.benchmarks.timing import Samples
 from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.research.wind.anemometer_flight import (
     AirspeedError,
@@ -262,7 +263,8 @@ def update_us(
         estimator.update(one)
         if one.airborne:
             taken.append(1e-3 * (time.process_time_ns() - began))
-    return float(np.median(taken)), float(np.percentile(taken, 99))
+    each = Samples.of(taken)
+    return each.median, each.p99
 
 
 def draw_flight(recording: AnemometerFlight, rows: Sequence[FlightRow], path: Path) -> None:
