@@ -20,6 +20,7 @@ from companion.core.separation.policy_view import Around, wish_of
 from companion.core.separation.separation_filter import FilterAction, SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours
 from sim_bridge.research.avoidance.scenes import make_scene
+from sim_bridge.research.benchmarks.timing import Samples
 from sim_bridge.research.results.sheet import Sheet
 
 SPEED_MPS, WISH_MPS = 12.0, (14.0, 3.0, 0.0)
@@ -43,9 +44,9 @@ class Costs:
     def cells(self) -> list[str]:
         if not self.each_ms:
             return [self.what, "0", "-", "-", "-", f"{self.wanted_ms:g}"]
-        least, middle, most = np.percentile(self.each_ms, [0, 50, 99])
-        shown = [f"{ms:.2f}" for ms in (least, middle, most)]
-        return [self.what, str(len(self.each_ms)), *shown, f"{self.wanted_ms:g}"]
+        each = Samples.of(self.each_ms)
+        shown = [f"{ms:.2f}" for ms in (each.least, each.median, each.p99)]
+        return [self.what, str(each.n), *shown, f"{self.wanted_ms:g}"]
 
 
 def filter_costs(scenes: int, neighbours: int, seed: int) -> Iterator[tuple[FilterAction, float]]:

@@ -1,4 +1,4 @@
-"""`sim-bridge bench-dispatch`: one order from the desk's store to its acknowledgement, among many.
+"""`sim-bridge research bench dispatch`: one order, from the desk's store to its acknowledgement.
 
 The vehicles are the companion's own fleet ports (command book and event log on the disk, zenoh
 sessions of their own) without a flight behind them, all in one process of their own. The desk is
@@ -35,6 +35,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from ground_station.core.schema.orders import Order
+from sim_bridge.research.benchmarks.timing import Samples
 
 FLEET = "bench"
 ANSWER_S = 10.0
@@ -166,11 +167,8 @@ def _dispatch(
 
 def _figures(vehicles: int, timed: list[Timed]) -> dict[str, Any]:
     def spread(values: list[float]) -> dict[str, float]:
-        return {
-            "p50": float(np.percentile(values, 50)),
-            "p99": float(np.percentile(values, 99)),
-            "max": max(values),
-        }
+        each = Samples.of(values)
+        return {"p50": each.median, "p99": each.p99, "max": each.most}
 
     return {
         "vehicles": vehicles,

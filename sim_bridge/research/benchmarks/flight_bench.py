@@ -1,4 +1,4 @@
-"""`sim-bridge bench`: how fast, how light; figures for the README, never a test.
+"""`sim-bridge research bench flight`: how fast, how light; figures, never a test.
 
 Each figure is the median of `rounds` runs with its least and greatest, since machines are noisy;
 `make fly` on a fresh clone is timed once.
@@ -7,7 +7,6 @@ Each figure is the median of `rounds` runs with its least and greatest, since ma
 import math
 import os
 import shutil
-import statistics
 import subprocess
 import tempfile
 from contextlib import suppress
@@ -24,6 +23,7 @@ from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.report import slim_table
 from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.research.benchmarks.timing import Samples
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
@@ -110,10 +110,11 @@ class _Meter(Progress):
 def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[str, Any]:
     """Run all benchmarks; prints a table and returns its rows."""
     rows: list[tuple[str, list[float], str, str]] = []
-    for flavour in ("px4", "ardupilot"):
-        meters = _measure(rounds, console, f"one vehicle, {flavour}, one core", flavour, 1, None)
+    for autopilot in ("px4", "ardupilot"):
+        what = f"one vehicle, {autopilot}, one core"
+        meters = _measure(rounds, console, what, autopilot, 1, None)
         speeds = [m.times_real for m in meters]
-        rows.append((f"{flavour} and companion, one core", speeds, "x", ">= 20"))
+        rows.append((f"{autopilot} and companion, one core", speeds, "x", ">= 20"))
     meters = _measure(rounds, console, f"{FLEET} vehicles, two cores", "mixed", FLEET, None)
     rows.append(
         (
@@ -123,10 +124,10 @@ def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[st
             ">= 1",
         )
     )
-    for flavour in ("px4", "ardupilot"):
-        meters = _measure(rounds, console, f"{flavour} at real time", flavour, 1, 1.0)
+    for autopilot in ("px4", "ardupilot"):
+        meters = _measure(rounds, console, f"{autopilot} at real time", autopilot, 1, 1.0)
         loads = [100.0 * m.cpu_s / m.wall for m in meters]
-        rows.append((f"companion at real time, {flavour}", loads, "%", "< 15"))
+        rows.append((f"companion at real time, {autopilot}", loads, "%", "< 15"))
         rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
         together = [m.together_mb for m in meters]
         rows.append(("  with its table worker, at most", together, "MB", "< 250"))
@@ -149,10 +150,9 @@ def _table(rounds: int, rows: list[tuple[str, list[float], str, str]]) -> Table:
         ("met", "left"),
     )
     for what, values, unit, goal in rows:
-        median = statistics.median(values)
-        spread = f"{min(values):.1f} to {max(values):.1f}" if len(values) > 1 else ""
-        met = "yes" if _is_met(median, goal) else "NO"
-        table.add_row(what, f"{median:.1f}", spread, f"{goal} {unit}", met)
+        each = Samples.of(values)
+        met = "yes" if _is_met(each.median, goal) else "NO"
+        table.add_row(what, f"{each.median:.1f}", each.spread(), f"{goal} {unit}", met)
     return table
 
 

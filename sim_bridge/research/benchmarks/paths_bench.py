@@ -7,12 +7,12 @@ at a time from Python, as anybody would call it. `dubins` 1.0.1 (2018) no longer
 
 from dataclasses import dataclass
 from importlib import import_module
-from time import process_time
 from types import ModuleType
 
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from sim_bridge.adapters.wall_clock import cpu_s
 from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.results.sheet import Sheet
@@ -57,9 +57,9 @@ def compare(wind_mps: float, paths: int, seed: int) -> Compared:
     if base is None:
         return Compared(wind_mps, paths / level_s, paths / climbing_s, None, 0, 0, 0)
     some = [p[:PEER_PATHS] for p in level]
-    begin = process_time()
+    began_s = cpu_s()
     theirs = _ompl_m(base, some[0], some[1], wind_mps)
-    peer_s = process_time() - begin
+    peer_s = cpu_s() - began_s
     more = ours[: len(theirs)] - theirs
     return Compared(
         wind_mps,
@@ -75,9 +75,9 @@ def compare(wind_mps: float, paths: int, seed: int) -> Compared:
 def _timed(
     pairs: list[Floats], limits: FlightLimits, wind: tuple[float, float]
 ) -> tuple[Floats, float]:
-    begin = process_time()
+    began_s = cpu_s()
     lengths = join_poses(pairs[0], pairs[1], limits, wind).air_length_m
-    return lengths, process_time() - begin
+    return lengths, cpu_s() - began_s
 
 
 def _poses(random: np.random.Generator, count: int) -> Floats:

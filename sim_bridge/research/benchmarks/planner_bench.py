@@ -3,7 +3,6 @@
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter, process_time
 
 import msgspec
 import networkx as nx
@@ -18,6 +17,13 @@ from companion.core.routing.planner_interface import Look
 from companion.core.routing.scenario import LogWind, Scenario
 from companion.core.routing.shortest_paths import RouteFinder
 from companion.core.wind.markov_chain import WindChain, sight_of
+from sim_bridge.adapters.wall_clock import cpu_s
+from sim_bridge.research.benchmarks.timing import (
+    Samples,
+    cpu_time_s,
+    repeated,
+    wall_time_s,
+)
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench, run_campaign
 from sim_bridge.research.campaign.campaign_runner import InProcess, Pool, run
 from sim_bridge.research.campaign.scenario_generator import (
@@ -30,7 +36,7 @@ from sim_bridge.research.planners.mission_model import fly_missions
 from sim_bridge.research.results.sheet import Sheet
 
 BENCH_SEED = 6
-REPEATS = 3  # of which the best counts, for the plain and for the fast alike
+REPEATS = 3  # of the plain loop and of the campaign alike; medians count
 RECORDED_MISSIONS = 10_000  # at most: recorded winds never come again, so nothing is remembered
 ARM_SLOWER = 4.0  # a Raspberry Pi 4's core against this one in numpy; an estimate, not measured
 
@@ -71,13 +77,13 @@ def table_lines(
     """Time of the value table: home, one weight, and the whole search for a bound of 1 %."""
     graph, chain = large_problem(vertices, 8, side_m=side_m)
     size = f"{vertices:,} vertices, {graph.edge_count:,} edges, 24 states, {levels} levels"
-    begin = process_time()
+    begin = cpu_s()
     model = build_step_model(graph, chain, budget_wh, levels)
-    built = process_time()
+    built = cpu_s()
     home = solve_home(model)
-    homed = process_time()
+    homed = cpu_s()
     solve_delivery(model, home, np.array([0.9]))
-    done = process_time()
+    done = cpu_s()
     bound = "5 s" if vertices == 1000 else "60 s"
     lines = [
         Line(f"value table, {size}: edges and chain", f"{built - begin:.2f} s"),
@@ -87,11 +93,9 @@ def table_lines(
     ]
     policy = None
     if search:
-        begin = process_time()
+        begin = cpu_s()
         policy = PolicySearch(model, home).policy(0.01)
-        lines.append(
-            Line("- with the search for max loss 1 %", f"{process_time() - built:.1f} s", "30 s")
-        )
+        lines.append(Line("- with the search for max loss 1 %", f"{cpu_s() - built:.1f} s", "30 s"))
         flies = policy.home.choice.nbytes + policy.bold.choice.nbytes + policy.careful.choice.nbytes
         lines.append(Line("- choices that fly", f"{flies / 1e6:.1f} MB", "250 MB"))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0 / 1024.0
@@ -145,38 +149,29 @@ def decision_lines(policy: ValuePolicy, samples: int = 500) -> list[Line]:
 
 def _micro(work: Callable[[int], None], samples: int) -> str:
     work(0)
-    times = []
-    for i in range(samples):
-        begin = process_time()
-        work(i)
-        times.append(1e6 * (process_time() - begin))
-    return f"{np.median(times):,.0f} / {np.percentile(times, 99):,.0f} us"
+    each = Samples.of((cpu_time_s(lambda i=i: work(i)) for i in range(samples)), 1e6)
+    return f"{each.median:,.0f} / {each.p99:,.0f} us"
 
 
 def campaign_lines(plain_missions: int = 100) -> list[Line]:
     """Campaigns end to end against a plain loop over networkx, RER, on one core and on two."""
     lines = []
     for kind, scenario in (("chain", bench_scenario()), ("recorded", recorded_scenario())):
-        rates = []
-        for _ in range(REPEATS):
-            rates.append(plain_missions / _cpu_s(lambda s=scenario: plain_rer(s, plain_missions)))
-        plain = max(rates)
+        plain = repeated(lambda s=scenario: plain_rer(s, plain_missions), REPEATS)
+        rate = Samples.of(plain_missions / seconds for seconds in plain.values)
         lines.append(
-            Line(f"plain loop over networkx, RER, {kind} wind", f"{plain:,.0f} missions/s")
+            Line(f"plain loop over networkx, RER, {kind} wind", rate.text("missions/s", 0))
         )
         for missions, wanted in ((2_000, "150 x"), (100_000, "1000 x")):
             if kind == "recorded" and missions > RECORDED_MISSIONS:
                 continue
             params = CampaignParams(missions=missions, risk_weight=0.0)
-            seconds = min(
-                _cpu_s(lambda s=scenario, p=params: run_campaign([s], ["rer"], p))
-                for _ in range(REPEATS)
-            )
-            rate = missions / seconds
+            taken = repeated(lambda s=scenario, p=params: run_campaign([s], ["rer"], p), REPEATS)
+            faster = Samples.of(missions / seconds for seconds in taken.values).over(rate)
             lines.append(
                 Line(
                     f"campaign, RER, {kind} wind, {missions:,} missions",
-                    f"{seconds:.3f} s, {rate:,.0f} missions/s, {rate / plain:,.0f} x plain",
+                    f"{taken.text('s', 3)}, {faster:,.0f} x plain",
                     wanted if kind == "chain" else "-",
                 )
             )
@@ -187,25 +182,12 @@ def _two_core_lines(missions: int = 400_000) -> list[Line]:
     """Wall time of one large campaign in this process and on two others, their start included."""
     scenario = bench_scenario()
     params = CampaignParams(missions=missions, risk_weight=0.0)
-    alone = _wall_s(lambda: run([scenario], ["rer"], params, InProcess([scenario], params)))
-    paired = _wall_s(lambda: run([scenario], ["rer"], params, Pool([scenario], params, 2)))
+    alone = wall_time_s(lambda: run([scenario], ["rer"], params, InProcess([scenario], params)))
+    paired = wall_time_s(lambda: run([scenario], ["rer"], params, Pool([scenario], params, 2)))
     return [
         Line(f"campaign, RER, {missions:,} missions, 1 core, by the clock", f"{alone:.2f} s"),
         Line("- 2 cores, the start of both processes included", f"{paired:.2f} s"),
     ]
-
-
-def _cpu_s(work: Callable[[], object]) -> float:
-    """Seconds of this process's CPU: what others do on the machine matters less."""
-    begin = process_time()
-    work()
-    return process_time() - begin
-
-
-def _wall_s(work: Callable[[], object]) -> float:
-    begin = perf_counter()
-    work()
-    return perf_counter() - begin
 
 
 def bench_scenario() -> Scenario:

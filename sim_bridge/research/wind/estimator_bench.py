@@ -14,6 +14,7 @@ from companion.core.base.arrays import Floats
 from companion.core.replay.reference_estimator import ReferenceEstimator
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
+from sim_bridge.research.benchmarks.timing import Samples
 from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.research.wind.anemometer_flight import (
     AirspeedError,
@@ -272,7 +273,8 @@ def update_us(
         estimator.update(one)
         if one.airborne:
             taken.append(1e-3 * (time.process_time_ns() - began))
-    return float(np.median(taken)), float(np.percentile(taken, 99))
+    each = Samples.of(taken)
+    return each.median, each.p99
 
 
 def draw_flight(recording: AnemometerFlight, rows: Sequence[FlightRow], path: Path) -> None:
