@@ -126,6 +126,7 @@ def wrong(verdicts: dict[str, Verdict]) -> list[str]:
 
 @pytest.mark.sitl
 @pytest.mark.timeout(900)  # 20 s of one idle core; a machine with ten such at once takes minutes
+@pytest.mark.drawn(of="flavour")
 @BOTH
 def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: AutopilotKind) -> None:
     served = stood(flavour)

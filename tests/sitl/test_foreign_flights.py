@@ -85,6 +85,7 @@ def away_m(served: ServedVehicle) -> float:
     return math.hypot(north, east)
 
 
+@pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize(
     ("flavour", "endpoint", "link"),
     [

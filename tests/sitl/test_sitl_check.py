@@ -97,6 +97,7 @@ def check(tmp_path, short_flight):
     return run
 
 
+@pytest.mark.drawn(of="flavour")
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, flavour):
     checked = check(flavour, AS_PROMISED[flavour])
@@ -115,6 +116,7 @@ def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, flavour):
     assert not checked.armed
 
 
+@pytest.mark.drawn(of="flavour")
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, flavour):
     name = LOW_BATTERY[flavour]
