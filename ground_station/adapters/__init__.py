@@ -1,0 +1,1 @@
+"""The outside world: files, the store, zenoh, MAVSDK, an LLM, the clock."""

@@ -1,0 +1,1 @@
+"""The programs: commands, the running desk, the truck's terminal, pictures."""

@@ -1,0 +1,1 @@
+"""What the desk knows and decides: no I/O, no clock, no threads."""

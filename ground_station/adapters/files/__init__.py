@@ -1,0 +1,1 @@
+"""Files that people or programs write: days, plans, params, benchmark problems."""

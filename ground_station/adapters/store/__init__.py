@@ -1,0 +1,1 @@
+"""The database of a desk: SQLite or PostgreSQL."""

@@ -1,0 +1,1 @@
+"""The commands: arguments in, text out. What they do is elsewhere."""

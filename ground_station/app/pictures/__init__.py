@@ -1,0 +1,1 @@
+"""Pictures of plans. matplotlib is imported only here."""

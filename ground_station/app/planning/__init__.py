@@ -1,0 +1,1 @@
+"""Planning that needs files: estimates, clustering, missions for QGroundControl."""

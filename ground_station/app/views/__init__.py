@@ -1,0 +1,1 @@
+"""What commands print: the live view, the day's report, plans."""

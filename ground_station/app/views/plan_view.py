@@ -19,7 +19,7 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
         stops.add_row(stop.id, *times, ", ".join(stop.serves), str(launches), str(homes))
     console.print(stops)
     sorties = Table("order", "drone", "from", "home")
-    for name in ("launch", "landing", "layer m", "mean Wh", "sure Wh", "usable Wh"):
+    for name in ("off", "down", "layer\nm", "mean\nWh", "sure\nWh", "pack\nWh"):
         sorties.add_column(name, justify="right")
     for sortie in plan.sorties:
         names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)

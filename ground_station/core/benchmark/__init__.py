@@ -1,0 +1,1 @@
+"""The published problem (mFSTSP) and an independent check of its schedules."""

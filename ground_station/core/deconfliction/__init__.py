@@ -1,0 +1,1 @@
+"""Separation by plan (safety rule 7): pads, layers, operational volumes."""

@@ -1,0 +1,1 @@
+"""The members of the fleet as the desk sees them, and the interface of their network."""

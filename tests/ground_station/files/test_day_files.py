@@ -88,7 +88,7 @@ def test_duplicates_are_named_with_the_row_that_they_repeat(tmp_path):
     )
     said = problems_of(path)
     assert len(said) == 2
-    assert said[0].startswith("orders.csv, row 4, column id: 'a' stands in")
+    assert said[0].startswith("orders.csv, row 4, column id: 'a' is in")
     assert said[0].endswith("row 2 already")
     assert "row 5: the same parcel to the same place as" in said[1]
 
