@@ -10,7 +10,7 @@ import pytest
 
 from sim_bridge.app.crossing.crossing import Crossing, CrossOptions
 from sim_bridge.app.crossing.judge import Nearest, nearest_of
-from sim_bridge.autopilot.base.modes import (Mode)
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mission.executor import Phase
 
 SHORT = {
