@@ -5,7 +5,7 @@ from collections.abc import Callable
 from sim_bridge.autopilot.behaviour import AutopilotBehaviour
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.commands import Command, from_int, from_long
-from sim_bridge.autopilot.mavlink.enums import Result, VehicleType
+from sim_bridge.autopilot.mavlink.enums import MavResult, VehicleType
 from sim_bridge.autopilot.services.mission_protocol import MissionProtocol
 from sim_bridge.autopilot.services.radio import Radio
 from sim_bridge.autopilot.services.setpoints import global_setpoint, local_setpoint
@@ -113,7 +113,7 @@ class Inbox:
 
     def _run(self, command: Command) -> None:
         handler = self._behaviour.commands.get(command.number)
-        result = Result.UNSUPPORTED if handler is None else handler(command)
+        result = MavResult.UNSUPPORTED if handler is None else handler(command)
         if result is not None:
             self._radio.acknowledge(command, result)
 

@@ -2,7 +2,7 @@
 
 from typing import cast
 
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.client import Message
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
@@ -24,23 +24,23 @@ def _watch(s: Subject) -> tuple[Message, Message, Message]:
     return cast(tuple[Message, Message, Message], s.remember("battery in the hover", look))
 
 
-def _voltages(s: Subject) -> Seen:
+def _voltages(s: Subject) -> Finding:
     """Whether the first cell's place holds the whole pack's voltage."""
     _, last, status = _watch(s)
     known = [mv for mv in last.voltages if mv != _UNKNOWN_MV]
     note = f"{last.voltages[:7]}, SYS_STATUS {status.voltage_battery} mV"
     if not known:
-        return Seen("nothing", note)
+        return Finding("nothing", note)
     is_pack = abs(known[0] - status.voltage_battery) < 0.05 * status.voltage_battery
     if len(known) == 1 and is_pack:
-        return Seen("the pack's in the first place", note)
-    return Seen("each cell's", note)
+        return Finding("the pack's in the first place", note)
+    return Finding("each cell's", note)
 
 
-def _current(s: Subject) -> Seen:
+def _current(s: Subject) -> Finding:
     _, last, _ = _watch(s)
     known = last.current_battery != -1
-    return Seen("known" if known else "-1", f"{last.current_battery * 0.01:.1f} A")
+    return Finding("known" if known else "-1", f"{last.current_battery * 0.01:.1f} A")
 
 
 def _run(first: float, last: float) -> str:
@@ -51,28 +51,28 @@ def _run(first: float, last: float) -> str:
     return "stays at 0" if last == 0 else "stays"
 
 
-def _consumed(s: Subject) -> Seen:
+def _consumed(s: Subject) -> Finding:
     first, last, _ = _watch(s)
     note = f"{first.current_consumed} to {last.current_consumed} mAh"
-    return Seen(_run(first.current_consumed, last.current_consumed), note)
+    return Finding(_run(first.current_consumed, last.current_consumed), note)
 
 
-def _energy(s: Subject) -> Seen:
+def _energy(s: Subject) -> Finding:
     first, last, _ = _watch(s)
     note = f"{first.energy_consumed} to {last.energy_consumed} hJ"
-    return Seen(_run(first.energy_consumed, last.energy_consumed), note)
+    return Finding(_run(first.energy_consumed, last.energy_consumed), note)
 
 
-def _time_remaining(s: Subject) -> Seen:
+def _time_remaining(s: Subject) -> Finding:
     _, last, _ = _watch(s)
-    return Seen("0" if last.time_remaining == 0 else "told", f"{last.time_remaining} s")
+    return Finding("0" if last.time_remaining == 0 else "told", f"{last.time_remaining} s")
 
 
-def _remaining(s: Subject) -> Seen:
+def _remaining(s: Subject) -> Finding:
     _, last, status = _watch(s)
     apart = abs(last.battery_remaining - status.battery_remaining)
     note = f"{last.battery_remaining} and {status.battery_remaining} %"
-    return Seen("alike to 1 %" if apart <= 1 else "apart", note)
+    return Finding("alike to 1 %" if apart <= 1 else "apart", note)
 
 
 def _remaining_known(s: Subject) -> bool:

@@ -13,7 +13,7 @@ Value = str | float | int | bool
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class Finding:
     """What a vehicle did: a value that can be compared, and words for people."""
 
     value: Value
@@ -39,7 +39,7 @@ class Behaviour:
 
     name: str
     says: str
-    see: Callable[["Subject"], Seen | Value]
+    see: Callable[["Subject"], Finding | Value]
     where: Where = Where.GROUND
     unit: str = ""
     within: float = 0.0

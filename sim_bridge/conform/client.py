@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform.errors import CannotSee, VehicleSilent
-from sim_bridge.conform.link import Link
+from sim_bridge.conform.link import VehicleLink
 
 T = TypeVar("T")
 Message = Any
@@ -55,7 +55,7 @@ def name_of(enum: str, number: int) -> str:
 class Client:
     """One conversation with the autopilot of one system."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: VehicleLink) -> None:
         self._link = link
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True

@@ -4,7 +4,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import HEIGHT_M, Subject
 
@@ -28,7 +28,7 @@ def _climb(s: Subject) -> float:
     return -s.client.latest["GLOBAL_POSITION_INT"].vz * 0.01
 
 
-def _reposition_relative(s: Subject) -> Seen:
+def _reposition_relative(s: Subject) -> Finding:
     """Frame 6, 5 m higher than now above home: climbing obeys the frame, sinking takes AMSL."""
     if s.home_amsl_m < 2.0 * _UP_M:
         raise CannotSee(f"home is at {s.home_amsl_m:.1f} m AMSL: no telling one from the other")
@@ -41,10 +41,10 @@ def _reposition_relative(s: Subject) -> Seen:
     rises = _climb(s) > 0.0
     s.set_mode(s.dialect.hold)
     word = "obeyed" if rises else "ignored: AMSL"
-    return Seen(f"{answer}, {word if moved else 'no movement'}", f"{asked_m:.0f} m asked")
+    return Finding(f"{answer}, {word if moved else 'no movement'}", f"{asked_m:.0f} m asked")
 
 
-def _reposition_speed(s: Subject) -> Seen:
+def _reposition_speed(s: Subject) -> Finding:
     """60 m at 2 m/s."""
     lat, lon = s.place(60.0, 0.0)
     place = (lat, lon, s.home_amsl_m + HEIGHT_M)
@@ -54,7 +54,7 @@ def _reposition_speed(s: Subject) -> Seen:
     fastest = max(math.hypot(m.vx, m.vy) * 0.01 for m in heard)
     if fastest < 1.0:
         raise CannotSee("it did not move")
-    return Seen("obeyed" if fastest < 2.8 else "ignored", f"{fastest:.1f} m/s")
+    return Finding("obeyed" if fastest < 2.8 else "ignored", f"{fastest:.1f} m/s")
 
 
 def _reposition_on_ground(s: Subject) -> str:
@@ -116,13 +116,13 @@ _TIME_OUTS = {"px4": ("COM_OF_LOSS_T", 1.0), "ardupilot": ("GUID_TIMEOUT", 3.0)}
 """Their defaults; PX4's SITL lengthens its own by the speed-up."""
 
 
-def _velocity_stops(s: Subject) -> Seen:
+def _velocity_stops(s: Subject) -> Finding:
     """The set-points stop: what the mode is 8 s later, and when it had slowed down."""
     with s.parameter_set(*_TIME_OUTS[s.dialect.name]):
         slowed_s = _slowing(s)
         s.client.collect(max(8.0 - slowed_s, 0.5))
         word = "halts" if slowed_s < _ENDLESS_S else "flies on"
-        return Seen(f"{word}, {s.mode}", f"slowing after {slowed_s:.1f} s")
+        return Finding(f"{word}, {s.mode}", f"slowing after {slowed_s:.1f} s")
 
 
 _ENDLESS_S = 12.0
@@ -159,7 +159,7 @@ def _guided_in_air(s: Subject) -> str:
     return f"{answer}, {s.mode}"
 
 
-def _position_setpoint(s: Subject) -> Seen:
+def _position_setpoint(s: Subject) -> Finding:
     """LOCAL_NED 15 m north of the origin and 20 m above it."""
     start_s, asked = s.client.t_s, s.mode == s.dialect.guided
     while s.client.t_s < start_s + 14.0:
@@ -172,7 +172,7 @@ def _position_setpoint(s: Subject) -> Seen:
     if local is None:
         raise CannotSee("no LOCAL_POSITION_NED")
     off = math.dist((local.x, local.y, local.z), (15.0, 0.0, -HEIGHT_M))
-    return Seen("reached" if off < 2.5 else "not reached", f"{off:.1f} m off")
+    return Finding("reached" if off < 2.5 else "not reached", f"{off:.1f} m off")
 
 
 BEHAVIOURS = (

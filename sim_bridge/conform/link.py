@@ -25,7 +25,7 @@ _RECONNECT_S = 0.5
 _EXPECTED = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
 
 
-class Link(Protocol):
+class VehicleLink(Protocol):
     """One way to the vehicle."""
 
     def send(self, data: bytes) -> None:
@@ -193,7 +193,7 @@ def is_on_loopback(url: str) -> bool:
         return False
 
 
-def open_link(url: str) -> Link:
+def open_link(url: str) -> VehicleLink:
     """Open a URL; a mistake in it is a ConformError."""
     kind, where, number = _split(url)
     try:

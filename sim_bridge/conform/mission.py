@@ -6,7 +6,7 @@ from typing import cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.behaviour import Behaviour, Seen
+from sim_bridge.conform.behaviour import Behaviour, Finding
 from sim_bridge.conform.client import Message
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.missions import Item, Uploaded
@@ -73,7 +73,7 @@ def _count(s: Subject) -> int:
     return len(_uploaded(s)[1]) - len(_probe(s))
 
 
-def _first_item(s: Subject) -> Seen:
+def _first_item(s: Subject) -> Finding:
     """Item 0 is sent as a waypoint 50 m from home."""
     sent = [waypoint(s, 50.0, 0.0), waypoint(s, 60.0, 0.0)]
     done = missions.upload(s.client, sent)
@@ -82,7 +82,7 @@ def _first_item(s: Subject) -> Seen:
         raise CannotSee("no read-back")
     off_m = abs(stored[0].x * 1e-7 - sent[0].lat_deg) * 111_000.0
     word = "kept" if off_m < 1.0 else "replaced by home"
-    return Seen(f"{word}, {done.ack}", f"{off_m:.0f} m from what was sent")
+    return Finding(f"{word}, {done.ack}", f"{off_m:.0f} m from what was sent")
 
 
 def _frame(index: int):
@@ -101,10 +101,10 @@ def _radius(s: Subject) -> str:
     return f"{_stored(s, 1).param2:g}"
 
 
-def _change_speed(s: Subject) -> Seen:
+def _change_speed(s: Subject) -> Finding:
     item = _stored(s, 3)
     kept = item.param1 == 1.0 and item.param2 == _SPEED_MPS
-    return Seen("kept" if kept else "changed", f"{item.param1:g}, {item.param2:g}")
+    return Finding("kept" if kept else "changed", f"{item.param1:g}, {item.param2:g}")
 
 
 def _item_message(s: Subject) -> str:
@@ -173,7 +173,7 @@ def _unfinished_download(s: Subject) -> str:
     return done.ack
 
 
-def _cut_on_ground(s: Subject) -> Seen:
+def _cut_on_ground(s: Subject) -> Finding:
     """What is stored after an upload of other items that stops after the second."""
     s.upload(_probe(s))
     other = s.with_home([waypoint(s, -50.0, 10.0 * n) for n in range(4)])
@@ -187,7 +187,7 @@ def _cut_on_ground(s: Subject) -> Seen:
     word = "the old mission whole" if whole else "a mixture" if south else "something else"
     told = "told" if late is not None else "not told"
     note = f"{len(stored)} stored, {south} new, asked {len(broken.asked_for)} times"
-    return Seen(f"{word}, {told}", note)
+    return Finding(f"{word}, {told}", note)
 
 
 def _empty_upload(s: Subject) -> str:

@@ -9,7 +9,7 @@ from typing import cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.behaviour import Behaviour, Seen, Value, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.mission import LAND, LOITER_TIME, TAKEOFF, WAYPOINT, waypoint
 from sim_bridge.conform.missions import Item
@@ -76,14 +76,14 @@ def _set_current(s: Subject) -> str:
     return "there" if _seq(s) == 2 else "not there"
 
 
-def _brakes(s: Subject) -> Seen:
+def _brakes(s: Subject) -> Finding:
     """Ground speed after a jump to a waypoint straight ahead, against that before it."""
     fly_straight(s)
     before = _slowest(s, 1.0)
     s.client.send("MISSION_SET_CURRENT", seq=s.first_seq() + 2)
     after = _slowest(s, 4.0)
     word = "brakes" if after < 0.6 * before else "flies on"
-    return Seen(word, f"{before:.1f} to {after:.1f} m/s")
+    return Finding(word, f"{before:.1f} to {after:.1f} m/s")
 
 
 def _pause(s: Subject) -> str:
@@ -99,7 +99,7 @@ def _pause(s: Subject) -> str:
     return f"{answer}, {'stops' if stopped else 'flies on'} in {mode}, then {rest}"
 
 
-def _detour(s: Subject) -> Seen:
+def _detour(s: Subject) -> Finding:
     """The holding mode amid the second leg, and the mission again."""
     fly_straight(s)
     s.client.send("MISSION_SET_CURRENT", seq=s.first_seq() + 1)
@@ -110,7 +110,7 @@ def _detour(s: Subject) -> Seen:
     s.enter(s.dialect.mission)
     s.client.collect(2.0)
     after = _seq(s)
-    return Seen("at the same item" if after == before else "at another", f"{before} to {after}")
+    return Finding("at the same item" if after == before else "at another", f"{before} to {after}")
 
 
 def _clear_in_flight(s: Subject) -> str:
@@ -120,7 +120,7 @@ def _clear_in_flight(s: Subject) -> str:
     return f"{answer}, then {s.mode}"
 
 
-def _replace(s: Subject) -> Seen:
+def _replace(s: Subject) -> Finding:
     """Another mission of the same length while the second item is flown."""
     fly_straight(s)
     s.client.send("MISSION_SET_CURRENT", seq=s.first_seq() + 1)
@@ -129,7 +129,7 @@ def _replace(s: Subject) -> Seen:
     done = s.upload(other)
     s.client.collect(3.0)
     kept = "kept" if _seq(s) == 1 else f"now {_seq(s)}"
-    return Seen(f"{done.ack}, index {kept}, {s.mode}")
+    return Finding(f"{done.ack}, index {kept}, {s.mode}")
 
 
 def _replace_after(s: Subject) -> float:
@@ -155,7 +155,7 @@ def _restart_text(s: Subject) -> bool:
     return any("restarted command" in text for text in s.client.texts())
 
 
-def _cut_in_flight(s: Subject) -> Seen:
+def _cut_in_flight(s: Subject) -> Finding:
     """An upload of other places that breaks off after two items, in the mission mode."""
     fly_straight(s)
     other = s.with_home([waypoint(s, -_AWAY_M, 40.0 * n, HEIGHT_M) for n in range(3)])
@@ -168,7 +168,7 @@ def _cut_in_flight(s: Subject) -> Seen:
         raise CannotSee("no read-back")
     south = sum(m.x * 1e-7 < s.place(-40.0, 0.0)[0] for m in stored if m.command == WAYPOINT)
     word = "the old mission" if south == 0 else "a mixture"
-    return Seen(f"{word}, {heading}, {mode}", f"{len(stored)} stored, {south} new")
+    return Finding(f"{word}, {heading}, {mode}", f"{len(stored)} stored, {south} new")
 
 
 def _partial_in_flight(s: Subject) -> str:
@@ -179,10 +179,10 @@ def _partial_in_flight(s: Subject) -> str:
     return f"{done.ack}, index {_seq(s)}, {s.mode}"
 
 
-def _change_speed(kind: float, speed_mps: float) -> Callable[[Subject], Seen]:
+def _change_speed(kind: float, speed_mps: float) -> Callable[[Subject], Finding]:
     """DO_CHANGE_SPEED in a mission: its acknowledgement, and the speed 6 s after it."""
 
-    def see(s: Subject) -> Seen:
+    def see(s: Subject) -> Finding:
         fly_straight(s)
         s.client.collect(3.0)
         before = _speed(s)
@@ -191,12 +191,12 @@ def _change_speed(kind: float, speed_mps: float) -> Callable[[Subject], Seen]:
         after = _speed(s)
         flies = abs(after - speed_mps) < 0.7
         word = "flies it" if flies else "no change" if abs(after - before) < 1.0 else "another"
-        return Seen(f"{answer}, {word}", f"{before:.1f} to {after:.1f} m/s")
+        return Finding(f"{answer}, {word}", f"{before:.1f} to {after:.1f} m/s")
 
     return see
 
 
-def _speed_to_default(s: Subject) -> Seen:
+def _speed_to_default(s: Subject) -> Finding:
     """Slowed to 2 m/s, then DO_CHANGE_SPEED with -1, and with 0."""
     fly_straight(s)
     s.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)
@@ -208,7 +208,7 @@ def _speed_to_default(s: Subject) -> Seen:
         speeds.append(_speed(s))
     words = ["faster" if speed > 3.2 else "as before" for speed in speeds]
     note = f"{speeds[0]:.1f}, then {speeds[1]:.1f} m/s"
-    return Seen(f"-1: {answers[0]}, {words[0]}; 0: {answers[1]}, {words[1]}", note)
+    return Finding(f"-1: {answers[0]}, {words[0]}; 0: {answers[1]}, {words[1]}", note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +217,11 @@ class _Flight:
 
     start: str
     climbed_m: float
-    land_reached: Seen
+    land_reached: Finding
     disarm_after_s: float
     mode_at_end: str
     reached_repeats: int
-    asks_companions: Seen
+    asks_companions: Finding
 
 
 def _whole_flight(s: Subject) -> _Flight:
@@ -263,7 +263,7 @@ def _fly_whole(s: Subject) -> _Flight:
         max(off_s - down_s, 0.0),
         s.mode,
         sum(m.seq == first for m in reached),
-        Seen(_TRIGGER in own, _numbers(own)),
+        Finding(_TRIGGER in own, _numbers(own)),
     )
 
 
@@ -311,36 +311,36 @@ def _last_landing_s(states: list) -> float:
     return down_s
 
 
-def _where_reached(times_s: list[float], down_s: float) -> Seen:
+def _where_reached(times_s: list[float], down_s: float) -> Finding:
     if not times_s:
-        return Seen("never")
+        return Finding("never")
     early_s = down_s - times_s[0]
     word = "in the air" if early_s > 1.0 else "on the ground"
-    return Seen(word, f"{early_s:.1f} s before it says that it is on the ground")
+    return Finding(word, f"{early_s:.1f} s before it says that it is on the ground")
 
 
-def _field(name: str) -> Callable[[Subject], Seen | Value]:
-    def see(s: Subject) -> Seen | Value:
+def _field(name: str) -> Callable[[Subject], Finding | Value]:
+    def see(s: Subject) -> Finding | Value:
         return getattr(_whole_flight(s), name)
 
     return see
 
 
-def _disarm_after(s: Subject) -> Seen:
+def _disarm_after(s: Subject) -> Finding:
     """HEARTBEAT tells it with up to 1 s of lag."""
     value = _whole_flight(s).disarm_after_s
-    return Seen("within 2 s" if value < 2.0 else "later", f"{value:.1f} s, by HEARTBEAT")
+    return Finding("within 2 s" if value < 2.0 else "later", f"{value:.1f} s, by HEARTBEAT")
 
 
-def _takeoff_item(s: Subject) -> Seen:
+def _takeoff_item(s: Subject) -> Finding:
     climbed = _whole_flight(s).climbed_m
-    return Seen("above home" if abs(climbed - 12.0) < 2.5 else "elsewhere", f"{climbed:.1f} m")
+    return Finding("above home" if abs(climbed - 12.0) < 2.5 else "elsewhere", f"{climbed:.1f} m")
 
 
-def _behind_land(s: Subject) -> tuple[str, Seen]:
+def _behind_land(s: Subject) -> tuple[str, Finding]:
     """Take-off, LAND here, then waypoints: what follows the landing, and where LAND is told."""
 
-    def look() -> tuple[str, Seen]:
+    def look() -> tuple[str, Finding]:
         items = [
             Item(TAKEOFF, *s.place(0.0, 0.0), 8.0, param4=math.nan),
             Item(LAND, *s.place(0.0, 0.0), 0.0),
@@ -362,14 +362,14 @@ def _behind_land(s: Subject) -> tuple[str, Seen]:
         where = _where_reached(told, _last_landing_s(states))
         return word if again else "stays armed on the ground", where
 
-    return cast(tuple[str, Seen], s.remember("an item behind LAND", look))
+    return cast(tuple[str, Finding], s.remember("an item behind LAND", look))
 
 
 def _item_behind_land(s: Subject) -> str:
     return _behind_land(s)[0]
 
 
-def _land_reached_amid(s: Subject) -> Seen:
+def _land_reached_amid(s: Subject) -> Finding:
     return _behind_land(s)[1]
 
 

@@ -5,7 +5,7 @@ from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.mission import TAKEOFF, waypoint
 from sim_bridge.conform.missions import Item
@@ -133,7 +133,7 @@ def _takeoff_disarmed(s: Subject) -> str:
     return f"{answer}, {s.mode}"
 
 
-def _takeoff_altitude(s: Subject) -> Seen:
+def _takeoff_altitude(s: Subject) -> Finding:
     """What the take-off of the suite itself asked, and got."""
     if s.climbed is None:
         raise CannotSee("it has not been seen to take off")
@@ -142,8 +142,8 @@ def _takeoff_altitude(s: Subject) -> Seen:
     if abs(s.home_amsl_m) < 2.0 * _HOME_TOLERANCE_M:
         raise CannotSee(f"home is at {s.home_amsl_m:.1f} m AMSL: no telling one from the other")
     if abs(top.rel_m - asked_m) < _HOME_TOLERANCE_M:
-        return Seen("above home", note)
-    return Seen("AMSL" if abs(top.amsl_m - asked_m) < _HOME_TOLERANCE_M else "neither", note)
+        return Finding("above home", note)
+    return Finding("AMSL" if abs(top.amsl_m - asked_m) < _HOME_TOLERANCE_M else "neither", note)
 
 
 def _mode_after_takeoff(s: Subject) -> str:
@@ -163,7 +163,7 @@ def _arm_again(s: Subject) -> str:
     return s.arm_once()
 
 
-def _land_after(s: Subject) -> Seen:
+def _land_after(s: Subject) -> Finding:
     """LAND from the hover: from the ground contact that it tells to disarmed."""
     s.take_off(8.0)
     s.enter("LAND")
@@ -173,7 +173,7 @@ def _land_after(s: Subject) -> Seen:
     s.client.until(lambda: not s.is_armed, 30.0)
     took_s = s.client.t_s - down_s
     word = "stays armed" if s.is_armed else "within 1.5 s" if took_s < 1.5 else "after 1.5 to 5 s"
-    return Seen(word, f"{took_s:.1f} s, by HEARTBEAT")
+    return Finding(word, f"{took_s:.1f} s, by HEARTBEAT")
 
 
 def _prearm_check(s: Subject) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Seen
+from sim_bridge.conform.behaviour import Behaviour, Finding
 from sim_bridge.conform.client import Message
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
@@ -20,12 +20,12 @@ def _integer(s: Subject) -> Message:
     return message
 
 
-def _encoding(s: Subject) -> Seen:
+def _encoding(s: Subject) -> Finding:
     """A whole number is a C cast; its bytes in a float are a number of nearly nothing."""
     message = _integer(s)
     value = message.param_value
     word = "integer bits in the float" if 0.0 < abs(value) < 1e-30 else "C cast"
-    return Seen(word, f"{s.dialect.integer_parameter} type {message.param_type}: {value!r}")
+    return Finding(word, f"{s.dialect.integer_parameter} type {message.param_type}: {value!r}")
 
 
 def _round_trip(s: Subject) -> str:
@@ -100,7 +100,7 @@ def _what_came(s: Subject, ask: Callable[[], Message | None]) -> str:
     return "PARAM_ERROR" if "PARAM_ERROR" in names else "silence"
 
 
-def _first_of_list(s: Subject) -> Seen:
+def _first_of_list(s: Subject) -> Finding:
     """The first PARAM_VALUE of PARAM_REQUEST_LIST; the rest is let pass."""
     s.client.send("PARAM_REQUEST_LIST")
     first = s.client.hear("PARAM_VALUE", 5.0)
@@ -110,7 +110,7 @@ def _first_of_list(s: Subject) -> Seen:
     heard = [m for m in s.client.heard if m.get_type() == "PARAM_VALUE"]
     names = {m.param_id for m in heard} - {"_HASH_CHECK"}
     word = "a checksum" if first.param_id == "_HASH_CHECK" else "the first parameter"
-    return Seen(word, f"{len(names)} of {first.param_count} came")
+    return Finding(word, f"{len(names)} of {first.param_count} came")
 
 
 BEHAVIOURS = (

@@ -4,7 +4,7 @@ from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.client import Identity
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
@@ -52,7 +52,7 @@ def _override_by_stranger(s: Subject) -> bool:
     return seen
 
 
-def _sticks_in_hold(s: Subject) -> Seen:
+def _sticks_in_hold(s: Subject) -> Finding:
     """Sticks centred, then the pitch stick pushed over in 0.5 s, in the holding mode in the air."""
     _override(s, _CENTRED, 2.0, None)
     before = s.mode
@@ -62,10 +62,10 @@ def _sticks_in_hold(s: Subject) -> Seen:
     s.client.collect(0.8)
     after = s.mode
     _release(s)
-    return Seen("nothing" if after == before else f"mode {after}", f"{before} to {after}")
+    return Finding("nothing" if after == before else f"mode {after}", f"{before} to {after}")
 
 
-def _joystick_in_hold(s: Subject) -> Seen:
+def _joystick_in_hold(s: Subject) -> Finding:
     """MANUAL_CONTROL centred, then pushed forward in 0.5 s, in the holding mode in the air."""
     _joystick(s, 0, 2.0)
     before = s.mode
@@ -74,7 +74,7 @@ def _joystick_in_hold(s: Subject) -> Seen:
     _joystick(s, 1000, 1.5)
     s.client.collect(0.8)
     after = s.mode
-    return Seen("nothing" if after == before else f"mode {after}", f"{before} to {after}")
+    return Finding("nothing" if after == before else f"mode {after}", f"{before} to {after}")
 
 
 def _joystick(s: Subject, forward: int, for_s: float) -> None:
@@ -115,7 +115,7 @@ def _command_from_companion(s: Subject) -> str:
     return f"answered to component {ack.target_component}"
 
 
-def _timesync(s: Subject) -> Seen:
+def _timesync(s: Subject) -> Finding:
     """Whether it asks TIMESYNC of its own accord."""
     own = [0]
 
@@ -126,7 +126,7 @@ def _timesync(s: Subject) -> Seen:
         return False
 
     s.client.until(count, 4.0)
-    return Seen("asks" if own[0] else "only answers")
+    return Finding("asks" if own[0] else "only answers")
 
 
 def _ping(s: Subject) -> bool:
@@ -134,7 +134,7 @@ def _ping(s: Subject) -> bool:
     return s.client.hear("PING", 2.0, lambda m: m.seq == 77) is not None
 
 
-def _gripper(action: float, s: Subject) -> Seen:
+def _gripper(action: float, s: Subject) -> Finding:
     """DO_GRIPPER: the first answer, and those that follow within 6 s."""
     number = mavlink.MAV_CMD_DO_GRIPPER
     s.client.forget()
@@ -144,7 +144,7 @@ def _gripper(action: float, s: Subject) -> Seen:
     results = mavlink.enums["MAV_RESULT"]
     words = [results[m.result].name.removeprefix("MAV_RESULT_") for m in acks]
     told = [text for text in s.client.texts() if "ripper" in text]
-    return Seen(", then ".join(words) or "no answer", "; ".join(told))
+    return Finding(", then ".join(words) or "no answer", "; ".join(told))
 
 
 def _command(number: int, *params: float):

@@ -15,7 +15,7 @@ from typing import Any
 
 from sim_bridge.conform.behaviour import Behaviour, Value
 from sim_bridge.conform.errors import ConformError
-from sim_bridge.conform.suite import BY_NAME, CATALOGUE, Row, Vehicle
+from sim_bridge.conform.suite import BY_NAME, CATALOGUE, BehaviourRecord, VehicleIdentity
 
 _FORMAT = "conformance/1"
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -31,14 +31,14 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class ConformanceResult:
     """One run of the suite."""
 
-    vehicle: Vehicle
+    vehicle: VehicleIdentity
     answers: Mapping[str, Answer]
 
 
-class Verdict(Enum):
+class Parity(Enum):
     """How an answer compares with the reference's."""
 
     SAME = "same"
@@ -48,14 +48,14 @@ class Verdict(Enum):
     NO_REFERENCE = "no reference"
 
 
-def as_result(vehicle: Vehicle, rows: Iterable[Row]) -> Result:
+def as_result(vehicle: VehicleIdentity, rows: Iterable[BehaviourRecord]) -> ConformanceResult:
     """The rows of a run, as they are written."""
-    return Result(
+    return ConformanceResult(
         vehicle, {row.behaviour.name: Answer(row.value, row.note, row.problem) for row in rows}
     )
 
 
-def write_result(path: Path, result: Result) -> None:
+def write_result(path: Path, result: ConformanceResult) -> None:
     """Write a result; what is empty is left out."""
     behaviours = {
         name: {key: value for key, value in asdict(answer).items() if value not in (None, "")}
@@ -65,14 +65,14 @@ def write_result(path: Path, result: Result) -> None:
     path.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: Path) -> ConformanceResult:
     """Read what `write_result` wrote; anything else is a ConformError."""
     try:
         table: dict[str, Any] = json.loads(path.read_text())
         if table["format"] != _FORMAT:
             raise ConformError(f"{path}: format {table['format']}, expected {_FORMAT}")
         answers = {name: Answer(**entry) for name, entry in table["behaviours"].items()}
-        return Result(Vehicle(**table["vehicle"]), answers)
+        return ConformanceResult(VehicleIdentity(**table["vehicle"]), answers)
     except FileNotFoundError:
         raise ConformError(f"{path}: no such file") from None
     except (json.JSONDecodeError, KeyError, TypeError) as error:
@@ -104,18 +104,20 @@ def judge(
     answer: Answer | None,
     reference: Answer | None,
     reasons: Mapping[str, str],
-) -> Verdict:
+) -> Parity:
     """One answer against the reference's; a known difference is explained, seen or not."""
     if reference is None or reference.value is None:
-        return Verdict.NO_REFERENCE
+        return Parity.NO_REFERENCE
     if answer is not None and answer.value is not None:
         if behaviour.is_same(answer.value, reference.value):
-            return Verdict.SAME
-        return Verdict.EXPLAINED if behaviour.name in reasons else Verdict.DIFFERENT
-    return Verdict.EXPLAINED if behaviour.name in reasons else Verdict.NOT_SEEN
+            return Parity.SAME
+        return Parity.EXPLAINED if behaviour.name in reasons else Parity.DIFFERENT
+    return Parity.EXPLAINED if behaviour.name in reasons else Parity.NOT_SEEN
 
 
-def judge_all(result: Result, reference: Result, reasons: Mapping[str, str]) -> dict[str, Verdict]:
+def judge_all(
+    result: ConformanceResult, reference: ConformanceResult, reasons: Mapping[str, str]
+) -> dict[str, Parity]:
     """All answers of a result, in the catalogue's order."""
     return {
         b.name: judge(b, result.answers[b.name], reference.answers.get(b.name), reasons)
@@ -137,7 +139,9 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ").replace("\t", " ")
 
 
-def matrix(a: Result, b: Result, reasons: Mapping[str, str], names: tuple[str, str]) -> str:
+def matrix(
+    a: ConformanceResult, b: ConformanceResult, reasons: Mapping[str, str], names: tuple[str, str]
+) -> str:
     """A parity matrix in Markdown: a row for each behaviour that either has been asked about."""
     lines = [
         f"| behaviour | {names[0]} | {names[1]} | |",
@@ -149,19 +153,19 @@ def matrix(a: Result, b: Result, reasons: Mapping[str, str], names: tuple[str, s
         if left is None and right is None:
             continue
         verdict = judge(behaviour, right, left, reasons)
-        word = {Verdict.SAME: "=", Verdict.NO_REFERENCE: "?"}.get(verdict, verdict.value)
+        word = {Parity.SAME: "=", Parity.NO_REFERENCE: "?"}.get(verdict, verdict.value)
         lines.append(
             f"| {_cell(behaviour.says)} | {_cell(_shown(behaviour, left))} |"
             f" {_cell(_shown(behaviour, right))} | {word} |"
         )
-        if verdict is Verdict.EXPLAINED:
+        if verdict is Parity.EXPLAINED:
             notes.append(f"- {behaviour.says}: {reasons[behaviour.name]}")
     if notes:
         lines += ["", "Known differences:", "", *notes]
     return "\n".join(lines) + "\n"
 
 
-def tally(verdicts: Iterable[Verdict]) -> str:
+def tally(verdicts: Iterable[Parity]) -> str:
     """How many of each verdict, in words."""
     listed = list(verdicts)
-    return ", ".join(f"{listed.count(v)} {v.value}" for v in Verdict if v in listed)
+    return ", ".join(f"{listed.count(v)} {v.value}" for v in Parity if v in listed)

@@ -7,7 +7,7 @@ from typing import cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.behaviour import Behaviour, Seen, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.mission import waypoint
 from sim_bridge.conform.subject import Subject
@@ -73,7 +73,7 @@ def _reboot_armed(s: Subject) -> str:
     return answer
 
 
-def _drag_fusion(s: Subject) -> Seen:
+def _drag_fusion(s: Subject) -> Finding:
     """Wind messages in the hover after a boot with drag coefficients set."""
     name = "WIND_COV" if s.is_px4 else "WIND"
     try:
@@ -90,7 +90,7 @@ def _drag_fusion(s: Subject) -> Seen:
         s.restore()
         reboot(s)
     if message is None:
-        return Seen("never sent")
+        return Finding("never sent")
     if s.is_px4:
         north, east = message.wind_x, message.wind_y
     else:
@@ -98,9 +98,9 @@ def _drag_fusion(s: Subject) -> Seen:
         north, east = message.speed * math.cos(from_rad), message.speed * math.sin(from_rad)
     note = f"{math.hypot(north, east):.1f} m/s, {math.degrees(math.atan2(east, north)):.0f} deg"
     if math.hypot(north, east) < 0.5 or math.hypot(*lean) < _LEAN_RAD:
-        return Seen("told, too little to have a direction", note)
+        return Finding("told, too little to have a direction", note)
     into = north * lean[0] + east * lean[1]
-    return Seen("told: where it blows from" if into > 0.0 else "told: where it blows to", note)
+    return Finding("told: where it blows from" if into > 0.0 else "told: where it blows to", note)
 
 
 def _lean(s: Subject) -> tuple[float, float]:

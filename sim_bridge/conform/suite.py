@@ -20,7 +20,7 @@ from sim_bridge.conform import (
     unknown,
     wind,
 )
-from sim_bridge.conform.behaviour import Behaviour, Seen, Value, Where
+from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
 from sim_bridge.conform.errors import CannotSee, ConformError, VehicleSilent
 from sim_bridge.conform.subject import Subject, message_id
 
@@ -44,7 +44,7 @@ _COMMIT_DIGITS = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class VehicleIdentity:
     """What the vehicle says that it is."""
 
     autopilot: str
@@ -53,7 +53,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BehaviourRecord:
     """What was seen of one behaviour, or why it was not."""
 
     behaviour: Behaviour
@@ -66,7 +66,7 @@ class Observer(Protocol):
     """Whoever watches the suite run."""
 
     def begins(self, behaviour: Behaviour) -> None: ...
-    def ended(self, row: Row) -> None: ...
+    def ended(self, row: BehaviourRecord) -> None: ...
 
 
 def select(only: Iterable[str], *, reboots: bool) -> list[Behaviour]:
@@ -88,38 +88,44 @@ def _named(word: str) -> list[str]:
     return found
 
 
-def identify(subject: Subject) -> Vehicle:
+def identify(subject: Subject) -> VehicleIdentity:
     """Name, version and commit of the firmware, as AUTOPILOT_VERSION has them."""
     client = subject.client
     client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id("AUTOPILOT_VERSION"))
     version = client.hear("AUTOPILOT_VERSION", 3.0) or client.latest.get("AUTOPILOT_VERSION")
     if version is None:
-        return Vehicle(subject.dialect.name, "unknown", "")
+        return VehicleIdentity(subject.dialect.name, "unknown", "")
     number = version.flight_sw_version
     firmware = f"{number >> 24}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}"
     custom = bytes(version.flight_custom_version)
     # PX4 sends the commit's bytes backwards, ArduPilot its first characters
     commit = bytes(reversed(custom)).hex() if subject.is_px4 else custom.decode("ascii", "replace")
-    return Vehicle(subject.dialect.name, firmware, commit.rstrip("\0")[:_COMMIT_DIGITS])
+    return VehicleIdentity(subject.dialect.name, firmware, commit.rstrip("\0")[:_COMMIT_DIGITS])
 
 
-def run_suite(subject: Subject, behaviours: Sequence[Behaviour], observer: Observer) -> list[Row]:
+def run_suite(
+    subject: Subject, behaviours: Sequence[Behaviour], observer: Observer
+) -> list[BehaviourRecord]:
     """See the behaviours one after the other; a vehicle that falls silent ends it."""
-    rows: list[Row] = []
+    rows: list[BehaviourRecord] = []
     silent = ""
     for behaviour in behaviours:
         observer.begins(behaviour)
         try:
-            row = Row(behaviour, None, problem=silent) if silent else _see(subject, behaviour)
+            row = (
+                BehaviourRecord(behaviour, None, problem=silent)
+                if silent
+                else _see(subject, behaviour)
+            )
         except VehicleSilent as error:
             silent = f"the vehicle fell silent: {error}"
-            row = Row(behaviour, None, problem=silent)
+            row = BehaviourRecord(behaviour, None, problem=silent)
         rows.append(row)
         observer.ended(row)
     return rows
 
 
-def _see(subject: Subject, behaviour: Behaviour) -> Row:
+def _see(subject: Subject, behaviour: Behaviour) -> BehaviourRecord:
     try:
         _prepare(subject, behaviour.where)
         subject.client.forget()
@@ -128,10 +134,10 @@ def _see(subject: Subject, behaviour: Behaviour) -> Row:
     except VehicleSilent:
         raise
     except CannotSee as error:
-        return Row(behaviour, None, problem=str(error))
-    if isinstance(seen, Seen):
-        return Row(behaviour, seen.value, seen.note)
-    return Row(behaviour, seen)
+        return BehaviourRecord(behaviour, None, problem=str(error))
+    if isinstance(seen, Finding):
+        return BehaviourRecord(behaviour, seen.value, seen.note)
+    return BehaviourRecord(behaviour, seen)
 
 
 def _prepare(subject: Subject, where: Where) -> None:

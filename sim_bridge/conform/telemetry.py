@@ -6,7 +6,7 @@ from typing import cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Seen
+from sim_bridge.conform.behaviour import Behaviour, Finding
 from sim_bridge.conform.client import NO_ANSWER
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import WORKING_HZ, Subject, message_id
@@ -65,11 +65,11 @@ def _unasked_rate(name: str, s: Subject) -> float:
     return round(_census(s).get(name, 0.0), 2)
 
 
-def _is_silent(s: Subject) -> Seen:
+def _is_silent(s: Subject) -> Finding:
     """Whether hardly anything comes until asked."""
     others = {name: rate for name, rate in _census(s).items() if name != "HEARTBEAT"}
     total = sum(others.values())
-    return Seen(total < 3.0, f"{total:.0f} messages a second beside HEARTBEAT")
+    return Finding(total < 3.0, f"{total:.0f} messages a second beside HEARTBEAT")
 
 
 def _interval_answer(name: str, s: Subject) -> str:
@@ -98,12 +98,12 @@ def _stopped(s: Subject) -> float:
     return count / 3.0
 
 
-def _interval_told(s: Subject) -> Seen:
+def _interval_told(s: Subject) -> Finding:
     s.stream("ATTITUDE", 10.0)
     answer = s.client.command(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, message_id("ATTITUDE"))
     told = s.client.latest.get("MESSAGE_INTERVAL")
     s.stream("ATTITUDE", WORKING_HZ["ATTITUDE"])
-    return Seen("nothing" if told is None else f"{told.interval_us} us", f"answer: {answer}")
+    return Finding("nothing" if told is None else f"{told.interval_us} us", f"answer: {answer}")
 
 
 def _data_stream(s: Subject) -> float:
@@ -169,16 +169,16 @@ def _text_without_gcs(s: Subject) -> str:
     return "always" if alone else "only where a ground station is heard"
 
 
-def _text_end(s: Subject) -> Seen:
+def _text_end(s: Subject) -> Finding:
     said = _provoke_text(s)
     if not said:
         raise CannotSee("no STATUSTEXT came")
     tabs = sum(text.endswith("\t") for text in said)
     word = "with a tab" if tabs == len(said) else "some with a tab" if tabs else "plainly"
-    return Seen(word, "; ".join(repr(text) for text in said))
+    return Finding(word, "; ".join(repr(text) for text in said))
 
 
-def _heartbeat_lag(s: Subject) -> Seen:
+def _heartbeat_lag(s: Subject) -> Finding:
     """The longest of some delays from an accepted mode change to the HEARTBEAT that shows it."""
     modes = ["RTL", s.dialect.hold] if s.is_px4 else ["STABILIZE", "GUIDED"]
     lags: list[float] = []
@@ -190,7 +190,7 @@ def _heartbeat_lag(s: Subject) -> Seen:
         if not s.client.until(lambda mode=mode: s.mode == mode, 4.0):
             raise CannotSee(f"HEARTBEAT never shows {mode}")
         lags.append(s.client.t_s - start_s)
-    return Seen(round(max(lags), 2), "of " + ", ".join(f"{lag:.2f}" for lag in lags))
+    return Finding(round(max(lags), 2), "of " + ", ".join(f"{lag:.2f}" for lag in lags))
 
 
 def high_latency(s: Subject, field: str) -> float:

@@ -22,7 +22,7 @@ _TIPPED_RAD = math.radians(50.0)  # touching the ground at such a tilt breaks ro
 _STANDING_SHARE = 0.3  # share of weight on the gear that levels the airframe
 
 
-class Command(Protocol):
+class AttitudeCommand(Protocol):
     """What `signals.Actuation` has; an autopilot may bring a class of its own."""
 
     @property
@@ -152,7 +152,7 @@ class Vehicle:
         """Take the motors away, for good."""
         self._motors_failed = True
 
-    def step(self, actuation: Command, dt_s: float) -> SensorReadings:
+    def step(self, actuation: AttitudeCommand, dt_s: float) -> SensorReadings:
         """Advance the world by `dt_s` under one command; returns what the sensors then say."""
         body = self._body
         self._t_s += dt_s
@@ -171,11 +171,11 @@ class Vehicle:
             parcel_aboard=self._payload_kg > 0.0,
         )
 
-    def _release(self, actuation: Command) -> None:
+    def _release(self, actuation: AttitudeCommand) -> None:
         if actuation.release and self._payload_kg > 0.0 and not self.release_fails:
             self._payload_kg = 0.0
 
-    def _fly(self, actuation: Command, dt_s: float) -> None:
+    def _fly(self, actuation: AttitudeCommand, dt_s: float) -> None:
         body = self._body
         powered = actuation.motors_on and not self._motors_failed
         thrust_n = 0.0

@@ -16,13 +16,13 @@ from sim_bridge.app.cli import conforming
 from sim_bridge.app.serve.server import Home, Host, ServedVehicle
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
-from sim_bridge.autopilot.mavlink.enums import Cmd, Result
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.conform import reference
 from sim_bridge.conform.behaviour import Behaviour
 from sim_bridge.conform.client import Client
-from sim_bridge.conform.reference import Verdict
-from sim_bridge.conform.suite import CATALOGUE, Row, select
+from sim_bridge.conform.reference import Parity
+from sim_bridge.conform.suite import CATALOGUE, BehaviourRecord, select
 from sim_bridge.main import app
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
@@ -77,7 +77,7 @@ class Watcher:
     def begins(self, behaviour: Behaviour) -> None:
         pass
 
-    def ended(self, row: Row) -> None:
+    def ended(self, row: BehaviourRecord) -> None:
         seen = row.problem and f"NOT SEEN: {row.problem}"
         print(f"{row.behaviour.name}: {row.behaviour.says} {seen or row.value} ({row.note})")
 
@@ -102,12 +102,12 @@ def stood(flavour: AutopilotKind) -> ServedVehicle:
     return ServedVehicle(vehicle, autopilot)
 
 
-def ask(served: ServedVehicle, behaviours: Sequence[Behaviour]) -> reference.Result:
+def ask(served: ServedVehicle, behaviours: Sequence[Behaviour]) -> reference.ConformanceResult:
     """What a vehicle answers; it is left as it was found."""
     return conforming.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 
 
-def recorded(flavour: AutopilotKind) -> reference.Result:
+def recorded(flavour: AutopilotKind) -> reference.ConformanceResult:
     return reference.read_result(reference.reference_folder() / f"{flavour.value}.json")
 
 
@@ -115,12 +115,12 @@ def known_differences(flavour: AutopilotKind) -> dict[str, str]:
     return dict(reference.read_differences(reference.reference_folder(), flavour.value))
 
 
-def judged(flavour: AutopilotKind, seen: reference.Result) -> dict[str, Verdict]:
+def judged(flavour: AutopilotKind, seen: reference.ConformanceResult) -> dict[str, Parity]:
     return reference.judge_all(seen, recorded(flavour), known_differences(flavour))
 
 
-def wrong(verdicts: dict[str, Verdict]) -> list[str]:
-    bad = (Verdict.DIFFERENT, Verdict.NOT_SEEN)
+def wrong(verdicts: dict[str, Parity]) -> list[str]:
+    bad = (Parity.DIFFERENT, Parity.NOT_SEEN)
     return [name for name, verdict in verdicts.items() if verdict in bad]
 
 
@@ -134,7 +134,7 @@ def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: Autopilo
     chosen = [b for b in select((), reboots=True) if b.name in answers]
     verdicts = judged(flavour, ask(served, chosen))
     assert wrong(verdicts) == []
-    assert sum(verdict is Verdict.SAME for verdict in verdicts.values()) >= 40
+    assert sum(verdict is Parity.SAME for verdict in verdicts.values()) >= 40
     assert not served.autopilot.is_armed
     assert not served.truth.airborne
     assert not served.autopilot.store.mission[1:]
@@ -146,7 +146,7 @@ def test_a_known_difference_is_one(flavour: AutopilotKind) -> None:
     """A reason in differences.toml for what is the same would hide the next difference."""
     reasons = known_differences(flavour)
     verdicts = judged(flavour, ask(stood(flavour), select(reasons, reboots=True)))
-    assert {name: verdicts[name] for name in reasons} == dict.fromkeys(reasons, Verdict.EXPLAINED)
+    assert {name: verdicts[name] for name in reasons} == dict.fromkeys(reasons, Parity.EXPLAINED)
 
 
 class Impatient(Watcher):
@@ -182,7 +182,7 @@ def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
     """Canary: PX4 that takes ArduPilot's jump, and reads parameters as C casts."""
     served = stood(AutopilotKind.PX4)
     commands = dict(served.autopilot.behaviour.commands)
-    commands[Cmd.DO_SET_MISSION_CURRENT] = lambda *_: Result.ACCEPTED
+    commands[Cmd.DO_SET_MISSION_CURRENT] = lambda *_: MavResult.ACCEPTED
     served.autopilot.behaviour.commands = commands
     served.autopilot.params.integers_bytewise = False
     chosen = select(("mission/jump_on_ground", "parameters/integer_encoding"), reboots=False)

@@ -14,8 +14,8 @@ from sim_bridge.conform.client import Client
 from sim_bridge.conform.errors import CannotSee, ConformError
 from sim_bridge.conform.link import is_on_loopback, open_link
 from sim_bridge.conform.reference import (
-    Result,
-    Verdict,
+    ConformanceResult,
+    Parity,
     as_result,
     judge,
     judge_all,
@@ -27,7 +27,7 @@ from sim_bridge.conform.reference import (
     write_result,
 )
 from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.suite import Observer, Row, Vehicle, identify, run_suite
+from sim_bridge.conform.suite import BehaviourRecord, Observer, VehicleIdentity, identify, run_suite
 
 _FLIES = (
     "the suite arms, flies and lands what is behind it; it is meant for simulators on this"
@@ -57,7 +57,7 @@ class _View:
         self._number += 1
         self._status.update(f"{self._number} of {self._total}: {behaviour.name}")
 
-    def ended(self, row: Row) -> None:
+    def ended(self, row: BehaviourRecord) -> None:
         """Print what was seen, and the verdict where there is one."""
         verdict = "" if self._reference is None else self._reference.word(row)
         seen = row.problem and f"not seen: {row.problem}"
@@ -79,13 +79,13 @@ class Reference:
         self.result = read_result(path or folder / f"{autopilot}.json")
         self.reasons = read_differences(folder, autopilot)
 
-    def word(self, row: Row) -> str:
+    def word(self, row: BehaviourRecord) -> str:
         """The verdict on one row, as a mark in front of its line."""
         answer = as_result(self.result.vehicle, [row]).answers[row.behaviour.name]
         reference = self.result.answers.get(row.behaviour.name)
         verdict = judge(row.behaviour, answer, reference, self.reasons)
-        if verdict in (Verdict.SAME, Verdict.NO_REFERENCE):
-            return "= " if verdict is Verdict.SAME else "? "
+        if verdict in (Parity.SAME, Parity.NO_REFERENCE):
+            return "= " if verdict is Parity.SAME else "? "
         expected = None if reference is None else reference.value
         return f"{verdict.value.upper()} from {expected!r}: "
 
@@ -129,11 +129,11 @@ def conform_vehicle(
         return
     verdicts = judge_all(result, reference.result, reference.reasons).values()
     console.print(f"{tally(verdicts)}; judged by {_name(reference.result.vehicle)}")
-    if Verdict.DIFFERENT in verdicts or Verdict.NOT_SEEN in verdicts:
+    if Parity.DIFFERENT in verdicts or Parity.NOT_SEEN in verdicts:
         raise typer.Exit(1)
 
 
-def _name(vehicle: Vehicle) -> str:
+def _name(vehicle: VehicleIdentity) -> str:
     return f"{vehicle.autopilot} {vehicle.firmware} {vehicle.hash}".strip()
 
 
@@ -143,7 +143,9 @@ class View(Observer, Protocol):
     def says(self, words: str) -> None: ...
 
 
-def ask(client: Client, behaviours: Sequence[Behaviour], view: View, *, may_force: bool) -> Result:
+def ask(
+    client: Client, behaviours: Sequence[Behaviour], view: View, *, may_force: bool
+) -> ConformanceResult:
     """Run the behaviours and leave the vehicle as it was found, whatever happens."""
     view.says("waiting for a HEARTBEAT")
     try:

@@ -23,9 +23,9 @@ from sim_bridge.autopilot.behaviour import AutopilotParts
 from sim_bridge.autopilot.flight.commander import Commander
 from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Cmd, Result, Severity
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, Severity
 from sim_bridge.autopilot.mavlink.router import ArduPilotRouter
-from sim_bridge.autopilot.mission.items import Item
+from sim_bridge.autopilot.mission.items import MissionItem
 from sim_bridge.autopilot.services.commands import CommonCommands, Firmware
 from sim_bridge.autopilot.state import EstimatorTiming
 
@@ -36,8 +36,8 @@ _FIRMWARE = Firmware(
     capabilities=(
         1 | 2 | 4 | 8 | 64 | 128 | 256 | 512 | 2048 | 4096 | 8192 | 16384 | 32768 | 131072
     ),
-    refused_interval=Result.DENIED,
-    refused_request=Result.FAILED,
+    refused_interval=MavResult.DENIED,
+    refused_request=MavResult.FAILED,
 )
 
 
@@ -284,9 +284,9 @@ class ArduPilot:
         if not all(math.isfinite(number) for number in (x, y, message.z)):
             return False
         taken = self.mission_rules.take(
-            Item(Cmd.NAV_WAYPOINT, message.frame, x=round(x), y=round(y), z=message.z), 0
+            MissionItem(Cmd.NAV_WAYPOINT, message.frame, x=round(x), y=round(y), z=message.z), 0
         )
-        if not isinstance(taken, Item):
+        if not isinstance(taken, MissionItem):
             return False
         place = self.mission.place_of(taken)
         self._modes.take_setpoint(Setpoint(self._state.t_s, place, None, None, 0.0))

@@ -22,8 +22,8 @@ from sim_bridge.autopilot.mavlink.enums import (
     AMSL_FRAMES,
     RELATIVE_FRAMES,
     Cmd,
+    MavResult,
     ModeFlag,
-    Result,
     Severity,
 )
 from sim_bridge.autopilot.services.commands import CommonCommands, Handler
@@ -85,63 +85,63 @@ class ArduPilotCommands:
             Cmd.DO_SET_ROI_NONE: self._accepted,
         }
 
-    def _change_mode(self, mode: Mode, command: Command) -> Result:
+    def _change_mode(self, mode: Mode, command: Command) -> MavResult:
         """A navigation command that is only a change of mode."""
         if self._checks.mode_problem(mode) is not None:
-            return Result.FAILED
+            return MavResult.FAILED
         self._commander.set_mode(mode)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def request_mode(self, number: int) -> Result:
+    def request_mode(self, number: int) -> MavResult:
         """Change the mode by its number, if it exists and can be entered."""
         mode = MODES.get(number)
         if mode is None:
             self._radio.say(Severity.WARNING, f"No such mode {number}")
-            return Result.FAILED
+            return MavResult.FAILED
         problem = self._checks.mode_problem(mode)
         if problem is not None:
             self._radio.say(Severity.WARNING, f"Mode change to {NAMES[mode]} failed: {problem}")
-            return Result.FAILED
+            return MavResult.FAILED
         self._commander.set_mode(mode)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _do_set_mode(self, command: Command) -> MavResult:
         if not as_int(command.param1, 0) & ModeFlag.CUSTOM:
-            return Result.DENIED
+            return MavResult.DENIED
         return self.request_mode(as_int(command.param2))
 
-    def _arm_disarm(self, command: Command) -> Result:
+    def _arm_disarm(self, command: Command) -> MavResult:
         state = self._state
         if command.param1 == 1.0:
             if state.is_armed:
-                return Result.ACCEPTED
+                return MavResult.ACCEPTED
             if command.param2 != _FORCE_ARM:
                 problem = self._checks.arming_problem()
                 if problem is not None:
                     self._radio.say(Severity.CRITICAL, f"Arm: {problem}")
-                    return Result.FAILED
+                    return MavResult.FAILED
             self._commander.arm()
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         if command.param1 == 0.0:
             if state.is_armed and not state.is_landed and command.param2 != FORCE_DISARM:
-                return Result.FAILED
+                return MavResult.FAILED
             self._commander.disarm()
-            return Result.ACCEPTED
-        return Result.UNSUPPORTED
+            return MavResult.ACCEPTED
+        return MavResult.UNSUPPORTED
 
-    def _takeoff(self, command: Command) -> Result:
+    def _takeoff(self, command: Command) -> MavResult:
         """Relative altitude; armed, in GUIDED (or with a pilot's mode, which is not simulated)."""
         state = self._state
         height = command.param7
         if command.frame is not None and command.frame not in RELATIVE_FRAMES:
-            return Result.DENIED
+            return MavResult.DENIED
         if not state.is_armed or state.mode is not Mode.GUIDED or not state.is_landed:
-            return Result.FAILED
+            return MavResult.FAILED
         if not math.isfinite(height) or height <= 0.0:
-            return Result.FAILED
+            return MavResult.FAILED
         self._guided.take_off(height)
         self._mission.allow_take_off()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _place_of(self, command: Command) -> Vec3 | None:
         """Where a COMMAND_INT's place is, in its own frame; None if it says none."""
@@ -160,96 +160,96 @@ class ArduPilotCommands:
         north, east = state.frame.to_ne_m(lat, lon)
         return north, east, down
 
-    def _reposition(self, command: Command) -> Result:
+    def _reposition(self, command: Command) -> MavResult:
         """COMMAND_INT only; the frame is obeyed, the speed is not."""
         state = self._state
         if command.frame is None:
-            return Result.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         may_change_mode = bool(as_int(command.param2, 0) & 1)
         if state.mode is not Mode.GUIDED and not may_change_mode:
-            return Result.DENIED
+            return MavResult.DENIED
         place = self._place_of(command)
         if place is None:
-            return Result.DENIED
+            return MavResult.DENIED
         if state.mode is not Mode.GUIDED:
             if self._checks.mode_problem(Mode.GUIDED) is not None:
-                return Result.FAILED
+                return MavResult.FAILED
             self._commander.set_mode(Mode.GUIDED)
         yaw = math.radians(command.param4) if math.isfinite(command.param4) else None
         self._modes.take_setpoint(Setpoint(state.t_s, place, None, yaw, 0.0))
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _change_speed(self, command: Command) -> Result:
+    def _change_speed(self, command: Command) -> MavResult:
         """Airspeed is treated as ground speed; nothing below zero."""
         kind, speed = as_int(command.param1), command.param2
         if kind not in (0, 1, 2, 3):
-            return Result.FAILED
+            return MavResult.FAILED
         if not math.isfinite(speed) or speed <= 0.0:
-            return Result.DENIED
+            return MavResult.DENIED
         self._mission.change_speed(kind, speed)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _pause_continue(self, command: Command) -> Result:
+    def _pause_continue(self, command: Command) -> MavResult:
         if self._state.mode is not Mode.AUTO or command.param1 not in (0.0, 1.0):
-            return Result.DENIED if self._state.mode is Mode.AUTO else Result.FAILED
+            return MavResult.DENIED if self._state.mode is Mode.AUTO else MavResult.FAILED
         if command.param1 == 0.0:
             self._mission.executor.pause()
         else:
             self._mission.executor.resume()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _set_mission_current(self, command: Command) -> Result:
+    def _set_mission_current(self, command: Command) -> MavResult:
         if not self._mission.executor.set_current(as_int(command.param1)):
-            return Result.FAILED
+            return MavResult.FAILED
         self._radio.send_all("MISSION_CURRENT", **(self._streams["MISSION_CURRENT"]() or {}))
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _mission_start(self, command: Command) -> Result:
+    def _mission_start(self, command: Command) -> MavResult:
         if not self._state.is_armed or self._checks.mode_problem(Mode.AUTO) is not None:
-            return Result.FAILED
+            return MavResult.FAILED
         self._mission.allow_take_off()
         self._commander.set_mode(Mode.AUTO)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _reboot(self, command: Command) -> Result:
+    def _reboot(self, command: Command) -> MavResult:
         if command.param1 != 1.0 or (self._state.is_armed and command.param6 != 20190226.0):
-            return Result.FAILED
-        self._radio.acknowledge(command, Result.ACCEPTED)
+            return MavResult.FAILED
+        self._radio.acknowledge(command, MavResult.ACCEPTED)
         self._reboot_now()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _prearm_checks(self, command: Command) -> Result:
+    def _prearm_checks(self, command: Command) -> MavResult:
         if self._state.is_armed:
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         problem = self._checks.prearm_problem()
         if problem is not None:
             self._radio.say(Severity.CRITICAL, f"PreArm: {problem}")
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _gripper(self, command: Command) -> Result:
+    def _gripper(self, command: Command) -> MavResult:
         action = as_int(command.param2)
         if action not in (0, 1):
-            return Result.DENIED
-        return Result.ACCEPTED if self._payload.grip(action) else Result.FAILED
+            return MavResult.DENIED
+        return MavResult.ACCEPTED if self._payload.grip(action) else MavResult.FAILED
 
-    def _servo(self, command: Command) -> Result:
+    def _servo(self, command: Command) -> MavResult:
         done = self._payload.set_servo(as_int(command.param1), as_int(command.param2))
-        return Result.ACCEPTED if done else Result.FAILED
+        return MavResult.ACCEPTED if done else MavResult.FAILED
 
-    def _condition_yaw(self, command: Command) -> Result:
+    def _condition_yaw(self, command: Command) -> MavResult:
         if not 0.0 <= command.param1 <= 360.0:
-            return Result.FAILED
+            return MavResult.FAILED
         self._mission.turn_to(command.param1, command.param3, relative=command.param4 == 1.0)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _fence_enable(self, command: Command) -> Result:
+    def _fence_enable(self, command: Command) -> MavResult:
         if command.param1 not in (0.0, 1.0):
-            return Result.FAILED
+            return MavResult.FAILED
         self._state.params.set("FENCE_ENABLE", command.param1)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _failed(self, command: Command) -> Result:
-        return Result.FAILED
+    def _failed(self, command: Command) -> MavResult:
+        return MavResult.FAILED
 
-    def _accepted(self, command: Command) -> Result:
-        return Result.ACCEPTED
+    def _accepted(self, command: Command) -> MavResult:
+        return MavResult.ACCEPTED

@@ -18,7 +18,7 @@ from sim_bridge.autopilot.flight.returning import Returning
 from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.mavlink.enums import AMSL_FRAMES, Cmd, MissionState, Severity
 from sim_bridge.autopilot.mission.executor import Leg, MissionExecutor
-from sim_bridge.autopilot.mission.items import Item, MissionStore
+from sim_bridge.autopilot.mission.items import MissionItem, MissionStore
 from sim_bridge.autopilot.mission.plan import Plan
 from sim_bridge.autopilot.services.radio import Radio
 from sim_bridge.autopilot.state import VehicleState
@@ -116,7 +116,7 @@ class ArduPilotMission:
 
     # --- what the executor asks ---------------------------------------------------------------
 
-    def item_started(self, item: Item, seq: int) -> None:
+    def item_started(self, item: MissionItem, seq: int) -> None:
         """Each item is announced by its name."""
         name = _NAMES.get(Cmd(item.command), "Do")
         self._radio.say(Severity.INFO, f"Mission: {seq} {name}")
@@ -133,7 +133,7 @@ class ArduPilotMission:
         if self._state.is_landed:
             self._commander.disarm()
 
-    def place_of(self, item: Item) -> Vec3:
+    def place_of(self, item: MissionItem) -> Vec3:
         """No latitude and longitude means here, no altitude this altitude."""
         state = self._state
         north, east, down = state.pos_ned_m
@@ -145,7 +145,7 @@ class ArduPilotMission:
             return north, east, state.frame.alt_amsl_m - item.z
         return north, east, state.home_ned_m[2] - item.z
 
-    def run_item(self, item: Item) -> float:
+    def run_item(self, item: MissionItem) -> float:
         """Items that do not navigate; only CONDITION_DELAY makes the next one wait."""
         match item.command:
             case Cmd.DO_CHANGE_SPEED:

@@ -12,7 +12,7 @@ from sim_bridge.autopilot.mavlink.enums import (
     RELATIVE_FRAMES,
     TERRAIN_FRAMES,
     Cmd,
-    Frame,
+    MavFrame,
     MissionResult,
     MissionType,
 )
@@ -22,7 +22,7 @@ from sim_bridge.autopilot.mission.items import (
     NO_COORDINATE,
     PLACED,
     YAW_MAY_BE_NAN,
-    Item,
+    MissionItem,
     place_error,
 )
 
@@ -63,10 +63,10 @@ _KEPT = {
 """Bit i: parameter i+1 survives storage; commands not named keep all four."""
 _WHOLE_SECONDS = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME})
 _STORED_FRAMES = {
-    **dict.fromkeys(AMSL_FRAMES, Frame.GLOBAL),
-    **dict.fromkeys(RELATIVE_FRAMES, Frame.GLOBAL_RELATIVE_ALT),
-    **dict.fromkeys(TERRAIN_FRAMES, Frame.GLOBAL_TERRAIN_ALT),
-    Frame.MISSION: Frame.GLOBAL,
+    **dict.fromkeys(AMSL_FRAMES, MavFrame.GLOBAL),
+    **dict.fromkeys(RELATIVE_FRAMES, MavFrame.GLOBAL_RELATIVE_ALT),
+    **dict.fromkeys(TERRAIN_FRAMES, MavFrame.GLOBAL_TERRAIN_ALT),
+    MavFrame.MISSION: MavFrame.GLOBAL,
 }
 _ALT_MAX_M = 83_000.0
 
@@ -84,7 +84,7 @@ class ArduPilotMissionRules:
     timeout_s: float = 8.0
     capacity: int = 724
 
-    def take(self, item: Item, mission_type: int) -> Item | MissionResult:
+    def take(self, item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
         """The item as it is stored, or why it is refused."""
         supported = {
             MissionType.MISSION: _COMMANDS,
@@ -100,7 +100,7 @@ class ArduPilotMissionRules:
         error = place_error(item)
         if error is not None:
             return error
-        frame = int(Frame.GLOBAL)
+        frame = int(MavFrame.GLOBAL)
         if item.command in PLACED:
             if item.frame not in _STORED_FRAMES:
                 return MissionResult.UNSUPPORTED_FRAME
@@ -108,7 +108,7 @@ class ArduPilotMissionRules:
                 return MissionResult.INVALID_PARAM5_X
             if not abs(item.z) <= _ALT_MAX_M:
                 return MissionResult.INVALID_PARAM7
-            frame = int(_STORED_FRAMES[Frame(item.frame)])
+            frame = int(_STORED_FRAMES[MavFrame(item.frame)])
         kept = _KEPT.get(Cmd(item.command), 0b1111)
         params = [
             value if kept >> number & 1 and math.isfinite(value) else 0.0
@@ -118,8 +118,8 @@ class ArduPilotMissionRules:
             params[0] = float(min(65535, max(0, int(params[0]))))
         z = round(item.z * 100.0) / 100.0 if item.command in PLACED else 0.0
         x, y = (item.x, item.y) if item.command in PLACED else (0, 0)
-        return Item(item.command, frame, *params, x=x, y=y, z=z)
+        return MissionItem(item.command, frame, *params, x=x, y=y, z=z)
 
-    def give(self, item: Item) -> Item:
+    def give(self, item: MissionItem) -> MissionItem:
         """The item as it is read back in a MISSION_ITEM_INT."""
         return item

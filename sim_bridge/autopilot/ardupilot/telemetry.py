@@ -13,7 +13,7 @@ from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.flight.wind import WindFusion
 from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.enums import LandedState
-from sim_bridge.autopilot.mavlink.links import Link
+from sim_bridge.autopilot.mavlink.links import LinkState
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mission.executor import MissionExecutor, Phase
 from sim_bridge.autopilot.services.radio import Builder, Fields
@@ -53,7 +53,7 @@ class ArduPilotLinkHabits:
         return {"HEARTBEAT": 1.0}
 
     def status_text(
-        self, text: str, links: Mapping[int, Link], t_s: float
+        self, text: str, links: Mapping[int, LinkState], t_s: float
     ) -> tuple[str, list[int]]:
         """STATUSTEXT goes to every link."""
         return text, list(links)

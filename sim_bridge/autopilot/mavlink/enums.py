@@ -6,7 +6,7 @@ Source: the published `common` and `minimal` message sets (mavlink.io).
 from enum import IntEnum, IntFlag
 
 
-class Result(IntEnum):
+class MavResult(IntEnum):
     """MAV_RESULT: what a COMMAND_ACK says."""
 
     ACCEPTED = 0
@@ -62,7 +62,7 @@ class MissionState(IntEnum):
     COMPLETE = 5
 
 
-class Frame(IntEnum):
+class MavFrame(IntEnum):
     """MAV_FRAME."""
 
     GLOBAL = 0
@@ -78,9 +78,9 @@ class Frame(IntEnum):
     GLOBAL_TERRAIN_ALT_INT = 11
 
 
-AMSL_FRAMES = frozenset({Frame.GLOBAL, Frame.GLOBAL_INT})
-RELATIVE_FRAMES = frozenset({Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT})
-TERRAIN_FRAMES = frozenset({Frame.GLOBAL_TERRAIN_ALT, Frame.GLOBAL_TERRAIN_ALT_INT})
+AMSL_FRAMES = frozenset({MavFrame.GLOBAL, MavFrame.GLOBAL_INT})
+RELATIVE_FRAMES = frozenset({MavFrame.GLOBAL_RELATIVE_ALT, MavFrame.GLOBAL_RELATIVE_ALT_INT})
+TERRAIN_FRAMES = frozenset({MavFrame.GLOBAL_TERRAIN_ALT, MavFrame.GLOBAL_TERRAIN_ALT_INT})
 
 
 class Cmd(IntEnum):

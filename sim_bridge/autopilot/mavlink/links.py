@@ -9,7 +9,7 @@ from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder
 
 
 @dataclass(slots=True)
-class Link:
+class LinkState:
     """One link; `parameters` is what remains to be sent of a requested list."""
 
     id: int

@@ -16,7 +16,7 @@ _OLDEST_NEW_STREAM = 60 * 100_000  # one minute: how far a stream's first timest
 RADIO_STATUS_ID = 109  # the telemetry radio itself sends it, and knows no key
 
 
-class Verdict(Enum):
+class SignatureCheck(Enum):
     """What the check says about one frame."""
 
     ACCEPTED = "accepted"
@@ -57,24 +57,28 @@ class Signing:
         self.timestamp_10us += 1
         return tail + sha256(self._key + frame + tail).digest()[:6]
 
-    def check(self, frame: bytes) -> Verdict:
+    def check(self, frame: bytes) -> SignatureCheck:
         """Judge a frame whose CRC is sound, and remember its timestamp if it is accepted."""
         if frame[0] != _MAGIC_V2 or not frame[2] & _SIGNED:
             msg_id = int.from_bytes(frame[7:10], "little") if frame[0] == _MAGIC_V2 else frame[5]
-            return Verdict.ACCEPTED if msg_id in self._allow_unsigned_ids else Verdict.UNSIGNED
+            return (
+                SignatureCheck.ACCEPTED
+                if msg_id in self._allow_unsigned_ids
+                else SignatureCheck.UNSIGNED
+            )
         if sha256(self._key + frame[:-6]).digest()[:6] != frame[-6:]:
-            return Verdict.WRONG_KEY
+            return SignatureCheck.WRONG_KEY
         timestamp_10us = int.from_bytes(frame[-12:-6], "little")
         stream = (frame[5], frame[6], frame[-_SIGNATURE_SIZE])
         last_10us = self._heard.get(stream)
         if last_10us is None:
             if timestamp_10us < self.timestamp_10us - _OLDEST_NEW_STREAM:
-                return Verdict.OLD_STREAM
+                return SignatureCheck.OLD_STREAM
         elif timestamp_10us <= last_10us:
-            return Verdict.REPLAYED
+            return SignatureCheck.REPLAYED
         self._heard[stream] = timestamp_10us
         self.advance_to(timestamp_10us)
-        return Verdict.ACCEPTED
+        return SignatureCheck.ACCEPTED
 
 
 class LinkSigning:
@@ -83,7 +87,7 @@ class LinkSigning:
     def __init__(self, signing: Signing, link_id: int) -> None:
         self._signing = signing
         self._link_id = link_id
-        self.verdicts: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        self.verdicts: dict[SignatureCheck, int] = dict.fromkeys(SignatureCheck, 0)
 
     def signature(self, frame: bytes) -> bytes:
         """The 13 bytes that follow `frame` on this link."""
@@ -93,4 +97,4 @@ class LinkSigning:
         """Whether `frame` is ours to act upon; the verdicts are counted."""
         verdict = self._signing.check(frame)
         self.verdicts[verdict] += 1
-        return verdict is Verdict.ACCEPTED
+        return verdict is SignatureCheck.ACCEPTED

@@ -23,7 +23,7 @@ from sim_bridge.autopilot.base.goals import (
 from sim_bridge.autopilot.flight.guidance import Guidance, corner_speed_mps
 from sim_bridge.autopilot.flight.returning import Returning
 from sim_bridge.autopilot.mavlink.enums import Cmd, MissionState
-from sim_bridge.autopilot.mission.items import NAVIGATING, Item
+from sim_bridge.autopilot.mission.items import NAVIGATING, MissionItem
 from sim_bridge.autopilot.mission.plan import Plan
 from sim_bridge.autopilot.state import VehicleState
 
@@ -35,7 +35,7 @@ class MissionHooks(Protocol):
         """Whether a mission may leave the ground now."""
         ...
 
-    def place_of(self, item: Item) -> Vec3:
+    def place_of(self, item: MissionItem) -> Vec3:
         """Where an item is; the current position stands for what it leaves open."""
         ...
 
@@ -43,7 +43,7 @@ class MissionHooks(Protocol):
         """Descent speed of a landing at a height above home."""
         ...
 
-    def run_item(self, item: Item) -> float:
+    def run_item(self, item: MissionItem) -> float:
         """Carry out a non-navigating item; returns how long the mission waits for it."""
         ...
 
@@ -55,7 +55,7 @@ class MissionHooks(Protocol):
         """A return to launch from here."""
         ...
 
-    def item_started(self, item: Item, seq: int) -> None:
+    def item_started(self, item: MissionItem, seq: int) -> None:
         """The item has become the current one."""
         ...
 
@@ -91,7 +91,7 @@ class Phase(Enum):
 class Leg:
     """The current item in progress."""
 
-    item: Item
+    item: MissionItem
     phase: Phase
     start: Vec3
     target: Vec3
@@ -149,7 +149,7 @@ class MissionExecutor:
 
     # --- control ------------------------------------------------------------------------------
 
-    def load(self, items: Sequence[Item], *, keep_jumps: bool = False) -> None:
+    def load(self, items: Sequence[MissionItem], *, keep_jumps: bool = False) -> None:
         """Take over new items; the index is kept if it still exists."""
         self.plan.items = tuple(items)
         if not keep_jumps:
@@ -341,7 +341,7 @@ class MissionExecutor:
             self._hooks.item_reached(seq)
             self._do_until_s = vehicle.t_s + wait_s
 
-    def _begin(self, item: Item) -> None:
+    def _begin(self, item: MissionItem) -> None:
         """Set up the leg of an item that has become the current one."""
         vehicle = self._vehicle
         here = vehicle.pos_ned_m
@@ -371,7 +371,7 @@ class MissionExecutor:
         """Where to wait: at the end of the last leg if it was reached, else here."""
         return self._line_start or self._guidance.stopping_point()
 
-    def _climb(self, item: Item, here: Vec3) -> Leg:
+    def _climb(self, item: MissionItem, here: Vec3) -> Leg:
         """Straight up; PX4 then goes on to the item's place."""
         vehicle = self._vehicle
         place = self._hooks.place_of(item)
@@ -381,7 +381,7 @@ class MissionExecutor:
             down = min(down, least)
         return Leg(item, Phase.CLIMB, here, (here[0], here[1], down), since_s=vehicle.t_s)
 
-    def _move(self, item: Item, start: Vec3) -> Leg:
+    def _move(self, item: MissionItem, start: Vec3) -> Leg:
         vehicle = self._vehicle
         target = self._hooks.place_of(item)
         stay_s = item.param1 if item.command in _HOLDING else 0.0
@@ -394,7 +394,7 @@ class MissionExecutor:
             leg.exit_mps = self._exit_mps(start, target)
         return leg
 
-    def _landing(self, item: Item, here: Vec3) -> Leg:
+    def _landing(self, item: MissionItem, here: Vec3) -> Leg:
         place = self._hooks.place_of(item)
         above = (place[0], place[1], here[2])
         leg = Leg(item, Phase.MOVE, self._line_start or here, above)

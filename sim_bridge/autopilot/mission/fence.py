@@ -7,7 +7,7 @@ from enum import Enum
 
 from sim_bridge.autopilot.base.geodesy import LocalFrame
 from sim_bridge.autopilot.mavlink.enums import Cmd
-from sim_bridge.autopilot.mission.items import Item
+from sim_bridge.autopilot.mission.items import MissionItem
 from sim_bridge.autopilot.state import VehicleState
 
 PointNE = tuple[float, float]
@@ -54,7 +54,7 @@ def _in_polygon(point: PointNE, vertices: Sequence[PointNE]) -> bool:
     return inside
 
 
-def read_areas(items: Sequence[Item], frame: LocalFrame) -> tuple[Area, ...]:
+def read_areas(items: Sequence[MissionItem], frame: LocalFrame) -> tuple[Area, ...]:
     """The areas of a stored fence; an incomplete polygon is left out."""
     areas: list[Area] = []
     vertices: list[PointNE] = []

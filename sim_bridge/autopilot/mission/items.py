@@ -12,7 +12,7 @@ NO_COORDINATE = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class MissionItem:
     """One item as stored: `x`, `y` in degE7 where the command has a place, else its params 5, 6."""
 
     command: int
@@ -79,7 +79,7 @@ FENCE_COMMANDS = frozenset(
 )
 
 
-def place_error(item: Item) -> MissionResult | None:
+def place_error(item: MissionItem) -> MissionResult | None:
     """Why an item's coordinates are refused; None if they are in range."""
     if item.command not in PLACED:
         return None
@@ -98,16 +98,16 @@ YAW_MAY_BE_NAN = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LAND, Cmd.NAV_TAKEOFF})
 class MissionStore:
     """The three lists of items, which survive a reboot."""
 
-    mission: list[Item] = field(default_factory=list)
-    fence: list[Item] = field(default_factory=list)
-    rally: list[Item] = field(default_factory=list)
+    mission: list[MissionItem] = field(default_factory=list)
+    fence: list[MissionItem] = field(default_factory=list)
+    rally: list[MissionItem] = field(default_factory=list)
 
     marked_current: int | None = None
     """Number of the item that the last mission upload marked as the current one."""
     areas_revision: int = 0
     """Counts the changes of fence and rally points."""
 
-    def of(self, mission_type: int) -> list[Item]:
+    def of(self, mission_type: int) -> list[MissionItem]:
         """The list of one mission type."""
         return {
             MissionType.MISSION: self.mission,

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from sim_bridge.autopilot.mavlink.enums import Cmd
-from sim_bridge.autopilot.mission.items import Item
+from sim_bridge.autopilot.mission.items import MissionItem
 
 _JUMPS_AT_ONCE = 255
 """DO_JUMPs in a row after which an autopilot gives up on a mission that only jumps."""
@@ -17,7 +17,7 @@ class Plan:
     first: int
     forever: int
     """The repeat count that means without end."""
-    items: Sequence[Item] = ()
+    items: Sequence[MissionItem] = ()
     jumps_done: dict[int, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -48,7 +48,7 @@ class Plan:
                 index += 1
         return None
 
-    def ahead(self, index: int) -> Iterator[Item]:
+    def ahead(self, index: int) -> Iterator[MissionItem]:
         """The items that would come after `index`, without counting any jump."""
         for _ in range(len(self.items)):
             following = self.landing_at(index + 1, consume=False)

@@ -7,7 +7,7 @@ from sim_bridge.autopilot.flight.commander import Commander
 from sim_bridge.autopilot.flight.rc_input import Sticks
 from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Cmd, MissionState, Result, Severity
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, MissionState, Severity
 from sim_bridge.autopilot.mavlink.router import Px4Router
 from sim_bridge.autopilot.px4.checks import Px4Checks
 from sim_bridge.autopilot.px4.commands import Px4Commands
@@ -31,8 +31,8 @@ _FIRMWARE = Firmware(
     version=0x01120000,
     git_hash=bytes(3) + bytes.fromhex("83c4f4e580")[::-1],  # backwards, as PX4 sends it
     capabilities=1 | 4 | 8 | 16 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768,
-    refused_interval=Result.FAILED,
-    refused_request=Result.DENIED,
+    refused_interval=MavResult.FAILED,
+    refused_request=MavResult.DENIED,
 )
 
 
@@ -271,7 +271,7 @@ class Px4:
 
     def set_mode_message(self, link_id: int, message: Message) -> None:
         """SET_MODE becomes DO_SET_MODE, and is acknowledged as such."""
-        result = Result.DENIED
+        result = MavResult.DENIED
         if message.base_mode & 1:
             result = self._commands.request_mode(mode_of(message.custom_mode))
         self._radio.send(

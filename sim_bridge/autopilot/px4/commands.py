@@ -12,7 +12,7 @@ from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.flight.commander import Commander
 from sim_bridge.autopilot.flight.guidance import Guidance
 from sim_bridge.autopilot.mavlink.commands import FORCE_DISARM, Command, as_int
-from sim_bridge.autopilot.mavlink.enums import Cmd, ModeFlag, Result, Severity
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, ModeFlag, Severity
 from sim_bridge.autopilot.mavlink.message_table import SPECS_BY_ID
 from sim_bridge.autopilot.px4.checks import Px4Checks
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
@@ -78,74 +78,74 @@ class Px4Commands:
             Cmd.DO_SET_ROI_NONE: self._accepted,
         }
 
-    def _change_mode(self, mode: Mode, command: Command) -> Result:
+    def _change_mode(self, mode: Mode, command: Command) -> MavResult:
         """A navigation command that is only a change of mode."""
         return self.request_mode(mode)
 
-    def request_mode(self, mode: Mode | None) -> Result:
+    def request_mode(self, mode: Mode | None) -> MavResult:
         """Disarmed, any mode is accepted; armed, only one that can run."""
         if mode is None:
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         if self._state.is_armed and not self._checks.can_run(mode):
             self._radio.say(
                 Severity.CRITICAL, f"Switching to mode '{NAMES[mode]}' is currently not possible"
             )
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         self._failsafe.user_took_over()
         self._commander.set_mode(mode)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def try_to_arm(self, *, force: bool) -> Result:
+    def try_to_arm(self, *, force: bool) -> MavResult:
         """Arm; a refusal is temporary."""
         if self._state.is_armed:
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         problem = None if force else self._checks.arming_problem()
         if problem is not None:
             self._radio.say(Severity.CRITICAL, f"Arming denied: {problem}")
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         self._commander.arm()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _arm_disarm(self, command: Command) -> Result:
+    def _arm_disarm(self, command: Command) -> MavResult:
         force = command.param2 == FORCE_DISARM
         if command.param1 == 1.0:
             return self.try_to_arm(force=force)
         if command.param1 != 0.0:
-            return Result.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         if self._state.is_armed and not self._state.is_landed and not force:
             self._radio.say(Severity.CRITICAL, "Disarming denied: not landed")
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         self._commander.disarm()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _do_set_mode(self, command: Command) -> Result:
+    def _do_set_mode(self, command: Command) -> MavResult:
         if not as_int(command.param1, 0) & ModeFlag.CUSTOM:
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         pair = (as_int(command.param2), as_int(command.param3, 0))
         mode = MODES.get(pair if pair[0] == 4 else (pair[0], 0))
         return self.request_mode(mode)
 
-    def _takeoff(self, command: Command) -> Result:
+    def _takeoff(self, command: Command) -> MavResult:
         """Altitude AMSL, whatever the frame; disarmed it is accepted too, and arming starts it."""
         result = self.request_mode(Mode.TAKEOFF)
-        if result is Result.ACCEPTED:
+        if result is MavResult.ACCEPTED:
             self._modes.take_off_to(command.param7)
         return result
 
-    def _reposition(self, command: Command) -> Result:
+    def _reposition(self, command: Command) -> MavResult:
         """LONG or INT; the altitude is AMSL, whatever the frame; NaN keeps what is."""
         state = self._state
         if not as_int(command.param2, 0) & 1:  # not told to change the mode: Commander.cpp
-            return Result.DENIED
-        if self.request_mode(Mode.HOLD) is not Result.ACCEPTED:
-            return Result.DENIED
+            return MavResult.DENIED
+        if self.request_mode(Mode.HOLD) is not MavResult.ACCEPTED:
+            return MavResult.DENIED
         if not state.is_armed:
             self._radio.say(Severity.WARNING, "Reposition is ignored while disarmed")
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         north, east, down = state.pos_ned_m
         if math.isfinite(command.lat_deg) and math.isfinite(command.lon_deg):
             if abs(command.lat_deg) > 90.0 or abs(command.lon_deg) > 180.0:
-                return Result.DENIED
+                return MavResult.DENIED
             north, east = state.frame.to_ne_m(command.lat_deg, command.lon_deg)
         if math.isfinite(command.param7):
             down = state.frame.alt_amsl_m - command.param7
@@ -153,59 +153,59 @@ class Px4Commands:
             self._guidance.speed_override_mps = command.param1
         yaw = math.radians(command.param4) if math.isfinite(command.param4) else None
         self._modes.go_to((north, east, down), yaw)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _change_speed(self, command: Command) -> Result:
+    def _change_speed(self, command: Command) -> MavResult:
         """Any type and any value is accepted; what follows is another matter."""
         self._mission.change_speed(as_int(command.param1), command.param2)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _mission_start(self, command: Command) -> Result:
+    def _mission_start(self, command: Command) -> MavResult:
         """Switches to the mission and arms."""
         if not self._mission.is_valid:
-            return Result.DENIED
+            return MavResult.DENIED
         result = self.request_mode(Mode.AUTO)
-        return self.try_to_arm(force=False) if result is Result.ACCEPTED else result
+        return self.try_to_arm(force=False) if result is MavResult.ACCEPTED else result
 
-    def _reboot(self, command: Command) -> Result:
+    def _reboot(self, command: Command) -> MavResult:
         if command.param1 not in (1.0, 3.0):
-            return Result.DENIED if command.param1 != 0.0 else Result.ACCEPTED
+            return MavResult.DENIED if command.param1 != 0.0 else MavResult.ACCEPTED
         if self._state.is_armed:
-            return Result.DENIED
-        self._radio.acknowledge(command, Result.ACCEPTED)
+            return MavResult.DENIED
+        self._radio.acknowledge(command, MavResult.ACCEPTED)
         self._reboot_now()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _gripper(self, command: Command) -> Result:
+    def _gripper(self, command: Command) -> MavResult:
         """Source: PX4 1.18, src/modules/payload_deliverer/payload_deliverer.cpp.
 
         ACCEPTED if it is so already, else IN_PROGRESS and ACCEPTED when PD_GRIPPER_TO is over; in
         the meantime the same again is rejected for now.
         """
         if not self._payload.has_gripper:
-            return Result.FAILED
+            return MavResult.FAILED
         action = as_int(command.param2)
         if action not in (0, 1):
-            return Result.DENIED
+            return MavResult.DENIED
         if self._payload.release is (action == 0):
             busy = self._payload.is_busy_with(Cmd.DO_GRIPPER)
-            return Result.TEMPORARILY_REJECTED if busy else Result.ACCEPTED
+            return MavResult.TEMPORARILY_REJECTED if busy else MavResult.ACCEPTED
         self._payload.grip(action)
         self._payload.finish_later(command, self._state.params["PD_GRIPPER_TO"])
-        return Result.IN_PROGRESS
+        return MavResult.IN_PROGRESS
 
-    def _actuator(self, command: Command) -> Result:
+    def _actuator(self, command: Command) -> MavResult:
         self._payload.set_actuator(command.param1)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _set_interval(self, command: Command) -> Result:
+    def _set_interval(self, command: Command) -> MavResult:
         spec = SPECS_BY_ID.get(as_int(command.param1))
         if spec is not None and spec.name in NOT_ON_REQUEST:
-            return Result.FAILED
+            return MavResult.FAILED
         return self._common.set_message_interval(command)
 
-    def _accepted(self, command: Command) -> Result:
-        return Result.ACCEPTED
+    def _accepted(self, command: Command) -> MavResult:
+        return MavResult.ACCEPTED
 
     def _unanswered(self, command: Command) -> None:
         """No module answers it."""

@@ -21,7 +21,7 @@ from sim_bridge.autopilot.mission.items import (
     NAVIGATING,
     NO_COORDINATE,
     PLACED,
-    Item,
+    MissionItem,
     MissionStore,
 )
 from sim_bridge.autopilot.mission.plan import Plan
@@ -189,7 +189,7 @@ class Px4Mission:
         """Armed is enough."""
         return True
 
-    def item_started(self, item: Item, seq: int) -> None:
+    def item_started(self, item: MissionItem, seq: int) -> None:
         """MISSION_CURRENT at each change."""
         if self._pending_speed is not None:
             self._guidance.speed_override_mps = self._pending_speed.mps
@@ -216,7 +216,7 @@ class Px4Mission:
         self._radio.say(Severity.INFO, f"Mission finished, {where}")
         self._ended_in_air = not self._state.is_landed
 
-    def place_of(self, item: Item) -> Vec3:
+    def place_of(self, item: MissionItem) -> Vec3:
         """INT32_MAX and NaN mean here, and this altitude."""
         state = self._state
         north, east, down = state.pos_ned_m
@@ -229,7 +229,7 @@ class Px4Mission:
                 down = state.home_ned_m[2] - item.z
         return north, east, down
 
-    def run_item(self, item: Item) -> float:
+    def run_item(self, item: MissionItem) -> float:
         """Items without a place; a gripper is given MIS_COMMAND_TOUT, whatever it does."""
         match item.command:
             case Cmd.DO_CHANGE_SPEED:

@@ -11,11 +11,11 @@ from sim_bridge.autopilot.mavlink.enums import (
     AMSL_FRAMES,
     RELATIVE_FRAMES,
     Cmd,
-    Frame,
+    MavFrame,
     MissionResult,
     MissionType,
 )
-from sim_bridge.autopilot.mission.items import FENCE_COMMANDS, YAW_MAY_BE_NAN, Item
+from sim_bridge.autopilot.mission.items import FENCE_COMMANDS, YAW_MAY_BE_NAN, MissionItem
 
 _PLACED = frozenset(
     {
@@ -74,9 +74,9 @@ class Px4MissionRules:
     timeout_s: float = 5.0
     capacity: int = 500
 
-    def take(self, item: Item, mission_type: int) -> Item | MissionResult:
+    def take(self, item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
         """The item as it is stored, or why it is refused."""
-        if item.frame == Frame.MISSION:
+        if item.frame == MavFrame.MISSION:
             if mission_type != MissionType.MISSION or item.command not in _PLACELESS:
                 return MissionResult.UNSUPPORTED
             if item.command == Cmd.DO_JUMP:
@@ -100,10 +100,10 @@ class Px4MissionRules:
             params[3] %= 360.0
         return replace(item, param1=params[0], param2=params[1], param3=params[2], param4=params[3])
 
-    def give(self, item: Item) -> Item:
+    def give(self, item: MissionItem) -> MissionItem:
         """The item as it is read back in a MISSION_ITEM_INT."""
         if item.frame in AMSL_FRAMES:
-            return replace(item, frame=int(Frame.GLOBAL_INT))
+            return replace(item, frame=int(MavFrame.GLOBAL_INT))
         if item.frame in RELATIVE_FRAMES:
-            return replace(item, frame=int(Frame.GLOBAL_RELATIVE_ALT_INT))
+            return replace(item, frame=int(MavFrame.GLOBAL_RELATIVE_ALT_INT))
         return item

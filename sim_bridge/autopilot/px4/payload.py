@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from sim_bridge.autopilot.mavlink.commands import Command
-from sim_bridge.autopilot.mavlink.enums import Result
+from sim_bridge.autopilot.mavlink.enums import MavResult
 from sim_bridge.autopilot.services.radio import Radio
 from sim_bridge.autopilot.state import VehicleState
 
@@ -55,4 +55,4 @@ class Px4Payload:
         """Acknowledge what is done by now."""
         for pending in [entry for entry in self._pending if entry.due_s <= self._state.t_s]:
             self._pending.remove(pending)
-            self._radio.acknowledge(pending.command, Result.ACCEPTED)
+            self._radio.acknowledge(pending.command, MavResult.ACCEPTED)

@@ -10,7 +10,7 @@ from sim_bridge.autopilot.flight.rc_input import RcInput
 from sim_bridge.autopilot.flight.wind import WindFusion
 from sim_bridge.autopilot.kinds import BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.enums import LandedState
-from sim_bridge.autopilot.mavlink.links import Link
+from sim_bridge.autopilot.mavlink.links import LinkState
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mission.executor import MissionExecutor, Phase
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
@@ -88,7 +88,7 @@ class Px4LinkHabits:
         return {name: 1.0 / rate for name, rate in DEFAULT_RATES_HZ[kind].items()}
 
     def status_text(
-        self, text: str, links: Mapping[int, Link], t_s: float
+        self, text: str, links: Mapping[int, LinkState], t_s: float
     ) -> tuple[str, list[int]]:
         """Only where a ground station's HEARTBEAT was heard; texts end with a tab."""
         return text + "\t", [link.id for link in links.values() if link.has_gcs(t_s)]

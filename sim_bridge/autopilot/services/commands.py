@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from sim_bridge.autopilot.flight.commander import Commander
 from sim_bridge.autopilot.mavlink.commands import Command, as_int
-from sim_bridge.autopilot.mavlink.enums import Cmd, Result
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult
 from sim_bridge.autopilot.mavlink.message_table import SPECS_BY_ID
 from sim_bridge.autopilot.services.radio import Builder, LinkHabits, Radio
 from sim_bridge.autopilot.state import STEP_S, VehicleState
 
-Handler = Callable[[Command], Result | None]
+Handler = Callable[[Command], MavResult | None]
 """None: no acknowledgement is sent (now)."""
 
 
@@ -22,8 +22,8 @@ class Firmware:
     version: int
     git_hash: bytes
     capabilities: int
-    refused_interval: Result
-    refused_request: Result
+    refused_interval: MavResult
+    refused_request: MavResult
 
 
 class CommonCommands:
@@ -54,7 +54,7 @@ class CommonCommands:
             Cmd.DO_SET_HOME: self.set_home,
         }
 
-    def set_message_interval(self, command: Command) -> Result:
+    def set_message_interval(self, command: Command) -> MavResult:
         """SET_MESSAGE_INTERVAL: messages that the autopilot does not stream are refused."""
         state = self._state
         spec = SPECS_BY_ID.get(as_int(command.param1))
@@ -62,7 +62,7 @@ class CommonCommands:
         if spec is None or link is None or spec.name not in self._streams:
             return self._firmware.refused_interval
         if not math.isfinite(command.param2):
-            return Result.DENIED
+            return MavResult.DENIED
         if command.param2 < 0.0:
             link.set_interval(spec.name, None, state.t_s)
         elif command.param2 == 0.0:
@@ -70,14 +70,14 @@ class CommonCommands:
             link.set_interval(spec.name, default, state.t_s)
         else:
             link.set_interval(spec.name, max(command.param2 * 1e-6, STEP_S), state.t_s)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def get_message_interval(self, command: Command) -> Result:
+    def get_message_interval(self, command: Command) -> MavResult:
         """GET_MESSAGE_INTERVAL: answered by a MESSAGE_INTERVAL."""
         spec = SPECS_BY_ID.get(as_int(command.param1))
         link = self._radio.links.get(command.link_id)
         if link is None:
-            return Result.FAILED
+            return MavResult.FAILED
         known = spec is not None and spec.name in self._streams
         interval = link.interval_of(spec.name) if known and spec is not None else None
         self._radio.send(
@@ -86,9 +86,9 @@ class CommonCommands:
             message_id=max(as_int(command.param1), 0) & 0xFFFF,
             interval_us=0 if not known else -1 if interval is None else round(interval * 1e6),
         )
-        return Result.ACCEPTED if known else Result.FAILED
+        return MavResult.ACCEPTED if known else MavResult.FAILED
 
-    def request_message(self, command: Command) -> Result:
+    def request_message(self, command: Command) -> MavResult:
         """REQUEST_MESSAGE: one message, now."""
         spec = SPECS_BY_ID.get(as_int(command.param1))
         if spec is None:
@@ -104,9 +104,9 @@ class CommonCommands:
         if fields is None:
             return self._firmware.refused_request
         self._radio.send(command.link_id, spec.name, **fields)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def autopilot_version(self, command: Command) -> Result:
+    def autopilot_version(self, command: Command) -> MavResult:
         """AUTOPILOT_VERSION: what it can do, and which firmware it is."""
         firmware = self._firmware
         self._radio.send(
@@ -125,9 +125,9 @@ class CommonCommands:
             uid=self._state.system_id,
             uid2=bytes([self._state.system_id]) + bytes(17),
         )
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def protocol_version(self, command: Command) -> Result:
+    def protocol_version(self, command: Command) -> MavResult:
         """PROTOCOL_VERSION: MAVLink 2."""
         self._radio.send(
             command.link_id,
@@ -138,31 +138,31 @@ class CommonCommands:
             spec_version_hash=bytes(8),
             library_version_hash=bytes(8),
         )
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def get_home_position(self, command: Command) -> Result:
+    def get_home_position(self, command: Command) -> MavResult:
         """GET_HOME_POSITION."""
         fields = self._streams["HOME_POSITION"]()
         if fields is None:
-            return Result.FAILED
+            return MavResult.FAILED
         self._radio.send(command.link_id, "HOME_POSITION", **fields)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def set_home(self, command: Command) -> Result:
+    def set_home(self, command: Command) -> MavResult:
         """DO_SET_HOME: here (param1 = 1), or a place with an AMSL altitude."""
         state = self._state
         if not state.has_position:
-            return Result.FAILED
+            return MavResult.FAILED
         if command.param1 == 1.0:
             self._commander.set_home(state.pos_ned_m)
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         place = (command.lat_deg, command.lon_deg, command.param7)
         if not all(math.isfinite(number) for number in place) or abs(place[0]) > 90.0:
-            return Result.DENIED
+            return MavResult.DENIED
         if command.lat_deg == 0.0 and command.lon_deg == 0.0:
-            return Result.DENIED
+            return MavResult.DENIED
         north, east = state.frame.to_ne_m(command.lat_deg, command.lon_deg)
         self._commander.set_home(
             (north, east, state.frame.alt_amsl_m - command.param7), locked=True
         )
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED

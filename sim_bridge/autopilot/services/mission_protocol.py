@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Cmd, Frame, MissionResult, MissionType, Severity
-from sim_bridge.autopilot.mission.items import NO_COORDINATE, PLACED, Item, MissionStore
+from sim_bridge.autopilot.mavlink.enums import Cmd, MavFrame, MissionResult, MissionType, Severity
+from sim_bridge.autopilot.mission.items import NO_COORDINATE, PLACED, MissionItem, MissionStore
 from sim_bridge.autopilot.services.radio import Radio
 from sim_bridge.autopilot.state import VehicleState
 
@@ -59,11 +59,11 @@ class MissionRules(Protocol):
         """Items that storage holds."""
         ...
 
-    def take(self, item: Item, mission_type: int) -> Item | MissionResult:
+    def take(self, item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
         """The item as it is stored, or why it is refused."""
         ...
 
-    def give(self, item: Item) -> Item:
+    def give(self, item: MissionItem) -> MissionItem:
         """The item as it is read back in a MISSION_ITEM_INT."""
         ...
 
@@ -93,7 +93,7 @@ class _Transfer:
     next_seq: int
     heard_s: float
     asked_s: float
-    items: list[Item] = field(default_factory=list)
+    items: list[MissionItem] = field(default_factory=list)
 
 
 class MissionProtocol:
@@ -289,8 +289,10 @@ class MissionProtocol:
         as_float = asked_by == "MISSION_REQUEST"
         scale = 1e-7 if item.command in PLACED else 1.0
         frame = item.frame
-        if as_float and frame in (Frame.GLOBAL_INT, Frame.GLOBAL_RELATIVE_ALT_INT):
-            frame = Frame.GLOBAL if frame == Frame.GLOBAL_INT else Frame.GLOBAL_RELATIVE_ALT
+        if as_float and frame in (MavFrame.GLOBAL_INT, MavFrame.GLOBAL_RELATIVE_ALT_INT):
+            frame = (
+                MavFrame.GLOBAL if frame == MavFrame.GLOBAL_INT else MavFrame.GLOBAL_RELATIVE_ALT
+            )
         self._radio.send(
             link_id,
             "MISSION_ITEM" if as_float else "MISSION_ITEM_INT",
@@ -350,7 +352,7 @@ class MissionProtocol:
                 self._ack(link_id, message, MissionResult.INVALID_SEQUENCE)
             return
         upload.heard_s = self._state.t_s
-        item = Item(
+        item = MissionItem(
             message.command,
             message.frame,
             message.param1,
@@ -381,7 +383,7 @@ class MissionProtocol:
         self._written(kind, whole=True)
         self._ack(link_id, message, MissionResult.ACCEPTED)
 
-    def _keep(self, upload: _Transfer, item: Item) -> None:
+    def _keep(self, upload: _Transfer, item: MissionItem) -> None:
         """Put an item where it belongs: aside until all are there, or straight into storage."""
         if self._rules.is_atomic:
             upload.items.append(item)
@@ -418,15 +420,17 @@ class MissionProtocol:
         else:
             self._store.areas_revision += 1
 
-    def _home_item(self) -> Item:
+    def _home_item(self) -> MissionItem:
         """The home position as a mission item (ArduPilot's item 0)."""
         state = self._state
         if not state.home_is_set:
-            return Item(Cmd.NAV_WAYPOINT, Frame.GLOBAL)
+            return MissionItem(Cmd.NAV_WAYPOINT, MavFrame.GLOBAL)
         north, east, down = state.home_ned_m
         lat, lon = state.frame.to_lat_lon_deg(north, east)
         z = round((state.frame.alt_amsl_m - down) * 100.0) / 100.0
-        return Item(Cmd.NAV_WAYPOINT, Frame.GLOBAL, x=round(lat * 1e7), y=round(lon * 1e7), z=z)
+        return MissionItem(
+            Cmd.NAV_WAYPOINT, MavFrame.GLOBAL, x=round(lat * 1e7), y=round(lon * 1e7), z=z
+        )
 
     def _reply(self, link_id: int, message: Message, name: str, **fields: Any) -> None:
         self._radio.send(

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message, Signer
 from sim_bridge.autopilot.mavlink.commands import Command
-from sim_bridge.autopilot.mavlink.enums import Result, Severity
-from sim_bridge.autopilot.mavlink.links import Link
+from sim_bridge.autopilot.mavlink.enums import MavResult, Severity
+from sim_bridge.autopilot.mavlink.links import LinkState
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mavlink.router import Router
 from sim_bridge.autopilot.state import VehicleState
@@ -40,7 +40,7 @@ class LinkHabits(Protocol):
         ...
 
     def status_text(
-        self, text: str, links: Mapping[int, Link], t_s: float
+        self, text: str, links: Mapping[int, LinkState], t_s: float
     ) -> tuple[str, list[int]]:
         """A STATUSTEXT as it is sent, and the links that it is sent on."""
         ...
@@ -61,7 +61,7 @@ class Radio:
         self._state = state
         self._router = router
         self._habits = habits
-        self.links: dict[int, Link] = {}
+        self.links: dict[int, LinkState] = {}
         self._outbox: list[tuple[int, bytes]] = []
         self._own_commands: list[_OwnCommand] = []
         self._text_id = 0
@@ -71,7 +71,7 @@ class Radio:
     ) -> None:
         """Bring a link up with its kind's streams."""
         system = self._state.system_id
-        link = Link(
+        link = LinkState(
             link_id,
             kind,
             Encoder(system, 1, signing=signing),
@@ -147,7 +147,7 @@ class Radio:
                     chunk_seq=number,
                 )
 
-    def acknowledge(self, command: Command, result: Result, progress: int = 0) -> None:
+    def acknowledge(self, command: Command, result: MavResult, progress: int = 0) -> None:
         """Queue a COMMAND_ACK to the sender of a command."""
         self.send(
             command.link_id,
@@ -213,7 +213,7 @@ class Radio:
             command.next_s = state.t_s + 0.2
         self._own_commands = [c for c in self._own_commands if c.tries > 0]
 
-    def _start_streams(self, link: Link) -> None:
+    def _start_streams(self, link: LinkState) -> None:
         link.clear_streams()
         for name, interval_s in self._habits.default_streams(link.kind).items():
             link.set_interval(name, interval_s, self._state.t_s)
@@ -232,7 +232,7 @@ class Radio:
             if link.parameters is not None:
                 self._send_parameters(link)
 
-    def _send_parameters(self, link: Link) -> None:
+    def _send_parameters(self, link: LinkState) -> None:
         assert link.parameters is not None
         for _ in range(_PARAMETERS_PER_STEP):
             name = next(link.parameters, None)

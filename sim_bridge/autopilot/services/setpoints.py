@@ -5,11 +5,11 @@ import math
 from sim_bridge.autopilot.base.geodesy import Vec3
 from sim_bridge.autopilot.base.goals import Setpoint
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import AMSL_FRAMES, RELATIVE_FRAMES, Frame, TypeMask
+from sim_bridge.autopilot.mavlink.enums import AMSL_FRAMES, RELATIVE_FRAMES, MavFrame, TypeMask
 from sim_bridge.autopilot.state import VehicleState
 
 _LOCAL_FRAMES = frozenset(
-    {Frame.LOCAL_NED, Frame.LOCAL_OFFSET_NED, Frame.BODY_NED, Frame.BODY_OFFSET_NED}
+    {MavFrame.LOCAL_NED, MavFrame.LOCAL_OFFSET_NED, MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED}
 )
 
 
@@ -24,12 +24,12 @@ def _common(message: Message, state: VehicleState, pos: Vec3 | None) -> Setpoint
     vel: Vec3 | None = None
     if mask & TypeMask.IGNORE_VELOCITY != TypeMask.IGNORE_VELOCITY:
         vel = (message.vx, message.vy, message.vz)
-        if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
+        if message.coordinate_frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
             vel = _turned(vel, state.yaw_rad)
     accel = (0.0, 0.0, 0.0)
     if vel is not None and not mask & TypeMask.IGNORE_ACCELERATION:
         accel = (message.afx, message.afy, message.afz)
-        if message.coordinate_frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
+        if message.coordinate_frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
             accel = _turned(accel, state.yaw_rad)
     if mask & TypeMask.IGNORE_POSITION == TypeMask.IGNORE_POSITION:
         pos = None
@@ -51,11 +51,11 @@ def local_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
     if frame not in _LOCAL_FRAMES:
         return None
     given = (message.x, message.y, message.z)
-    if frame == Frame.LOCAL_NED:
+    if frame == MavFrame.LOCAL_NED:
         base = state.ekf_origin_ned_m
     else:
         base = state.pos_ned_m
-        if frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
+        if frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
             given = _turned(given, state.yaw_rad)
     pos = (base[0] + given[0], base[1] + given[1], base[2] + given[2])
     return _common(message, state, pos)

@@ -4,7 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as reference
 
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
-from sim_bridge.autopilot.mavlink.signing import Signing, Verdict
+from sim_bridge.autopilot.mavlink.signing import SignatureCheck, Signing
 
 KEY = bytes(range(32))
 OTHER_KEY = bytes(32)
@@ -32,7 +32,7 @@ def pymavlink_peer(key: bytes = KEY, timestamp_10us: int = NOW_10US) -> referenc
     return peer
 
 
-def verdicts_on(frames: list[bytes], key: bytes = KEY) -> list[Verdict]:
+def verdicts_on(frames: list[bytes], key: bytes = KEY) -> list[SignatureCheck]:
     signing = Signing(key, NOW_10US)
     return [signing.check(frame) for frame in frames]
 
@@ -54,7 +54,7 @@ def test_we_accept_what_pymavlink_signs() -> None:
     for mode in range(3):
         frame = bytes(peer.heartbeat_encode(2, 3, 81, mode, 3).pack(peer))
         assert decoder.feed(frame) == [heartbeat(mode)]
-    assert link.verdicts[Verdict.ACCEPTED] == 3
+    assert link.verdicts[SignatureCheck.ACCEPTED] == 3
 
 
 def test_the_same_frame_gets_the_same_signature_from_both() -> None:
@@ -75,18 +75,18 @@ def test_pymavlink_and_we_refuse_the_same(signed: bool) -> None:
 
 def test_mavlink_1_cannot_be_signed_and_is_refused() -> None:
     frame = Encoder(1, 1, version=1).encode(heartbeat(1))
-    assert verdicts_on([frame]) == [Verdict.UNSIGNED]
+    assert verdicts_on([frame]) == [SignatureCheck.UNSIGNED]
 
 
 def test_a_replayed_or_reordered_frame_is_refused() -> None:
     encoder = sender()
     first, second, third = (encoder.encode(heartbeat(mode)) for mode in range(3))
     assert verdicts_on([first, third, third, second, first]) == [
-        Verdict.ACCEPTED,
-        Verdict.ACCEPTED,
-        Verdict.REPLAYED,
-        Verdict.REPLAYED,
-        Verdict.REPLAYED,
+        SignatureCheck.ACCEPTED,
+        SignatureCheck.ACCEPTED,
+        SignatureCheck.REPLAYED,
+        SignatureCheck.REPLAYED,
+        SignatureCheck.REPLAYED,
     ]
 
 
@@ -103,7 +103,7 @@ def test_a_new_stream_may_begin_at_most_a_minute_in_the_past() -> None:
         sender(timestamp_10us=NOW_10US - ONE_MINUTE - late, link_id=late).encode(heartbeat(1))
         for late in (0, 1)
     )
-    assert verdicts_on([just_in, too_old]) == [Verdict.ACCEPTED, Verdict.OLD_STREAM]
+    assert verdicts_on([just_in, too_old]) == [SignatureCheck.ACCEPTED, SignatureCheck.OLD_STREAM]
 
 
 def test_a_flipped_bit_anywhere_is_refused() -> None:
@@ -111,7 +111,7 @@ def test_a_flipped_bit_anywhere_is_refused() -> None:
     for at in (1, 4, 9, len(frame) - 13, len(frame) - 10, len(frame) - 1):
         broken = bytearray(frame)
         broken[at] ^= 1
-        assert Signing(KEY, NOW_10US).check(bytes(broken)) is Verdict.WRONG_KEY
+        assert Signing(KEY, NOW_10US).check(bytes(broken)) is SignatureCheck.WRONG_KEY
 
 
 def test_the_clock_follows_the_newest_peer_and_never_goes_back() -> None:
@@ -126,7 +126,7 @@ def test_a_telemetry_radio_may_report_unsigned() -> None:
     report = Message(
         "RADIO_STATUS", rssi=1, remrssi=1, txbuf=90, noise=1, remnoise=1, rxerrors=0, fixed=0
     )
-    assert verdicts_on([Encoder(51, 68).encode(report)]) == [Verdict.ACCEPTED]
+    assert verdicts_on([Encoder(51, 68).encode(report)]) == [SignatureCheck.ACCEPTED]
 
 
 def test_without_signing_a_signed_frame_is_read_like_any_other() -> None:
