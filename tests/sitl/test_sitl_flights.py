@@ -265,6 +265,9 @@ CASES = [
         delivered_and_home,
         {"faults": [fault("companion_kill", phase="drop", at_s=2.0, duration_s=3.0)]},
     ),
+]
+
+TAKEN_OVER = [
     taken_over("climb", 4.0),
     taken_over("climb", 14.0),  # over the depot, measuring the wind
     taken_over("drop", 1.0),
@@ -283,6 +286,14 @@ _SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight(fly_case, flavour, case):
+    flown = _flown_once(fly_case, flavour, case.world, hands_off_s=case.hands_off_s)
+    assert case.check(flown), _story(flown)
+
+
+@pytest.mark.drawn(keep=2)
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("case", TAKEN_OVER, ids=lambda c: c.name.replace(" ", "_"))
+def test_flight_taken_over(fly_case, flavour, case):
     flown = _flown_once(fly_case, flavour, case.world, hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
