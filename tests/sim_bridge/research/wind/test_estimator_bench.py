@@ -25,7 +25,7 @@ from sim_bridge.research.wind.px4_drag_fusion import DragFusionParams, drag_fusi
 from sim_bridge.research.wind.wind_bound import least_errors_m2ps2
 from sim_bridge.truth.params import load_airframe
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 FLIGHT = ROOT.parent / "shared" / "data" / "estimator" / "anemometer_uav_5hz.csv"
 
 

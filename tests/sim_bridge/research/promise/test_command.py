@@ -19,7 +19,7 @@ def run(tmp_path: Path, name: str, *more: str):
 
 
 def test_a_stopped_call_goes_on_and_says_the_same(tmp_path, monkeypatch) -> None:
-    # Fitting has tests of its own (test_promise_planner.py); here it would be most of the work.
+    # Fitting has tests of its own (test_planner.py); here it would be most of the work.
     monkeypatch.setattr(flying, "DEPARTURES", 3)
     monkeypatch.setattr(flying, "fitted_process", lambda unjudged, stretches, shipped: shipped)
     monkeypatch.setattr(flying, "fitted_spread", lambda *_: 1.0)

@@ -19,7 +19,7 @@ from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 M100 = read_airframe("m100")
 TRUTH = load_airframe(ROOT / "params" / "truth" / "m100.toml")
 

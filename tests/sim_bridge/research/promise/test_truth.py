@@ -12,7 +12,7 @@ from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, T
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
-TRUTH = load_airframe(Path(__file__).parents[3] / "params" / "truth" / "m100.toml")
+TRUTH = load_airframe(Path(__file__).parents[4] / "params" / "truth" / "m100.toml")
 STEADY = SteadyFlight(TRUTH)
 PROFILE = Profile(airspeed_mps=15.0)
 POWER = TruePower(TRUTH, PROFILE)

@@ -23,7 +23,7 @@ from sim_bridge.truth.signals import SensorReadings, Truth
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 WIND_MPS, HEIGHT_M, SAMPLES, FIRST_S, DT_S = 4.0, 30.0, 160, 38.1, 0.1
 DRAG_NSPM, GRAVITY = 1.5, 9.80665
 

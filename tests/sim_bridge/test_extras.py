@@ -25,9 +25,10 @@ def test_a_missing_library_is_named_with_its_extra(
         monkeypatch.delitem(sys.modules, loaded)
     monkeypatch.setitem(sys.modules, lacking, None)  # as if it were not installed
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "stop_by_signal", lambda number: None)  # the test's own process
     monkeypatch.setattr(sys, "argv", ["sim-bridge", *command])
     with pytest.raises(SystemExit) as ended:
-        cli._run()
+        cli.main()
     assert ended.value.code == 2
     said = capsys.readouterr().err.strip()
     assert len(said.splitlines()) == 1

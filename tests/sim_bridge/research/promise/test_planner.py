@@ -25,7 +25,7 @@ from sim_bridge.research.promise.rules import ends_of
 from sim_bridge.research.promise.world import PromiseWorld, Setting
 from sim_bridge.truth.wind_days import DayProcess, day_of_wind
 
-TRUTH = str(Path(__file__).parents[3] / "params" / "truth" / "m100.toml")
+TRUTH = str(Path(__file__).parents[4] / "params" / "truth" / "m100.toml")
 SETTING = Setting(
     wind_logs=(),
     files=(),

@@ -11,7 +11,7 @@ from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
-TRUTH = load_airframe(Path(__file__).parents[3] / "params" / "truth" / "m100.toml")
+TRUTH = load_airframe(Path(__file__).parents[4] / "params" / "truth" / "m100.toml")
 STEADY = SteadyFlight(TRUTH)
 CUSTOMER = (0.0, 600.0)
 HOME = WayBack([CUSTOMER, (0.0, 0.0)], 0.0)
