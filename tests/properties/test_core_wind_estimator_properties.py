@@ -1,4 +1,4 @@
-"""Row 5 in any flight: a covariance that is one, and never surer for waiting."""
+"""The wind estimator in any flight: a covariance that is one, and never surer for waiting."""
 
 import math
 import tomllib

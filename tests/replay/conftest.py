@@ -148,7 +148,7 @@ CONTRACT = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_deg
 
 
 def csv_columns(world: World) -> dict[str, np.ndarray]:
-    """The contract's columns (evaluation.md, 9)."""
+    """The columns of CSV telemetry (docs/reference/replay-json.md)."""
     angles = [np.degrees(a) for a in (world.roll_rad, world.pitch_rad, world.yaw_rad)]
     values = (world.t_s, *world.vel_ned_mps.T, *angles, world.airspeed_mps)
     return dict(zip(CONTRACT, values, strict=True))

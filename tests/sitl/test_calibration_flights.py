@@ -1,6 +1,6 @@
 """The calibration plan flown by both simulated autopilots, its .tlogs fitted, a fourth predicted.
 
-Shorter than the ten minutes that docs/calibrate.md has the figures of; the same commands.
+Shorter than the ten minutes that docs/how-to/calibrate.md has the figures of; the same commands.
 """
 
 import json

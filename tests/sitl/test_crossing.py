@@ -1,6 +1,7 @@
 """Two vehicles, one of each flavour, head on in one layer, beside their true companions.
 
-Separation is judged by truth. `sim-bridge cross` flies the whole scene (docs/avoidance.md).
+Separation is judged by truth. `sim-bridge cross` flies the whole scene
+(docs/explanation/avoidance.md).
 """
 
 import contextlib

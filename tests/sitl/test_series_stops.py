@@ -58,7 +58,7 @@ def all_gone(family: list[psutil.Process]) -> bool:
     return not alive
 
 
-@pytest.mark.night  # three flights; resuming by day: tests/sim_bridge/app/test_series_file.py
+@pytest.mark.night  # three flights; resuming by day: tests/sim_bridge/app/flight/test_series.py
 @pytest.mark.timeout(900)
 def test_sigterm_ends_every_process_and_the_same_command_flies_only_what_is_left(
     short_file, tmp_path

@@ -124,7 +124,7 @@ THIN = {"vehicle": {"charge_frac": 0.28}}  # enough to fly it, not to keep the r
 LOW = {"vehicle": {"charge_frac": 0.18}}
 
 # A headwind home that gains 3.5 m/s in two minutes: the most that the recordings show is 2.7 to
-# 3.6 (99 of 100 cases, evaluation.md section 6). Without the gate it ends under the reserve.
+# 3.6 (99 of 100 cases, docs/reference/benchmarks.md). Without the gate it ends under the reserve.
 GROWING = {
     "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
     "vehicle": {"charge_frac": 0.5},

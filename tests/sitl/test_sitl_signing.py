@@ -1,6 +1,7 @@
 """Signing on, in both flavours: a signed flight beside a forger who lacks the key.
 
-In flight the forger tells both ends, ten times a second, to go elsewhere (sim_bridge/app/forger).
+In flight the forger (sim_bridge/app/flight/forger.py) tells both ends, ten times a second, to go
+elsewhere.
 """
 
 import pytest

@@ -105,7 +105,7 @@ SilenceLimit = Annotated[
 ]
 
 
-class Gate(StrEnum):
+class GateSwitch(StrEnum):
     """Whether the return budget may turn the vehicle back."""
 
     ON = "on"
@@ -144,8 +144,8 @@ def run_command(
     ] = False,
     here: Here = False,
     gate: Annotated[
-        Gate, typer.Option(help="off: never turns back; for comparison only.")
-    ] = Gate.ON,
+        GateSwitch, typer.Option(help="off: never turns back; for comparison only.")
+    ] = GateSwitch.ON,
     silence_limit: SilenceLimit = 300.0,
     lockstep: Annotated[
         bool,
@@ -207,7 +207,7 @@ def run_command(
     from companion.core.pilot.context import PilotOptions
 
     pilot = PilotOptions(
-        gate_on=gate is Gate.ON,
+        gate_on=gate is GateSwitch.ON,
         configure=configure,
         authorise=authorise,
         here=here,

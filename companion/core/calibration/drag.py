@@ -48,7 +48,7 @@ class DragPriors:
     `own_frac` is how wrong the start airframe's drag may be, `floor_per_s` and `floor_per_m`
     (times mass) keep a start value of nearly zero open; `axis_ratio_std` is how far forward and
     right may differ from the start's ratio. [est] unless said; winds as in WindEstimatorParams,
-    from the coast recording (shared/data/wind) at its mean of 8.6 m/s.
+    from a recording at a coast (awegroup, 12 May 2023) at its mean of 8.6 m/s.
     """
 
     own_frac: float = 1.0

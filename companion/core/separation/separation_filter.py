@@ -249,7 +249,8 @@ def _escape(scene: _Blocked, fan: Floats, heard: Heard) -> Ints:
         a, c = (k.ravel() for k in np.indices(margin.shape))
         clear = _clear(paths[:, a, c], scene.pos_ned_m[a], rows[a], scene.clearance, p)
         margin = np.where(clear.reshape(margin.shape), margin, -np.inf)
-    margin[:, -1] = np.maximum(margin[:, -1], -1e9)  # braking is always there
+    least = np.finfo(margin.dtype).min
+    margin[:, -1] = np.maximum(margin[:, -1], least)  # braking is always there
     return margin.argmax(axis=1)
 
 

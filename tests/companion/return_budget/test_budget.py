@@ -229,7 +229,7 @@ def test_a_stronger_headwind_home_or_a_less_certain_one_lowers_the_margin() -> N
 
 
 def test_the_gate_is_option_aware() -> None:
-    """evaluation.md 10: go while home stays certain from the next point, not only while the
+    """Go while home stays certain from the next point, not only while the
     whole trip is certain."""
     ahead = mission(2500.0, 8)
     answer = judge(ahead, 79.0, (0.0, -9.0), min_success=0.0)

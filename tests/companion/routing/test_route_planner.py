@@ -1,4 +1,4 @@
-"""Rows 4 and 6: the waypoint graph and the first BER on it."""
+"""The waypoint graph and the first BER on it."""
 
 import math
 import tomllib

@@ -15,7 +15,7 @@ from companion.core.separation.traffic_tracks import DOUBT_S, LOST_S, NeighbourT
 
 TICK_S, LATE_TICKS = 0.2, 1
 FASTEST_MPS, ACCEL_MPS2, CLIMB_ACCEL_MPS2 = 15.0, 3.0, 2.0
-HORIZONTAL_M, VERTICAL_M = 5.0, 4.0  # evaluation.md, 12
+HORIZONTAL_M, VERTICAL_M = 5.0, 4.0  # docs/reference/benchmarks.md, avoidance
 STD_M = 2.0
 Arrays = np.ndarray
 

@@ -117,7 +117,7 @@ def test_a_percentage_below_the_count_rules() -> None:
 
 @pytest.mark.parametrize("unknown", [-1.0, float("nan")])
 def test_unknown_fields_are_never_integrated(unknown: float) -> None:
-    # PX4 SIH: current -1, consumed 0, energy -1 (autopilot_facts.md).
+    # PX4 SIH: current -1, consumed 0, energy -1 (docs/reference/autopilots.md).
     book = ledger()
     book.observe(rest(0.0, voltage_v=FULL_V))
     fly(
@@ -168,7 +168,7 @@ def test_a_sensor_that_counts_far_less_than_the_model_is_not_believed() -> None:
 
 
 def test_a_voltage_that_does_not_fit_the_pack_is_not_used() -> None:
-    # ArduPilot SITL: a constant 12.6 V (autopilot_facts.md), whatever the airframe.
+    # ArduPilot SITL: a constant 12.6 V (docs/reference/autopilots.md), whatever the airframe.
     book = ledger(charge_frac_stated=0.9)
     book.observe(rest(0.0, voltage_v=12.6))
     assert 0.85 * FULL_WH < left(book).mean_wh < 0.9 * FULL_WH

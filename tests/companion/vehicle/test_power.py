@@ -1,4 +1,4 @@
-"""Row 3: the paper's power model and the multirotor's, against closed forms."""
+"""The paper's power model and the multirotor's, against closed forms."""
 
 import math
 import tomllib
@@ -104,8 +104,8 @@ def test_energy_per_km_of_the_octocopter_is_u_shaped(payload_kg: float) -> None:
 
 
 def test_the_best_speed_rises_with_payload_and_in_headwind_falls_over_ground() -> None:
-    # evaluation.md 5: "U-shaped; the best speed rises with payload and with headwind falls in
-    # ground terms".
+    # The paper's figure (arXiv 2604.13441): "U-shaped; the best speed rises with
+    # payload and with headwind falls in ground terms".
     speed = np.arange(2.0, 30.0, 0.1)
 
     def best_airspeed(payload_kg: float, headwind: float) -> float:

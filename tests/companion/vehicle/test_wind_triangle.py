@@ -1,4 +1,4 @@
-"""Row 1: the wind triangle against its closed forms."""
+"""The wind triangle against its closed forms."""
 
 import math
 

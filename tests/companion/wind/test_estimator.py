@@ -1,4 +1,4 @@
-"""Row 5: the wind estimator against a flight of its own little world, and filterpy."""
+"""The wind estimator against a flight of its own little world, and filterpy."""
 
 import math
 import tomllib
@@ -128,7 +128,7 @@ def flights(pitot: bool) -> tuple[float, float]:
 
 @pytest.mark.parametrize("pitot", [False, True], ids=["tilt", "tilt and pitot"])
 def test_the_error_is_under_a_metre_per_second_and_as_large_as_it_says(pitot: bool) -> None:
-    # Issue 2: RMSE under 1.0 m/s and mean NEES between 1 and 4, with drag, trim and gusts that
+    # The goal: RMSE under 1.0 m/s and mean NEES between 1 and 4, with drag, trim and gusts that
     # the filter does not know.
     rmse, nees = flights(pitot)
     assert rmse < 1.0

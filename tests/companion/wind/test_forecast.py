@@ -127,7 +127,7 @@ def test_a_restart_keeps_the_history() -> None:
 
 
 def test_the_stated_quantiles_cover_what_the_coast_recording_did() -> None:
-    """evaluation.md 6: the mean over the next 150, 600 and 1200 s, from what was seen before."""
+    """The mean over the next 150, 600 and 1200 s, from what was seen before."""
     if not COAST.exists():
         pytest.skip(f"{COAST} is not here")
     rows = list(csv.DictReader(COAST.read_text().splitlines()))

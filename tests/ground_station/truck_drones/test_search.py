@@ -81,7 +81,7 @@ def checked(folder: Path, vehicles: str, drones: int) -> Any:
 
 
 def test_takeoff_and_landing_take_what_the_published_rules_say(tmp_path: Path):
-    """RULES.md: 3.6956 s and 6.3913 s for vehicle file 101."""
+    """The benchmark's rules: 3.6956 s and 6.3913 s for vehicle file 101."""
     folder = problem_folder(tmp_path)
     drone = read_vehicles(folder.parent / "tbl_vehicles_101.csv").drones[0]
     assert drone.takeoff_s == pytest.approx(3.6956, abs=5e-5)
@@ -104,7 +104,7 @@ def test_sortie_times_and_endurance_agree_with_the_checkers_own_sums(tmp_path: P
 @pytest.mark.parametrize(
     ("problem", "vehicles", "drones"),
     [
-        ("20170608T121355407419", "101", 2),  # RULES.md: 3257.554 s
+        ("20170608T121355407419", "101", 2),  # the benchmark's rules: 3257.554 s
         ("20170608T121426910678", "103", 4),  # the driver must wait for a drone before delivering
         ("20170608T121458174165", "104", 3),
     ],
@@ -293,7 +293,7 @@ def test_a_journal_gives_back_whole_rows_of_the_same_settings_only(tmp_path: Pat
 
 
 def test_the_command_writes_the_rows_of_the_contract_and_takes_up_what_was_done(tmp_path: Path):
-    """evaluation.md, section 11."""
+    """The drivers rules of the published problems (docs/reference/benchmarks.md)."""
     problem_folder(tmp_path)
     out = tmp_path / "out.json"
     asked = ["mfstsp", str(tmp_path), "--vehicles", "101", "--drones", "1,2", "--seconds", "0.1"]

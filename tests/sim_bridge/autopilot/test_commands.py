@@ -1,4 +1,4 @@
-"""Modes, arming, guided flight and speed (autopilot_facts.md, Missions and commands)."""
+"""Modes, arming, guided flight and speed (docs/reference/autopilots.md, Missions and commands)."""
 
 import math
 

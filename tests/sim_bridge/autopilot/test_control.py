@@ -113,8 +113,10 @@ def test_power_in_cruise_is_the_quasi_static_models() -> None:
 
 
 def test_tilt_saturates_in_a_headwind_and_ground_speed_falls_short() -> None:
-    """`autopilot_facts.md`: ArduPilot told 10 m/s made 2.3 m/s against 8 m/s of wind. A vehicle
-    held to 15 degrees falls short likewise: its airspeed is what the steady solver gives."""
+    """ArduPilot told 10 m/s made 2.3 m/s against 8 m/s of wind (docs/reference/autopilots.md).
+
+    A vehicle held to 15 degrees falls short likewise: its airspeed is what the steady solver gives.
+    """
     world = Harness(_steady(8.0), control=ControlParams(max_tilt_rad=math.radians(15.0)))
     world.hold(0.0, 0.0, -30.0, 20.0)
     log = world.line((0.0, 0.0, -30.0), (3000.0, 0.0, -30.0), 10.0, 60.0)

@@ -1,7 +1,8 @@
 """Failsafes, fences, the pilot's radio, loss of GNSS and reboots, in both flavours.
 
-Expected behaviour: the measured facts, and each autopilot's published failsafe documentation
-(ardupilot.org/copter/docs/failsafe-landing-page.html; docs.px4.io/main/en/config/safety.html).
+Expected behaviour: docs/reference/autopilots.md, and each autopilot's published failsafe
+documentation (ardupilot.org/copter/docs/failsafe-landing-page.html;
+docs.px4.io/main/en/config/safety.html).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The mission protocol as each autopilot has it (autopilot_facts.md, Missions and commands)."""
+"""The mission protocol as each autopilot has it (docs/reference/autopilots.md)."""
 
 import math
 

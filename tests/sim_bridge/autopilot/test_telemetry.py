@@ -1,4 +1,4 @@
-"""Telemetry, wind and battery as measured (autopilot_facts.md, rows named in each test)."""
+"""Telemetry, wind and battery as measured (docs/reference/autopilots.md)."""
 
 import math
 

@@ -40,7 +40,7 @@ def recorded(scenario, seed):
 
 
 class PlainMission:
-    """evaluation.md section 2, read again: one vehicle, networkx, floats."""
+    """docs/reference/outcomes.md, programmed again: one vehicle, networkx, floats."""
 
     def __init__(self, scenario, wind_seen, fly_edge):
         self.s, self.wind_seen, self.fly_edge = scenario, wind_seen, fly_edge

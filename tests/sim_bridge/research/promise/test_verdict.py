@@ -115,7 +115,7 @@ def test_only_missions_that_went_and_phases_that_came_are_statements() -> None:
 
 
 def test_the_verdict_has_the_agreed_keys_and_no_others() -> None:
-    # evaluation.md, section 10
+    # docs/reference/benchmarks.md, promise
     row = rule_row(ends())
     names = ("gate", "px4_time", "threshold_25", "threshold_35", "clairvoyant")
     bins = bins_of(statements(np.full(200, 0.999), np.ones(200, bool)), rng())

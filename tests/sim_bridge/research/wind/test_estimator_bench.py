@@ -1,4 +1,4 @@
-"""Row 5 measured: a real flight with an anemometer, PX4's drag fusion, and the bound."""
+"""The wind estimator measured: a real anemometer flight, PX4's drag fusion, and the bound."""
 
 import math
 import tomllib
@@ -45,7 +45,7 @@ def recording() -> AnemometerFlight:
 def test_tilt_alone_finds_the_wind_of_a_real_vehicle_that_nobody_calibrated(
     recording: AnemometerFlight,
 ) -> None:
-    # Issue 5: at most 1.6 m/s, 0.2 under PX4's drag fusion with its default coefficients on the
+    # The goal: at most 1.6 m/s, 0.2 under PX4's drag fusion with its default coefficients on the
     # same rows, mean NEES between 1 and 3.
     ours = score(recording, replayed(believed("generic"), without_airspeed(recording)))
     seen = recording.observations
@@ -68,7 +68,7 @@ def test_tilt_alone_finds_the_wind_of_a_real_vehicle_that_nobody_calibrated(
 def test_a_scalar_airspeed_of_unknown_scale_and_bias_helps(
     recording: AnemometerFlight, scale: float, bias_mps: float
 ) -> None:
-    # Issue 5: at most 1.1 m/s, mean NEES between 1 and 3.
+    # The goal: at most 1.1 m/s, mean NEES between 1 and 3.
     error = AirspeedError(scale, bias_mps, noise_std_mps=0.3, seed=5)
     ours = score(recording, replayed(believed("generic"), with_airspeed(recording, error)))
     assert ours.rmse_mps <= 1.1
