@@ -66,9 +66,9 @@ class Client:
         self.heard: list[Message] = []
         self.latest: dict[str, Message] = {}
         self.others: set[tuple[int, int]] = set()
-        self._beat_at_s = -1e9
+        self._beat_at_s: float | None = None
         self._sync_number = 0
-        self._sync_asked_s = -1e9
+        self._sync_asked_s: float | None = None
         self._sync_waits = False
         self._last_word_s = link.now_s()
         self._attended = 0
@@ -146,12 +146,12 @@ class Client:
 
     def _keep_in_touch(self) -> None:
         now = self._link.now_s()
-        since_s = self.t_s - self._beat_at_s
-        if since_s >= _BEAT_S or since_s < 0.0:
+        beat_at_s = self._beat_at_s
+        if beat_at_s is None or not 0.0 <= self.t_s - beat_at_s < _BEAT_S:
             self._beat_at_s = self.t_s
             self.beat()
-        waited_s = now - self._sync_asked_s
-        if waited_s > _ASK_AGAIN_S or (not self._sync_waits and waited_s > _CLOCK_PERIOD_S):
+        wait_s = _ASK_AGAIN_S if self._sync_waits else _CLOCK_PERIOD_S
+        if self._sync_asked_s is None or now - self._sync_asked_s > wait_s:
             self._sync_number += 1
             self._sync_asked_s, self._sync_waits = now, True
             if self.t_s == 0.0:
@@ -203,7 +203,7 @@ class Client:
     def forget_clock(self) -> None:
         """The vehicle starts anew: so does its time."""
         self.t_s = 0.0
-        self._beat_at_s = -1e9
+        self._beat_at_s = None
         self._last_word_s = self._link.now_s()
         self.latest.clear()
 

@@ -87,15 +87,15 @@ def reference_folder() -> Path:
     raise ConformError("the references are missing: name one with --reference")
 
 
-def read_differences(folder: Path, flavour: str) -> Mapping[str, str]:
-    """Behaviours of our simulated flavour that differ from the real one's, each with its reason."""
+def read_differences(folder: Path, autopilot: str) -> Mapping[str, str]:
+    """Behaviours in which our simulated autopilot differs from the real one, with the reasons."""
     path = folder / "differences.toml"
     if not path.is_file():
         return {}
-    table = tomllib.loads(path.read_text()).get(flavour, {})
+    table = tomllib.loads(path.read_text()).get(autopilot, {})
     unknown = table.keys() - BY_NAME.keys()
     if unknown:
-        raise ConformError(f"{path}: {flavour}: no such behaviour: {', '.join(sorted(unknown))}")
+        raise ConformError(f"{path}: {autopilot}: no such behaviour: {', '.join(sorted(unknown))}")
     return table
 
 

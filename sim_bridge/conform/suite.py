@@ -112,11 +112,10 @@ def run_suite(
     for behaviour in behaviours:
         observer.begins(behaviour)
         try:
-            row = (
-                BehaviourRecord(behaviour, None, problem=silent)
-                if silent
-                else _see(subject, behaviour)
-            )
+            if silent:
+                row = BehaviourRecord(behaviour, None, problem=silent)
+            else:
+                row = _see(subject, behaviour)
         except VehicleSilent as error:
             silent = f"the vehicle fell silent: {error}"
             row = BehaviourRecord(behaviour, None, problem=silent)

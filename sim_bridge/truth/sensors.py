@@ -63,7 +63,8 @@ class SensorSuite:
         self._gyro_noise = math.radians(params.gyro_noise_degps)
         self._in_flight: deque[tuple[float, Vec3, Vec3]] = deque()
         self._gnss_period_s = 1.0 / params.gnss_rate_hz
-        self._next_fix_s = self._next_slow_s = -math.inf
+        self._next_fix_s: float | None = None
+        self._next_slow_s: float | None = None
         self._fix: tuple[Vec3, Vec3] | None = None
         self._airspeed_mps: float | None = 0.0 if pitot else None
         self._voltage_v: float | None = None
@@ -98,12 +99,11 @@ class SensorSuite:
         parcel_aboard: bool,
     ) -> SensorReadings:
         """Readings at `t_s`; call it at every step, with rising time."""
-        if t_s >= self._next_slow_s - 1e-9:
-            self._next_slow_s = max(self._next_slow_s, t_s - 0.5 * _SLOW_PERIOD_S) + _SLOW_PERIOD_S
+        if _is_due(self._next_slow_s, t_s):
+            self._next_slow_s = _next_due(self._next_slow_s, t_s, _SLOW_PERIOD_S)
             self._read_slow(body, battery)
-        if t_s >= self._next_fix_s - 1e-9:
-            self._next_fix_s = max(self._next_fix_s, t_s - 0.5 * self._gnss_period_s)
-            self._next_fix_s += self._gnss_period_s
+        if _is_due(self._next_fix_s, t_s):
+            self._next_fix_s = _next_due(self._next_fix_s, t_s, self._gnss_period_s)
             self._take_fix(t_s, body)
         pos, vel = self._receive_fix(t_s)
         p, gauss = self._p, self._gauss
@@ -187,3 +187,14 @@ class SensorSuite:
                 _, pos, vel = self._in_flight.popleft()
                 self._fix = (pos, vel)
         return self._fix or ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def _is_due(due_s: float | None, t_s: float) -> bool:
+    """Whether a periodic reading is due; the first one (None) always is."""
+    return due_s is None or t_s >= due_s - 1e-9
+
+
+def _next_due(due_s: float | None, t_s: float, period_s: float) -> float:
+    """When the next reading is due; one that comes late shifts those that follow."""
+    earliest_s = t_s - 0.5 * period_s
+    return (earliest_s if due_s is None else max(due_s, earliest_s)) + period_s

@@ -1,4 +1,4 @@
-"""Our flavours against the recorded answers of the real autopilots, and a suite that can fail.
+"""Our autopilots against the recorded answers of the real autopilots, and a suite that can fail.
 
 The suite runs against a simulated vehicle in this process: waiting is simulating. The bytes are
 those that would go over a socket; there is only no socket, so that a run is the same every time
@@ -30,7 +30,7 @@ from sim_bridge.truth.wind_field import SteadyWind, WindField
 
 PARAMS = Path(__file__).parents[2] / "params"
 STEPS_A_TURN = 2
-BOTH = pytest.mark.parametrize("flavour", AutopilotKind)
+BOTH = pytest.mark.parametrize("kind", AutopilotKind)
 SPEEDUP = 20.0
 HOME = Home()
 SETTINGS = {AutopilotKind.PX4: {}, AutopilotKind.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
@@ -82,8 +82,8 @@ class Watcher:
         print(f"{row.behaviour.name}: {row.behaviour.says} {seen or row.value} ({row.note})")
 
 
-def stood(flavour: AutopilotKind) -> ServedVehicle:
-    """A flavour on the ground, in the wind of the references."""
+def stood(kind: AutopilotKind) -> ServedVehicle:
+    """An autopilot on the ground, in the wind of the references."""
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
     vehicle = Vehicle(
         airframe,
@@ -93,12 +93,12 @@ def stood(flavour: AutopilotKind) -> ServedVehicle:
         depot_alt_amsl_m=HOME.alt_amsl_m,
     )
     autopilot = Autopilot(
-        flavour,
+        kind,
         (HOME.lat_deg, HOME.lon_deg, HOME.alt_amsl_m),
-        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml", SETTINGS[flavour]),
-        battery_sensing=SENSING[flavour],
+        read_parameters(PARAMS / "autopilots" / f"{kind.value}.toml", SETTINGS[kind]),
+        battery_sensing=SENSING[kind],
     )
-    autopilot.set_rc(RECEIVER[flavour])
+    autopilot.set_rc(RECEIVER[kind])
     return ServedVehicle(vehicle, autopilot)
 
 
@@ -107,16 +107,16 @@ def ask(served: ServedVehicle, behaviours: Sequence[Behaviour]) -> reference.Con
     return conforming.ask(Client(InProcess(served)), behaviours, Watcher(), may_force=True)
 
 
-def recorded(flavour: AutopilotKind) -> reference.ConformanceResult:
-    return reference.read_result(reference.reference_folder() / f"{flavour.value}.json")
+def recorded(kind: AutopilotKind) -> reference.ConformanceResult:
+    return reference.read_result(reference.reference_folder() / f"{kind.value}.json")
 
 
-def known_differences(flavour: AutopilotKind) -> dict[str, str]:
-    return dict(reference.read_differences(reference.reference_folder(), flavour.value))
+def known_differences(kind: AutopilotKind) -> dict[str, str]:
+    return dict(reference.read_differences(reference.reference_folder(), kind.value))
 
 
-def judged(flavour: AutopilotKind, seen: reference.ConformanceResult) -> dict[str, Parity]:
-    return reference.judge_all(seen, recorded(flavour), known_differences(flavour))
+def judged(kind: AutopilotKind, seen: reference.ConformanceResult) -> dict[str, Parity]:
+    return reference.judge_all(seen, recorded(kind), known_differences(kind))
 
 
 def wrong(verdicts: dict[str, Parity]) -> list[str]:
@@ -126,13 +126,13 @@ def wrong(verdicts: dict[str, Parity]) -> list[str]:
 
 @pytest.mark.sitl
 @pytest.mark.timeout(900)  # 20 s of one idle core; a machine with ten such at once takes minutes
-@pytest.mark.drawn(of="flavour")
+@pytest.mark.drawn(of="kind")
 @BOTH
-def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: AutopilotKind) -> None:
-    served = stood(flavour)
-    answers = recorded(flavour).answers
+def test_our_autopilot_behaves_as_the_real_autopilot_was_seen_to(kind: AutopilotKind) -> None:
+    served = stood(kind)
+    answers = recorded(kind).answers
     chosen = [b for b in select((), reboots=True) if b.name in answers]
-    verdicts = judged(flavour, ask(served, chosen))
+    verdicts = judged(kind, ask(served, chosen))
     assert wrong(verdicts) == []
     assert sum(verdict is Parity.SAME for verdict in verdicts.values()) >= 40
     assert not served.autopilot.is_armed
@@ -141,11 +141,11 @@ def test_our_flavour_behaves_as_the_real_autopilot_was_seen_to(flavour: Autopilo
 
 
 @pytest.mark.sitl
-@pytest.mark.parametrize("flavour", [f for f in AutopilotKind if known_differences(f)])
-def test_a_known_difference_is_one(flavour: AutopilotKind) -> None:
+@pytest.mark.parametrize("kind", [f for f in AutopilotKind if known_differences(f)])
+def test_a_known_difference_is_one(kind: AutopilotKind) -> None:
     """A reason in differences.toml for what is the same would hide the next difference."""
-    reasons = known_differences(flavour)
-    verdicts = judged(flavour, ask(stood(flavour), select(reasons, reboots=True)))
+    reasons = known_differences(kind)
+    verdicts = judged(kind, ask(stood(kind), select(reasons, reboots=True)))
     assert {name: verdicts[name] for name in reasons} == dict.fromkeys(reasons, Parity.EXPLAINED)
 
 
@@ -162,8 +162,8 @@ class Impatient(Watcher):
 
 @pytest.mark.sitl
 @BOTH
-def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: AutopilotKind) -> None:
-    served = stood(flavour)
+def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(kind: AutopilotKind) -> None:
+    served = stood(kind)
     chosen = select(("guided/velocity_stops", "speed/ground", "speed/air"), reboots=False)
     client = Client(InProcess(served))
     with pytest.raises(KeyboardInterrupt):
@@ -172,13 +172,13 @@ def test_ctrl_c_in_the_air_leaves_the_vehicle_as_it_was_found(flavour: Autopilot
     assert not autopilot.is_armed
     assert not served.truth.airborne
     assert not autopilot.store.mission[1:]
-    assert autopilot.params[TIME_OUT[flavour]] == TIME_OUTS_S[flavour]
+    assert autopilot.params[TIME_OUT[kind]] == TIME_OUTS_S[kind]
     link = autopilot.radio.links[0]
     assert (link.interval_of("RC_CHANNELS"), link.interval_of("HEARTBEAT")) == (None, 1.0)
 
 
 @pytest.mark.sitl
-def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
+def test_an_autopilot_that_answers_wrongly_turns_the_suite_red() -> None:
     """Canary: PX4 that takes ArduPilot's jump, and reads parameters as C casts."""
     served = stood(AutopilotKind.PX4)
     commands = dict(served.autopilot.behaviour.commands)
@@ -195,8 +195,8 @@ def test_a_flavour_that_answers_wrongly_turns_the_suite_red() -> None:
 def test_every_recorded_answer_belongs_to_a_behaviour() -> None:
     names = {behaviour.name for behaviour in CATALOGUE}
     assert len(names) == len(CATALOGUE)
-    for flavour in AutopilotKind:
-        assert recorded(flavour).answers.keys() <= names
+    for kind in AutopilotKind:
+        assert recorded(kind).answers.keys() <= names
 
 
 def test_the_command_asks_over_udp_and_judges(tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ class WindEstimatorParams:
 
     [coast] from a recording at a coast (awegroup, 12 May 2023), mean wind 8.4 m/s: half the
     variance of what the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035
-    of the mean wind squared, each axis; a gust of 15 % with 5 s of memory on a walk of 0.006 m2/s3 has the same.
+    of the mean wind squared, each axis; a gust of 15 % with 5 s of memory on a walk of
+    0.006 m2/s3 has the same.
     """
 
     prior_wind_std_mps: float = 10.0  # each axis, before anything is seen

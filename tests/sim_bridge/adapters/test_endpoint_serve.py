@@ -18,10 +18,10 @@ WAIT_S = 5.0
 SPEEDUP = 20.0
 
 
-def stood(flavour: AutopilotKind, system_id: int = 1) -> ServedVehicle:
-    parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
+def stood(autopilot: AutopilotKind, system_id: int = 1) -> ServedVehicle:
+    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot.value}.toml")
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    return stand_up(flavour, airframe, parameters, system_id=system_id)
+    return stand_up(autopilot, airframe, parameters, system_id=system_id)
 
 
 def address(url: str) -> tuple[str, int]:
@@ -58,12 +58,12 @@ def udp(url: str) -> socket.socket:
     return made
 
 
-@pytest.mark.parametrize("flavour", AutopilotKind)
+@pytest.mark.parametrize("autopilot", AutopilotKind)
 def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
-    flavour: AutopilotKind,
+    autopilot: AutopilotKind,
 ) -> None:
     with Host(SPEEDUP) as host:
-        onboard, gcs = host.add(stood(flavour), onboard=["udpin::0"], gcs=["tcpin::0"])
+        onboard, gcs = host.add(stood(autopilot), onboard=["udpin::0"], gcs=["tcpin::0"])
         with (
             host.running(),
             closing(udp(onboard)) as udp_socket,
@@ -81,8 +81,8 @@ def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
 def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
     with Host(SPEEDUP) as host:
         urls = [
-            host.add(stood(flavour, system), onboard=["udpin::0"])[0]
-            for system, flavour in ((1, AutopilotKind.PX4), (2, AutopilotKind.ARDUPILOT))
+            host.add(stood(autopilot, system), onboard=["udpin::0"])[0]
+            for system, autopilot in ((1, AutopilotKind.PX4), (2, AutopilotKind.ARDUPILOT))
         ]
         with host.running():
             for system, url in enumerate(urls, 1):

@@ -39,7 +39,7 @@ class Rig:
 
     def __init__(
         self,
-        flavour: AutopilotKind,
+        autopilot: AutopilotKind,
         settings: dict[str, float] | None = None,
         *,
         wind_to_ne_mps: tuple[float, float] = (0.0, 0.0),
@@ -57,12 +57,12 @@ class Rig:
             payload_kg=payload_kg,
             pitot=pitot,
         )
-        path = PARAMS / "autopilots" / f"{flavour.value}.toml"
+        path = PARAMS / "autopilots" / f"{autopilot.value}.toml"
         options.setdefault("boot_age_s", 60.0)
         parameters = read_parameters(path, settings, names=names)
-        self.ap = Autopilot(flavour, HOME, parameters, **options)
+        self.ap = Autopilot(autopilot, HOME, parameters, **options)
         self.ap.add_link(0, link)
-        self.flavour = flavour
+        self.autopilot = autopilot
         self.heard: list[Message] = []
         self._encoder = Encoder(*GCS)
         self._decoder = Decoder()
@@ -131,8 +131,8 @@ class Rig:
         return acks[-1].result if acks else -1
 
     def set_mode(self, mode: Mode) -> int:
-        """DO_SET_MODE in the flavour's own numbers."""
-        if self.flavour is AutopilotKind.PX4:
+        """DO_SET_MODE in the autopilot's own numbers."""
+        if self.autopilot is AutopilotKind.PX4:
             main, sub = _PX4[mode]
             return self.command(176, 1, main, sub)
         return self.command(176, 1, _ARDUPILOT[mode])
@@ -161,7 +161,7 @@ class Rig:
 
         For ArduPilot a home item is put in front of a mission: number n becomes n + 1.
         """
-        if self.flavour is AutopilotKind.ARDUPILOT and mission_type == 0:
+        if self.autopilot is AutopilotKind.ARDUPILOT and mission_type == 0:
             items = [{"command": 16, "frame": 0}, *items]
         self.forget()
         self.send("MISSION_COUNT", count=len(items), mission_type=mission_type)
@@ -236,7 +236,7 @@ class Rig:
     def take_off(self, height_m: float = 20.0) -> None:
         """Into a hover: GUIDED for ArduPilot, HOLD for PX4."""
         self.step(0.2)
-        if self.flavour is AutopilotKind.PX4:
+        if self.autopilot is AutopilotKind.PX4:
             assert self.command(22, 0, 0, 0, 0, 0, 0, HOME[2] + height_m) == 0
             assert self.command(400, 1) == 0
         else:
@@ -277,7 +277,7 @@ def _fields_of(name: str) -> set[str]:
 
 @pytest.fixture
 def make_rig() -> type[Rig]:
-    """The rig's class: `make_rig(flavour, settings, ...)`."""
+    """The rig's class: `make_rig(autopilot, settings, ...)`."""
     return Rig
 
 
@@ -292,14 +292,17 @@ _AIRBORNE: dict[tuple[AutopilotKind, float], Rig] = {}
 
 @pytest.fixture
 def airborne() -> Callable[..., Rig]:
-    """`airborne(flavour)`: a rig hovering 20 m over home, a copy of one flown once."""
+    """`airborne(autopilot)`: a rig hovering 20 m over home, a copy of one flown once."""
 
     def give(
-        flavour: AutopilotKind, settings: dict[str, float] | None = None, *, height_m: float = 20.0
+        autopilot: AutopilotKind,
+        settings: dict[str, float] | None = None,
+        *,
+        height_m: float = 20.0,
     ) -> Rig:
-        key = (flavour, height_m)
+        key = (autopilot, height_m)
         if key not in _AIRBORNE:
-            rig = Rig(flavour, payload_kg=0.5)
+            rig = Rig(autopilot, payload_kg=0.5)
             rig.gcs_heartbeat()
             rig.take_off(height_m)
             rig.forget()

@@ -9,7 +9,7 @@ from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 HOME_ALT_M = 12.0
 GLOBAL, RELATIVE = 0, 6
@@ -21,7 +21,7 @@ def started(rig):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "mode", "custom_mode"),
+    ("autopilot", "mode", "custom_mode"),
     [
         (AP, Mode.GUIDED, 4),
         (AP, Mode.AUTO, 3),
@@ -36,8 +36,8 @@ def started(rig):
         (PX4, Mode.GUIDED, 6 << 16),
     ],
 )
-def test_modes_have_their_measured_numbers(make_rig, flavour, mode, custom_mode):
-    rig = started(make_rig(flavour))
+def test_modes_have_their_measured_numbers(make_rig, autopilot, mode, custom_mode):
+    rig = started(make_rig(autopilot))
     rig.upload([rig.place(22, 0, 0, 10)])
     assert rig.set_mode(mode) == ACCEPTED
     rig.step(1.1)
@@ -45,16 +45,16 @@ def test_modes_have_their_measured_numbers(make_rig, flavour, mode, custom_mode)
 
 
 @BOTH
-def test_the_old_set_mode_message_works_too(make_rig, flavour):
-    rig = started(make_rig(flavour))
-    custom = 4 if flavour is AP else 4 << 16 | 6 << 24
+def test_the_old_set_mode_message_works_too(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
+    custom = 4 if autopilot is AP else 4 << 16 | 6 << 24
     rig.send("SET_MODE", base_mode=1, custom_mode=custom)
-    assert rig.ap.mode is (Mode.GUIDED if flavour is AP else Mode.LAND)
+    assert rig.ap.mode is (Mode.GUIDED if autopilot is AP else Mode.LAND)
 
 
-@pytest.mark.parametrize(("flavour", "result"), [(AP, FAILED), (PX4, REJECTED)])
-def test_a_mode_that_does_not_exist(make_rig, flavour, result):
-    rig = started(make_rig(flavour))
+@pytest.mark.parametrize(("autopilot", "result"), [(AP, FAILED), (PX4, REJECTED)])
+def test_a_mode_that_does_not_exist(make_rig, autopilot, result):
+    rig = started(make_rig(autopilot))
     assert rig.command(176, 1, 77) == result
 
 
@@ -124,19 +124,19 @@ def test_px4_mission_start_arms(make_rig):
     assert rig.ap.is_armed
 
 
-@pytest.mark.parametrize(("flavour", "refusal"), [(AP, FAILED), (PX4, REJECTED)])
-def test_disarming_in_flight_needs_force(airborne, flavour, refusal):
-    rig = airborne(flavour)
+@pytest.mark.parametrize(("autopilot", "refusal"), [(AP, FAILED), (PX4, REJECTED)])
+def test_disarming_in_flight_needs_force(airborne, autopilot, refusal):
+    rig = airborne(autopilot)
     assert rig.command(400, 0) == refusal
     assert rig.ap.is_armed
     assert rig.command(400, 0, 21196) == ACCEPTED
     assert not rig.ap.is_armed
 
 
-@pytest.mark.parametrize(("flavour", "limit_s"), [(AP, 12.0), (PX4, 12.0)])
-def test_armed_and_left_on_the_ground_it_disarms_itself(make_rig, flavour, limit_s):
-    rig = started(make_rig(flavour))
-    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+@pytest.mark.parametrize(("autopilot", "limit_s"), [(AP, 12.0), (PX4, 12.0)])
+def test_armed_and_left_on_the_ground_it_disarms_itself(make_rig, autopilot, limit_s):
+    rig = started(make_rig(autopilot))
+    rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.command(400, 1)
     rig.step(8.0)
     assert rig.ap.is_armed
@@ -271,8 +271,8 @@ def test_ardupilot_ignores_setpoints_outside_guided(airborne):
 
 
 @BOTH
-def test_a_global_position_setpoint_is_flown_to(airborne, flavour):
-    rig = airborne(flavour)
+def test_a_global_position_setpoint_is_flown_to(airborne, autopilot):
+    rig = airborne(autopilot)
     place = rig.at(0.0, 20.0)
 
     def tell():
@@ -288,7 +288,7 @@ def test_a_global_position_setpoint_is_flown_to(airborne, flavour):
         )
 
     tell()
-    if flavour is PX4:
+    if autopilot is PX4:
         assert rig.set_mode(Mode.GUIDED) == ACCEPTED
     for _ in range(60):
         tell()
@@ -306,7 +306,7 @@ def cruise(rig):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "kind", "speed", "result", "flown"),
+    ("autopilot", "kind", "speed", "result", "flown"),
     [
         (AP, 1, 4.0, ACCEPTED, 4.0),
         (AP, 0, 4.0, ACCEPTED, 4.0),
@@ -317,8 +317,8 @@ def cruise(rig):
         (PX4, 1, -1.0, ACCEPTED, 5.0),
     ],
 )
-def test_change_speed(airborne, flavour, kind, speed, result, flown):
-    rig = airborne(flavour)
+def test_change_speed(airborne, autopilot, kind, speed, result, flown):
+    rig = airborne(autopilot)
     cruise(rig)
     assert rig.command(178, kind, speed, -1) == result
     rig.step(6.0)
@@ -353,9 +353,10 @@ def test_entering_auto_again_ardupilot_forgets_the_changed_speed(airborne):
 
 
 @BOTH
-def test_return_to_launch_climbs_comes_home_lands_and_disarms(airborne, flavour):
-    setting = {"RTL_ALT": 2500} if flavour is AP else {"RTL_RETURN_ALT": 25, "RTL_DESCEND_ALT": 15}
-    rig = airborne(flavour, setting)
+def test_return_to_launch_climbs_comes_home_lands_and_disarms(airborne, autopilot):
+    px4 = {"RTL_RETURN_ALT": 25, "RTL_DESCEND_ALT": 15}
+    setting = {"RTL_ALT": 2500} if autopilot is AP else px4
+    rig = airborne(autopilot, setting)
     rig.upload([rig.place(16, 60, 0, 20), rig.place(16, 61, 0, 20)])
     rig.set_mode(Mode.AUTO)
     assert rig.until(lambda: rig.ne_m[0] > 55.0, 40.0)
@@ -372,8 +373,8 @@ def test_return_to_launch_climbs_comes_home_lands_and_disarms(airborne, flavour)
 
 
 @BOTH
-def test_land_lands_here_and_disarms(airborne, flavour):
-    rig = airborne(flavour)
+def test_land_lands_here_and_disarms(airborne, autopilot):
+    rig = airborne(autopilot)
     assert rig.command(21) == ACCEPTED
     rig.step(1.0)
     rig.command(512, SPECS["EXTENDED_SYS_STATE"].id)
@@ -385,8 +386,8 @@ def test_land_lands_here_and_disarms(airborne, flavour):
 
 
 @BOTH
-def test_rally_points_that_are_nearer_than_home_are_where_a_return_ends(airborne, flavour):
-    rig = airborne(flavour)
+def test_rally_points_that_are_nearer_than_home_are_where_a_return_ends(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload([rig.place(5100, 100, 0, 20)], mission_type=2)
     rig.upload([rig.place(16, 80, 0, 20), rig.place(16, 81, 0, 20)])
     rig.set_mode(Mode.AUTO)
@@ -422,7 +423,7 @@ def test_in_light_wind_ardupilot_notices(make_rig):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "number", "result"),
+    ("autopilot", "number", "result"),
     [
         (AP, 31337, UNSUPPORTED),
         (PX4, 31337, UNSUPPORTED),
@@ -435,8 +436,8 @@ def test_in_light_wind_ardupilot_notices(make_rig):
         (AP, 211, FAILED),
     ],
 )
-def test_commands_known_and_unknown(make_rig, flavour, number, result):
-    rig = started(make_rig(flavour))
+def test_commands_known_and_unknown(make_rig, autopilot, number, result):
+    rig = started(make_rig(autopilot))
     assert rig.command(number) == result
 
 
@@ -476,27 +477,27 @@ def test_ardupilot_releases_by_servo_too(airborne):
 
 
 @BOTH
-def test_autopilot_version_says_how_parameters_are_encoded(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_autopilot_version_says_how_parameters_are_encoded(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     assert rig.command(512, 148) == ACCEPTED
     capabilities = rig.last("AUTOPILOT_VERSION").capabilities
     bytewise, c_cast = 16, 131072
-    assert bool(capabilities & bytewise) is (flavour is PX4)
-    assert bool(capabilities & c_cast) is (flavour is AP)
+    assert bool(capabilities & bytewise) is (autopilot is PX4)
+    assert bool(capabilities & c_cast) is (autopilot is AP)
 
 
 @BOTH
-def test_home_is_where_it_was_armed(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_home_is_where_it_was_armed(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     rig.command(512, 242)
     home = rig.last("HOME_POSITION")
     assert home.latitude == pytest.approx(554_700_000, abs=500)
     assert home.altitude / 1000.0 == pytest.approx(HOME_ALT_M, abs=4.0)
 
 
-@pytest.mark.parametrize(("flavour", "refusal"), [(AP, FAILED), (PX4, DENIED)])
-def test_an_unknown_message_cannot_be_requested(make_rig, flavour, refusal):
-    rig = started(make_rig(flavour))
+@pytest.mark.parametrize(("autopilot", "refusal"), [(AP, FAILED), (PX4, DENIED)])
+def test_an_unknown_message_cannot_be_requested(make_rig, autopilot, refusal):
+    rig = started(make_rig(autopilot))
     assert rig.command(512, 60000) == refusal
 
 

@@ -1,7 +1,7 @@
-"""Failsafes, fences, the pilot's radio, loss of GNSS and reboots, in both flavours.
+"""Failsafes, fences, radio control, loss of GNSS and reboots, in both autopilots.
 
-Expected behaviour: docs/reference/autopilots.md, and each autopilot's published failsafe
-documentation (ardupilot.org/copter/docs/failsafe-landing-page.html;
+Expected behaviour: docs/reference/autopilots.md (measured), and each autopilot's published
+failsafe documentation (ardupilot.org/copter/docs/failsafe-landing-page.html,
 docs.px4.io/main/en/config/safety.html).
 """
 
@@ -14,7 +14,7 @@ from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 ACCEPTED = 0
 DENIED = 2
 FAILED = 4
@@ -146,20 +146,20 @@ def test_overrides_by_mavlink_count_only_from_ardupilots_own_ground_station(airb
 
 
 @BOTH
-def test_losing_the_radio_brings_it_home(airborne, flavour):
-    rig = airborne(flavour, {"FLTMODE1": 4} if flavour is AP else {"COM_FAIL_ACT_T": 2.0})
+def test_losing_the_radio_brings_it_home(airborne, autopilot):
+    rig = airborne(autopilot, {"FLTMODE1": 4} if autopilot is AP else {"COM_FAIL_ACT_T": 2.0})
     rig.ap.set_rc(channels())
     rig.step(1.0)
     rig.ap.set_rc(None)
-    rig.step(0.9 if flavour is AP else 1.0)
-    assert rig.ap.mode is (Mode.GUIDED if flavour is AP else Mode.HOLD)
+    rig.step(0.9 if autopilot is AP else 1.0)
+    assert rig.ap.mode is (Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.step(3.0)
     assert rig.ap.mode is Mode.RTL
 
 
 def test_never_having_had_a_radio_is_not_losing_it(airborne):
-    for flavour in (AP, PX4):
-        rig = airborne(flavour)
+    for autopilot in (AP, PX4):
+        rig = airborne(autopilot)
         rig.step(10.0)
         assert rig.ap.mode in (Mode.GUIDED, Mode.HOLD)
 
@@ -174,7 +174,7 @@ def test_ardupilot_may_go_on_with_a_mission_without_radio(airborne):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "settings", "mode"),
+    ("autopilot", "settings", "mode"),
     [
         (AP, {}, Mode.GUIDED),
         (AP, {"FS_GCS_ENABLE": 1}, Mode.RTL),
@@ -184,8 +184,8 @@ def test_ardupilot_may_go_on_with_a_mission_without_radio(airborne):
         (PX4, {"NAV_DLL_ACT": 3}, Mode.LAND),
     ],
 )
-def test_losing_the_ground_station_does_what_the_parameter_says(airborne, flavour, settings, mode):
-    rig = airborne(flavour)
+def test_losing_the_ground_station_does_as_the_parameter_says(airborne, autopilot, settings, mode):
+    rig = airborne(autopilot)
     rig.gcs_heartbeat()
     for name, value in settings.items():
         rig.ap.params.set(name, value)
@@ -213,8 +213,8 @@ def test_a_companions_heartbeat_is_no_ground_station(airborne):
 
 
 @BOTH
-def test_five_seconds_without_gnss_are_borne(airborne, flavour):
-    rig = out_on_a_mission(airborne(flavour))
+def test_five_seconds_without_gnss_are_borne(airborne, autopilot):
+    rig = out_on_a_mission(airborne(autopilot))
     rig.vehicle.sensors.gnss_outage = True
     rig.step(5.0)
     rig.vehicle.sensors.gnss_outage = False
@@ -253,8 +253,8 @@ def test_px4_descends_without_a_position_and_takes_its_mission_up_again(airborne
 
 
 @BOTH
-def test_without_gnss_for_good_it_comes_down_whole(airborne, flavour):
-    rig = airborne(flavour)
+def test_without_gnss_for_good_it_comes_down_whole(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.vehicle.sensors.gnss_outage = True
     assert rig.until(lambda: not rig.vehicle.truth.airborne, 90.0)
     assert not rig.vehicle.truth.motors_failed
@@ -264,7 +264,7 @@ def test_without_gnss_for_good_it_comes_down_whole(airborne, flavour):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "settings", "mode"),
+    ("autopilot", "settings", "mode"),
     [
         (AP, {"FENCE_ENABLE": 0, "FENCE_RADIUS": 40}, Mode.AUTO),
         (AP, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 40}, Mode.RTL),
@@ -274,8 +274,8 @@ def test_without_gnss_for_good_it_comes_down_whole(airborne, flavour):
         (PX4, {"GF_MAX_HOR_DIST": 40, "GF_ACTION": 3}, Mode.RTL),
     ],
 )
-def test_leaving_the_cylinder_does_what_the_parameter_says(airborne, flavour, settings, mode):
-    rig = airborne(flavour)
+def test_leaving_the_cylinder_does_what_the_parameter_says(airborne, autopilot, settings, mode):
+    rig = airborne(autopilot)
     rig.upload([rig.place(16, 120, 0, 20), rig.place(16, 200, 0, 20)])
     rig.set_mode(Mode.AUTO)
     rig.step(1.0)
@@ -288,8 +288,8 @@ def test_leaving_the_cylinder_does_what_the_parameter_says(airborne, flavour, se
 
 @BOTH
 @pytest.mark.parametrize("is_inclusion", [True, False])
-def test_an_uploaded_polygon_bounds_the_flight(airborne, flavour, is_inclusion):
-    rig = airborne(flavour, {"FENCE_ENABLE": 1} if flavour is AP else {"GF_ACTION": 3})
+def test_an_uploaded_polygon_bounds_the_flight(airborne, autopilot, is_inclusion):
+    rig = airborne(autopilot, {"FENCE_ENABLE": 1} if autopilot is AP else {"GF_ACTION": 3})
     near, far = (-40, 40) if is_inclusion else (40, 90)
     corners = [(near, -40), (near, 40), (far, 40), (far, -40)]
     command = 5001 if is_inclusion else 5002
@@ -316,11 +316,11 @@ def test_px4_will_not_fly_a_mission_through_its_fence(make_rig):
 
 
 @BOTH
-def test_a_reboot_on_the_ground_keeps_parameters_and_mission_and_nothing_else(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_a_reboot_on_the_ground_keeps_parameters_and_mission_and_nothing_else(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.5)
     rig.upload([rig.place(22, 0, 0, 10), rig.place(16, 50, 0, 10)])
-    name = "RTL_ALT" if flavour is AP else "RTL_RETURN_ALT"
+    name = "RTL_ALT" if autopilot is AP else "RTL_RETURN_ALT"
     rig.ap.params.set(name, 44)
     rig.command(511, SPECS["SERVO_OUTPUT_RAW"].id, 100_000)
     assert rig.command(246, 1) == ACCEPTED
@@ -329,22 +329,22 @@ def test_a_reboot_on_the_ground_keeps_parameters_and_mission_and_nothing_else(ma
     assert rig.ap.time_boot_ms == pytest.approx(2000, abs=50)
     assert rig.ap.params[name] == 44
     assert rig.all("SERVO_OUTPUT_RAW") == []
-    assert len(rig.download()) == (3 if flavour is AP else 2)
-    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+    assert len(rig.download()) == (3 if autopilot is AP else 2)
+    rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     assert rig.command(400, 1) != ACCEPTED  # no position yet
 
 
 @BOTH
-def test_it_does_not_reboot_on_command_while_armed(airborne, flavour):
-    rig = airborne(flavour)
+def test_it_does_not_reboot_on_command_while_armed(airborne, autopilot):
+    rig = airborne(autopilot)
     # PX4 at 83c4f4e580 answers DENIED (measured), ArduCopter FAILED (its source).
-    assert rig.command(246, 1) == (FAILED if flavour is AP else DENIED)
+    assert rig.command(246, 1) == (FAILED if autopilot is AP else DENIED)
     assert rig.ap.is_armed
 
 
 @BOTH
-def test_a_watchdog_reboot_in_flight_flies_on_and_forgets_what_was_drawn(airborne, flavour):
-    rig = out_on_a_mission(airborne(flavour))
+def test_a_watchdog_reboot_in_flight_flies_on_and_forgets_what_was_drawn(airborne, autopilot):
+    rig = out_on_a_mission(airborne(autopilot))
     index, drawn = rig.ap.executor.index, rig.ap.battery.consumed_mah
     rig.ap.reboot()
     rig.step(3.0)

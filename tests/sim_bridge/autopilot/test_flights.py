@@ -1,4 +1,4 @@
-"""Whole flights in both flavours: a mission, and the dead man's mission of ARCHITECTURE.md."""
+"""Whole flights in both autopilots: a mission, and the dead man's mission (safety rule 2)."""
 
 import math
 
@@ -8,7 +8,7 @@ from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.kinds import AutopilotKind
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 SETTINGS = {
     AP: {"AUTO_OPTIONS": 3, "GRIP_ENABLE": 1},
     PX4: {},
@@ -44,9 +44,9 @@ def fly_on(rig, limit_s=400.0, watch=lambda: None):
 
 
 @BOTH
-def test_a_mission_from_takeoff_to_landing_with_a_jump(make_rig, flavour):
-    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    shift = 1.0 if flavour is AP else 0.0
+def test_a_mission_from_takeoff_to_landing_with_a_jump(make_rig, autopilot):
+    rig = make_rig(autopilot, SETTINGS[autopilot], payload_kg=0.5)
+    shift = 1.0 if autopilot is AP else 0.0
     begin(
         rig,
         [
@@ -74,13 +74,13 @@ def test_a_mission_from_takeoff_to_landing_with_a_jump(make_rig, flavour):
 
 
 class DeadMan:
-    """The layout of ARCHITECTURE.md, "The mission aboard": item numbers as uploaded.
+    """A dead man's mission (docs/explanation/dead-mans-mission.md): item numbers as uploaded.
 
     Two outbound waypoints at 60 and 120 m east, the customer at 180 m, back by a lane 40 m north.
     """
 
-    def __init__(self, rig, flavour, *, goes_on=False):
-        shift = 1.0 if flavour is AP else 0.0
+    def __init__(self, rig, autopilot, *, goes_on=False):
+        shift = 1.0 if autopilot is AP else 0.0
         home = {"command": SPEED, "frame": 2, "param1": 1.0, "param2": 6.0}
 
         def jump(to):
@@ -118,7 +118,7 @@ class DeadMan:
 
     def go(self, rig, to):
         """What a companion that is alive does: jump onward."""
-        if rig.flavour is AP:
+        if rig.autopilot is AP:
             assert rig.command(224, to + self.first) == 0
         else:
             rig.send("MISSION_SET_CURRENT", seq=to)
@@ -138,9 +138,9 @@ def farthest(rig):
 
 
 @BOTH
-def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, flavour):
-    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour)
+def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, autopilot):
+    rig = make_rig(autopilot, SETTINGS[autopilot], payload_kg=0.5)
+    mission = DeadMan(rig, autopilot)
     begin(rig, mission.items)
     seen, watch = farthest(rig)
     fly_on(rig, 200.0, watch)
@@ -150,9 +150,9 @@ def test_a_dead_mans_mission_that_nobody_lets_go_lands_at_the_depot(make_rig, fl
 
 
 @BOTH
-def test_a_dead_mans_mission_turns_home_after_the_last_waypoint_that_was_allowed(make_rig, flavour):
-    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour)
+def test_a_dead_mans_mission_turns_home_after_the_last_allowed_waypoint(make_rig, autopilot):
+    rig = make_rig(autopilot, SETTINGS[autopilot], payload_kg=0.5)
+    mission = DeadMan(rig, autopilot)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 4)
@@ -164,9 +164,9 @@ def test_a_dead_mans_mission_turns_home_after_the_last_waypoint_that_was_allowed
 
 
 @BOTH
-def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_rig, flavour):
-    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour)
+def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_rig, autopilot):
+    rig = make_rig(autopilot, SETTINGS[autopilot], payload_kg=0.5)
+    mission = DeadMan(rig, autopilot)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 4)
@@ -179,7 +179,7 @@ def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_
             rig.step(0.1)
             slowest.append(rig.speed_mps)
     # straight ahead: PX4 flies on at 5 m/s, ArduCopter brakes to 0.29 of its 10 m/s, or of less
-    assert min(slowest) > (4.5 if flavour is PX4 else 1.5)
+    assert min(slowest) > (4.5 if autopilot is PX4 else 1.5)
     assert rig.until(lambda: rig.ne_m[1] > 172.0, 60.0)
     mission.go(rig, 13)
     fly_on(rig, 300.0)
@@ -188,9 +188,9 @@ def test_a_dead_mans_mission_whose_companion_lives_delivers_and_comes_home(make_
 
 
 @BOTH
-def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, flavour):
-    rig = make_rig(flavour, SETTINGS[flavour], payload_kg=0.5)
-    mission = DeadMan(rig, flavour)
+def test_a_closed_gate_is_one_jump_to_the_way_home(make_rig, autopilot):
+    rig = make_rig(autopilot, SETTINGS[autopilot], payload_kg=0.5)
+    mission = DeadMan(rig, autopilot)
     begin(rig, mission.items)
     assert rig.until(lambda: mission.at(rig) == 1, 60.0)
     mission.go(rig, 7)
@@ -227,13 +227,13 @@ def test_px4_takes_off_again_after_a_landing_that_the_mission_goes_on_from(make_
 
 
 @BOTH
-def test_the_last_landing_disarms_at_once(make_rig, flavour):
+def test_the_last_landing_disarms_at_once(make_rig, autopilot):
     # flown: ArduCopter 0.4 s after landed; PX4 0.1 s, and 0.02 to 0.04 s in its own log
-    rig = make_rig(flavour, SETTINGS[flavour])
+    rig = make_rig(autopilot, SETTINGS[autopilot])
     begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(LAND, 0, 0, 0)])
     landed_s, disarmed_s = watched(rig, 0.02)
     assert not rig.ap.is_armed
-    assert disarmed_s - landed_s == pytest.approx(0.1 if flavour is PX4 else 0.4, abs=0.11)
+    assert disarmed_s - landed_s == pytest.approx(0.1 if autopilot is PX4 else 0.4, abs=0.11)
 
 
 def test_px4_goes_round_a_landing_that_jumps_back_to_itself_and_stays_armed(make_rig):
@@ -290,9 +290,9 @@ def test_ardupilot_stays_down_after_landing_whatever_follows(make_rig):
 
 
 @BOTH
-def test_headwind_near_the_limit_saturates_the_tilt_and_slows_the_flight(make_rig, flavour):
-    rig = make_rig(flavour, {**SETTINGS[flavour]}, wind_to_ne_mps=(-14.0, 0.0))
-    rig.ap.params.set(*(("ANGLE_MAX", 1500) if flavour is AP else ("MPC_TILTMAX_AIR", 15.0)))
+def test_headwind_near_the_limit_saturates_the_tilt_and_slows_the_flight(make_rig, autopilot):
+    rig = make_rig(autopilot, {**SETTINGS[autopilot]}, wind_to_ne_mps=(-14.0, 0.0))
+    rig.ap.params.set(*(("ANGLE_MAX", 1500) if autopilot is AP else ("MPC_TILTMAX_AIR", 15.0)))
     rig.take_off(10.0)
     rig.upload([rig.place(WAYPOINT, 300, 0, 10), rig.place(WAYPOINT, 400, 0, 10)])
     rig.set_mode(Mode.AUTO)

@@ -9,7 +9,7 @@ from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mission.items import NO_COORDINATE
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 WAYPOINT, LAND, TAKEOFF, JUMP, SPEED, DELAY, GRIPPER = 16, 21, 22, 177, 178, 93, 211
 MISSION_FRAME = 2
 ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
@@ -33,10 +33,10 @@ def started(rig):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "name"), [(AP, "MISSION_REQUEST"), (PX4, "MISSION_REQUEST_INT")]
+    ("autopilot", "name"), [(AP, "MISSION_REQUEST"), (PX4, "MISSION_REQUEST_INT")]
 )
-def test_an_upload_asks_with_each_autopilots_own_message(make_rig, flavour, name):
-    rig = started(make_rig(flavour))
+def test_an_upload_asks_with_each_autopilots_own_message(make_rig, autopilot, name):
+    rig = started(make_rig(autopilot))
     rig.forget()
     rig.send("MISSION_COUNT", count=2)
     asked = [m.msg_name for m in rig.hear() if "REQUEST" in m.msg_name]
@@ -80,11 +80,11 @@ def test_px4_reads_back_its_frame_and_nan(make_rig):
     assert second.frame == 5
 
 
-@pytest.mark.parametrize(("flavour", "empty"), [(AP, 0), (PX4, 65535)])
+@pytest.mark.parametrize(("autopilot", "empty"), [(AP, 0), (PX4, 65535)])
 def test_mission_current_counts_without_home_and_an_empty_mission_its_own_way(
-    make_rig, flavour, empty
+    make_rig, autopilot, empty
 ):
-    rig = started(make_rig(flavour))
+    rig = started(make_rig(autopilot))
     rig.command(512, 42)
     assert rig.last("MISSION_CURRENT").total == empty
     rig.upload(simple(rig))
@@ -94,8 +94,8 @@ def test_mission_current_counts_without_home_and_an_empty_mission_its_own_way(
 
 @BOTH
 @pytest.mark.parametrize("kind", [1, 2])
-def test_fences_and_rally_points_are_stored_and_read_back(make_rig, flavour, kind):
-    rig = started(make_rig(flavour))
+def test_fences_and_rally_points_are_stored_and_read_back(make_rig, autopilot, kind):
+    rig = started(make_rig(autopilot))
     command = {1: 5003, 2: 5100}[kind]
     items = [rig.place(command, 30, 40, 25, param1=100.0)]
     assert rig.upload(items, kind) == ACCEPTED
@@ -106,7 +106,7 @@ def test_fences_and_rally_points_are_stored_and_read_back(make_rig, flavour, kin
 
 
 @pytest.mark.parametrize(
-    ("flavour", "item", "result"),
+    ("autopilot", "item", "result"),
     [
         (AP, {"command": 9999}, UNSUPPORTED),
         (AP, {"command": WAYPOINT, "frame": 1}, UNSUPPORTED_FRAME),
@@ -123,31 +123,31 @@ def test_fences_and_rally_points_are_stored_and_read_back(make_rig, flavour, kin
         (PX4, {"command": 115, "frame": 2}, UNSUPPORTED),
     ],
 )
-def test_what_an_autopilot_cannot_fly_it_refuses_by_number(make_rig, flavour, item, result):
-    rig = started(make_rig(flavour))
+def test_what_an_autopilot_cannot_fly_it_refuses_by_number(make_rig, autopilot, item, result):
+    rig = started(make_rig(autopilot))
     assert rig.upload([item]) == result
 
 
 @BOTH
-def test_an_item_out_of_turn_does_not_end_an_upload(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_an_item_out_of_turn_does_not_end_an_upload(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     items = simple(rig)
-    if flavour is AP:
+    if autopilot is AP:
         items = [{}, *items]
     rig.send("MISSION_COUNT", count=len(items))
     rig.send_item(0, items[0])
     rig.forget()
     rig.send_item(3, items[3])
     acks = [m.type for m in rig.hear() if m.msg_name == "MISSION_ACK"]
-    assert acks == ([INVALID_SEQUENCE] if flavour is AP else [])
+    assert acks == ([INVALID_SEQUENCE] if autopilot is AP else [])
     for seq in range(1, len(items)):
         rig.send_item(seq, items[seq])
     assert rig.last("MISSION_ACK").type == ACCEPTED
 
 
 @BOTH
-def test_an_item_that_got_lost_is_asked_for_again(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_an_item_that_got_lost_is_asked_for_again(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     rig.send("MISSION_COUNT", count=3)
     rig.forget()
     rig.step(1.3)
@@ -155,8 +155,8 @@ def test_an_item_that_got_lost_is_asked_for_again(make_rig, flavour):
 
 
 @BOTH
-def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     rig.send("MISSION_COUNT", count=3)
     for _ in range(9):
         rig.gcs_heartbeat()
@@ -166,8 +166,8 @@ def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, flavour)
 
 
 @BOTH
-def test_another_partner_cannot_break_into_an_upload(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_another_partner_cannot_break_into_an_upload(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     rig.send("MISSION_COUNT", count=3)
     rig.forget()
     rig.send("MISSION_COUNT", sender=(1, 191), count=1)
@@ -175,8 +175,8 @@ def test_another_partner_cannot_break_into_an_upload(make_rig, flavour):
 
 
 @BOTH
-def test_too_many_items_are_refused_at_once(make_rig, flavour):
-    rig = started(make_rig(flavour))
+def test_too_many_items_are_refused_at_once(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
     rig.send("MISSION_COUNT", count=60000)
     assert rig.last("MISSION_ACK").type == NO_SPACE
 
@@ -223,16 +223,16 @@ def test_px4_does_not_answer_a_partial_write(make_rig):
     assert not [m for m in rig.hear() if m.msg_name.startswith("MISSION_REQ")]
 
 
-@pytest.mark.parametrize(("flavour", "result"), [(AP, ERROR), (PX4, ACCEPTED)])
-def test_clearing_in_flight(airborne, flavour, result):
-    rig = airborne(flavour)
+@pytest.mark.parametrize(("autopilot", "result"), [(AP, ERROR), (PX4, ACCEPTED)])
+def test_clearing_in_flight(airborne, autopilot, result):
+    rig = airborne(autopilot)
     rig.upload(simple(rig))
     rig.set_mode(Mode.AUTO)
     rig.step(3.0)
     rig.send("MISSION_CLEAR_ALL")
     assert rig.last("MISSION_ACK").type == result
     rig.step(0.5)
-    assert rig.ap.mode is (Mode.AUTO if flavour is AP else Mode.HOLD)
+    assert rig.ap.mode is (Mode.AUTO if autopilot is AP else Mode.HOLD)
 
 
 def test_replacing_ardupilots_mission_in_flight_restarts_the_command_item_by_item(airborne):
@@ -307,13 +307,13 @@ def test_px4_set_current_on_a_jump_resolves_it_without_counting(airborne):
 
 
 @BOTH
-def test_after_a_detour_the_mission_resumes_at_the_same_item(airborne, flavour):
-    rig = airborne(flavour)
+def test_after_a_detour_the_mission_resumes_at_the_same_item(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload(simple(rig))
     rig.set_mode(Mode.AUTO)
-    second = 3 if flavour is AP else 2
+    second = 3 if autopilot is AP else 2
     assert rig.until(lambda: rig.ap.executor.index == second, 60.0)
-    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+    rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.step(10.0)
     assert rig.speed_mps < 0.8
     rig.set_mode(Mode.AUTO)
@@ -322,14 +322,14 @@ def test_after_a_detour_the_mission_resumes_at_the_same_item(airborne, flavour):
     assert rig.until(lambda: rig.ap.executor.index == second + 1, 60.0)
 
 
-@pytest.mark.parametrize(("flavour", "result"), [(AP, ACCEPTED), (PX4, UNSUPPORTED)])
-def test_pausing_by_command(airborne, flavour, result):
-    rig = airborne(flavour)
+@pytest.mark.parametrize(("autopilot", "result"), [(AP, ACCEPTED), (PX4, UNSUPPORTED)])
+def test_pausing_by_command(airborne, autopilot, result):
+    rig = airborne(autopilot)
     rig.upload(simple(rig))
     rig.set_mode(Mode.AUTO)
     rig.step(8.0)
     assert rig.command(193, 0) == result
-    if flavour is AP:
+    if autopilot is AP:
         rig.step(10.0)
         assert rig.speed_mps < 0.8
         assert rig.command(193, 1) == ACCEPTED
@@ -338,8 +338,8 @@ def test_pausing_by_command(airborne, flavour, result):
 
 
 @BOTH
-def test_straight_legs_are_flown_through_at_speed_and_corners_are_not(airborne, flavour):
-    rig = airborne(flavour)
+def test_straight_legs_are_flown_through_at_speed_and_corners_are_not(airborne, autopilot):
+    rig = airborne(autopilot)
     items = simple(rig)[:3]
     items.append(rig.place(WAYPOINT, 120, 80, 20))
     rig.upload(items)
@@ -351,21 +351,21 @@ def test_straight_legs_are_flown_through_at_speed_and_corners_are_not(airborne, 
         if rig.ap.executor.index != index:
             index = rig.ap.executor.index
             speeds[index] = rig.speed_mps
-        if rig.ap.executor.leg is None or index == len(items) - (flavour is PX4):
+        if rig.ap.executor.leg is None or index == len(items) - (autopilot is PX4):
             break
-    straight, corner = (3, 4) if flavour is AP else (2, 3)
+    straight, corner = (3, 4) if autopilot is AP else (2, 3)
     cruise = rig.ap.cruise_mps
     assert speeds[straight] > 0.85 * cruise
-    if flavour is AP:
+    if autopilot is AP:
         assert speeds[corner] < 0.6 * cruise
 
 
 @BOTH
-def test_a_hold_at_a_waypoint_lasts_as_long_as_it_says(airborne, flavour):
-    rig = airborne(flavour)
+def test_a_hold_at_a_waypoint_lasts_as_long_as_it_says(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload([rig.place(WAYPOINT, 30, 0, 20, param1=5.0), rig.place(WAYPOINT, 60, 0, 20)])
     rig.set_mode(Mode.AUTO)
-    first = 1 if flavour is AP else 0
+    first = 1 if autopilot is AP else 0
     arrived = None
     while rig.ap.executor.index == first:
         rig.step(0.1)
@@ -407,12 +407,12 @@ def test_px4_sent_on_before_it_is_there_does_not_slow(airborne):
 
 
 @BOTH
-def test_reached_items_are_announced_in_order(airborne, flavour):
-    rig = airborne(flavour)
+def test_reached_items_are_announced_in_order(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload([rig.place(WAYPOINT, 20, 0, 20), rig.place(WAYPOINT, 40, 0, 20)])
     rig.set_mode(Mode.AUTO)
     rig.step(20.0)
-    first = 1 if flavour is AP else 0
+    first = 1 if autopilot is AP else 0
     seqs = list(dict.fromkeys(m.seq for m in rig.all("MISSION_ITEM_REACHED")))
     assert seqs == [first, first + 1]
 
@@ -462,9 +462,9 @@ def test_px4_repeats_mission_item_reached_ten_times(airborne):
 
 
 @BOTH
-def test_a_jump_is_taken_as_often_as_it_says(airborne, flavour):
-    rig = airborne(flavour)
-    shift = 1.0 if flavour is AP else 0.0
+def test_a_jump_is_taken_as_often_as_it_says(airborne, autopilot):
+    rig = airborne(autopilot)
+    shift = 1.0 if autopilot is AP else 0.0
     rig.upload(
         [
             rig.place(WAYPOINT, 20, 0, 20),
@@ -479,7 +479,7 @@ def test_a_jump_is_taken_as_often_as_it_says(airborne, flavour):
     for message in rig.all("MISSION_ITEM_REACHED"):
         if not seqs or seqs[-1] != message.seq:
             seqs.append(message.seq)
-    a, b, c = (1, 2, 4) if flavour is AP else (0, 1, 3)
+    a, b, c = (1, 2, 4) if autopilot is AP else (0, 1, 3)
     assert seqs == [a, b, a, b, a, b, c]
 
 
@@ -496,17 +496,17 @@ def test_ardupilot_repeats_minus_one_for_ever_and_px4_65535_times(make_rig):
 
 
 @BOTH
-def test_a_mission_that_only_jumps_ends_instead_of_hanging(make_rig, flavour):
-    rig = started(make_rig(flavour))
-    shift = 1.0 if flavour is AP else 0.0
+def test_a_mission_that_only_jumps_ends_instead_of_hanging(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
+    shift = 1.0 if autopilot is AP else 0.0
     jump = {"command": JUMP, "frame": MISSION_FRAME, "param2": 5000.0}
     rig.upload([{**jump, "param1": shift + 1.0}, {**jump, "param1": shift}])
     assert rig.ap.executor.plan.landing_at(int(shift), consume=False) is None
 
 
 @BOTH
-def test_a_delay_holds_and_a_speed_change_lasts(airborne, flavour):
-    rig = airborne(flavour)
+def test_a_delay_holds_and_a_speed_change_lasts(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload(
         [
             rig.place(WAYPOINT, 20, 0, 20),
@@ -516,7 +516,7 @@ def test_a_delay_holds_and_a_speed_change_lasts(airborne, flavour):
         ]
     )
     rig.set_mode(Mode.AUTO)
-    shift = 1 if flavour is AP else 0
+    shift = 1 if autopilot is AP else 0
     assert rig.until(lambda: rig.ap.executor.index == 1 + shift, 30.0)
     began = rig.ap.t_s
     assert rig.until(lambda: rig.ap.executor.index == 3 + shift, 30.0)
@@ -526,9 +526,9 @@ def test_a_delay_holds_and_a_speed_change_lasts(airborne, flavour):
 
 
 @BOTH
-def test_a_gripper_item_opens_the_gripper(airborne, flavour):
-    setting = {"GRIP_ENABLE": 1} if flavour is AP else {}
-    rig = airborne(flavour, setting)
+def test_a_gripper_item_opens_the_gripper(airborne, autopilot):
+    setting = {"GRIP_ENABLE": 1} if autopilot is AP else {}
+    rig = airborne(autopilot, setting)
     assert rig.vehicle.truth.parcel_aboard
     rig.upload(
         [
@@ -572,8 +572,8 @@ def test_px4_takes_missing_coordinates_and_heights_for_here(airborne):
 
 
 @BOTH
-def test_loiter_unlimited_stays(airborne, flavour):
-    rig = airborne(flavour)
+def test_loiter_unlimited_stays(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.upload([rig.place(17, 25, 0, 20), rig.place(WAYPOINT, 80, 0, 20)])
     rig.set_mode(Mode.AUTO)
     rig.step(40.0)

@@ -16,20 +16,20 @@ from sim_bridge.autopilot.mavlink.parameters import (
 )
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 FOLDER = Path(__file__).resolve().parents[3] / "params" / "autopilots"
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
 
 
 @BOTH
-def test_every_shipped_file_loads(flavour):
-    parameters = read_parameters(FOLDER / f"{flavour.value}.toml")
+def test_every_shipped_file_loads(autopilot):
+    parameters = read_parameters(FOLDER / f"{autopilot.value}.toml")
     assert 60 <= len(parameters) <= 150
     assert all(len(name) <= 16 for name in parameters)
 
 
 @pytest.mark.parametrize(
-    ("flavour", "name", "default"),
+    ("autopilot", "name", "default"),
     [  # published defaults (ardupilot.org parameter list; PX4 parameter reference)
         (AP, "RTL_ALT", 1500),
         (AP, "WPNAV_SPEED", 1000),
@@ -43,8 +43,8 @@ def test_every_shipped_file_loads(flavour):
         (PX4, "NAV_ACC_RAD", 10),
     ],
 )
-def test_defaults_are_the_published_ones(flavour, name, default):
-    assert read_parameters(FOLDER / f"{flavour.value}.toml")[name].value == default
+def test_defaults_are_the_published_ones(autopilot, name, default):
+    assert read_parameters(FOLDER / f"{autopilot.value}.toml")[name].value == default
 
 
 def test_a_setting_that_does_not_exist_is_refused_by_name():
@@ -82,8 +82,8 @@ def values(rig):
 
 
 @BOTH
-def test_a_list_gives_every_parameter_once_with_its_index(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_a_list_gives_every_parameter_once_with_its_index(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     rig.forget()
     rig.send("PARAM_REQUEST_LIST")
@@ -92,7 +92,7 @@ def test_a_list_gives_every_parameter_once_with_its_index(make_rig, flavour):
     count = heard[-1].param_count
     indices = [m.param_index for m in heard if m.param_id != "_HASH_CHECK"]
     assert indices == list(range(count))
-    assert ("_HASH_CHECK" in values(rig)) is (flavour is PX4)
+    assert ("_HASH_CHECK" in values(rig)) is (autopilot is PX4)
 
 
 def test_ardupilot_casts_integers_to_float(make_rig):
@@ -167,11 +167,11 @@ def test_ardupilot_takes_any_type_and_clamps_to_what_storage_holds(make_rig):
 
 
 @BOTH
-def test_what_is_no_number_or_no_parameter_changes_nothing(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_what_is_no_number_or_no_parameter_changes_nothing(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     before = rig.ap.params.digest()
-    name = "WPNAV_SPEED" if flavour is AP else "MPC_XY_CRUISE"
+    name = "WPNAV_SPEED" if autopilot is AP else "MPC_XY_CRUISE"
     rig.send("PARAM_SET", param_id=name, param_value=float("nan"), param_type=REAL32)
     rig.send("PARAM_SET", param_id="NO_SUCH_THING", param_value=1.0, param_type=REAL32)
     rig.send("PARAM_REQUEST_READ", param_id="NO_SUCH_THING", param_index=-1)

@@ -16,12 +16,12 @@ from sim_bridge.autopilot.mavlink.enums import Cmd
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
-BOTH = pytest.mark.parametrize("flavour", [AP, PX4])
+BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 
 
 @BOTH
-def test_random_bytes_do_nothing(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_random_bytes_do_nothing(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     noise = random.Random(7)
     for _ in range(200):
@@ -31,10 +31,10 @@ def test_random_bytes_do_nothing(make_rig, flavour):
 
 
 @BOTH
-def test_truncated_and_damaged_frames_do_nothing(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_truncated_and_damaged_frames_do_nothing(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.2)
-    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+    rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     fields = {f"param{i}": 0.0 for i in range(2, 8)}
     frame = Encoder(255, 190).encode(
         Message(
@@ -57,8 +57,8 @@ def test_truncated_and_damaged_frames_do_nothing(make_rig, flavour):
 
 @BOTH
 @pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (255, 190)])
-def test_what_is_meant_for_others_is_left_alone(make_rig, flavour, system, component):
-    rig = make_rig(flavour)
+def test_what_is_meant_for_others_is_left_alone(make_rig, autopilot, system, component):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     rig.send(
         "HEARTBEAT",
@@ -69,7 +69,7 @@ def test_what_is_meant_for_others_is_left_alone(make_rig, flavour, system, compo
         custom_mode=0,
         system_status=4,
     )
-    rig.set_mode(Mode.GUIDED if flavour is AP else Mode.HOLD)
+    rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.forget()
     params = {f"param{i}": 0.0 for i in range(2, 8)}
     rig.send(
@@ -87,8 +87,8 @@ def test_what_is_meant_for_others_is_left_alone(make_rig, flavour, system, compo
 
 
 @BOTH
-def test_messages_between_others_are_passed_on_between_links(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_messages_between_others_are_passed_on_between_links(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.ap.add_link(1)
     rig.step(0.1)
     heartbeat = {"type": 18, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4}
@@ -109,8 +109,8 @@ def test_messages_between_others_are_passed_on_between_links(make_rig, flavour):
 
 
 @BOTH
-def test_a_dead_link_that_nobody_reads_only_loses_messages(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_a_dead_link_that_nobody_reads_only_loses_messages(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.ap.add_link(7)
     rig.step(1.0)
     rig.ap.drop_link(7)
@@ -130,19 +130,19 @@ NUMBERS = st.one_of(
 _RIGS = {}
 
 
-def shared_rig(make_rig, flavour):
+def shared_rig(make_rig, autopilot):
     """One flying rig for all examples: whatever was sent before has not broken it."""
-    if flavour not in _RIGS:
-        _RIGS[flavour] = make_rig(flavour)
-        _RIGS[flavour].take_off(10.0)
-    return _RIGS[flavour]
+    if autopilot not in _RIGS:
+        _RIGS[autopilot] = make_rig(autopilot)
+        _RIGS[autopilot].take_off(10.0)
+    return _RIGS[autopilot]
 
 
 @BOTH
 @settings(max_examples=60, deadline=None, suppress_health_check=[])
 @given(number=NUMBERS, params=st.lists(WILD, min_size=7, max_size=7))
-def test_no_command_with_whatever_numbers_breaks_it(make_rig_class, flavour, number, params):
-    rig = shared_rig(make_rig_class, flavour)
+def test_no_command_with_whatever_numbers_breaks_it(make_rig_class, autopilot, number, params):
+    rig = shared_rig(make_rig_class, autopilot)
     rig.command(number, *params)
     rig.send(
         "COMMAND_INT",
@@ -181,8 +181,8 @@ ITEMS = st.lists(
 @BOTH
 @settings(max_examples=60, deadline=None, suppress_health_check=[])
 @given(items=ITEMS)
-def test_no_mission_with_whatever_numbers_breaks_it(make_rig_class, flavour, items):
-    rig = shared_rig(make_rig_class, flavour)
+def test_no_mission_with_whatever_numbers_breaks_it(make_rig_class, autopilot, items):
+    rig = shared_rig(make_rig_class, autopilot)
     rig.upload(items)
     for message in rig.download():
         assert message.msg_name == "MISSION_ITEM_INT"
@@ -194,8 +194,8 @@ def test_no_mission_with_whatever_numbers_breaks_it(make_rig_class, flavour, ite
 
 
 @BOTH
-def test_every_message_that_it_can_stream_can_be_built_at_any_moment(make_rig, flavour):
-    rig = make_rig(flavour, boot_age_s=0.0)
+def test_every_message_that_it_can_stream_can_be_built_at_any_moment(make_rig, autopilot):
+    rig = make_rig(autopilot, boot_age_s=0.0)
     rig.step(0.02)
     for name in rig.ap.behaviour.streams:
         rig.command(511, SPECS[name].id, 100_000)
@@ -208,8 +208,8 @@ def test_every_message_that_it_can_stream_can_be_built_at_any_moment(make_rig, f
 
 
 @BOTH
-def test_timesync_is_answered_and_lockstep_answers_are_noted(make_rig, flavour):
-    rig = make_rig(flavour)
+def test_timesync_is_answered_and_lockstep_answers_are_noted(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.5)
     rig.send("TIMESYNC", tc1=0, ts1=123456789)
     answer = rig.last("TIMESYNC")
@@ -233,10 +233,10 @@ def test_metres_and_degrees_agree_with_pymap3d(place):
 
 
 @BOTH
-def test_the_same_inputs_give_the_same_frames(make_rig, flavour):
+def test_the_same_inputs_give_the_same_frames(make_rig, autopilot):
     frames = []
     for _ in range(2):
-        rig = make_rig(flavour)
+        rig = make_rig(autopilot)
         rig.take_off(5.0)
         rig.hear()
         frames.append([m.wire_bytes for m in rig.heard])

@@ -58,7 +58,7 @@ def test_px4_sends_less_on_a_ground_station_link(make_rig):
 
 
 @pytest.mark.parametrize(
-    ("flavour", "name", "result"),
+    ("autopilot", "name", "result"),
     [
         (AP, "WIND_COV", DENIED),
         (AP, "ALTITUDE", DENIED),
@@ -76,15 +76,15 @@ def test_px4_sends_less_on_a_ground_station_link(make_rig):
         (PX4, "WIND_COV", ACCEPTED),
     ],
 )
-def test_message_intervals_are_refused_in_each_autopilots_own_word(make_rig, flavour, name, result):
-    rig = make_rig(flavour)
+def test_message_intervals_are_refused_as_each_autopilot_does(make_rig, autopilot, name, result):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     assert rig.command(511, SPECS[name].id, 500_000) == result
 
 
-@pytest.mark.parametrize("flavour", [AP, PX4])
-def test_a_message_interval_is_exact(make_rig, flavour):
-    rig = make_rig(flavour)
+@pytest.mark.parametrize("autopilot", [AP, PX4])
+def test_a_message_interval_is_exact(make_rig, autopilot):
+    rig = make_rig(autopilot)
     rig.step(0.2)
     assert rig.command(511, SPECS["EXTENDED_SYS_STATE"].id, 40_000) == ACCEPTED
     listen(rig, 4.0)
@@ -162,10 +162,10 @@ PX4_DRAG = {
 }
 
 
-def in_wind(make_rig, flavour, settings=None, **options):
+def in_wind(make_rig, autopilot, settings=None, **options):
     """Hovering in 6 m/s that blow to the south-east (from 315 degrees), for 20 s."""
     to = 6.0 * math.sqrt(0.5)
-    rig = make_rig(flavour, settings, wind_to_ne_mps=(-to, to), **options)
+    rig = make_rig(autopilot, settings, wind_to_ne_mps=(-to, to), **options)
     rig.take_off(10.0)
     for name in ("WIND", "WIND_COV", "VFR_HUD", "HIGH_LATENCY2", "AIRSPEED"):
         rig.command(511, SPECS[name].id, 500_000)
@@ -297,9 +297,9 @@ def test_ardupilot_integrates_current_and_takes_capacity_from_its_parameter(airb
     assert abs(after.battery_remaining - rig.last("SYS_STATUS").battery_remaining) <= 1
 
 
-@pytest.mark.parametrize("flavour", [AP, PX4])
-def test_a_dead_current_sensor_makes_current_unknown(airborne, flavour):
-    rig = airborne(flavour)
+@pytest.mark.parametrize("autopilot", [AP, PX4])
+def test_a_dead_current_sensor_makes_current_unknown(airborne, autopilot):
+    rig = airborne(autopilot)
     rig.vehicle.sensors.current_failed = True
     rig.command(511, SPECS["BATTERY_STATUS"].id, 500_000)
     rig.step(3.0)
@@ -328,9 +328,9 @@ def test_ardupilots_prearm_bit_comes_before_its_position_and_guided_will_not_arm
     assert rig.command(400, 1) == ACCEPTED
 
 
-@pytest.mark.parametrize("flavour", [AP, PX4])
-def test_there_is_no_position_before_the_estimator_has_one(make_rig, flavour):
-    rig = make_rig(flavour, boot_age_s=0.0)
+@pytest.mark.parametrize("autopilot", [AP, PX4])
+def test_there_is_no_position_before_the_estimator_has_one(make_rig, autopilot):
+    rig = make_rig(autopilot, boot_age_s=0.0)
     rig.step(1.0)
     rig.command(511, SPECS["GLOBAL_POSITION_INT"].id, 100_000)
     rig.step(2.0)

@@ -108,7 +108,7 @@ def test_the_small_quad_needs_what_was_measured() -> None:
 
 
 def test_the_octocopter_needs_what_a_delivery_octocopter_needs() -> None:
-    """Scenario files state 2,000 W loaded and 1,100 W empty at 15 m/s: within 30 %."""
+    """A delivery octocopter is taken to need 2,000 W loaded and 1,100 W empty at 15 m/s: 30 %."""
     flight = SteadyFlight(OCTO8)
     assert flight.level_flight_power_w(15.0, 8.0) == pytest.approx(2000, rel=0.3)
     assert flight.level_flight_power_w(15.0) == pytest.approx(1100, rel=0.3)
