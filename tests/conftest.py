@@ -12,6 +12,7 @@ import secrets
 import tempfile
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,12 +40,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Draw a seed, once a run: xdist gives this process's options to its workers."""
+    """Draw a seed, once a run: xdist's workers take their controller's."""
     asked = config.getoption(DRAW)
-    if asked == NEW_SEED:
+    drawn = getattr(config, "workerinput", {}).get("draw_seed")
+    if drawn is not None:
+        config.option.draw_seed = drawn
+    elif asked == NEW_SEED:
         config.option.draw_seed = str(secrets.randbelow(10**6))
     elif asked is not None and not asked.isdecimal():
         raise pytest.UsageError(f"{DRAW}: expected a whole number or `{NEW_SEED}`, not {asked!r}")
+
+
+@pytest.hookimpl(optionalhook=True)  # xdist's
+def pytest_configure_node(node: Any) -> None:
+    """Tell a worker which seed was drawn."""
+    node.workerinput["draw_seed"] = node.config.getoption(DRAW)
 
 
 def pytest_report_header(config: pytest.Config) -> str:
