@@ -1,4 +1,5 @@
-"""The wind estimator against a real anemometer, PX4's drag fusion and the bound."""
+"""The wind estimator against a real anemometer, against PX4's drag fusion, and against the
+bound."""
 
 import math
 import time
