@@ -18,15 +18,13 @@ from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE, stop_by_signal
 from sim_bridge.research.cli import main as research
 from sim_bridge.truth.errors import TruthError
 
-MOVED = research.old_spellings()
-
 
 class Commands(TyperGroup):
     """The simulator's commands; the old spelling of a research command still finds it."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        if args and args[0] in MOVED:
-            now = MOVED[args[0]]
+        if args and args[0] in research.OLD_SPELLINGS:
+            now = research.OLD_SPELLINGS[args[0]]
             words = " ".join(("sim-bridge", *now))
             typer.echo(f"sim-bridge {args[0]} is now {words}", err=True)
             args = [*now, *args[1:]]

@@ -7,8 +7,9 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from sim_bridge.main import MOVED, app
+from sim_bridge.main import app
 from sim_bridge.research.campaign.campaign import PLANNERS
+from sim_bridge.research.cli.main import OLD_SPELLINGS
 
 IN_FRONT = {"fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research"}
 BEFORE = {
@@ -30,12 +31,12 @@ def test_help_shows_what_flies_and_research() -> None:
 
 
 def test_every_old_spelling_is_still_a_command() -> None:
-    assert set(MOVED) == BEFORE
+    assert set(OLD_SPELLINGS) == BEFORE
 
 
 @pytest.mark.parametrize("old", sorted(BEFORE))
 def test_an_old_spelling_says_the_new_one_and_does_the_same(old: str) -> None:
-    now = list(MOVED[old])
+    now = list(OLD_SPELLINGS[old])
     before = CliRunner().invoke(app, [old, "--help"])
     after = CliRunner().invoke(app, [*now, "--help"])
     assert (before.exit_code, before.stdout) == (after.exit_code, after.stdout) == (0, after.stdout)

@@ -47,11 +47,11 @@ ASTRAY_RAD = math.radians(20.0)
 
 WIND_MAX_MPS = 6.0
 WANDER_S = 30.0
-"""The errors of what neighbours are told wander this slowly: satellites' do, so averaging does not
-help (as sim_bridge.research.avoidance has it)."""
+"""Correlation time of the errors in neighbours' tracks: GNSS errors wander slowly, so averaging
+does not help."""
 
 VERTICAL_SHARE = 0.25
-"""Of the horizontal error: heights are told by barometers."""
+"""Of the horizontal error: heights come from barometers."""
 
 PAYLOAD_KG = 0.3
 STEP_S = 0.1
@@ -61,7 +61,7 @@ LIMIT_S = 420.0
 
 @dataclass(frozen=True, slots=True)
 class CrossOptions:
-    """`late_s`, `off_m`: what is wrong with what neighbours are told (1 sigma a horizontal axis).
+    """`late_s`, `off_m`: delay and error of neighbours' tracks (1 sigma a horizontal axis).
 
     `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
     wished, by `policy` (a learned actor) or straight on. Pads and customers lie so far from the
@@ -101,11 +101,11 @@ class LoneCompanion:
         return self.run.pilot.phase
 
     def authorise(self) -> None:
-        """An operator says go."""
+        """The operator authorises the mission."""
         self.run.loop.ask(Authorised(self.run.loop.clock.t_s, "the truck"))
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Hear all of these; what is said to the autopilot in answer."""
+        """Take these datagrams; the datagrams for the autopilot in answer."""
         self.link.heard.extend(datagrams)
         while self.ended is None:
             code = self.run.step()
@@ -152,13 +152,13 @@ class Crosser:
 
     @property
     def is_over(self) -> bool:
-        """It stands, and nobody will fly it again."""
+        """It stands on the ground and will not fly again."""
         ended = self.dead or (self.companion is not None and self.companion.ended is not None)
         return ended and not self.drone.is_airborne
 
 
 class Spoiler:
-    """What neighbours are told of each vehicle is off by errors that wander."""
+    """Adds wandering errors to the tracks that neighbours receive."""
 
     def __init__(self, off_m: float, rng: np.random.Generator) -> None:
         self._std = np.array([off_m, off_m, VERTICAL_SHARE * off_m])
@@ -166,7 +166,7 @@ class Spoiler:
         self._off: dict[str, tuple[float, np.ndarray]] = {}
 
     def __call__(self, raw: bytes, t_s: float) -> bytes:
-        """The same track, as wrong as its sender's satellites are now."""
+        """The same track with its sender's present GNSS error."""
         told = decode_track(raw)
         if not isinstance(told, Told):
             return raw

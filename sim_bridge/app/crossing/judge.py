@@ -1,4 +1,4 @@
-"""What came of a crossing, by truth alone: who came how near to whom, and each one's outcome."""
+"""The verdict on a crossing, from truth alone: least separations and each vehicle's outcome."""
 
 import math
 from dataclasses import dataclass

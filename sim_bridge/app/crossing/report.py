@@ -1,4 +1,4 @@
-"""A crossing as a row of figures, as tables, and as a command flies it seed by seed."""
+"""A crossing reported: a row of figures, tables, and the loop over seeds."""
 
 import json
 from collections.abc import Iterable

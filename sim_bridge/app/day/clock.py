@@ -1,4 +1,4 @@
-"""The clock of a simulated day: desk, companions, truck and judge all live on it."""
+"""The one clock of a simulated day, for desk, companions, truck and judge."""
 
 from dataclasses import dataclass
 

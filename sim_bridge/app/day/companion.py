@@ -1,4 +1,4 @@
-"""A companion of a fleet in the simulated day's own process: what flies, stepped instead of run.
+"""A fleet's companion inside the simulated day's process: the flight code, stepped.
 
 Standby, flight after flight, through kills: the same parts as `companion run --fleet`
 (`companion.app.flight.fleet_run`), with a link in memory, the day's time, and value tables

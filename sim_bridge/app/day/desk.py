@@ -1,4 +1,4 @@
-"""The desk in the simulated day's own process, and what a desk's store says of a day."""
+"""The dispatcher's desk inside the simulated day's process, and the day's record in its store."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

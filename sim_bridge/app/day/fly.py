@@ -1,4 +1,4 @@
-"""Day after day: planned, flown, kept in its folder; what is finished is not flown again."""
+"""Days planned, flown and kept in their folders; a finished day is not flown again."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""The verdict on a day, from truth: who came home, what was brought, who came how near to whom.
+"""The verdict on a day, from truth: vehicles home, parcels delivered, least separations.
 
 Times are the day's, positions NED metres about its depot. Nothing here knows what the desk or the
 companions believe, but for the home that each vehicle told at each moment: that is the promise

@@ -1,4 +1,4 @@
-"""What a person sees of simulated days: a moving line while they are flown, then tables."""
+"""Simulated days on the terminal: a progress line while they are flown, then tables."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

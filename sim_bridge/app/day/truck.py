@@ -1,4 +1,4 @@
-"""The simulated truck and its driver: what the desk asks takes the time that it takes.
+"""The simulated truck and its driver: each task of the desk takes a realistic time.
 
 The driver does one thing after another, in the order in which the desk asked. Positions are NED
 metres about the day's depot.

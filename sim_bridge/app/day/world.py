@@ -1,4 +1,4 @@
-"""The simulated day itself: drones, truck, network and desk, a tenth of a second at a time."""
+"""The simulated day: drones, truck, network and desk, stepped by a tenth of a second."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A link that does everything wrong that links do; the vehicle at its other end is well.
+"""A link with the faults of real links (repeats, damage, delay, garbage); the vehicle is healthy.
 
 Of what the vehicle sends, some is doubled, torn, late or out of order. Between it come garbage,
 other systems and components, and frames of the vehicle itself that hold NaN, unknown fields or a

@@ -1,4 +1,4 @@
-"""What knowing the wind would have allowed: the flight integrated through the true mean wind.
+"""The best result with perfect knowledge of the wind: the flight through the true mean wind.
 
 The route is flown through the recording or the ramp as it will be, each leg at the one ground
 speed that costs least on it, as an autopilot can fly it, with the truth's own steady power and

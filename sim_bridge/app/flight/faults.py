@@ -1,4 +1,4 @@
-"""Faults put into a flight: each once, when its vehicle reaches the named phase and time."""
+"""Injected faults: each begins once, when its vehicle reaches the named phase and time."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class _Pending:
 
 @dataclass(slots=True)
 class FaultPlan:
-    """The faults of a run; `log` says in words what was done when."""
+    """The faults of a run; `log` is what was injected, with its time."""
 
     faults: list[Fault]
     log: list[tuple[float, str]] = field(default_factory=list)

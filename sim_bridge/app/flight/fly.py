@@ -105,7 +105,7 @@ class Progress:
 
 
 def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]:
-    """Fly to the end and judge; `{"flights": [...]}` as in the evaluation's section 8."""
+    """Fly to the end and judge; `{"flights": [...]}` as in docs/reference/flight-json.md."""
     progress = progress or Progress()
     flight = read_flight(options.flight_file)
     airframe = read_airframe(flight.vehicle.airframe)

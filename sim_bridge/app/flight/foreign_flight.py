@@ -1,4 +1,4 @@
-"""`sim-bridge fly --link URL`: the same flight, on vehicles that somebody else runs.
+"""`sim-bridge fly --link URL`: the same flight on vehicles that we do not simulate.
 
 ArduPilot's SITL, PX4's SIH, a Pixhawk on the bench: one companion process for each link, and
 nothing else. No lockstep: the companions live on the autopilots' clocks, whatever their speed-up.

@@ -1,4 +1,4 @@
-"""Somebody on the wire between vehicle and companion who can send, and lacks the signing key.
+"""An attacker on the link between vehicle and companion, without the signing key.
 
 To the companion it says, as the autopilot, that the mode is RTL and another mission is aboard; to
 the autopilot, as the companion, to return to launch and to clear the mission.
@@ -15,7 +15,7 @@ MAV_AUTOPILOT = {"px4": 12, "ardupilot": 3}
 
 @dataclass(slots=True)
 class Forger:
-    """Lies for one vehicle, unsigned, at every exchange."""
+    """Sends forged, unsigned messages for one vehicle at every exchange."""
 
     system: int
     flavour: str

@@ -17,7 +17,7 @@ WIND_WARM_UP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class FlightVerdict:
-    """Outcome of one flight by truth, in the words and units of the evaluation's section 8."""
+    """Outcome of one flight by truth, in the units of docs/reference/flight-json.md."""
 
     outcome: str
     delivered: bool

@@ -1,4 +1,4 @@
-"""What a companion's own stream.tlog tells while it grows: somebody else's vehicle, watched.
+"""State of a vehicle that we do not simulate, read from the companion's growing stream.tlog.
 
 The companion is the only one on the link, so this is all that there is to see of the vehicle.
 """

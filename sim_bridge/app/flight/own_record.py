@@ -1,7 +1,6 @@
-"""The verdict on a flight of somebody else's vehicle, by the companion's own record.
+"""The verdict on a flight of a vehicle that we do not simulate, from the companion's own record.
 
-Nobody knows the truth there: what only the truth could tell (wind error, what knowing the wind
-would have allowed) is None.
+The truth is unknown there. Figures that need it (wind error, the clairvoyant's result) are None.
 """
 
 import math
@@ -13,10 +12,10 @@ DECISION_KEYS = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh"
 
 
 def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -> dict[str, Any]:
-    """A row as in the evaluation's section 8, from a companion's `result.json` ({}: none).
+    """A row of docs/reference/flight-json.md, from a companion's `result.json` ({}: none).
 
-    Beside its keys: `energy_predicted_wh`, what the gate's first look in the air said that the
-    whole flight would take, and `wind_std_mps`, the estimate's own standard deviation.
+    Two keys are its own: `energy_predicted_wh`, the energy of the whole flight as the return budget
+    first predicted it in the air, and `wind_std_mps`, the estimate's own standard deviation.
     """
     decisions = result.get("decisions", [])
     took_off_s = _when(decisions, "take_off")

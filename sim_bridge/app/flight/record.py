@@ -1,4 +1,4 @@
-"""What truly happened on a flight, sampled from the simulated world for judging and drawing."""
+"""The true course of a flight, sampled from the simulated world for judging and drawing."""
 
 from dataclasses import dataclass, field
 from typing import Any

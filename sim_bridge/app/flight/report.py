@@ -1,4 +1,4 @@
-"""What a person sees of a flight: one live line a vehicle, then the table."""
+"""The flight on the terminal: one live line a vehicle, then the table."""
 
 import math
 from collections.abc import Mapping, Sequence

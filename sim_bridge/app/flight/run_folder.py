@@ -1,4 +1,4 @@
-"""Where a run's files go: a folder of its own, whatever ran before."""
+"""A run's own folder, new for each run."""
 
 import contextlib
 from collections.abc import Iterator

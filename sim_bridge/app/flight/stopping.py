@@ -1,4 +1,4 @@
-"""SIGTERM as an orderly end: the stack unwinds, and with it every process that was started."""
+"""SIGTERM ends the program in order: the stack unwinds, and started processes end with it."""
 
 import signal
 import threading

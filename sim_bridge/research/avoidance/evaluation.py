@@ -1,4 +1,4 @@
-"""Flying a policy over episodes and counting what came of it."""
+"""Flies a policy over episodes and counts goals, collisions, times and energies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Towns to fly in: street grids of boxes as rasters, and who starts where.
+"""Towns to fly in: street grids of boxes as rasters, and the starts and goals of the drones.
 
 What stands higher than the flight is an obstacle. Rasters are north by east, one cell of `CELL_M`,
 with a margin as wide as the field of view, so that every view is a slice.

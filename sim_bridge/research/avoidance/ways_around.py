@@ -1,4 +1,4 @@
-"""The shortest way to each goal round the buildings, known to who teaches and never to who flies.
+"""The shortest way to each goal round the buildings; the teacher knows it, the policy never.
 
 Buildings are boxes along north and east, so the shortest way bends at their corners only: the
 visibility graph (Lozano-Perez and Wesley, CACM 22, 1979) of boxes grown by `CLEAR_M` is exact.

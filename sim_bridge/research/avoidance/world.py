@@ -1,4 +1,4 @@
-"""Many episodes of drones over a town at once: what the policies and the trainer fly in.
+"""Many episodes of drones over a town at once: the world of policies and trainer.
 
 As in arXiv 2604.13441, IV-B, there is a decision every 2 s. Between decisions a low-level
 controller with limited acceleration runs at 5 Hz. The true motion is the commanded one plus gusts;

@@ -1,4 +1,4 @@
-"""Who flies the episodes: nobody's avoidance, ORCA, or the trained actor."""
+"""The policies that fly the episodes: no avoidance, ORCA, or the trained actor."""
 
 from dataclasses import dataclass, field
 from typing import Any, Protocol

@@ -1,4 +1,4 @@
-"""What one decision costs on board: the safety filter with many neighbours, the actor's wish.
+"""What one decision costs on board: the safety filter with many neighbours, the actor's velocity.
 
 The scenes are of one drone at 12 m/s with neighbours all about it that come towards it at up to
 10 m/s; the nearest of them 30, 60, 90 and 140 m away in turn, so that in some the wish passes

@@ -1,4 +1,4 @@
-"""Dubins paths in wind: how many a second, how long, and what the library that exists says.
+"""Dubins paths in wind: paths a second and their lengths, beside OMPL's.
 
 The peer is OMPL (BSD; `pip install ompl`): its Dubins and trochoid state spaces, one pair of poses
 at a time from Python, as anybody would call it. `dubins` 1.0.1 (2018) no longer builds on Python

@@ -1,4 +1,4 @@
-"""Speed and size of planners and campaigns, each beside its plain alternative, in one run."""
+"""Speed and size of planners and campaigns, each beside its plain alternative."""
 
 import resource
 from collections.abc import Callable

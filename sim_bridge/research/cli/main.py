@@ -16,7 +16,12 @@ for part in (campaign, tables, promise, avoid, results):
     app.registered_commands += part.app.registered_commands
 app.add_typer(bench.app, name="bench")
 
-BENCHMARKS = {
+_SAME_NAME = (
+    "campaign", "table1", "table2", "lambda-sweep", "energy-speed", "speed-to-fly", "towns",
+    "frontier", "paths", "promise", "avoid", "avoid-table", "avoid-curve", "export-avoid",
+    "train-avoid",
+)  # fmt: skip
+_BENCHMARKS = {
     "bench": "flight",
     "bench-dispatch": "dispatch",
     "planner-bench": "planner",
@@ -24,15 +29,6 @@ BENCHMARKS = {
     "paths-bench": "paths",
     "avoid-bench": "avoid",
 }
-"""How the benchmarks were called when they were commands of `sim-bridge` itself."""
-
-
-def old_spellings() -> dict[str, tuple[str, ...]]:
-    """Commands that were `sim-bridge`'s own, and where they are now."""
-    names = (info.name or _dashed(info.callback) for info in app.registered_commands)
-    moved: dict[str, tuple[str, ...]] = {name: ("research", name) for name in names}
-    return moved | {old: ("research", "bench", new) for old, new in BENCHMARKS.items()}
-
-
-def _dashed(command: object) -> str:
-    return getattr(command, "__name__", "").replace("_", "-")
+OLD_SPELLINGS: dict[str, tuple[str, ...]] = {name: ("research", name) for name in _SAME_NAME}
+OLD_SPELLINGS |= {old: ("research", "bench", new) for old, new in _BENCHMARKS.items()}
+"""Commands that were `sim-bridge`'s own, and where they are now. New commands do not join."""

@@ -1,4 +1,4 @@
-"""What an airframe can turn and climb, as a path feels it."""
+"""Turn and climb limits of an airframe, as a path has to keep them."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The picture of `sim-bridge paths`: the same two poses in three worlds."""
+"""The picture of `sim-bridge research paths`: the same two poses in three worlds."""
 
 import math
 from pathlib import Path

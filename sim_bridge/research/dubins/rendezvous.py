@@ -1,4 +1,4 @@
-"""When a word meets its goal in wind: the path is Dubins' in the air, the goal drifts upwind.
+"""Dubins words in wind: in the air mass the goal drifts upwind, and the path has to meet it.
 
 Seen from the air the goal moves at minus the wind, so a word must be exactly as long as what is
 flown by the time that it takes (McGee, Spry & Hedrick 2005; Techy & Woolsey, "Minimum-time path

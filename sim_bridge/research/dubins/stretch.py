@@ -1,4 +1,4 @@
-"""Paths of a given time and length: what a climb at its steepest angle asks for.
+"""Paths stretched to a given time and length, for climbs at the steepest angle.
 
 The goal's place in the air is known then, so these are plain geometry. First LSL and RSR with full
 circles, their radius grown until the length fits: both in closed form, since turning does not

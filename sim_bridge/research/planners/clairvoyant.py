@@ -1,4 +1,4 @@
-"""The yardstick for recordings: the best that knowing the whole recording beforehand allows.
+"""The clairvoyant on recorded wind: the best result with the whole recording known beforehand.
 
 An edge that is entered later is left later (the wind is the same for all who are on it), so the
 earliest arrival at the target, and from there at the depot, costs the least energy of all routes:

@@ -1,4 +1,4 @@
-"""The loss that a policy really has, found by flying it; and the weight that keeps the bound.
+"""The true loss of a policy, found by flying it, and the weight that keeps its bound.
 
 A table's forecast is off a little where energy falls between its levels, and more where classes
 hide the wind's state, because the table plans as if it saw it. So the candidate policies are flown

@@ -1,4 +1,4 @@
-"""The most that anybody with the same information could deliver, on simulated wind.
+"""An upper bound on the deliveries of any rule with the same information, on simulated wind.
 
 The process of a simulated day is Gaussian and Markov, so what its past tells of its future is known
 exactly: a Kalman filter on the true process over every noisy second until the vehicle is over the

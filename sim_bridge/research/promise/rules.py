@@ -1,4 +1,4 @@
-"""What flies beside the gate: PX4's time rule, fixed thresholds, the clairvoyant.
+"""The rules compared with the gate: PX4's time rule, fixed thresholds, the clairvoyant.
 
 All go at once but the clairvoyant; all look every second on the way out, and none after the
 delivery, when there is nothing left to turn back from.

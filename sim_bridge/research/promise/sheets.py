@@ -1,4 +1,4 @@
-"""`promise` as people read it: tables and the reliability diagram."""
+"""The results of `promise`: tables and the reliability diagram."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What really happens: straight out, deliver, straight back, through the recording at 1 s.
+"""The true missions: straight out, deliver, straight back, through the recording at 1 s.
 
 The truth's side of `promise`: imports nothing of the planner's. The vehicle holds its airspeed,
 nose into the relative wind; ground speed follows the wind triangle second by second, and while the

@@ -1,9 +1,9 @@
-"""Was the promise kept? Rules' counts, reliability of what was said, intervals.
+"""Was the promise kept? Counts of the rules, reliability of the stated P(home), intervals.
 
 Intervals: half an hour of wind is a handful of independent winds, however many missions fly through
 it, so the bootstrap draws whole units (300 s of a recording, a simulated day) with replacement. A
-bootstrap knows nothing of losses that it has not seen: where it is the narrower, Wilson's interval
-of the bare counts takes its place.
+bootstrap cannot know of losses that are not in the sample. Where it is narrower than Wilson's
+interval of the plain counts, that interval is used.
 """
 
 from dataclasses import dataclass

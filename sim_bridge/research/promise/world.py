@@ -1,4 +1,4 @@
-"""One call of `promise`: its winds, its missions, what every rule makes of them."""
+"""One call of `promise`: its winds, its missions, and how each rule flies them."""
 
 import hashlib
 import math

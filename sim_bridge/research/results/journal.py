@@ -1,7 +1,7 @@
-"""Long work that survives Ctrl-C: what is done is kept, one JSON line for each piece of work.
+"""Long work that survives Ctrl-C: finished pieces are kept, one JSON line each.
 
-The journal lies beside the result until that is whole. The same command takes it up again; another
-command refuses to mix with it and starts afresh.
+The journal lies beside the result until the result is complete. The same command continues from
+it. A different command does not mix with it and starts from the beginning.
 """
 
 import hashlib
@@ -20,13 +20,13 @@ Result = TypeVar("Result")
 
 
 class Journal(Generic[Result]):
-    """Finished pieces on disk, one line each, after a line that says whose they are."""
+    """Finished pieces on disk, one line each, after a line with the digest of the work."""
 
     def __init__(self, path: Path, digest: str, kind: type[Result]) -> None:
         self.path, self._digest, self._kind = path, digest, kind
 
     def read(self) -> dict[int, Result]:
-        """Finished pieces of this very work; none where the journal is another's."""
+        """Finished pieces of this work; none where the journal belongs to other work."""
         try:
             lines = self.path.read_bytes().splitlines()
         except FileNotFoundError:
@@ -102,7 +102,7 @@ def _in_any_order(
 
 
 def digest_of(*things: object) -> str:
-    """What tells one work from another: of values whose `repr` says all about them."""
+    """A digest that identifies the work, from values whose `repr` is complete."""
     return hashlib.sha256(repr(things).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""An experiment's table as Markdown and CSV, and its figures' common look."""
+"""An experiment's table as Markdown and CSV, and how means and intervals are written."""
 
 import csv
 from collections.abc import Sequence

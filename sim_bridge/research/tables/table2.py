@@ -1,4 +1,4 @@
-"""Table 2: what the parts are worth, over a day of 20 customers, four drones and one truck.
+"""Table 2: the value of each part, over a day of 20 customers, four drones and one truck.
 
 A trial is one town graph and one day (`table2_day`): customers clustered by the ground station, the
 truck's tour over the stops, a drone's flight from a stop to each other customer and back. Every

@@ -1,4 +1,4 @@
-"""Table 2's day: 20 customers of one town, one truck, four drones; who is served from where.
+"""Table 2's day: 20 customers of one town, one truck, four drones, and who serves which customer.
 
 Clusters come from the ground station's own methods; a cluster's stop is one of its customers, whom
 the truck serves itself, and its others are flown to from there and back. The truck's tour is the

@@ -1,4 +1,4 @@
-"""Outcomes over generated towns whose wind differs from edge to edge; ours beside the paper's."""
+"""Outcomes over generated towns whose wind differs from edge to edge; our BER and the paper's."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What PX4 makes of the wind from a multirotor's drag, as a benchmark.
+"""PX4's wind estimate from a multirotor's drag, as a benchmark.
 
 Written from PX4's published equations (EKF2, multirotor drag fusion; parameters EKF2_BCOEF_X/Y,
 EKF2_MCOEF, EKF2_DRAG_NOISE, EKF2_WIND_NSD with their defaults at 1.16): along each body axis the

@@ -1,4 +1,4 @@
-"""What a step of the wind adds to the bound: where it is announced, and where it is not.
+"""What a step of the wind adds to the bound, announced and unannounced.
 
 A ramp of the mean wind, 10 s long, from a time that is one of every second of the flight, by a
 vector of the step's size and of any direction. What it does to the filter that knows of none is
