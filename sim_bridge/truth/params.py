@@ -85,7 +85,7 @@ class DragParams(_Table, frozen=True):
 
 
 class AttitudeParams(_Table, frozen=True):
-    """How fast, and how far, the airframe leans. Angles in degrees, as people write them."""
+    """How fast and how far the airframe tilts. Angles in degrees, as people write them."""
 
     max_tilt_deg: float
     angle_time_s: float
@@ -197,7 +197,7 @@ class SensorParams(_Table, frozen=True):
 
 
 class GroundParams(_Table, frozen=True):
-    """What the landing gear bears."""
+    """What the landing gear withstands."""
 
     crash_sink_mps: float
     crash_drift_mps: float

@@ -34,7 +34,7 @@ class _Common(
 ):
     """What every kind of wind has. Left out, the profile is 1/7 for a made wind, 0 for a log.
 
-    A recording holds its own gusts, so turbulence on top of one is to be asked for.
+    A recording holds its own gusts, so turbulence is added to one only on request.
     """
 
     profile_exponent: float | None = None
