@@ -2,12 +2,12 @@
 
 | URL | is |
 | --- | --- |
-| `udpout:host:port` | sends to host:port and hears whoever answers from there |
-| `udpin:host:port` | listens, and answers everybody who has spoken lately |
+| `udpout:host:port` | sends to host:port and receives what comes from there |
+| `udpin:host:port` | listens, and answers every peer heard in the last 30 s |
 | `tcpin:host:port` | TCP server for one client at a time, as an autopilot's serial port is |
 
 An empty host is loopback; port 0 takes a free one (see `Endpoint.url`). Nothing here raises because
-of what a peer does or does not do: a lost peer is a silent one.
+of a peer: a lost peer is a silent one.
 """
 
 import contextlib
@@ -33,28 +33,28 @@ class Endpoint(Protocol):
 
     @property
     def url(self) -> str:
-        """The URL with the port that was really taken."""
+        """The URL with the port in use."""
         ...
 
     def attach(self, selector: selectors.BaseSelector) -> None:
-        """Register whatever sockets there are, and will be, with this endpoint as their data."""
+        """Register present and future sockets, with this endpoint as their data."""
         ...
 
     def receive(self) -> list[bytes]:
-        """What has arrived: datagrams, or from a stream whole frames. Does not wait."""
+        """What has arrived: datagrams, or whole frames of a stream. Does not wait."""
         ...
 
     def send(self, data: bytes) -> None:
-        """Send to whoever is there. Does not wait."""
+        """Send to all peers. Does not wait."""
         ...
 
     def close(self) -> None:
-        """Let the sockets go."""
+        """Close the sockets."""
         ...
 
 
 def bundled(frames: Iterable[bytes]) -> list[bytes]:
-    """Whole frames in as few datagrams as an Ethernet carries, in order (as PX4 sends them).
+    """Whole frames in as few Ethernet-sized datagrams as possible, in order (as PX4 does).
 
     Each datagram wakes its reader, which costs more than its bytes: sending telemetry frame by
     frame was half of a lockstep flight's time.
@@ -81,7 +81,7 @@ def _udp_socket() -> socket.socket:
 
 
 class UdpOut:
-    """Speaks first, to one address."""
+    """Sends first, to one address."""
 
     def __init__(self, host: str, port: int) -> None:
         self.url = f"udpout:{host}:{port}"
@@ -125,7 +125,7 @@ class UdpOut:
 
 
 class UdpIn:
-    """Waits to be spoken to; then answers all who have spoken within half a minute."""
+    """Waits for datagrams; answers every peer heard within the last 30 s."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = _udp_socket()
@@ -147,7 +147,7 @@ class UdpIn:
         while True:
             try:
                 data, peer = self._socket.recvfrom(_LARGEST_DATAGRAM)
-            except OSError:  # nothing more, in the first place
+            except OSError:  # usually nothing more to read
                 return datagrams
             if peer in self._heard_s or len(self._heard_s) < _MOST_PEERS:
                 self._heard_s[peer] = time.monotonic()
@@ -169,7 +169,7 @@ class UdpIn:
 
 
 class TcpIn:
-    """A server for one client; the next may come when that one has gone."""
+    """A server for one client at a time."""
 
     def __init__(self, host: str, port: int) -> None:
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -237,7 +237,7 @@ class TcpIn:
         self._client = None
 
     def send(self, data: bytes) -> None:
-        """See `Endpoint`; what a client does not read in time is lost in whole datagrams."""
+        """See `Endpoint`; what a client does not read in time is dropped, in whole datagrams."""
         if self._client is None or len(self._unsent) > _TCP_BACKLOG_BYTES:
             self._flush()
             return
@@ -304,7 +304,7 @@ class EndpointSet:
 
     @property
     def urls(self) -> Sequence[str]:
-        """The URLs with the ports really taken, by number."""
+        """The URLs with the ports in use, by number."""
         return [endpoint.url for endpoint in self._endpoints]
 
     def poll(self, timeout_s: float) -> list[tuple[int, bytes]]:
@@ -324,11 +324,11 @@ class EndpointSet:
         return [(n, data) for n in numbers for data in self._endpoints[n].receive()]
 
     def send(self, number: int, data: bytes) -> None:
-        """Send on one endpoint, to whoever is there."""
+        """Send on one endpoint, to all its peers."""
         self._endpoints[number].send(data)
 
     def close(self) -> None:
-        """Let all sockets go."""
+        """Close all sockets."""
         for endpoint in self._endpoints:
             endpoint.close()
         self._selector.close()

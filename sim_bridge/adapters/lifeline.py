@@ -1,4 +1,4 @@
-"""Children that do not outlive their parent, however that ends."""
+"""Child processes that end with their parent, however it ends."""
 
 import ctypes
 import os
@@ -10,14 +10,14 @@ PR_SET_PDEATHSIG = 1
 
 
 def entry(main: str) -> str:
-    """Python for `-c`: first tied to the process that starts it, then `main`."""
+    """Python code for `-c`: ties itself to the process that starts it, then runs `main`."""
     return f"from sim_bridge.adapters.lifeline import hold; hold({os.getpid()}); {main}"
 
 
 def hold(parent: int) -> None:
-    """Die with `parent`, also where that is killed and can put nothing in order (Linux only)."""
+    """End with `parent`, even if it is killed and cannot clean up (Linux only)."""
     if not sys.platform.startswith("linux"):
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it was gone before we could say so
+    if os.getppid() != parent:  # it had ended before prctl took effect
         os._exit(1)

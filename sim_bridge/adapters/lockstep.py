@@ -1,9 +1,9 @@
-"""Lockstep: simulated time goes on when every companion that lives has had its turn.
+"""Lockstep: simulated time advances when every live companion has had its turn.
 
 After each step's telemetry the autopilot asks TIMESYNC(tc1=0, ts1=t); a companion handles its
-datagrams in order, so its TIMESYNC(tc1 != 0, ts1=t) says that it has seen them all, and everything
-it wants to say stands before it on the wire. So the same seed gives the same decisions at any
-speed. The wall clock decides one thing only: when a companion is taken for dead.
+datagrams in order, so its TIMESYNC(tc1 != 0, ts1=t) means that it has handled them all, and that
+everything it had to send came before. So the same seed gives the same decisions at any speed. The
+wall clock decides only when a companion counts as dead.
 """
 
 import struct
@@ -24,7 +24,7 @@ _TC1_TS1 = struct.Struct("<qq")
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """What one exchange brought: datagrams by endpoint number, and whose life changed."""
+    """Result of one exchange: datagrams by endpoint number, and which clients died or revived."""
 
     received: list[tuple[int, bytes]]
     died: tuple[int, ...] = ()
@@ -33,14 +33,14 @@ class Gathered:
 
 @dataclass(frozen=True, slots=True)
 class _Signs:
-    """What a datagram says to lockstep: signs of life, and the time that it answers."""
+    """What a datagram means for lockstep: a HEARTBEAT, and the times that it answers."""
 
     heartbeat: bool
     answers_ns: tuple[int, ...]
 
 
 def _read_signs(datagram: bytes) -> _Signs:
-    """Walk the frames of a datagram for HEARTBEATs and TIMESYNC answers; the rest is not read."""
+    """Scan the frames of a datagram for HEARTBEATs and TIMESYNC answers only."""
     heartbeat = False
     answers: list[int] = []
     at, end = 0, len(datagram)
@@ -71,10 +71,10 @@ def _read_signs(datagram: bytes) -> _Signs:
 class Lockstep:
     """Takes turns with the clients on some endpoints of a set.
 
-    `request(number, t_ns)` gives the datagrams for an endpoint: what its autopilot has to say,
-    then its TIMESYNC request (the autopilot numbers its frames as they leave, so both come from
-    one place). A client that does not answer within `limit_s` of wall time is dead: it is still
-    asked, no longer waited for, and lives again when it answers or sends a HEARTBEAT.
+    `request(number, t_ns)` gives the datagrams for an endpoint: what its autopilot sends, then
+    its TIMESYNC request (the autopilot numbers its frames as they leave, so both come from one
+    place). A client that does not answer within `limit_s` of wall time is dead: it is still
+    asked but no longer waited for, and live again when it answers or sends a HEARTBEAT.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Lockstep:
         return Gathered(_by_number(received), died=tuple(sorted(missing)))
 
     def exchange(self, t_ns: int) -> Gathered:
-        """Send what the autopilots say, give every client its turn at `t_ns`, and gather.
+        """Send the autopilots' frames, give every client its turn at `t_ns`, and gather.
 
         Returns when all live clients have answered or their limit is over. `received` is in the
         order of endpoint numbers and, within one, of arrival.
@@ -166,7 +166,7 @@ class Lockstep:
                     revived.add(number)
             if not waited_for or left_s == 0.0:
                 break
-            only_ended = waited_for <= ended  # their last words are here, if they had any
+            only_ended = waited_for <= ended  # what they sent before they ended has arrived
             left_s = 0.0 if only_ended else max(deadline_s - self._clock_s(), 0.0)
         return Gathered(_by_number(received), revived=tuple(sorted(revived)))
 

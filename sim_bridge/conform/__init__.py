@@ -1,5 +1,5 @@
-"""What a vehicle does, asked over MAVLink: a conformance suite for any endpoint.
+"""A conformance suite over MAVLink: what the vehicle behind any endpoint does.
 
-A client of its own on pymavlink. It knows neither our simulated autopilots nor our companion, so
-that it tells the truth about both and about real autopilots alike.
+It has its own client on pymavlink and shares no code with our simulated autopilots or with our
+companion, so that it judges both, and real autopilots, in the same way.
 """

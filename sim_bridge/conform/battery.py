@@ -1,4 +1,4 @@
-"""Battery: which fields are known, and how they run in the hover."""
+"""Battery: which fields are known, and how they change in the hover."""
 
 from typing import cast
 

@@ -14,14 +14,14 @@ Value = str | float | int | bool
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a vehicle did: a value that can be compared, and words for people."""
+    """What a vehicle did: a value that can be compared, and a note for people."""
 
     value: Value
     note: str = ""
 
 
 class Where(Enum):
-    """The state that the vehicle is brought into before a behaviour is looked at."""
+    """The state of the vehicle before a behaviour is observed."""
 
     GROUND = "on the ground, disarmed, without a mission"
     AIR = "hovering 20 m above home, without a mission"
@@ -33,8 +33,8 @@ class Where(Enum):
 class Behaviour:
     """One named behaviour.
 
-    `within` and `within_frac` (of the reference) say how far two numbers may lie apart and still
-    be the same behaviour; the wider of the two holds. Words and truths are the same or are not.
+    `within` and `within_frac` (of the reference) are the tolerances within which two
+    numbers are the same behaviour; the wider one holds. Texts and booleans have to be equal.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""A MAVLink client on the vehicle's clock: what was said, what was heard, and when.
+"""A MAVLink client on the vehicle's clock: what was sent, what was received, and when.
 
 Every `..._s` here is the vehicle's time since its boot, learned from TIMESYNC and `time_boot_ms`;
-simulators that run faster or slower than the wall need no other treatment.
+so simulators that run faster or slower than real time need no special treatment.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ COMPANION = Identity(1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, mavlink.MAV_TYPE_O
 
 
 def name_of(enum: str, number: int) -> str:
-    """The word for a number, less the part that all words of the enum share."""
+    """The name of a number, without the prefix that all names of the enum share."""
     entry = mavlink.enums[enum].get(number)
     words = {
         "MAV_RESULT": "MAV_RESULT_",
@@ -122,7 +122,7 @@ class Client:
 
     @contextlib.contextmanager
     def appearing_as(self, whom: Identity) -> Iterator[None]:
-        """Be somebody else for a while."""
+        """Use another system and component id for a while."""
         before, self.me = self.me, whom
         try:
             yield
@@ -132,7 +132,7 @@ class Client:
     # --- listening ----------------------------------------------------------------------------
 
     def turn(self) -> list[Message]:
-        """Say what is due, hear what has come; raises VehicleSilent after long silence."""
+        """Send what is due and read what has come; VehicleSilent after long silence."""
         if self.t_s > self._limit_s:
             raise CannotSee("it took too long")
         self._keep_in_touch()
@@ -196,22 +196,22 @@ class Client:
         return self.latest["HEARTBEAT"]
 
     def forget(self) -> None:
-        """Drop what was heard so far."""
+        """Drop what was received so far."""
         self.heard.clear()
         self._attended = 0
 
     def forget_clock(self) -> None:
-        """The vehicle starts anew: so does its time."""
+        """The vehicle reboots, and its time starts again."""
         self.t_s = 0.0
         self._beat_at_s = None
         self._last_word_s = self._link.now_s()
         self.latest.clear()
 
     def wait_for_new_clock(self, before_s: float) -> None:
-        """Listen until a time since boot is heard that is clearly earlier than `before_s`."""
+        """Listen until a time since boot arrives that is clearly earlier than `before_s`."""
         self.forget_clock()
         while not 0.0 < self.t_s < before_s or "HEARTBEAT" not in self.latest:
-            if self.t_s >= before_s:  # still the old one's last words
+            if self.t_s >= before_s:  # still from before the reboot
                 self.t_s = 0.0
                 self.latest.clear()
             self.turn()
@@ -226,13 +226,13 @@ class Client:
             self._limit_s = math.inf
 
     def close(self) -> None:
-        """Let the link go."""
+        """Close the link."""
         self._link.close()
 
     # --- waiting ------------------------------------------------------------------------------
 
     def collect(self, for_s: float, *names: str) -> list[Message]:
-        """What comes within a time, of some names (of all if none is named)."""
+        """What arrives within a time, of some names (of all if none is given)."""
         mark, end_s = len(self.heard), self.t_s + for_s
         while self.t_s < end_s:
             self.turn()
@@ -240,7 +240,7 @@ class Client:
         return [m for m in self.heard[mark:] if not names or m.get_type() in names]
 
     def until(self, truth: Callable[[], T | None], within_s: float) -> T | None:
-        """Listen until `truth()` gives something; None when the time is over."""
+        """Listen until `truth()` returns something; None when the time is over."""
         end_s = self.t_s + within_s
         while not (found := truth()) and self.t_s < end_s:
             self.turn()
@@ -253,7 +253,7 @@ class Client:
         within_s: float = 3.0,
         where: Callable[[Message], bool] | None = None,
     ) -> Message | None:
-        """The next message of a name that fits, after what was last said, heard or waited for."""
+        """The next matching message of a name, after the last one sent, received or waited for."""
         wanted = (names,) if isinstance(names, str) else names
         end_s = self.t_s + within_s
         while True:
@@ -269,7 +269,7 @@ class Client:
     # --- asking -------------------------------------------------------------------------------
 
     def command(self, number: int, *params: float, within_s: float = 3.0) -> str:
-        """Send a COMMAND_LONG; the word of its first COMMAND_ACK."""
+        """Send a COMMAND_LONG; returns the result of its first COMMAND_ACK as text."""
         self.say_command(number, *params)
         return self.answer_to(number, within_s)
 
@@ -305,7 +305,7 @@ class Client:
         return self.answer_to(number, within_s)
 
     def answer_to(self, number: int, within_s: float = 3.0) -> str:
-        """The word of the next COMMAND_ACK for a command."""
+        """The result of the next COMMAND_ACK for a command, as text."""
         ack = self.hear("COMMAND_ACK", within_s, lambda m: m.command == number)
         return NO_ANSWER if ack is None else name_of("MAV_RESULT", ack.result)
 
@@ -314,7 +314,7 @@ class Client:
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
 
     def texts(self) -> list[str]:
-        """STATUSTEXTs heard since `forget`, those that came in pieces put together."""
+        """STATUSTEXTs since `forget`; those that came in chunks are joined."""
         texts: dict[tuple[int, int], str] = {}
         for number, message in enumerate(self.heard):
             if message.get_type() == "STATUSTEXT":

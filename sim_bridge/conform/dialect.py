@@ -1,4 +1,4 @@
-"""What has to be known to fly each autopilot at all: its modes, and how it takes off.
+"""What is needed to fly each autopilot at all: its modes, and how it takes off.
 
 Sources: ArduPilot, ArduCopter/mode.h; PX4, src/modules/commander/px4_custom_mode.h.
 """

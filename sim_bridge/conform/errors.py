@@ -1,4 +1,4 @@
-"""What the suite refuses, and why a behaviour could not be seen."""
+"""Mistakes in the use of the suite, and why a behaviour could not be observed."""
 
 
 class ConformError(ValueError):
@@ -6,8 +6,8 @@ class ConformError(ValueError):
 
 
 class CannotSee(Exception):
-    """The vehicle did not come into the state in which a behaviour can be looked at."""
+    """The vehicle did not reach the state in which a behaviour can be observed."""
 
 
 class VehicleSilent(CannotSee):
-    """Nothing is heard of the vehicle any more."""
+    """The vehicle sends nothing any more."""

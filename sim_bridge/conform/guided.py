@@ -1,4 +1,4 @@
-"""Reposition and set-points: frames, speeds, time-outs; and acknowledgements that are no facts."""
+"""Reposition and set-points: frames, speeds, time-outs, and acknowledgements without effect."""
 
 import math
 
@@ -78,7 +78,7 @@ def _velocity(s: Subject, north_mps: float) -> None:
 
 
 def _local_setpoint(s: Subject, type_mask: int, **told: float) -> None:
-    """One set-point in LOCAL_NED; what is not told is 0."""
+    """One set-point in LOCAL_NED; what is not given is 0."""
     fields = ("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
     s.client.send(
         "SET_POSITION_TARGET_LOCAL_NED",

@@ -2,10 +2,10 @@
 
 | URL | is |
 | --- | --- |
-| `udpin:HOST:PORT` | listens, and answers whoever spoke last |
-| `udpout:HOST:PORT` | calls |
-| `tcp:HOST:PORT` | calls; comes back by itself after a break, as after a reboot |
-| `serial:DEVICE[:BAUD]` | a port, 57600 baud unless said |
+| `udpin:HOST:PORT` | listens, and answers the latest sender |
+| `udpout:HOST:PORT` | sends first |
+| `tcp:HOST:PORT` | connects, and again by itself after a break, such as a reboot |
+| `serial:DEVICE[:BAUD]` | a serial port, 57600 baud unless given |
 """
 
 import contextlib
@@ -26,7 +26,7 @@ _EXPECTED = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial
 
 
 class VehicleLink(Protocol):
-    """One way to the vehicle."""
+    """A link to the vehicle."""
 
     def send(self, data: bytes) -> None:
         """Send; a lost peer is a silent one."""
@@ -41,12 +41,12 @@ class VehicleLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Let it go."""
+        """Close it."""
         ...
 
 
 class UdpLink:
-    """UDP, calling or listening."""
+    """UDP, sending first or listening."""
 
     def __init__(self, host: str, port: int, *, listens: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -74,16 +74,16 @@ class UdpLink:
         return b"".join(chunks)
 
     def now_s(self) -> float:
-        """The wall's clock."""
+        """Wall-clock time."""
         return time.monotonic()
 
     def close(self) -> None:
-        """Let the socket go."""
+        """Close the socket."""
         self._socket.close()
 
 
 class TcpLink:
-    """TCP, calling; tries again twice a second while nobody answers."""
+    """TCP client; tries again twice a second while nobody answers."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
@@ -132,11 +132,11 @@ class TcpLink:
         return data
 
     def now_s(self) -> float:
-        """The wall's clock."""
+        """Wall-clock time."""
         return time.monotonic()
 
     def close(self) -> None:
-        """Let the connection go."""
+        """Close the connection."""
         self._lose()
 
 
@@ -160,11 +160,11 @@ class SerialLink:
         return first + self._port.read(self._port.in_waiting)
 
     def now_s(self) -> float:
-        """The wall's clock."""
+        """Wall-clock time."""
         return time.monotonic()
 
     def close(self) -> None:
-        """Let the port go."""
+        """Close the port."""
         self._port.close()
 
 

@@ -22,7 +22,7 @@ _ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 def _straight(s: Subject) -> list[Item]:
-    """Three waypoints north in a line, far enough that none is reached while we look."""
+    """Three waypoints in a line to the north, so far that none is reached during the test."""
     return [waypoint(s, _AWAY_M + 40.0 * n, 0.0, HEIGHT_M) for n in range(3)]
 
 
@@ -100,7 +100,7 @@ def _pause(s: Subject) -> str:
 
 
 def _detour(s: Subject) -> Finding:
-    """The holding mode amid the second leg, and the mission again."""
+    """The hold mode during the second leg, then the mission again."""
     fly_straight(s)
     s.client.send("MISSION_SET_CURRENT", seq=s.first_seq() + 1)
     s.client.collect(2.0)

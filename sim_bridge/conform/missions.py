@@ -32,7 +32,7 @@ class Item:
 
 @dataclass(slots=True)
 class Uploaded:
-    """How an upload went: the words of its end, and what the vehicle asked with."""
+    """How an upload went: its result, and the message that the vehicle requested items with."""
 
     ack: str = NO_ANSWER
     asked_with: set[str] = field(default_factory=set)
@@ -87,7 +87,7 @@ def _serve(
 def upload(
     client: Client, items: Sequence[Item], kind: int = 0, *, only: int | None = None
 ) -> Uploaded:
-    """Upload a list; `only` breaks off, silently, after so many items."""
+    """Upload a list; `only` stops, without a message, after so many items."""
     client.send("MISSION_COUNT", count=len(items), mission_type=kind)
     return _serve(client, items, 0, kind, only)
 
@@ -118,7 +118,7 @@ def begin_download(client: Client, kind: int = 0) -> int | None:
 
 
 def end_download(client: Client, kind: int = 0) -> None:
-    """MISSION_ACK: until it comes PX4 refuses whatever else is wanted of its missions."""
+    """MISSION_ACK: until it comes PX4 refuses every other mission message."""
     client.send("MISSION_ACK", type=mavlink.MAV_MISSION_ACCEPTED, mission_type=kind)
 
 
@@ -139,7 +139,7 @@ def download(client: Client, kind: int = 0) -> list[Message] | None:
 
 
 def clear(client: Client, kind: int = 0) -> str:
-    """MISSION_CLEAR_ALL; the word of its MISSION_ACK."""
+    """MISSION_CLEAR_ALL; returns the result in its MISSION_ACK as text."""
     client.send("MISSION_CLEAR_ALL", mission_type=kind)
     ack = client.hear("MISSION_ACK", _REPLY_S, lambda m: m.mission_type == kind)
     return NO_ANSWER if ack is None else name_of("MAV_MISSION_RESULT", ack.type)

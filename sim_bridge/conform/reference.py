@@ -49,14 +49,14 @@ class Parity(Enum):
 
 
 def as_result(vehicle: VehicleIdentity, rows: Iterable[BehaviourRecord]) -> ConformanceResult:
-    """The rows of a run, as they are written."""
+    """The records of a run as a result."""
     return ConformanceResult(
         vehicle, {row.behaviour.name: Answer(row.value, row.note, row.problem) for row in rows}
     )
 
 
 def write_result(path: Path, result: ConformanceResult) -> None:
-    """Write a result; what is empty is left out."""
+    """Write a result; empty fields are left out."""
     behaviours = {
         name: {key: value for key, value in asdict(answer).items() if value not in (None, "")}
         for name, answer in result.answers.items()
@@ -105,7 +105,7 @@ def judge(
     reference: Answer | None,
     reasons: Mapping[str, str],
 ) -> Parity:
-    """One answer against the reference's; a known difference is explained, seen or not."""
+    """Compare one answer with the reference's; a known difference counts as explained."""
     if reference is None or reference.value is None:
         return Parity.NO_REFERENCE
     if answer is not None and answer.value is not None:
@@ -142,7 +142,7 @@ def _cell(text: str) -> str:
 def matrix(
     a: ConformanceResult, b: ConformanceResult, reasons: Mapping[str, str], names: tuple[str, str]
 ) -> str:
-    """A parity matrix in Markdown: a row for each behaviour that either has been asked about."""
+    """A parity matrix in Markdown: one row for each behaviour that either was asked about."""
     lines = [
         f"| behaviour | {names[0]} | {names[1]} | |",
         "| --- | --- | --- | --- |",
@@ -166,6 +166,6 @@ def matrix(
 
 
 def tally(verdicts: Iterable[Parity]) -> str:
-    """How many of each verdict, in words."""
+    """How many of each verdict, as text."""
     listed = list(verdicts)
     return ", ".join(f"{listed.count(v)} {v.value}" for v in Parity if v in listed)

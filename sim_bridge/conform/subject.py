@@ -1,4 +1,4 @@
-"""The vehicle under test: brought into a known state before each behaviour, and left as found."""
+"""The vehicle under test: brought into a known state before each behaviour, and left as it was."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""The suite: every behaviour, in the order of the states that they need, each on its own."""
+"""The suite: every behaviour on its own, in the order of the states that they need."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ _COMMIT_DIGITS = 10
 
 @dataclass(frozen=True, slots=True)
 class VehicleIdentity:
-    """What the vehicle says that it is."""
+    """Autopilot and firmware that the vehicle reports."""
 
     autopilot: str
     firmware: str
@@ -54,7 +54,7 @@ class VehicleIdentity:
 
 @dataclass(frozen=True, slots=True)
 class BehaviourRecord:
-    """What was seen of one behaviour, or why it was not."""
+    """What was observed of one behaviour, or why it could not be."""
 
     behaviour: Behaviour
     value: Value | None
@@ -63,7 +63,7 @@ class BehaviourRecord:
 
 
 class Observer(Protocol):
-    """Whoever watches the suite run."""
+    """Follows the progress of a run."""
 
     def begins(self, behaviour: Behaviour) -> None: ...
     def ended(self, row: BehaviourRecord) -> None: ...
@@ -72,7 +72,7 @@ class Observer(Protocol):
 def select(only: Iterable[str], *, reboots: bool) -> list[Behaviour]:
     """The behaviours of some families, names or patterns; all without any.
 
-    Those that reboot the autopilot only where that is allowed. A word that fits none is refused.
+    Those that reboot the autopilot only if that is allowed. A word that matches none is refused.
     """
     words = list(only)
     chosen = {name for word in words for name in _named(word)} if words else set(BY_NAME)
@@ -106,7 +106,7 @@ def identify(subject: Subject) -> VehicleIdentity:
 def run_suite(
     subject: Subject, behaviours: Sequence[Behaviour], observer: Observer
 ) -> list[BehaviourRecord]:
-    """See the behaviours one after the other; a vehicle that falls silent ends it."""
+    """Observe the behaviours one after the other; a silent vehicle ends the run."""
     rows: list[BehaviourRecord] = []
     silent = ""
     for behaviour in behaviours:

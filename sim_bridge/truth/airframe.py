@@ -19,7 +19,7 @@ def wrap_pi(angle_rad: float) -> float:
 
 
 class Airframe:
-    """State and motion of one vehicle's body. NED, SI, radians; `thrust_n` is all rotors' own.
+    """State and motion of one vehicle's body. NED, SI, radians; `thrust_n` sums all rotors.
 
     `airspeed_mps` and `useful_w` (force of the rotors times velocity through the air, see
     `rotor_power`) belong to the last step.
@@ -97,7 +97,7 @@ class Airframe:
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
 
     def tumble(self, dt_s: float) -> None:
-        """Keep the attitude that it had when control was lost, its rates dying away."""
+        """Without control: the attitude drifts on and its rates decay."""
         self.roll_rad += self.rollspeed_rps * dt_s
         self.pitch_rad += self.pitchspeed_rps * dt_s
         keep = math.exp(-dt_s)

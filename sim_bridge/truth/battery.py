@@ -1,12 +1,12 @@
-"""A lithium-polymer pack: open-circuit voltage, sag, cut-off, and what it can still deliver.
+"""A lithium-polymer pack: open-circuit voltage, sag, cut-off, and the energy that remains.
 
 Thevenin model with one polarisation branch. Voltage and the rise of resistance at low charge
 after Chen and Rincon-Mora, "Accurate electrical battery model capable of predicting runtime and
 I-V performance", IEEE Trans. Energy Conversion 21(2), 2006, eqs. 2 and 3 (a polymer Li-ion cell,
-3.80 V on average), raised towards full charge for cells that are charged higher.
+3.80 V on average), raised towards full charge for cells with a higher charging voltage.
 
-Temperature acts on resistance by an Arrhenius law, age on capacity and resistance. The cells stay
-at the temperature that they started with.
+Temperature changes resistance by an Arrhenius law; ageing changes capacity and resistance. The
+cells keep their initial temperature.
 """
 
 import math
@@ -27,7 +27,7 @@ def open_circuit_cell_v(charge_frac: float, full_cell_v: float = _CURVE_FULL_V) 
     """Resting voltage of a cell (Chen and Rincon-Mora 2006, eq. 2).
 
     Cells that are charged higher (4.20 V, or 4.35 V for LiHV) rise further over their upper half:
-    the difference is added with the square of charge, which is how their published curves part.
+    the difference is added with the square of charge, as their published curves diverge.
     """
     s = charge_frac
     curve = 3.685 + s * (0.2156 + s * (-0.1178 + s * 0.3201))
@@ -35,7 +35,7 @@ def open_circuit_cell_v(charge_frac: float, full_cell_v: float = _CURVE_FULL_V) 
 
 
 class Battery:
-    """A pack that is being discharged. Charge only ever falls; cut-off is for good."""
+    """A pack under discharge. Charge never rises; cut-off is permanent."""
 
     __slots__ = (
         "_capacity_c",
@@ -138,7 +138,7 @@ class Battery:
             self.cut_off = True
 
     def loaded_v(self, charge_frac: float, draw_w: float) -> float:
-        """Settled terminal voltage at a charge under a constant draw; 0 when it cannot give it."""
+        """Settled terminal voltage at a charge under a constant draw; 0 if it cannot deliver it."""
         open_v = self._cells * open_circuit_cell_v(charge_frac, self._full_cell_v)
         ohm = self._series_ohm(charge_frac) + self._polarisation_ohm
         inside = open_v * open_v - 4.0 * ohm * draw_w

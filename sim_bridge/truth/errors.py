@@ -2,4 +2,4 @@
 
 
 class TruthError(Exception):
-    """A mistake that a person can mend: says where, what, and what was expected, in one line."""
+    """A mistake in the input: says where, what, and what was expected, in one line."""

@@ -1,4 +1,4 @@
-"""Gaussian numbers one at a time from a numpy Generator, at list speed."""
+"""Gaussian numbers one at a time from a numpy Generator, drawn in blocks for speed."""
 
 import math
 
@@ -10,7 +10,7 @@ _BLOCK = 2048
 class GaussianStream:
     """Standard normal numbers in the generator's order, drawn in blocks.
 
-    One scalar from numpy costs about ten times one popped from a list; a vehicle needs some
+    One scalar from numpy costs about ten times one popped from a list; a vehicle needs about
     twenty of them per 10 ms.
     """
 

@@ -99,7 +99,7 @@ class DragParams(_Table, frozen=True):
 
 
 class AttitudeParams(_Table, frozen=True):
-    """How fast, and how far, the airframe leans. Angles in degrees, as people write them."""
+    """How fast and how far the airframe tilts. Angles in degrees, as people write them."""
 
     max_tilt_deg: float
     """Largest lean angle."""
@@ -252,7 +252,7 @@ class SensorParams(_Table, frozen=True):
 
 
 class GroundParams(_Table, frozen=True):
-    """What the landing gear bears."""
+    """What the landing gear withstands."""
 
     crash_sink_mps: float
     """Sink rate at touchdown above which it crashes."""

@@ -1,4 +1,4 @@
-"""What the rotors need: induced, profile and parasite power, and what the battery must give.
+"""Rotor power: induced, profile and parasite power, and the power from the battery.
 
 Sources, by equation: Leishman, Principles of Helicopter Aerodynamics, 2nd ed. (2006): momentum
 theory in hover, climb and forward flight 2.2, 2.13, 2.14; profile power with forward speed 5.4.2
@@ -6,10 +6,10 @@ theory in hover, climb and forward flight 2.2, 2.13, 2.14; profile power with fo
 state: Johnson's fit as used in CAMRAD (NASA TM-81182, 1980).
 
 Energy method. Let F be the force of all rotors on the airframe (thrust and rotor drag) and v the
-vehicle's velocity through the air. Then shaft power = induced + profile + F.v, whatever the
-vehicle does: in steady level flight F.v is the airframe's parasite power, in a climb it adds
-weight times climb rate, in acceleration mass times acceleration times speed. Rotor drag (the disk
-plane tilts back under forward speed) leans the body forward without costing power of its own.
+vehicle's velocity through the air. Then shaft power = induced + profile + F.v in any flight state.
+In steady level flight F.v is the airframe's parasite power; a climb adds weight times climb rate,
+acceleration adds mass times acceleration times speed. Rotor drag (the disk plane tilts back under
+forward speed) tilts the body forward but takes no power of its own.
 """
 
 import math
@@ -41,7 +41,7 @@ def inflow_ratio(descent_ratio: float, inplane_ratio: float) -> float:
     `inplane_ratio` the speed across it. Glauert's momentum equation
     x sqrt(mu^2 + (x - d)^2) = 1 (Leishman eq. 2.126), with Newton steps from the side on which
     they converge monotonically; inside 1.5 mu^2 + (2 d - 3)^2 < 1, where the wake folds back and
-    momentum theory has no say, Johnson's fit x = d (1.991 - 0.373 d^2 - 0.598 mu^2).
+    momentum theory does not apply, Johnson's fit x = d (1.991 - 0.373 d^2 - 0.598 mu^2).
     """
     d, mu2 = descent_ratio, inplane_ratio * inplane_ratio
     ring = 2.0 * d - 3.0

@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: noise, bias that wanders, delay, and faults.
+"""Sensor models: noise, slowly varying bias, delay and faults.
 
 Faults are attributes to set: `gnss_outage`, `pitot_stuck`, `pitot_iced`, `voltage_failed`,
 `current_failed`.
@@ -19,7 +19,7 @@ _SLOW_PERIOD_S = 0.1
 
 
 class SensorSuite:
-    """All sensors of one vehicle. Attitude biases are public: a real inner loop flies by them."""
+    """All sensors of one vehicle. Attitude biases are public: a real inner loop flies with them."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class SensorSuite:
         )
 
     def _read_slow(self, body: Airframe, battery: Battery) -> None:
-        """Sensors polled at 10 Hz: pitot, voltage, current; and the biases wander."""
+        """Sensors polled at 10 Hz: pitot, voltage, current; and a step of every bias."""
         p, gauss = self._p, self._gauss
         for bias in (self._roll_bias, self._pitch_bias, self._baro_drift):
             bias.step(_SLOW_PERIOD_S)
@@ -151,14 +151,14 @@ class SensorSuite:
             self._airspeed_mps = self._read_pitot(body.forward_airspeed_mps)
 
     def _read_pitot(self, forward_mps: float) -> float:
-        """Airspeed from dynamic pressure on the forward axis; from behind it reads none."""
+        """Airspeed from dynamic pressure on the forward axis; from behind it reads 0."""
         ram = 0.0 if self.pitot_iced else max(forward_mps, 0.0)
         pressure_pa = 0.5 * self._density * ram * ram * self._pitot_gain
         pressure_pa += self._pitot_bias_pa + self._p.pitot_noise_pa * self._gauss()
         return math.sqrt(max(2.0 * pressure_pa / self._density, 0.0))
 
     def _take_fix(self, t_s: float, body: Airframe) -> None:
-        """Measure; the receiver lets it out after its latency. Nothing during an outage."""
+        """Measure; the receiver outputs it after its latency. Nothing during an outage."""
         north, east, down = self._gnss_bias
         for bias in (north, east, down):
             bias.step(self._gnss_period_s)

@@ -1,4 +1,4 @@
-"""What crosses the border of the simulated world: commands in, measurements and truth out.
+"""Interface of the simulated world: commands in, measurements and truth out.
 
 `Vehicle.step` duck-types its command, so that an autopilot may bring a class of its own.
 """
@@ -10,7 +10,7 @@ Vec3 = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Actuation:
-    """What a flight controller asks of airframe, motors and gripper.
+    """The command of a flight controller to airframe, motors and gripper.
 
     Attitude is a set-point: roll and pitch in rad, yaw in rad clockwise from north.
     `thrust_frac` is 0..1 of the static maximum at nominal voltage. `release` opens the gripper.
@@ -56,7 +56,7 @@ class SensorReadings:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is so. For judging and drawing; never for an autopilot or a companion.
+    """The true state. For judging and drawing; never for an autopilot or a companion.
 
     `usable_wh` is what the battery could still deliver until cut-off at the power of a hover
     without parcel (the reference draw). `airborne` is false while any weight is on the ground.

@@ -1,6 +1,6 @@
-"""Tilt, thrust and power of steady flight: what the dynamic model settles to.
+"""Tilt, thrust and power of steady flight: the equilibrium of the dynamic model.
 
-Quick enough to integrate a whole mission, for a clairvoyant and for experiments.
+Fast enough to integrate a whole mission, for a planner with perfect knowledge and experiments.
 """
 
 import math

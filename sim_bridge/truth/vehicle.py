@@ -43,7 +43,7 @@ class Vehicle:
     """A vehicle that stands on the ground until it is flown. Time starts at 0.
 
     Faults to set: `release_fails` (the gripper is stuck), those of `sensors`, and
-    `fail_motors()`. Losing the battery or hitting the ground hard ends the motors for good.
+    `fail_motors()`. Losing the battery or hitting the ground hard stops the motors for good.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Vehicle:
 
     @property
     def wind_field(self) -> WindField:
-        """The wind that this vehicle meets, for a clairvoyant."""
+        """The wind that this vehicle meets, for a planner with perfect knowledge."""
         return self._wind
 
     @property
@@ -130,7 +130,7 @@ class Vehicle:
 
     @property
     def pos_ned_m(self) -> Vec3:
-        """Where it is: as in `truth`, without the rest."""
+        """True position; cheaper than `truth`."""
         return self._body.north_m, self._body.east_m, self._body.down_m
 
     @property
@@ -242,7 +242,7 @@ class Vehicle:
             self._motors_failed = True
 
     def _specific_force(self, before: Vec3, dt_s: float) -> Vec3:
-        """What accelerometers feel: acceleration without gravity, in body axes."""
+        """What accelerometers measure: acceleration without gravity, in body axes."""
         body = self._body
         north = (body.north_mps - before[0]) / dt_s
         east = (body.east_mps - before[1]) / dt_s
@@ -257,7 +257,7 @@ class Vehicle:
 
     @property
     def truth(self) -> Truth:
-        """What is so, now."""
+        """The true state now."""
         body, battery = self._body, self._battery
         return Truth(
             t_s=self._t_s,

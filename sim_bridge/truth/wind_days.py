@@ -1,6 +1,6 @@
-"""Independent days of simulated wind, from a stated process: as many as one likes.
+"""Independent days of simulated wind from a stated process, in any number.
 
-Each day has a mean wind of its own, uniform from 0.75 to 1.25 times the asked mean, from a uniform
+Each day has a mean wind of its own, uniform from 0.75 to 1.25 times the given mean, from a uniform
 direction. About it the vector moves by a sum of independent Ornstein-Uhlenbeck processes on both
 axes. Their standard deviations, as shares of the day's mean: 0.10 with a memory of 20 minutes
 (weather over the hour), 0.09 with 3 minutes (large eddies of the boundary layer), and 0.165 with
@@ -41,7 +41,7 @@ def day_process(mean_mps: float, rng: np.random.Generator) -> DayProcess:
 
 
 def day_of_wind(process: DayProcess, seconds: int, rng: np.random.Generator) -> Floats:
-    """Where the air moves to, north and east, at every second, (seconds + 1, 2)."""
+    """Wind vector (direction it blows TO), north and east, at every second: (seconds + 1, 2)."""
     wind = np.tile(np.array(process.mean_ne_mps), (seconds + 1, 1))
     for std, memory in zip(process.std_mps, process.memory_s, strict=True):
         wind += std * _unit_process(seconds, memory, rng)

@@ -26,7 +26,7 @@ class MeanWind(Protocol):
 
 
 class SteadyWind:
-    """The same wind for ever."""
+    """A constant wind."""
 
     __slots__ = ("_vector",)
 
@@ -126,7 +126,7 @@ class WindField:
         return (max(height_m, _LEAST_PROFILE_HEIGHT_M) / self._reference_m) ** self._exponent
 
     def mean_to_ne_mps(self, t_s: float, height_m: float) -> tuple[float, float]:
-        """Mean wind at a height above ground, without gusts: what a clairvoyant integrates."""
+        """Mean wind at a height above ground, without gusts (for perfect knowledge)."""
         north, east = self._mean.to_ne_mps(t_s)
         factor = self._profile(height_m)
         return north * factor, east * factor

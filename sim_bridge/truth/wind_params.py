@@ -37,7 +37,7 @@ class _Common(
 ):
     """What every kind of wind has.
 
-    A recording holds its own gusts, so turbulence on top of one is to be asked for.
+    A recording holds its own gusts, so turbulence is added to one only on request.
     """
 
     profile_exponent: float | None = None

@@ -7,8 +7,8 @@
 
 Fields keep their wire units (degE7, centimetres). Char arrays are `str`, u8 arrays `bytes`, other
 arrays tuples; base fields have to be given, extensions default to zero. Floats may be NaN. Bytes
-from outside never raise: what is not a sound frame is skipped and counted. A message of our own
-that does not fit its definition is our mistake and raises `CodecError`.
+from outside never raise: what is not a valid frame is skipped and counted. A message of our own
+that does not fit its definition is a programming error and raises `CodecError`.
 
 Source of the frame layout: mavlink.io/en/guide/serialization.html.
 """
@@ -34,18 +34,18 @@ _HEADER_V2 = struct.Struct("<BBBBBBHB")  # length, incompat, compat, seq, system
 
 
 class CodecError(ValueError):
-    """A message of ours cannot be put on the wire as it is: names message, field and value."""
+    """A message of ours cannot be encoded: names message, field and value."""
 
 
 class Signer(Protocol):
-    """What signs and checks MAVLink 2 frames (see signing.py)."""
+    """Signs and checks MAVLink 2 frames (see signing.py)."""
 
     def signature(self, frame: bytes) -> bytes:
         """The 13 bytes to append to a complete frame whose signed flag is set."""
         ...
 
     def accepts(self, frame: bytes) -> bool:
-        """Whether a frame with a sound CRC, signed or not, may be acted upon."""
+        """Whether a frame with a valid CRC, signed or not, is accepted."""
         ...
 
 
@@ -199,7 +199,7 @@ def _wide_values(plan: _Plan, fields: dict[str, Any]) -> list[Any]:
 
 
 def _unpack_payload(plan: _Plan, payload: bytes) -> dict[str, Any]:
-    """Fields from a payload whose cut-off zeros are put back; what we do not know is left."""
+    """Fields of a payload after its cut-off zeros are restored; unknown rest is ignored."""
     full = plan.spec.full
     if len(payload) < full.size:
         payload = payload.ljust(full.size, b"\0")
@@ -265,7 +265,7 @@ class Encoder:
 
 @dataclass(slots=True)
 class DecoderCounts:
-    """What a decoder has met so far."""
+    """What a decoder has counted so far."""
 
     messages: int = 0
     garbage_bytes: int = 0
@@ -279,7 +279,7 @@ class DecoderCounts:
 class Decoder:
     """Bytes of one link to messages.
 
-    By default every `feed` is a datagram and stands for itself. With `stream=True` the bytes are
+    By default every `feed` is a complete datagram. With `stream=True` the bytes are
     a stream, and a frame may arrive in any number of pieces. With `keep_unknown=True` frames of
     unknown types come out too, as messages named UNKNOWN without fields, for forwarding.
     """
@@ -298,7 +298,7 @@ class Decoder:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Message]:
-        """The sound messages that `data` completes, in the order of their arrival."""
+        """The valid messages that `data` completes, in the order of their arrival."""
         data = self._rest + data if self._rest else bytes(data)
         messages: list[Message] = []
         counts = self.counts
@@ -334,7 +334,7 @@ class Decoder:
         return 12 + data[at + 1] + (_SIGNATURE_SIZE if flags else 0)
 
     def _take(self, data: bytes, at: int, size: int, end: int, messages: list[Message]) -> int:
-        """Put the frame at `at` into `messages` if it is sound; the bytes it used, else 0."""
+        """Put the frame at `at` into `messages` if it is valid; returns its size, else 0."""
         counts = self.counts
         version_2 = data[at] == _MAGIC_V2
         length = data[at + 1]
@@ -372,7 +372,7 @@ class Decoder:
     def _take_unknown(
         self, data: bytes, at: int, size: int, end: int, msg_id: int, messages: list[Message]
     ) -> int:
-        """An unknown type has no CRC that we could check: believe it if a frame can follow."""
+        """The CRC of an unknown type cannot be checked: accept it if a frame can follow."""
         after = at + size
         if after < end and data[after] not in (_MAGIC_V1, _MAGIC_V2):
             return 0

@@ -52,7 +52,7 @@ class LinkState:
             due_s, name = queue[0]
             names.append(name)
             following = due_s + self._intervals_s[name]
-            if following <= now_s:  # it fell behind: do not send a burst
+            if following <= now_s:  # late: do not send a burst
                 following = now_s + self._intervals_s[name]
             heapq.heapreplace(queue, (following, name))
         return names

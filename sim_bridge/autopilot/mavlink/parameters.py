@@ -1,4 +1,4 @@
-"""The autopilot's parameters: what they are called, what they hold, how they look on the wire."""
+"""The autopilot's parameters: names, values and wire encoding."""
 
 import math
 import struct
@@ -22,7 +22,7 @@ MAV_PARAM_TYPES = {"int8": 2, "int16": 4, "int32": 6, "float": 9}
 
 
 class ParameterError(ValueError):
-    """A parameter file or setting that does not fit: says where, what, and what was expected."""
+    """A wrong parameter file or setting: says where, what, and what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Parameter:
 
 
 def _stored(type_name: str, value: float) -> float:
-    """What remains of `value` in storage: a 32-bit float, or an integer of the type's range."""
+    """`value` as it is stored: a 32-bit float, or an integer within the type's range."""
     if type_name == "float":
         return struct.unpack("<f", struct.pack("<f", value))[0]
     low, high = _INT_RANGES[type_name]

@@ -1,7 +1,7 @@
-"""Where a message goes that arrives on one of an autopilot's links.
+"""Routing of messages between the links of an autopilot.
 
-A vehicle with several links is a router too: a ground station on one reaches the companion on
-another through the autopilot. Both rules are the real ones; neither knows sockets.
+A ground station on one link reaches the companion on another through the autopilot. Both routers
+follow the rules of the real autopilots.
 Sources: ArduPilot, libraries/GCS_MAVLink/MAVLink_routing.cpp (check_and_forward); PX4,
 src/modules/mavlink (Mavlink::forward_message, MavlinkReceiver::component_was_seen).
 """
@@ -28,7 +28,7 @@ _OURS = Routing(deliver=True, forward_to=())
 
 
 class Router(Protocol):
-    """Learns who is where from what arrives, and routes it."""
+    """Learns the senders on each link, and routes messages."""
 
     def add_link(self, link_id: Hashable) -> None:
         """A link is up."""
@@ -91,7 +91,7 @@ class ArduPilotRouter:
         """Learn the sender and route; `deliver` is false for what is meant for others."""
         sender = (message.src_system, message.src_component)
         if sender == (self._system, self._component):
-            return _OURS  # a loop in somebody's wiring
+            return _OURS  # a routing loop
         self._routes.learn(link_id, sender)
         if message.msg_id in _NEVER_FORWARDED_BY_ARDUPILOT:
             return _OURS

@@ -1,7 +1,7 @@
 """MAVLink 2 message signing: 48 bits of SHA-256 under a shared key, with replay protection.
 
 Source: mavlink.io/en/guide/message_signing.html. Timestamps count 10 us since 2015-01-01 UTC and
-are passed in; here they only ever grow.
+are passed in; they never go back.
 """
 
 from enum import Enum
@@ -13,11 +13,11 @@ _KEY_SIZE = 32
 _SIGNATURE_SIZE = 13  # link id, timestamp (6), signature (6)
 _OLDEST_NEW_STREAM = 60 * 100_000  # one minute: how far a stream's first timestamp may lie back
 
-RADIO_STATUS_ID = 109  # the telemetry radio itself sends it, and knows no key
+RADIO_STATUS_ID = 109  # the telemetry radio itself sends it, and has no key
 
 
 class SignatureCheck(Enum):
-    """What the check says about one frame."""
+    """Result of checking one frame."""
 
     ACCEPTED = "accepted"
     UNSIGNED = "unsigned"
@@ -27,7 +27,7 @@ class SignatureCheck(Enum):
 
 
 class Signing:
-    """One vehicle's key, clock and memory of the streams that it has heard, for all its links."""
+    """One vehicle's key, clock and latest timestamps of every stream, for all its links."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Signing:
         return LinkSigning(self, link_id)
 
     def advance_to(self, timestamp_10us: int) -> None:
-        """Let the clock catch up with a passed time; it never goes back."""
+        """Advance the clock to a time; it never goes back."""
         self.timestamp_10us = max(self.timestamp_10us, timestamp_10us)
 
     def signature(self, frame: bytes, link_id: int) -> bytes:
@@ -58,7 +58,7 @@ class Signing:
         return tail + sha256(self._key + frame + tail).digest()[:6]
 
     def check(self, frame: bytes) -> SignatureCheck:
-        """Judge a frame whose CRC is sound, and remember its timestamp if it is accepted."""
+        """Check a frame with a valid CRC, and store its timestamp if it is accepted."""
         if frame[0] != _MAGIC_V2 or not frame[2] & _SIGNED:
             msg_id = int.from_bytes(frame[7:10], "little") if frame[0] == _MAGIC_V2 else frame[5]
             return (
@@ -94,7 +94,7 @@ class LinkSigning:
         return self._signing.signature(frame, self._link_id)
 
     def accepts(self, frame: bytes) -> bool:
-        """Whether `frame` is ours to act upon; the verdicts are counted."""
+        """Whether `frame` is accepted; the results are counted."""
         verdict = self._signing.check(frame)
         self.verdicts[verdict] += 1
         return verdict is SignatureCheck.ACCEPTED
