@@ -370,6 +370,6 @@ class World:
 
     def end_task(self, after: tuple[TruckState, object]) -> None:
         self.driver.truck, told = after
-        fields = msgspec.structs.asdict(told)  # type: ignore[arg-type]
+        fields = msgspec.structs.asdict(told)
         kind, text = fields.pop("kind"), fields.pop("text")
         self.driver.tell(kind, text, **fields)

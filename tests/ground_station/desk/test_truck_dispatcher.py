@@ -125,7 +125,7 @@ def day(tmp_path: Path) -> Iterator[type[DayTold]]:
         made.append(DayTold(url or f"sqlite:///{tmp_path}/desk{len(made)}.db", seed, loss))
         return made[-1]
 
-    yield start  # type: ignore[misc]
+    yield start
     for one in made:
         one.store.close()
 

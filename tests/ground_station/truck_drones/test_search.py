@@ -317,7 +317,7 @@ def test_the_command_writes_the_rows_of_the_contract_and_takes_up_what_was_done(
     ("file", "old", "new", "said"),
     [
         ("tbl_locations.csv", "\n3, 1", "\n4, 1", "tbl_locations.csv:5: node 4, expected 3"),
-        ("tbl_locations.csv", "100.0", "heavy", "tbl_locations.csv:4: 'heavy' is no number"),
+        ("tbl_locations.csv", "100.0", "heavy", "tbl_locations.csv:4: 'heavy' is not a number"),
         ("tbl_truck_travel_data_PG.csv", "\n0, 1,", "\n0, 99,", "from 0 to 99: nodes are 0 to 8"),
         ("tbl_truck_travel_data_PG.csv", "\n2, 1,", "\n2, 0,", "no time from 2 to 1"),
     ],
