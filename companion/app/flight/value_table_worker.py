@@ -77,6 +77,16 @@ class TableWorker:
         self._work: _Work | None = None
         self._process: subprocess.Popen[bytes] | None = self._started()
 
+    @property
+    def process_id(self) -> int | None:
+        """The worker process's number, `None` while there is none."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def waits(self) -> bool:
+        """A table was ordered, and the worker has not answered yet."""
+        return self._work is not None and not self._work.is_answered
+
     def order(self, action: MakeTable, t_s: float) -> None:
         """Start on a table."""
         if self._work is not None:

@@ -77,14 +77,14 @@ def test_the_workers_table_is_the_one_that_would_be_made_here() -> None:
 
 def test_one_process_makes_table_after_table_and_leaves_none_of_its_forks() -> None:
     worker, made = TableWorker(120.0), []
-    process = worker._process
-    assert process is not None
+    process_id = worker.process_id
+    assert process_id is not None
     for at_s in (100.0, 200.0):
         worker.order(MakeTable(REQUEST, 20.0), at_s)
         made.append(worker.due(at_s + 20.0))
-    assert worker._process is process
+    assert worker.process_id == process_id
     worker.order(MakeTable(REQUEST, 20.0), 300.0)
-    fork = _fork_of(process.pid)
+    fork = _fork_of(process_id)
     worker.stop()
     assert [m.trouble for m in made] == ["", ""]
     until_s = wall_s() + 5.0  # it is killed with its parent, but nobody waits for it to be gone
@@ -96,8 +96,8 @@ def test_one_process_makes_table_after_table_and_leaves_none_of_its_forks() -> N
 def test_a_fork_that_is_killed_is_told_and_the_next_request_is_answered() -> None:
     worker = TableWorker(120.0)
     worker.order(MakeTable(REQUEST, 20.0), 100.0)
-    assert worker._process is not None
-    _fork_of(worker._process.pid).kill()
+    assert worker.process_id is not None
+    _fork_of(worker.process_id).kill()
     made = worker.due(120.0)
     assert made is not None
     assert "died" in made.trouble
@@ -128,7 +128,7 @@ def test_beside_a_real_vehicle_a_table_larger_than_a_pipe_arrives_without_a_wait
     worker = TableWorker(0.0)
     worker.order(MakeTable(REQUEST, 1e6), 100.0)
     t_s, until_s = 100.0, wall_s() + 120.0
-    while wall_s() < until_s and worker._work is not None and not worker._work.is_answered:
+    while wall_s() < until_s and worker.waits:
         t_s += 0.1
         assert worker.due(t_s) is None
         time.sleep(0.02)
