@@ -17,6 +17,7 @@ from companion.adapters.logs.log_time import running_time, told
 from companion.adapters.logs.log_units import Columns, mend_units
 from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
+from companion.core.base.geo import moved_deg
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
@@ -60,8 +61,6 @@ LIMITS = {
 KNOWN = ("t_s", *LIMITS)
 UNSEEN_HEIGHT_M = 20.0
 """Height of a log that begins in the air: above what the estimators take for ground effect."""
-
-M_PER_DEG_LAT, M_PER_DEG_LON = 110_574.0, 111_320.0  # WGS 84, at the equator
 
 
 def read_csv_log(path: Path) -> RecordedFlight:
@@ -240,7 +239,7 @@ def _places(rows: Columns) -> tuple[Floats, bool]:
     vel = np.nan_to_num(np.stack([rows[name] for name in REQUIRED[1:]]))
     north, east = (-summed_height_m(t_s, vel[k]) for k in (0, 1))
     height = rows["alt_m"] if _known(rows, "alt_m") else summed_height_m(t_s, vel[2])
-    return np.stack([north / M_PER_DEG_LAT, east / M_PER_DEG_LON, height]), False
+    return np.stack([*moved_deg(0.0, 0.0, north, east), height]), False
 
 
 def _ground_level_m(

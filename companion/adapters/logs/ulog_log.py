@@ -15,6 +15,7 @@ from companion.adapters.autopilots.telemetry import vehicle_kind
 from companion.adapters.logs.ulog_filter import wanted_part
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
+from companion.core.base.geo import moved_deg
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
@@ -286,9 +287,8 @@ def _places(local: Rows, fused: list[Rows]) -> tuple[Floats, Floats, Floats] | N
     if not known.any():
         return None
     lat_0, lon_0, alt_0 = reference
-    east = 111_320.0 * np.cos(np.radians(lat_0))  # m per degree; 0.5 % is enough for a log
-    lat = np.where(known, lat_0 + local["x"] / 110_950.0, np.nan)
-    return lat, lon_0 + local["y"] / east, alt_0 - local["z"]
+    lat, lon = moved_deg(lat_0, lon_0, local["x"].astype(float), local["y"].astype(float))
+    return np.where(known, lat, np.nan), lon, alt_0 - local["z"]
 
 
 def _home_m(topics: dict[str, list[Rows]], alt_m: Floats) -> float:

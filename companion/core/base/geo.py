@@ -1,4 +1,4 @@
-"""The local frame about the depot, and what stands in it.
+"""Geodesy (WGS 84, by pymap3d), the local frame about the depot, and what stands in it.
 
 Horizontal positions are pymap3d's local tangent NED about the depot; `down` is minus the height
 above the depot's ground (AMSL difference), not above the tangent plane, because autopilots fly
@@ -19,6 +19,35 @@ from companion.core.base.place import Place
 
 Ned = tuple[float, float, float]
 Angle = TypeVar("Angle", float, Floats)
+
+EARTH_RADIUS_M = 6_371_008.8
+"""Mean radius (IUGG), for what needs a sphere only: curvature, a tolerance in degrees."""
+
+
+def offset_m(
+    lat_deg: float, lon_deg: float, to_lat_deg: float, to_lon_deg: float
+) -> tuple[float, float]:
+    """Metres (north, east) from one place to another, on the tangent plane of the first."""
+    north, east, _ = pymap3d.geodetic2ned(
+        to_lat_deg, to_lon_deg, 0.0, lat_deg, lon_deg, 0.0, ell=None, deg=True
+    )
+    return float(north), float(east)
+
+
+def moved_deg(
+    lat_deg: Floats | float, lon_deg: Floats | float, north_m: Angle, east_m: Angle
+) -> tuple[Angle, Angle]:
+    """Latitude and longitude so many metres north and east of a place; scalars or arrays."""
+    down = _sagitta_m(north_m, east_m)
+    lat, lon, _ = pymap3d.ned2geodetic(
+        north_m, east_m, down, lat_deg, lon_deg, 0.0, ell=None, deg=True
+    )
+    return lat, lon
+
+
+def _sagitta_m(north_m: Angle, east_m: Angle) -> Angle:
+    """How far the tangent plane lies above a point at the origin's height: s^2 / 2R."""
+    return (north_m**2 + east_m**2) / (2.0 * EARTH_RADIUS_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +70,7 @@ class LocalFrame:
         """(latitude rad, longitude rad, height AMSL m) of a local position."""
         north, east, down = ned_m
         origin = (self.lat_rad, self.lon_rad, self.alt_amsl_m)
-        # The tangent plane's down of the point at the origin's own height: s^2 / 2R, to 2nd order.
-        sagitta = (north**2 + east**2) / (2.0 * 6_371_008.8)
+        sagitta = _sagitta_m(north, east)  # the point at the origin's own height
         lat, lon, _ = pymap3d.ned2geodetic(north, east, sagitta, *origin, ell=None, deg=False)
         return float(lat), float(lon), self.alt_amsl_m - down
 

@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from companion.core.base.geo import moved_deg
 from ground_station.adapters.files.params import read_airframe
 from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
 from ground_station.core.schema.day import Day, Depot, Drone, Forecast, Truck
@@ -29,7 +30,6 @@ AIRFRAME = "m100"
 PARCEL_KG = (0.1, 1.6)
 RADIUS_M_PER_SQRT_CUSTOMER = 350.0
 """The same density for any number of customers: 200 of them on a disc of 5 km radius."""
-METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of 6371.0 km
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +62,18 @@ def drawn_day(params: DayParams) -> DayData:
     radius_m = RADIUS_M_PER_SQRT_CUSTOMER * np.sqrt(count) * np.sqrt(rng.random(count))
     angle = rng.random(count) * 2.0 * np.pi
     parcel_kg = rng.uniform(*PARCEL_KG, count)
+    lats_deg, lons_deg = moved_deg(0.0, 0.0, radius_m * np.cos(angle), radius_m * np.sin(angle))
     orders = [
         Order(
             id=f"o{number}",
-            lat_deg=float(r * np.cos(a)) / METRES_PER_DEGREE,
-            lon_deg=float(r * np.sin(a)) / METRES_PER_DEGREE,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
             alt_amsl_m=0.0,
             mass_kg=float(kg),
         )
-        for number, (r, a, kg) in enumerate(zip(radius_m, angle, parcel_kg, strict=True), 1)
+        for number, (lat_deg, lon_deg, kg) in enumerate(
+            zip(lats_deg.tolist(), lons_deg.tolist(), parcel_kg, strict=True), 1
+        )
     ]
     day = Day(
         format="day/1",

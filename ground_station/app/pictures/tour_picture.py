@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ground_station.adapters.files.mfstsp_files import read_problem
+from ground_station.core.benchmark.mfstsp import EARTH_RADIUS_M
 
 DRONE_COLOURS = ("tab:orange", "tab:green", "tab:purple", "tab:red", "tab:brown", "tab:pink")
 
@@ -15,7 +16,7 @@ DRONE_COLOURS = ("tab:orange", "tab:green", "tab:purple", "tab:red", "tab:brown"
 def draw_row(folder: Path, row: dict[str, Any], out: Path) -> None:
     """Draw a benchmark row, in kilometres from the depot."""
     data = read_problem(folder / row["problem"])
-    km = 6378.1 * np.radians(
+    km = (EARTH_RADIUS_M / 1000.0) * np.radians(
         np.column_stack(
             [
                 (data.lon_deg - data.lon_deg[0]) * np.cos(np.radians(data.lat_deg[0])),

@@ -15,7 +15,7 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
 
-EARTH_RADIUS_M = 6_378_100.0
+EARTH_RADIUS_M = 6_378_100.0  # the sphere of the problems' authors: part of the problems
 POUND_KG = 0.453592
 DRONE_MASS_KG = 1.5
 GRAVITY_MPS2 = 9.8

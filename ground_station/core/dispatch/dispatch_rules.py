@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from companion.core.base.geo import offset_m
 from companion.core.base.place import Place
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
@@ -35,8 +36,6 @@ ON_PAD_M = 30.0
 receiver."""
 
 NEAR_PAD_M = 50.0
-EARTH_M = 6_371_000.0
-"""Mean radius. Distances here only tell pads apart; nothing is flown by them."""
 
 MayLaunch = Callable[[PlannedSortie, Sequence[PlannedSortie]], str | None]
 """Why a sortie must wait for those in the air; None: it may go."""
@@ -277,9 +276,7 @@ def _in_air(rows: Sequence[SortieRow]) -> list[PlannedSortie]:
 
 
 def distance_m(lat_deg: float | None, lon_deg: float | None, place: Place) -> float | None:
-    """Over the ground, for short distances (equirectangular); None where a place is unknown."""
+    """Over the ground, for short distances; None where a place is unknown."""
     if lat_deg is None or lon_deg is None or place.lat_deg is None or place.lon_deg is None:
         return None
-    north = math.radians(lat_deg - place.lat_deg)
-    east = math.radians(lon_deg - place.lon_deg) * math.cos(math.radians(place.lat_deg))
-    return EARTH_M * math.hypot(north, east)
+    return math.hypot(*offset_m(place.lat_deg, place.lon_deg, lat_deg, lon_deg))

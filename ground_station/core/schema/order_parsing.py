@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.orders import BOUNDS, Order, Service
@@ -10,7 +11,7 @@ from ground_station.core.schema.orders import BOUNDS, Order, Service
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
 SAME_PLACE_M = 2.0
-SAME_PLACE_DEG = SAME_PLACE_M / 111_195.0  # of latitude, on a sphere of 6371.0 km
+SAME_PLACE_DEG = math.degrees(SAME_PLACE_M / EARTH_RADIUS_M)  # of latitude
 
 
 def check_columns(file: str, columns: list[str]) -> list[FileProblem]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.geo import moved_deg
 
 if TYPE_CHECKING:
     from sim_bridge.app.serve.server import Home
@@ -18,7 +19,6 @@ TCP_STRIDE = 10
 """ArduPilot's SITL gives instance N the port 5760 + 10 N."""
 
 SPACING_M = 60.0
-METRES_PER_DEGREE = 111_195.0  # of latitude, on a sphere of 6371.0 km
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +145,7 @@ def serve(
                 body,
                 read_parameters(params_dir() / "autopilots" / f"{name}.toml"),
                 home=Home(
-                    place.lat_deg + SPACING_M * index / METRES_PER_DEGREE,
-                    place.lon_deg,
+                    *moved_deg(place.lat_deg, place.lon_deg, SPACING_M * index, 0.0),
                     place.alt_amsl_m,
                 ),
                 wind=build_wind_field(params, mean, np.random.default_rng(gusts)),

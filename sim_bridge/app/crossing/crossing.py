@@ -18,7 +18,7 @@ from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.run import Run, RunOptions
 from companion.app.flight.value_table_worker import TablesHere
-from companion.core.base.geo import LocalFrame
+from companion.core.base.geo import LocalFrame, moved_deg
 from companion.core.mission.events import Authorised
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
@@ -175,10 +175,7 @@ class Spoiler:
         off = keep * off + math.sqrt(1.0 - keep**2) * self._std * self._rng.standard_normal(3)
         self._off[told.vehicle] = (t_s, off)
         north, east, down = (float(x) for x in off)
-        lat = told.lat_deg + math.degrees(north / 6_371_008.8)
-        lon = told.lon_deg + math.degrees(
-            east / (6_371_008.8 * math.cos(math.radians(told.lat_deg)))
-        )
+        lat, lon = (float(x) for x in moved_deg(told.lat_deg, told.lon_deg, north, east))
         return encode(
             msgspec.structs.replace(
                 told, lat_deg=lat, lon_deg=lon, alt_amsl_m=told.alt_amsl_m - down

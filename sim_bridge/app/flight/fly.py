@@ -1,7 +1,6 @@
 """`sim-bridge fly`: simulated vehicles and their companions fly a mission to its end."""
 
 import contextlib
-import math
 import os
 import shutil
 import tomllib
@@ -20,6 +19,7 @@ from companion.adapters.files.params import (
     read_obstacles,
 )
 from companion.core.base.errors import LeewayError
+from companion.core.base.geo import moved_deg
 from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight
 from companion.core.vehicle.airframe import Airframe
@@ -226,8 +226,10 @@ def _drawn_charge(flight: Flight, rng: np.random.Generator) -> float:
 
 
 def _shifted(depot: Place, north_m: float) -> Place:
-    lat = (depot.lat_deg or 0.0) + math.degrees(north_m / 6_371_008.8)
-    return msgspec.structs.replace(depot, lat_deg=lat)
+    if north_m == 0.0:
+        return depot
+    lat_deg, _ = moved_deg(depot.lat_deg or 0.0, depot.lon_deg or 0.0, north_m, 0.0)
+    return msgspec.structs.replace(depot, lat_deg=float(lat_deg))
 
 
 def _write_own_flight(flight_file: Path, depot: Place, own_dir: Path) -> Path:

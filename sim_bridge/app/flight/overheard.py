@@ -8,13 +8,13 @@ import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from companion.core.base.geo import offset_m
 from sim_bridge.autopilot.mavlink.codec import Decoder, Message
 
 STAMP = struct.Struct(">Q")
 AUTOPILOT, COMPANION = 1, 191
 FLAVOURS = {3: "ardupilot", 12: "px4"}  # MAV_AUTOPILOT
 SEVERITY_NOTICE = 5
-EARTH_RADIUS_M = 6_371_008.8
 
 
 @dataclass(slots=True)
@@ -64,12 +64,10 @@ class Overheard:
     def _place(self, message: Message) -> None:
         self.t_s = message.time_boot_ms / 1000.0
         self.up_m = message.relative_alt / 1000.0
-        lat, lon = math.radians(message.lat / 1e7), math.radians(message.lon / 1e7)
+        lat_deg, lon_deg = message.lat / 1e7, message.lon / 1e7
         if self._stood is None:
-            self._stood = (lat, lon)
-        north = lat - self._stood[0]
-        east = (lon - self._stood[1]) * math.cos(lat)
-        self.away_m = EARTH_RADIUS_M * math.hypot(north, east)
+            self._stood = (lat_deg, lon_deg)
+        self.away_m = math.hypot(*offset_m(*self._stood, lat_deg, lon_deg))
 
 
 def _record_size(data: bytes) -> int | None:

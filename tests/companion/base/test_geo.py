@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from pymap3d.vincenty import vdist
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import (
@@ -10,7 +11,9 @@ from companion.core.base.geo import (
     Obstacle,
     ObstacleMap,
     course_rad,
+    moved_deg,
     obstacles_from_geojson,
+    offset_m,
     place_ned,
     wrap_pi,
 )
@@ -109,3 +112,14 @@ def test_a_climbing_line_is_judged_where_it_is_over_the_obstacle() -> None:
 def test_courses_run_clockwise_from_north() -> None:
     assert course_rad((0.0, 0.0, 0.0), (0.0, 5.0, 0.0)) == pytest.approx(math.pi / 2)
     assert wrap_pi(3.0 * math.pi / 2) == pytest.approx(-math.pi / 2)
+
+
+@pytest.mark.parametrize("lat_deg", [-33.9, 0.0, 55.47])
+def test_a_place_that_is_moved_lies_so_far_off_by_the_reference_ellipsoid(lat_deg: float) -> None:
+    # Vincenty's inverse formula on WGS 84, pymap3d's own implementation of another method.
+    lat, lon = moved_deg(lat_deg, 8.45, 300.0, -400.0)
+    distance_m, _ = vdist(lat_deg, 8.45, lat, lon)
+    assert float(distance_m) == pytest.approx(500.0, abs=0.01)
+    assert offset_m(lat_deg, 8.45, float(lat), float(lon)) == pytest.approx(
+        (300.0, -400.0), abs=1e-4
+    )
