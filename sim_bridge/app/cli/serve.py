@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import moved_deg
 
 if TYPE_CHECKING:
     from sim_bridge.app.serve.server import Home
@@ -122,6 +121,7 @@ def serve(
     from rich.console import Console
 
     from companion.adapters.files.params import params_dir
+    from companion.core.base.geo import moved_deg
     from sim_bridge.app.serve.server import Home, Host, stand_up
     from sim_bridge.autopilot.kinds import AutopilotKind
     from sim_bridge.autopilot.mavlink.parameters import read_parameters
