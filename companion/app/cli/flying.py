@@ -28,9 +28,7 @@ class CommandLine:
     system: int | None
     silence_limit_s: float
 
-    def options(
-        self, pilot: PilotOptions, *, lockstep: bool = False, policy: str | None = None
-    ) -> RunOptions:
+    def options(self, pilot: PilotOptions, *, policy: str | None = None) -> RunOptions:
         """The run's options; the airframe comes from the flight file where none is named."""
         mission = None if self.mission is None else flight_path(self.mission, self.params)
         airframe = self.airframe
@@ -46,7 +44,6 @@ class CommandLine:
             signing_key=self.signing_key,
             system_id=self.system,
             silence_limit_s=self.silence_limit_s,
-            lockstep=lockstep,
             policy=policy,
             pilot=pilot,
         )

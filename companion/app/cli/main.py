@@ -151,8 +151,8 @@ def run_command(
         bool,
         typer.Option(
             "--lockstep",
-            help="The autopilot is simulated and waits for us: wait for slow work in turn, so that"
-            " the same seed gives the same decisions. Never beside a real vehicle.",
+            hidden=True,
+            help="Accepted and without effect: a flight with a seed repeats without it.",
         ),
     ] = False,
     fleet: Annotated[
@@ -216,7 +216,7 @@ def run_command(
     )
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
-    ).options(pilot, lockstep=lockstep, policy=policy)
+    ).options(pilot, policy=policy)
     if fleet is None or vehicle is None:
         raise typer.Exit(fly(asked))
 

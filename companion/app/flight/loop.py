@@ -15,13 +15,11 @@ from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, wall_s
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.value_table_worker import Tables
 from companion.core.mission.actions import (
     Action,
     Answer,
     DropOrders,
     Finished,
-    MakeTable,
     Order,
     PhaseChanged,
     Publish,
@@ -77,8 +75,6 @@ class Loop:
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
-    tables: Tables | None = None
-    """None: no value table is ever made, and the return budget alone decides."""
     port: "FleetPort | None" = None
     """None: no dispatcher's desk; operators still speak MAVLink."""
     wall_clock_s: Callable[[], float] = wall_s
@@ -235,9 +231,6 @@ class Loop:
             self._give(self.autopilot.tick(t_s))
             if self.port is not None:
                 self._give(self.port.neighbours(t_s))
-            table = self.tables.due(t_s) if self.tables is not None else None
-            if table is not None:
-                self._give([table])
             self._give([Tick(t_s)])
         if is_due(self._beat_s, HEARTBEAT_S - 1e-6, t_s):
             self._beat_s = t_s
@@ -294,8 +287,6 @@ class Loop:
                 case Say():
                     text = action.text.encode()[:TEXT_BYTES]
                     self.send(mavlink.MAVLink_statustext_message(action.severity, text))
-                case MakeTable() if self.tables is not None:
-                    self.tables.order(action, t_s)
                 case Publish():
                     self._to_publish.update(action.values)
                 case Answer():

@@ -3,7 +3,6 @@
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -24,7 +23,6 @@ from companion.adapters.files.params import (
 from companion.adapters.files.policy_file import read_policy
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.value_table_worker import LOCKSTEP_WAIT_S, Tables, TableWorker
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
 from companion.core.mission.events import Flavour
@@ -56,7 +54,6 @@ class RunOptions:
     signing_key: Path | None = None
     system_id: int | None = None
     silence_limit_s: float = 300.0
-    lockstep: bool = False
     policy: str | None = None
     pilot: PilotOptions = field(default_factory=PilotOptions)
 
@@ -93,13 +90,11 @@ class Run:
         *,
         on_action: Callable[[Action], None] | None = None,
         port: "FleetPort | None" = None,
-        make_tables: Callable[[], Tables] | None = None,
         wall_clock_s: Callable[[], float] = wall_s,
     ) -> "Run":
         """Read the files, take up what an earlier run kept, open link and record.
 
-        `make_tables`: who makes value tables, if not a process beside this one. Raises LeewayError
-        for a mistake in the input, before anything is opened.
+        Raises LeewayError for a mistake in the input, before anything is opened.
         """
         flight = read_flight(options.mission)
         airframe = read_airframe(options.airframe, options.params)
@@ -144,9 +139,6 @@ class Run:
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
-        if not options.pilot.check_only:
-            make = make_tables or partial(TableWorker, LOCKSTEP_WAIT_S if options.lockstep else 0.0)
-            loop.tables = make()
         names = f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}"
         recorder.note(pilot.telemetry.t_s, names)
         if trouble:
@@ -178,8 +170,6 @@ class Run:
             phase=pilot.phase.value,
             findings=pilot.findings,
         )
-        if loop.tables is not None:
-            loop.tables.stop()
         loop.link.close()
         recorder.close()
 

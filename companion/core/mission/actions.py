@@ -5,7 +5,6 @@ from enum import Enum, IntEnum
 
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
-from companion.core.return_budget.value_table.mission_value import TableRequest
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,14 +131,6 @@ class Note(Action):
 
 
 @dataclass(frozen=True, slots=True)
-class MakeTable(Action):
-    """Make a value table in a worker; `TableMade` is heard `allowed_s` from now, made or not."""
-
-    request: TableRequest
-    allowed_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class TellPlace(Action):
     """Where we are and where to, for the neighbours; the fleet's port adds our name."""
 
@@ -186,6 +177,7 @@ class Assessed(Action):
     energy_need_wh: float
     p_home_unattended: float | None = None
     by_table: bool = False
+    """Always False: readers of result.json expect the key."""
 
 
 class Reply(Enum):

@@ -7,7 +7,6 @@ Mission indices count our own items (0 is the first that we uploaded). Unknown i
 from dataclasses import dataclass
 from enum import Enum
 
-from companion.core.return_budget.value_table.mission_value import ValueTable
 from companion.core.separation.track import Track
 
 
@@ -341,14 +340,6 @@ class OtherComputer(Event):
 
     active: bool
     booting: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class TableMade(Event):
-    """The value table that was asked for, or why there is none."""
-
-    table: ValueTable | None
-    trouble: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,11 @@
 """Estimates of wind and energy, and the gate's answer from them; updated at every tick."""
 
 import re
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from companion.core.base.geo import Ned
 from companion.core.mission.events import AutopilotWind, Flavour
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.flight_plan import DROP_S
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
     ATTITUDE_MAX_AGE_S,
@@ -17,23 +14,15 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     TelemetryState,
 )
-from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams, turned_back
-from companion.core.return_budget.remaining_mission import OnTheWay, hurried
-from companion.core.return_budget.value_table.mission_value import (
-    Belief,
-    Reading,
-    TableRequest,
-    ValueTable,
-)
+from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams
+from companion.core.return_budget.remaining_mission import hurried
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
-from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
 from companion.core.vehicle.power_bias import PowerScale
 from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
-from companion.core.wind.forecast_chain import HORIZONS_S, nearest_process, prior_wind
 from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
 
@@ -78,7 +67,6 @@ class Estimates:
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
         self._outlook = WindOutlook(wind_process)
-        self._prior_wind = prior_wind(wind_process)
         self._ledger = EnergyLedger(
             airframe,
             expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
@@ -93,7 +81,6 @@ class Estimates:
         self._gate: Gate | None = None
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
-        self.table: ValueTable | None = None
         self._battery_s: float | None = None
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
@@ -213,23 +200,13 @@ class Estimates:
         )
 
     def assess(self, ahead: Ahead) -> Assessment | None:
-        """Ask the gate, and the value table where it serves; `None` while wind or energy are
-        unknown.
-        """
+        """Ask the gate; `None` while wind or energy are unknown."""
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        value = self._value_in_force(ahead)
-        seen = self._gate_for(energy).assess(
-            ahead,
-            self.wind,
-            self._outlook,
-            energy,
-            self._scale.error(),
-            self._accepted_loss,
-            weighs_worth=value is None,
+        answer = self._gate_for(energy).assess(
+            ahead, self.wind, self._outlook, energy, self._scale.error(), self._accepted_loss
         )
-        answer = _with_value(seen, value)
         if self.route_energy.speed_rule == "fastest":
             self._hurry(ahead, answer, energy)
         return answer
@@ -270,98 +247,15 @@ class Estimates:
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        value = self._value_in_force(ahead)
         self._accepted_loss, seen = self._gate_for(energy).depart(
-            ahead,
-            self.wind,
-            self._outlook,
-            energy,
-            self._scale.error(),
-            weighs_worth=value is None,
+            ahead, self.wind, self._outlook, energy, self._scale.error()
         )
-        return _with_value(seen, value)
+        return seen
 
     def limit(self, limits: Limits) -> None:
         """The operator accepts something else from now on."""
         self.limits = limits
         self._accepted_loss = None
-
-    def _value_in_force(self, ahead: Ahead) -> Reading | None:
-        """What the table says, where its policy loses no more than is accepted.
-
-        One that was made before any wind was known accepts the loss over all winds that may come:
-        it does not close the gate in the wind that came.
-        """
-        value = None if ahead.at is None else self.reading(ahead.at)
-        if value is None or self.table is None or not value.keeps(self.limits.max_loss):
-            return None
-        return None if value.turn_back and not self.table.wind_known else value
-
-    def reading(self, at: OnTheWay) -> Reading | None:
-        """What the value table says; `None` without one that is made for this load and wind."""
-        table, belief = self.table, self._belief()
-        if table is None or belief is None or self.wind is None or not self.wind.valid:
-            return None
-        accepted = table.max_loss == self.limits.max_loss
-        if not accepted or table.payload_kg != self.payload_kg:
-            return None
-        return table.read(at, belief) if table.covers(belief.wind_en_mps) else None
-
-    def table_request(
-        self, plan: Plan, at: OnTheWay, *, on_ground: bool = False
-    ) -> TableRequest | None:
-        """What a table would be made of now; on the ground, for being over the depot later."""
-        belief, mission = self._belief(), self._flight.mission
-        if belief is None:
-            return None
-        known = self.wind is not None and self.wind.valid and not on_ground
-        if on_ground:
-            belief = replace(belief, left_wh=belief.left_wh - self._take_off_wh(plan))
-        process = self._prior_wind
-        if known and self.wind is not None:
-            process = nearest_process(self._outlook.forecast(self.wind, HORIZONS_S))
-        return TableRequest(
-            airframe=self._airframe,
-            cruise_airspeed_mps=self.route_energy.cruise_airspeed_mps,
-            speed_rule=self.route_energy.speed_rule,
-            plan=plan,
-            payload_kg=self.payload_kg,
-            drop_height_m=mission.drop_height_m,
-            drop_s=DROP_S,
-            wind=process,
-            wind_known=known,
-            at=at,
-            belief=belief,
-            max_loss=self.limits.max_loss,
-        )
-
-    def _belief(self) -> Belief | None:
-        energy = self.energy
-        if energy is None:
-            return None
-        prior_mps = self._prior_wind.std_mps
-        mean, std = (0.0, 0.0), (prior_mps, prior_mps)
-        if self.wind is not None and self.wind.valid:
-            north, east = (float(x) for x in self.wind.mean_to_ne_mps)
-            cov = self.wind.cov_ne_m2ps2
-            mean, std = (east, north), (float(cov[1, 1]) ** 0.5, float(cov[0, 0]) ** 0.5)
-        return Belief(
-            wind_en_mps=mean,
-            wind_std_en_mps=std,
-            left_wh=energy.mean_wh - self.limits.reserve_frac * energy.usable_full_wh,
-            battery_std_wh=energy.std_wh,
-            model=self._scale.error(),
-        )
-
-    def _take_off_wh(self, plan: Plan) -> float:
-        """Climb and settling over the depot in calm air."""
-        over = (plan.depot_ned_m[0], plan.depot_ned_m[1], plan.outbound_ned_m[0][2])
-        settle_s = self._flight.mission.wind_settle_s
-        legs = (
-            Leg(LegKind.CLIMB, plan.depot_ned_m, over, self.payload_kg),
-            Leg(LegKind.HOVER, over, over, self.payload_kg, settle_s),
-        )
-        return float(self.route_energy.costs(legs, np.zeros((1, 2))).energy_wh.sum())
 
     def _gate_for(self, energy: EnergyBelief) -> Gate:
         reserve_wh = self.limits.reserve_frac * energy.usable_full_wh
@@ -419,16 +313,6 @@ def _level_cov(wind: AutopilotWind | None) -> tuple[float, float, float] | None:
     if wind is None or wind.std_mps is None:
         return None
     return wind.std_mps**2, 0.0, wind.std_mps**2
-
-
-def _with_value(seen: Assessment, value: Reading | None) -> Assessment:
-    """The gate's answer with the table's: it may close the gate too, and never opens it."""
-    if value is None or seen.turn_back:
-        return seen
-    if value.turn_back:
-        words = f"P(success) {value.p_success:.3f} is not worth P(home) {value.p_home:.3f}"
-        return turned_back(seen, words)
-    return replace(seen, p_home=value.p_home, p_success=value.p_success, by_table=True)
 
 
 @dataclass(frozen=True, slots=True)

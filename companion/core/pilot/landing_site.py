@@ -74,7 +74,6 @@ class PromisedStop:
         plan = flown.plan.promised(self.home(context), stop)
         if plan != flown.plan:
             context.flight_plan = replace(flown, plan=plan)
-            context.estimates.table = None  # it was made for other landing sites
 
     def to_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps."""

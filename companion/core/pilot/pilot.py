@@ -47,7 +47,6 @@ from companion.core.mission.events import (
     ParametersSet,
     ReleaseFeedback,
     StreamsAsked,
-    TableMade,
     Tick,
     VehicleState,
 )
@@ -77,7 +76,6 @@ from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     Phase,
 )
-from companion.core.pilot.value_table_watch import ValueTableWatch
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner
@@ -175,7 +173,6 @@ class Pilot:
         self._traffic = TrafficExchange(self._progress)
         velocity = DesiredVelocity(self._progress, self._flight_state, self._traffic, policy)
         self._setpoints = SetpointTakeover(self._progress, self._traffic, velocity, self._authority)
-        self._tables = ValueTableWatch(budget, self._flight_state)
         self._sequence = FlightSequence(
             self._flight_state,
             progress=self._progress,
@@ -236,7 +233,6 @@ class Pilot:
             ReleaseFeedback: (self._release,),
             GnssTime: (self._traffic,),
             NeighbourHeard: (self._traffic,),
-            TableMade: (self._tables,),
         }
 
     # --- events in, actions out ------------------------------------------------------------------
@@ -291,7 +287,6 @@ class Pilot:
             self._ground.tick(context)
             self._sequence.tick(context)
             self._setpoints.tick(context)
-            self._tables.tick(context)
         self._report()
 
     def enter_phase(self, left: Phase, why: str) -> None:
@@ -486,5 +481,4 @@ def _assessed(seen: Assessment) -> Assessed:
         seen.energy_left_wh,
         seen.energy_need_wh,
         seen.p_home_unattended,
-        seen.by_table,
     )

@@ -11,7 +11,7 @@ nothing depends on when they become known. A tail of 1 % is then a smooth number
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -71,8 +71,6 @@ class Assessment:
     energy_left_wh: float
     energy_need_wh: float
     reason: str
-    by_table: bool = False
-    """P(home) and P(success) are the value table's (value_table)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +144,6 @@ class Gate:
         outlook: WindOutlook,
         energy: EnergyBelief,
         model: ModelError | None = None,
-        *,
-        weighs_worth: bool = True,
     ) -> tuple[float, Assessment]:
         """(accepted loss, assessment): how much risk later decisions of this mission may take.
 
@@ -160,12 +156,12 @@ class Gate:
         question = self._question(ahead, wind, outlook, energy, model)
         times = np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)
         for accepted in (float(x) * self.params.max_loss for x in times):
-            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+            decision = self._decide(question.chances, accepted)
             if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
                 break
         else:
             accepted = self.params.max_loss
-            decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
+            decision = self._decide(question.chances, accepted)
         return accepted, self._assessment(question, ahead, wind, energy, accepted, decision)
 
     def _question(
@@ -250,8 +246,3 @@ class Gate:
             energy_need_wh=budget.scale * float(need.mean()),
             reason=decision.reason,
         )
-
-
-def turned_back(seen: Assessment, reason: str) -> Assessment:
-    """The same answer with the gate closed."""
-    return replace(seen, p_home=seen.p_home_now, p_success=0.0, turn_back=True, reason=reason)

@@ -10,13 +10,11 @@ on its way there takes no longer.
 from itertools import pairwise
 
 from companion.core.base.geo import Ned, horizontal_m, over
-from companion.core.return_budget.remaining_mission import Ahead, OnTheWay, Stage, WayHome
+from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
 from companion.core.routing.leg_energy import OVER_M, Leg, LegKind, cruise_legs
 from companion.core.routing.route_planner import DEPOT, Plan, RallyWay, unattended
 
 __all__ = ["DEPOT", "ahead_away", "ahead_delivering", "ahead_outbound", "ahead_returning"]
-
-_BEYOND_FRAC = 1.1
 
 
 def ahead_outbound(
@@ -49,7 +47,6 @@ def ahead_outbound(
     return Ahead(
         _ways_now(plan, position_ned_m, start, next_index, payload_kg),
         tuple(stages),
-        at=_on_the_way(plan, start, next_index),
     )
 
 
@@ -140,14 +137,6 @@ def _ways_from(plan: Plan, start: Ned, index: int, payload_kg: float) -> tuple[W
     entry = plan.entry[index]
     ways = _ways_home(plan, start, entry, payload_kg)
     return (*ways, *_rally_ways(plan, start, index, None, entry, payload_kg))
-
-
-def _on_the_way(plan: Plan, here: Ned, leg: int) -> OnTheWay | None:
-    """How much of the leg is left; None for who is further from its end than its beginning is."""
-    depot, end = plan.depot_ned_m, plan.outbound_ned_m[leg]
-    begin = plan.outbound_ned_m[leg - 1] if leg > 0 else over(depot, end)
-    left_frac = horizontal_m(here, end) / max(horizontal_m(begin, end), OVER_M)
-    return OnTheWay(leg, min(left_frac, 1.0)) if left_frac <= _BEYOND_FRAC else None
 
 
 def _ways_now(

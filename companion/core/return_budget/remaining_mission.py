@@ -30,27 +30,15 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
-class OnTheWay:
-    """A place on the way out: under way to outbound waypoint `leg`, with this share of the way
-    from the decision point before it still to fly.
-    """
-
-    leg: int
-    left_frac: float
-
-
-@dataclass(frozen=True, slots=True)
 class Ahead:
     """The whole remaining mission: ways home from here, and the stages that are left.
 
-    After delivery, or on the way back, `stages` is empty and `delivered` tells which. `at` is
-    where that is on the way out; `None` off it, and where the last stage has begun.
+    After delivery, or on the way back, `stages` is empty and `delivered` tells which.
     """
 
     ways_home_now: tuple[WayHome, ...]
     stages: tuple[Stage, ...] = ()
     delivered: bool = False
-    at: OnTheWay | None = None
 
     def __post_init__(self) -> None:
         ways = (self.ways_home_now, *(stage.ways_home for stage in self.stages))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from companion.core.base.arrays import Floats, Ints
-from companion.core.routing.scenario import Scenario
 from companion.core.vehicle.wind_triangle import ground_speeds_mps
 
 WH_PER_J = 1.0 / 3600.0
@@ -221,20 +220,6 @@ def least_energy_wh(graph: EnergyGraph, edge_wh: Floats, place: int, to_goal: bo
             break
         least = following
     return least
-
-
-def build_energy_graph(scenario: Scenario) -> EnergyGraph:
-    """The scenario's graph as arrays; an edge that is listed twice counts once."""
-    edges = np.array(sorted(set(scenario.edges)), dtype=np.int64).reshape(-1, 2)
-    return EnergyGraph(
-        vertices_m=np.array(scenario.vertices_m, dtype=float),
-        tail=edges[:, 0].copy(),
-        head=edges[:, 1].copy(),
-        depot=scenario.depot,
-        target=scenario.target,
-        airspeed_mps=scenario.airspeed_mps,
-        power_w=(scenario.power_w.loaded, scenario.power_w.empty),
-    )
 
 
 def networkx_graph(graph: EnergyGraph) -> nx.DiGraph:

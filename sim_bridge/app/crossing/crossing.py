@@ -17,7 +17,6 @@ import numpy as np
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.run import Run, RunOptions
-from companion.app.flight.value_table_worker import TablesHere
 from companion.core.base.geo import LocalFrame, moved_deg
 from companion.core.mission.events import Authorised
 from companion.core.pilot.context import PilotOptions
@@ -269,7 +268,6 @@ class Crossing:
             airframe=AIRFRAME,
             mission=self._flight_file(crosser),
             run_dir=drone.folder,
-            lockstep=True,
             policy=self.options.policy,
             pilot=PilotOptions(
                 configure=True,
@@ -282,10 +280,8 @@ class Crossing:
             options,
             lambda url: link,
             port=port,
-            make_tables=TablesHere,
             wall_clock_s=self.clock.monotonic_s,
         )
-        run.loop.tables = None  # a flight of three minutes: the return budget alone decides
         crosser.companion = LoneCompanion(port, link, run)
         return crosser.companion
 

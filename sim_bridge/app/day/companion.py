@@ -1,8 +1,7 @@
 """A fleet's companion inside the simulated day's process: the flight code, stepped.
 
 Standby, flight after flight, through kills: the same parts as `companion run --fleet`
-(`companion.app.flight.fleet_run`), with a link in memory, the day's time, and value tables
-made on the spot.
+(`companion.app.flight.fleet_run`), with a link in memory and the day's time.
 """
 
 from collections import deque
@@ -14,7 +13,6 @@ from companion.adapters.autopilots.link import Incoming, Link
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.run import DONE, GROUNDED, Run, RunOptions
 from companion.app.flight.standby import MISSION, Standby
-from companion.app.flight.value_table_worker import TablesHere
 from companion.core.pilot.context import PilotOptions
 
 
@@ -118,14 +116,12 @@ class SteppedCompanion:
             airframe=self.airframe,
             mission=folder / MISSION,
             run_dir=folder,
-            lockstep=True,
             pilot=PilotOptions(configure=True),
         )
         self._run = Run.begin(
             options,
             self._opened,
             port=self.port,
-            make_tables=TablesHere,
             wall_clock_s=self.clock_s,
         )
 

@@ -194,7 +194,6 @@ def _build_craft(
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
             *_signed_arguments(options.signing_key),
-            "--lockstep",
         ],
     )
     return Craft(

@@ -9,14 +9,9 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import KDTree
 
-from companion.core.return_budget.value_table.bounded_loss_policy import PolicySearch, ValuePolicy
-from companion.core.return_budget.value_table.dynamic_program import solve_delivery, solve_home
-from companion.core.return_budget.value_table.edge_transitions import build_step_model
 from companion.core.routing.energy_graph import EnergyGraph, networkx_graph
 from companion.core.routing.planner_interface import Look
-from companion.core.routing.scenario import LogWind, Scenario
 from companion.core.routing.shortest_paths import RouteFinder
-from companion.core.wind.markov_chain import WindChain, sight_of
 from sim_bridge.adapters.wall_clock import cpu_s
 from sim_bridge.research.benchmarks.timing import (
     Samples,
@@ -32,7 +27,12 @@ from sim_bridge.research.campaign.scenario_generator import (
     random_scenario,
 )
 from sim_bridge.research.planners.ber import Ber
+from sim_bridge.research.planners.bounded_loss_policy import PolicySearch, ValuePolicy
+from sim_bridge.research.planners.dynamic_program import solve_delivery, solve_home
+from sim_bridge.research.planners.edge_transitions import build_step_model
+from sim_bridge.research.planners.markov_chain import WindChain, sight_of
 from sim_bridge.research.planners.mission_model import fly_missions
+from sim_bridge.research.planners.scenario import LogWind, Scenario
 from sim_bridge.research.results.sheet import Sheet
 
 BENCH_SEED = 6

@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
-from companion.core.return_budget.value_table.bounded_loss_policy import PolicySearch, ValuePolicy
-from companion.core.return_budget.value_table.dynamic_program import solve_home
-from companion.core.return_budget.value_table.edge_transitions import build_step_model
-from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph, prune
+from companion.core.routing.energy_graph import EnergyGraph, prune
 from companion.core.routing.planner_interface import Decider, Look, MissionPlanner
-from companion.core.routing.scenario import ChainWind, Scenario, chain_from_scenario
 from companion.core.routing.shortest_paths import RouteFinder
-from companion.core.wind.forecast_chain import prior_wind
-from companion.core.wind.markov_chain import Sight, WindChain, sight_of
 from sim_bridge.research.planners.baselines import Ger, Rer, Ser
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, solve_log_policy
 from sim_bridge.research.planners.ber_paper import BerPaper, BerPaperParams
+from sim_bridge.research.planners.bounded_loss_policy import PolicySearch, ValuePolicy
 from sim_bridge.research.planners.clairvoyant import Clairvoyant
+from sim_bridge.research.planners.dynamic_program import solve_home
+from sim_bridge.research.planners.edge_transitions import build_step_model
+from sim_bridge.research.planners.markov_chain import Sight, WindChain, prior_wind, sight_of
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     LogWinds,
@@ -38,6 +36,12 @@ from sim_bridge.research.planners.mission_model import (
     fly_missions,
 )
 from sim_bridge.research.planners.online import OnlineModel
+from sim_bridge.research.planners.scenario import (
+    ChainWind,
+    Scenario,
+    build_energy_graph,
+    chain_from_scenario,
+)
 from sim_bridge.research.planners.tuning import PolicyTuner, TuningParams
 from sim_bridge.research.planners.uncertainty import ChainUncertainty, DriftUncertainty, RiskCost
 

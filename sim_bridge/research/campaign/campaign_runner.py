@@ -13,7 +13,6 @@ from typing import Protocol
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.core.routing.scenario import Scenario, scenario_json
 from sim_bridge.research.campaign.campaign import (
     CampaignParams,
     CampaignRow,
@@ -24,6 +23,7 @@ from sim_bridge.research.campaign.campaign import (
     run_task,
     tasks_of,
 )
+from sim_bridge.research.planners.scenario import Scenario, scenario_json
 from sim_bridge.research.results.journal import Journal, leave_ctrl_c_to_the_parent
 
 PER_WORKER = 2  # tasks handed out ahead of each worker

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from companion.core.base.arrays import Floats
-from companion.core.routing.scenario import ChainWind, LogWind, Scenario
+from sim_bridge.research.planners.scenario import ChainWind, LogWind, Scenario
 
 SETTLED = 1e-12  # worth; rows that sum to a hair over 1 would let a free circle gain for ever
 RING_BYTES = 400_000_000  # of one sweep

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from companion.core.routing.scenario import Scenario
 from sim_bridge.research.campaign.campaign import CampaignParams, CampaignRow, run_campaign
 from sim_bridge.research.campaign.frontier import LOSS_WEIGHTS, Frontier, frontier
 from sim_bridge.research.campaign.scenario_generator import (
@@ -18,6 +17,7 @@ from sim_bridge.research.campaign.scenario_generator import (
     WindRose,
     random_scenario,
 )
+from sim_bridge.research.planners.scenario import Scenario
 from sim_bridge.research.results.sheet import Sheet
 
 BOUNDS = ((0.001, 200_000), (0.01, 20_000), (0.05, 20_000))  # max loss, missions

@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.routing.scenario import ChainWind, Power, Scenario
+from sim_bridge.research.planners.scenario import ChainWind, Power, Scenario
 
 GOLDEN = 0.6180339887498949
 FITTING_SEED = 2604_13441  # settings were chosen on scenarios of this seed; tables use others

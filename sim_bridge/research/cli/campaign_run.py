@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from companion.core.routing.scenario import LogWind, Scenario, parse_scenario
 from sim_bridge.research.campaign.campaign import PLANNERS, CampaignParams, CampaignRow
 from sim_bridge.research.campaign.campaign_runner import (
     Executor,
@@ -21,6 +20,7 @@ from sim_bridge.research.campaign.campaign_runner import (
     run,
 )
 from sim_bridge.research.cli.running import INTERRUPTED, progress_bar, write_whole
+from sim_bridge.research.planners.scenario import LogWind, Scenario, parse_scenario
 
 
 def fly_campaign(

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, Ints
-from companion.core.return_budget.value_table.bounded_loss_policy import ValuePolicy
-from companion.core.return_budget.value_table.dynamic_program import LOSS_NOTHING_HELPS, STOP
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
 from companion.core.routing.shortest_paths import RouteFinder
-from companion.core.wind.markov_chain import Sight
+from sim_bridge.research.planners.bounded_loss_policy import ValuePolicy
+from sim_bridge.research.planners.dynamic_program import LOSS_NOTHING_HELPS, STOP
+from sim_bridge.research.planners.markov_chain import Sight
 from sim_bridge.research.planners.uncertainty import seen_prior
 
 ENERGY_MATCH = 1e-6  # relative: how well an edge's energy must fit a state to have been it

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, Ints
-from companion.core.return_budget.value_table.dynamic_program import (
+from companion.core.routing.planner_interface import STAY, Decider, Look
+from companion.core.routing.shortest_paths import RouteFinder
+from sim_bridge.research.planners.dynamic_program import (
     DeliveryTable,
     HomeTable,
     solve_delivery,
     solve_home,
 )
-from companion.core.return_budget.value_table.edge_transitions import NEVER, StepModel
-from companion.core.routing.planner_interface import STAY, Decider, Look
-from companion.core.routing.shortest_paths import RouteFinder
-from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind
+from sim_bridge.research.planners.edge_transitions import NEVER, StepModel
+from sim_bridge.research.planners.markov_chain import OrnsteinUhlenbeckWind
 
 LOSS_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 3000.0)
 SECTOR_POINTS = 5  # directions that stand for a sector whose centre is all that is seen

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph, sector_of
 from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
-from companion.core.wind.markov_chain import Sight, WindChain, class_centre
+from sim_bridge.research.planners.markov_chain import Sight, WindChain, class_centre
 
 
 class Outcome(IntEnum):

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.base.errors import LeewayError
-from companion.core.return_budget.value_table.bounded_loss_policy import (
+from sim_bridge.research.planners.ber import Ber
+from sim_bridge.research.planners.bounded_loss_policy import (
     Forecast,
     PolicySearch,
     ValuePolicy,
     bold_share,
 )
-from companion.core.wind.markov_chain import Sight
-from sim_bridge.research.planners.ber import Ber
+from sim_bridge.research.planners.markov_chain import Sight
 from sim_bridge.research.planners.mission_model import ChainWinds, Outcome, fly_missions
 
 TUNING_SEED = 20_260_413  # of the planner's own missions; no campaign draws from it

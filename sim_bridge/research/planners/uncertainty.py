@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph
-from companion.core.wind.markov_chain import OrnsteinUhlenbeckWind, Sight, WindChain
+from sim_bridge.research.planners.markov_chain import OrnsteinUhlenbeckWind, Sight, WindChain
 
 LAG_STEP_S = 5.0  # a chain's spread changes little within it: dwell times are longer
 

@@ -8,7 +8,6 @@ import msgspec
 
 from companion.adapters.files.params import params_dir
 from companion.core.mission.flight_file import Flight
-from companion.core.routing.scenario import Scenario
 from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
@@ -16,6 +15,7 @@ from companion.fleet.messages import Command, FleetEvent, Result, State
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.flight.scenario import Fault
+from sim_bridge.research.planners.scenario import Scenario
 from sim_bridge.research.reference.json_schema import Format
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.wind_params import LogWindParams, WindParams

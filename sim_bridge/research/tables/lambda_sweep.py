@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from companion.core.routing.scenario import Scenario
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
 from sim_bridge.research.planners.mission_model import ChainWinds, Outcome, fly_missions
+from sim_bridge.research.planners.scenario import Scenario
 from sim_bridge.research.results.sheet import Sheet, interval95_text
 
 LAMBDAS = (1.0, 1.5, 2.0, 2.5)

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
-from companion.core.return_budget.value_table.bounded_loss_policy import PolicySearch
-from companion.core.return_budget.value_table.edge_transitions import build_step_model
 from companion.core.routing.planner_interface import MissionPlanner
-from companion.core.routing.scenario import LogWind, Scenario
-from companion.core.wind.forecast_chain import prior_wind
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
 from sim_bridge.research.campaign.scenario_generator import GUSTY, GeneratorParams, scenario_set
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, LogPolicy, solve_log_policy
+from sim_bridge.research.planners.bounded_loss_policy import PolicySearch
+from sim_bridge.research.planners.edge_transitions import build_step_model
+from sim_bridge.research.planners.markov_chain import prior_wind
 from sim_bridge.research.planners.mission_model import ChainWinds, Winds, fly_missions
+from sim_bridge.research.planners.scenario import LogWind, Scenario
 from sim_bridge.research.planners.tuning import PolicyTuner, TuningParams
 from sim_bridge.research.results.sheet import Sheet, interval95_text, mean_std
 from sim_bridge.truth.errors import TruthError

@@ -24,10 +24,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
+from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import Decider, Look, MissionPlanner
-from companion.core.routing.scenario import Scenario
-from companion.core.wind.markov_chain import Sight, WindChain
 from ground_station.adapters.llm import LlmParams
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
 from sim_bridge.research.campaign.scenario_generator import (
@@ -36,12 +34,14 @@ from sim_bridge.research.campaign.scenario_generator import (
     random_scenario,
 )
 from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.planners.markov_chain import Sight, WindChain
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     MissionResults,
     Outcome,
     fly_missions,
 )
+from sim_bridge.research.planners.scenario import Scenario, build_energy_graph
 from sim_bridge.research.planners.tuning import TuningParams
 from sim_bridge.research.results.sheet import Sheet, mean_std
 from sim_bridge.research.tables.table2_day import (

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph
 from companion.core.routing.planner_interface import Decider, Look
-from companion.core.wind.markov_chain import WindChain
 from sim_bridge.research.dubins.corners import (
     WINDOW_S,
     held_course,
@@ -23,6 +22,7 @@ from sim_bridge.research.dubins.corners import (
     stopping_s,
 )
 from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.planners.markov_chain import WindChain
 from sim_bridge.research.planners.mission_model import ChainWinds
 
 ROOM = 0.5

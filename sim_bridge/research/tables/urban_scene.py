@@ -16,9 +16,9 @@ from scipy.spatial import Delaunay
 from shapely import LineString, box
 
 from companion.core.base.arrays import Floats
-from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
-from companion.core.routing.scenario import Power, Scenario
+from companion.core.routing.energy_graph import EnergyGraph
 from sim_bridge.research.campaign.scenario_generator import WindRose
+from sim_bridge.research.planners.scenario import Power, Scenario, build_energy_graph
 
 WAKE_DEFICIT = 0.6  # of the wind's speed, right behind the building
 WAKE_HEIGHTS = 5.0  # over which it fades

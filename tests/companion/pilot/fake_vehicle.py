@@ -8,7 +8,6 @@ import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -45,8 +44,6 @@ from companion.core.pilot.ground_sequence import Requirements
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import COMMANDING_PHASES, Phase
 from companion.core.return_budget.budget import Ahead, Assessment
-from companion.core.return_budget.remaining_mission import OnTheWay
-from companion.core.return_budget.value_table.mission_value import Reading
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
@@ -92,11 +89,6 @@ class ScriptedJudge:
     t_s: float = 0.0
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
-    table: Any = None
-    p_home_by_table: float = 0.999
-    tables_asked: list[OnTheWay] = field(default_factory=list)
-    table_plan: Any = None
-    """For which plan a table is asked for; `None`: the one that is flown."""
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -127,14 +119,6 @@ class ScriptedJudge:
             self.t_s, p_home, 0.999, 0.9, 20.0, closed, self.best_landing, None, 80.0, 60.0,
             CLOSED if closed else "open",
         )  # fmt: skip
-
-    def reading(self, at: OnTheWay) -> Reading | None:
-        home = self.p_home_by_table
-        return None if self.table is None else Reading(home, home, 1.0, False)
-
-    def table_request(self, plan: Any, at: OnTheWay, *, on_ground: bool = False) -> Any:
-        self.tables_asked.append(at)
-        return SimpleNamespace(plan=self.table_plan or plan) if self.known else None
 
     def ground_speed_mps(self, here: Any, to: Any) -> float:
         return 10.0 + self.wind_ne[0]

@@ -8,13 +8,12 @@ from msgspec.structs import replace
 
 from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
 from companion.core.mission import events as ev
-from companion.core.pilot.estimates import Estimates, Limits
+from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.parcel_release import ReleaseWatch
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
-from companion.core.return_budget.remaining_mission import Ahead, OnTheWay, hurried
-from companion.core.return_budget.value_table.mission_value import Belief, Reading
+from companion.core.return_budget.remaining_mission import Ahead, hurried
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
@@ -165,21 +164,6 @@ def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_g
     assert watch.evidence(20.0) == "the gripper says so"
 
 
-class ScriptedTable:
-    """A table that says what the test wants, made for the flight's own load and wind."""
-
-    payload_kg, max_loss = FLIGHT.vehicle.payload_kg, FLIGHT.mission.max_loss
-
-    def __init__(self, reading: Reading, *, wind_known: bool = True) -> None:
-        self.reading, self.wind_known, self.reaches = reading, wind_known, True
-
-    def covers(self, wind_en_mps: tuple[float, float]) -> bool:
-        return self.reaches
-
-    def read(self, at: OnTheWay, belief: Belief) -> Reading:
-        return self.reading
-
-
 def in_flight(resting_v: float) -> tuple[Estimates, Ahead]:
     """A judgement that knows a wind and a battery, over the depot of the default flight."""
     judge = judgement()
@@ -195,63 +179,6 @@ def in_flight(resting_v: float) -> tuple[Estimates, Ahead]:
         energy_wh=0.0, time_s=0.0, route_std_wh=0.0,
     )  # fmt: skip
     return judge, ahead_outbound(plan, (0.0, 0.0, level), 0, judge.payload_kg, 6.0, 12.0)
-
-
-GOING = Reading(p_home=0.997, p_success=0.95, p_home_turning=1.0, turn_back=False)
-TURNING = Reading(p_home=0.997, p_success=0.01, p_home_turning=1.0, turn_back=True)
-
-
-def test_a_table_that_serves_says_p_home_and_p_success():
-    judge, ahead = in_flight(25.0)
-    plain = judge.assess(ahead)
-    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
-    seen = judge.assess(ahead)
-    assert plain is not None
-    assert seen is not None
-    assert not plain.by_table
-    assert (seen.by_table, seen.p_home, seen.p_success) == (True, 0.997, 0.95)
-    assert seen.margin_wh == plain.margin_wh
-
-
-def test_the_table_may_close_the_gate_and_says_why():
-    judge, ahead = in_flight(25.0)
-    judge.table = ScriptedTable(TURNING)  # type: ignore[assignment]
-    seen = judge.assess(ahead)
-    assert seen is not None
-    assert seen.turn_back
-    assert "not worth" in seen.reason
-
-
-def test_the_table_never_opens_a_gate_that_the_return_budget_closes():
-    judge, ahead = in_flight(22.0)
-    plain = judge.assess(ahead)
-    judge.table = ScriptedTable(GOING)  # type: ignore[assignment]
-    seen = judge.assess(ahead)
-    assert plain is not None
-    assert plain.turn_back, "the case is one that the budget closes"
-    assert seen == plain
-
-
-@pytest.mark.parametrize("spoilt", ["load", "loss", "lattice", "promise", "prior"])
-def test_a_stale_table_is_not_used(spoilt):
-    judge, ahead = in_flight(25.0)
-    table = ScriptedTable(TURNING if spoilt == "prior" else GOING, wind_known=spoilt != "prior")
-    judge.table = table  # type: ignore[assignment]
-    match spoilt:
-        case "load":
-            judge.payload_kg = 0.2
-        case "loss":
-            judge.limits = Limits(0.05, judge.limits.reserve_frac)
-        case "lattice":
-            table.reaches = False
-        case "promise":
-            table.reading = Reading(0.9, 0.9, 1.0, turn_back=False)
-        case "prior":
-            pass
-    seen = judge.assess(ahead)
-    assert seen is not None
-    assert not seen.by_table
-    assert not seen.turn_back
 
 
 def fastest_in_flight(voltage_v: float) -> tuple[Estimates, Ahead]:

@@ -1,7 +1,6 @@
 """The pilot flown event by event against a fake vehicle, with a scripted gate."""
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -17,12 +16,9 @@ from companion.core.mission.actions import (
     Configure,
     Decision,
     Disarm,
-    Finished,
     JumpTo,
-    MakeTable,
     Note,
     Order,
-    PhaseChanged,
     Publish,
     ReadMissionBack,
     Release,
@@ -792,83 +788,3 @@ def test_the_same_events_give_the_same_actions():
         return w.log
 
     assert flight() == flight()
-
-
-# --- value tables --------------------------------------------------------------------------------
-
-
-def made_table(**changes: Any) -> Any:
-    known = {"wind_known": True, "made_for_en_mps": (0.0, 0.0), "payload_kg": 0.6, "max_loss": 0.01}
-    more = {"size_bytes": 3_000_000, "loss_weight": 8.0, "keeps_nothing": False}
-    return SimpleNamespace(**{**known, **more, **changes})
-
-
-def tables_asked(w: World) -> list[float]:
-    return [t for t, a in w.log if isinstance(a, MakeTable)]
-
-
-def test_a_table_is_asked_for_on_the_ground_and_again_when_the_wind_is_known():
-    w = world()
-    w.until(Phase.CLIMB)
-    assert len(tables_asked(w)) == 1
-    w.tell(ev.TableMade(w.t_s, made_table(wind_known=False)))
-    w.until(Phase.OUTBOUND).run(lambda w: len(tables_asked(w)) == 2, 3.0)
-    asked = tables_asked(w)
-    settled_s = next(t for t, a in w.log if isinstance(a, PhaseChanged) and a.now == "measure wind")
-    assert asked[1] >= settled_s + FLIGHT.mission.wind_settle_s - 0.2
-    w.tell(ev.TableMade(w.t_s, made_table()))
-    assert w.to_the_end().outcome == "SUC"
-    assert len(tables_asked(w)) == 2, "nothing had moved"
-
-
-@pytest.mark.parametrize(
-    "changes", [{"made_for_en_mps": (0.0, 2.5)}, {"payload_kg": 0.3}, {"max_loss": 0.05}]
-)
-def test_a_table_that_was_made_for_something_else_is_made_again(changes):
-    w = reach(Phase.OUTBOUND)
-    w.tell(ev.TableMade(w.t_s, made_table(**changes)))
-    before = len(tables_asked(w))
-    w.run(lambda w: len(tables_asked(w)) > before, 30.0)
-
-
-def test_a_table_whose_policy_loses_more_than_is_accepted_from_here_is_made_again():
-    w = reach(Phase.OUTBOUND)
-    w.judge.p_home_by_table = 0.9
-    w.tell(ev.TableMade(w.t_s, made_table()))
-    before = len(tables_asked(w))
-    w.run(lambda w: len(tables_asked(w)) > before, 30.0)
-
-
-def test_without_any_table_the_flight_goes_on_and_it_is_said_once():
-    w = world()
-    w.until(Phase.CLIMB)
-    for answered in range(6):
-        w.run(lambda w, n=answered: len(tables_asked(w)) > n or w.pilot.phase is Phase.RETURN)
-        w.tell(ev.TableMade(w.t_s, None, "the worker died"))
-    assert w.to_the_end().outcome == "SUC"
-    assert w.said.count("no value table") == 1
-    assert len(tables_asked(w)) == 3, "then it is left alone"
-
-
-def test_a_table_for_another_plan_is_not_used():
-    for plan, used in (("another", False), (None, True)):
-        w = world()
-        w.judge.table_plan = plan
-        w.until(Phase.OUTBOUND)
-        assert len(tables_asked(w)) == 1
-        w.tell(ev.TableMade(w.t_s, made_table()))
-        assert (w.judge.table is not None) == used
-
-
-def test_restarted_in_mid_air_it_flies_without_a_table_and_asks_for_a_new_one():
-    w, kept = interrupted(Phase.OUTBOUND)
-    again = restarted(w, kept)
-    assert again.judge.table is None
-    again.run(lambda w: len(tables_asked(w)) == 1, 30.0)
-    assert again.to_the_end().outcome == "SUC"
-
-
-def test_a_check_makes_no_table():
-    w = world(options=PilotOptions(check_only=True))
-    w.run(lambda w: any(isinstance(a, Finished) for _, a in w.log))
-    assert not tables_asked(w)

@@ -26,7 +26,6 @@ from companion.core.return_budget.remaining_from_plan import (
     ahead_outbound,
     ahead_returning,
 )
-from companion.core.return_budget.value_table.decision_graph import build_mission_graph
 from companion.core.routing.leg_energy import LegKind, RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from tests.companion.pilot.fake_vehicle import AIRFRAME, ScriptedJudge, World, start, world
@@ -264,16 +263,6 @@ def test_safety_rule_4_every_way_home_counts_its_change_of_height_to_the_ground(
         for stage in ahead.stages:
             wanted = 33.0 if stage.delivers else 12.0
             assert {round(climbed_m(way.legs)) for way in stage.ways_home} == {wanted}
-
-
-def test_the_value_table_prices_the_same_ways_home_as_the_gate():
-    plan = planned(flight()).plan
-    graph = build_mission_graph(plan, 0.6, 6.0, 6.0)
-    not_gone = next(e for e in graph.edges if e.tail == 2 and e.head == 1)
-    (way,) = ahead_outbound(plan, (0.0, 0.0, -30.0), 0, 0.6, 6.0, 6.0).ways_home_now
-    flown = [(leg.kind, leg.to_ned_m) for leg in way.legs]
-    points = [(leg.kind, leg.to_ned_m) for leg in not_gone.legs]
-    assert points == flown
 
 
 def test_a_way_back_in_the_lower_layer_sinks_first_and_is_not_cheaper_than_one_without_layers():

@@ -13,9 +13,7 @@ from scipy.stats import t as student_t
 from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import LEG_S, WindForecast, WindOutlook
-from companion.core.wind.forecast_chain import HORIZONS_S, nearest_process, prior_wind
-from companion.core.wind.markov_chain import lattice_belief
+from companion.core.wind.forecast import WindForecast
 from companion.core.wind.process import (
     WindProcessParams,
     averaged_share,
@@ -211,42 +209,6 @@ def test_a_recording_that_cannot_be_divided_has_no_held_out_score() -> None:
 
 
 # --- the planner's chains ------------------------------------------------------------------------
-
-
-def test_the_prior_chain_changes_within_minutes_as_the_process_does() -> None:
-    wind = prior_wind(COAST)
-    chain = wind.chain()
-    start = lattice_belief(chain, np.zeros((1, 2)), wind.spacing_mps)[0]
-    row = start @ chain.transition(300.0)
-    squared = float(row @ chain.states_en_mps[:, 0] ** 2)
-    expected = float(COAST.mean_squared_change_m2ps2(np.array([300.0]), LEG_S)[0])
-    # Of the process, from a wind w: variance(lag) + (w (1 - exp(-lag/T)))^2, w^2 = variance(inf).
-    gone = -np.expm1(-300.0 / wind.time_constant_s)
-    closed = float(wind.predictive_cov_m2ps2(300.0)[0, 0]) + (wind.std_mps * gone) ** 2
-    assert closed == pytest.approx(expected, rel=1e-6)
-    # Its lattice of 0.75 standard deviations spreads by a seventh slower.
-    assert 0.8 * expected < squared < expected
-
-
-def test_the_tables_chain_has_the_forecasts_mean_and_variance_over_a_mission() -> None:
-    """From three to thirteen minutes; sooner, one process has no room for gusts, and errs low."""
-    outlook = WindOutlook(COAST)
-    for t in range(0, 301, 5):
-        outlook.observe(belief(float(t), 2.0, -8.0))
-    forecast = outlook.forecast(belief(301.0, 2.0, -9.0), HORIZONS_S)
-    process = nearest_process(forecast)
-    chain = process.chain()
-    seen = forecast.mean_to_ne_mps[:1, ::-1]
-    start = lattice_belief(chain, seen, process.spacing_mps)[0]
-    for i, horizon_s in enumerate(HORIZONS_S):
-        if horizon_s < 240.0:
-            continue
-        row = start @ chain.transition(float(horizon_s))
-        mean = row @ chain.states_en_mps
-        variance = row @ (chain.states_en_mps - mean) ** 2
-        stated = forecast.walk_cov_m2ps2[i, i]
-        np.testing.assert_allclose(mean, forecast.mean_to_ne_mps[i, ::-1], atol=0.4)
-        np.testing.assert_allclose(variance, stated, rtol=0.25)
 
 
 def belief(t_s: float, north: float, east: float) -> WindBelief:

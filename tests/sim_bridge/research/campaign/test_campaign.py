@@ -7,7 +7,6 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from companion.core.routing.scenario import LogWind, scenario_json
 from sim_bridge.research.campaign.campaign import (
     CampaignParams,
     run_campaign,
@@ -18,6 +17,7 @@ from sim_bridge.research.campaign.campaign import (
 from sim_bridge.research.campaign.campaign_runner import InProcess, Pool, campaign_journal, run
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, WindRose, scenario_set
 from sim_bridge.research.cli.campaign import app
+from sim_bridge.research.planners.scenario import LogWind, scenario_json
 
 SMALL = GeneratorParams(
     vertices=12,

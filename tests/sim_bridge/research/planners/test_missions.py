@@ -7,7 +7,6 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from companion.core.routing.scenario import ChainWind, LogWind, Power, Scenario
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
@@ -15,6 +14,7 @@ from sim_bridge.research.campaign.scenario_generator import (
     random_scenario,
 )
 from sim_bridge.research.planners.mission_model import ChainWinds, LogWinds, Outcome, fly_missions
+from sim_bridge.research.planners.scenario import ChainWind, LogWind, Power, Scenario
 
 COUNT = 60
 

@@ -7,12 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
+from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import Look
-from companion.core.wind.markov_chain import WindChain, sight_of
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, random_scenario
 from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.planners.markov_chain import WindChain, sight_of
 from sim_bridge.research.planners.mission_model import ChainWinds, Outcome, fly_missions
+from sim_bridge.research.planners.scenario import build_energy_graph
 from sim_bridge.research.tables import table2
 from sim_bridge.research.tables.table2_day import (
     Day,

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from companion.core.base.errors import LeewayError
-from companion.core.routing.scenario import parse_scenario, scenario_json
+from sim_bridge.research.planners.scenario import parse_scenario, scenario_json
 
 CHAIN = {"kind": "chain", "states_en_mps": [[1, 2]], "rate_per_s": [[0]], "initial": [1]}
 LOG = {"kind": "log", "t_s": [0, 1], "wind_en_mps": [[1, 2], [2, 3]], "start_s": [0, 1]}

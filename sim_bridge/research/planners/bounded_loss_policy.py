@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError
-from companion.core.return_budget.value_table.dynamic_program import (
+from sim_bridge.research.planners.dynamic_program import (
     DeliveryTable,
     HomeTable,
     delivery_worths,
     home_worth,
     solve_delivery,
 )
-from companion.core.return_budget.value_table.edge_transitions import StepModel
+from sim_bridge.research.planners.edge_transitions import StepModel
 
 FIRST_WEIGHTS = (0.0, 0.3, 1.0, 3.0, 10.0, 40.0, 200.0, 2000.0)  # c; first look
 REFINED = 8  # weights of the second look, between the neighbours of the best of the first

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from companion.core.base.arrays import Floats, Ints, ShortInts, Singles
 from companion.core.routing.energy_graph import EnergyGraph
-from companion.core.wind.markov_chain import WindChain
+from sim_bridge.research.planners.markov_chain import WindChain
 
 NEVER = np.int32(2**30)  # levels that an infeasible edge costs: more than any budget has
 EDGE_COST_IN_SINGLE = 2e-6  # probability; float32 sums of 100 terms are off by some 5e-7

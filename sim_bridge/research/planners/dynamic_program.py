@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, ShortInts
-from companion.core.return_budget.value_table.edge_transitions import NEVER, StepModel
+from sim_bridge.research.planners.edge_transitions import NEVER, StepModel
 
 LOSS_NOTHING_HELPS = 65535  # a choice: no edge promises anything here
 STOP = 65534  # a choice: stay at the depot

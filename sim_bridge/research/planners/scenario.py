@@ -12,7 +12,8 @@ import msgspec
 import numpy as np
 
 from companion.core.base.errors import LeewayError
-from companion.core.wind.markov_chain import WindChain
+from companion.core.routing.energy_graph import EnergyGraph
+from sim_bridge.research.planners.markov_chain import WindChain
 
 FORMAT = "delivery-scenario/1"
 ROW_SUM_TOLERANCE = 1e-6  # relative to the row's largest rate; files are written with 12 digits
@@ -257,3 +258,17 @@ def _named_place(message: str) -> str:
     if not separator:
         return problem
     return f"{path.rstrip('`').lstrip('.') or 'file'}: {problem}"
+
+
+def build_energy_graph(scenario: Scenario) -> EnergyGraph:
+    """The scenario's graph as arrays; an edge that is listed twice counts once."""
+    edges = np.array(sorted(set(scenario.edges)), dtype=np.int64).reshape(-1, 2)
+    return EnergyGraph(
+        vertices_m=np.array(scenario.vertices_m, dtype=float),
+        tail=edges[:, 0].copy(),
+        head=edges[:, 1].copy(),
+        depot=scenario.depot,
+        target=scenario.target,
+        airspeed_mps=scenario.airspeed_mps,
+        power_w=(scenario.power_w.loaded, scenario.power_w.empty),
+    )

@@ -14,12 +14,17 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
-from companion.core.return_budget.value_table.bounded_loss_policy import find_policy
-from companion.core.return_budget.value_table.dynamic_program import solve_home
-from companion.core.return_budget.value_table.edge_transitions import Rounding, build_step_model
-from companion.core.routing.energy_graph import build_energy_graph
-from companion.core.routing.scenario import ChainWind, Power, Scenario, chain_from_scenario
 from sim_bridge.research.campaign.frontier import frontier
+from sim_bridge.research.planners.bounded_loss_policy import find_policy
+from sim_bridge.research.planners.dynamic_program import solve_home
+from sim_bridge.research.planners.edge_transitions import Rounding, build_step_model
+from sim_bridge.research.planners.scenario import (
+    ChainWind,
+    Power,
+    Scenario,
+    build_energy_graph,
+    chain_from_scenario,
+)
 
 LEVELS = 24
 

@@ -7,16 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.return_budget.value_table.bounded_loss_policy import (
-    PolicySearch,
-    find_policy,
-    forecast,
-)
-from companion.core.return_budget.value_table.dynamic_program import solve_delivery, solve_home
-from companion.core.return_budget.value_table.edge_transitions import Rounding, build_step_model
-from companion.core.routing.energy_graph import EnergyGraph, build_energy_graph
-from companion.core.routing.scenario import ChainWind, Power, Scenario, chain_from_scenario
-from companion.core.wind.markov_chain import WindChain, sight_of
+from companion.core.routing.energy_graph import EnergyGraph
 from sim_bridge.research.campaign.frontier import frontier
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
@@ -24,7 +15,22 @@ from sim_bridge.research.campaign.scenario_generator import (
     random_scenario,
 )
 from sim_bridge.research.planners.ber import Ber
+from sim_bridge.research.planners.bounded_loss_policy import (
+    PolicySearch,
+    find_policy,
+    forecast,
+)
+from sim_bridge.research.planners.dynamic_program import solve_delivery, solve_home
+from sim_bridge.research.planners.edge_transitions import Rounding, build_step_model
+from sim_bridge.research.planners.markov_chain import WindChain, sight_of
 from sim_bridge.research.planners.mission_model import ChainWinds, fly_missions
+from sim_bridge.research.planners.scenario import (
+    ChainWind,
+    Power,
+    Scenario,
+    build_energy_graph,
+    chain_from_scenario,
+)
 from sim_bridge.research.planners.tuning import PolicyTuner
 
 WEIGHTS = (0.0, *np.geomspace(0.3, 300.0, 9).tolist())  # of the frontier's dual

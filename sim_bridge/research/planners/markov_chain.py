@@ -4,6 +4,7 @@ The chain either comes with a scenario or is derived from a continuous process (
 so that one planner serves both a known chain and an estimate with covariance.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -14,8 +15,15 @@ from scipy.linalg import expm
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
+from companion.core.wind.forecast import LEG_S
+from companion.core.wind.process import WindProcessParams
 
 CONDITION_LIMIT = 1e6  # of the eigenvectors; beyond it the spectral formula loses digits
+
+_PRIOR_STD_MPS = 4.0  # per axis: any wind up to a gale
+_PRIOR_REACH_MPS = 3.0 * _PRIOR_STD_MPS
+_PRIOR_LAG_S = 300.0  # about half of a mission: where the prior's change is the process's
+_PRIOR_STEPS = 4  # of the lattice, to each side of its centre
 
 
 @dataclass(frozen=True)
@@ -217,3 +225,23 @@ def lattice_belief(chain: WindChain, wind_en_mps: ArrayLike, spacing_mps: float)
     gap = np.abs(inside[:, None, :] - chain.states_en_mps[None, :, :]) / spacing_mps
     share = np.prod(np.maximum(0.0, 1.0 - gap), axis=2)
     return share / share.sum(axis=1, keepdims=True)
+
+
+def prior_wind(
+    process: WindProcessParams,
+    spacing_mps: float = _PRIOR_REACH_MPS / _PRIOR_STEPS,
+    reach_mps: float = _PRIOR_REACH_MPS,
+) -> OrnsteinUhlenbeckWind:
+    """Any wind, that changes within minutes as the process does: before a wind is known.
+
+    One Ornstein-Uhlenbeck process whose mean squared change after `_PRIOR_LAG_S`,
+    `2 std^2 (1 - exp(-lag/T))`, is that of the fitted one at its reference wind.
+    """
+    change = float(process.mean_squared_change_m2ps2(np.array([_PRIOR_LAG_S]), LEG_S)[0])
+    share = min(change / (2.0 * _PRIOR_STD_MPS**2), 0.9)
+    return OrnsteinUhlenbeckWind(
+        std_mps=_PRIOR_STD_MPS,
+        time_constant_s=-_PRIOR_LAG_S / math.log1p(-share),
+        spacing_mps=spacing_mps,
+        reach_mps=reach_mps,
+    )
