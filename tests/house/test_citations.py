@@ -99,8 +99,9 @@ def unknown_paths(path: Path, text: str) -> list[str]:
     A name such as `page.md` is a citation in prose only: elsewhere it may be a file to write.
     """
     named = {match[1] for match in PATH.finditer(text)}
-    words = prose(text) if path.suffix == ".py" else text
-    named |= {match[1] for match in MARKDOWN.finditer(words)}
+    if MARKDOWN.search(text):
+        words = prose(text) if path.suffix == ".py" else text
+        named |= {match[1] for match in MARKDOWN.finditer(words)}
     bases = (ROOT, path.parent, ROOT / "docs", ROOT / "docs" / "reference")
     return sorted(
         name

@@ -56,21 +56,21 @@ def classes_named_twice(sources: dict[str, str]) -> list[str]:
 
 def privates_touched(name: str, source: str) -> list[str]:
     """Attributes and imports with an underscore that belong to another module."""
-    tree = ast.parse(source)
+    nodes = list(ast.walk(ast.parse(source)))
     own = {
         node.attr
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
         and node.value.id in ("self", "cls")
     }
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             own.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             own.add(node.id)
     found: list[str] = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom):
             found += [
                 f"{name}:{node.lineno}: import {one.name} from {node.module}"

@@ -68,6 +68,7 @@ def guess(logs):
 
 
 @pytest.mark.sitl
+@pytest.mark.night
 def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, guess):
     """Its wind and load were not seen. The canary: by the guess alone it is off by more."""
     out, figures = logs / "mine.toml", logs / "figures.json"
@@ -91,6 +92,7 @@ def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, gue
 
 
 @pytest.mark.sitl
+@pytest.mark.night  # for the flights, which both look at
 def test_a_log_without_current_is_refused_by_its_name(logs, guess, tmp_path):
     path = tmp_path / "nocurrent.csv"
     rows = [f"{0.1 * i:.1f},0.0,0.0,0.0,0.0,0.0,0.0,23.5," for i in range(2000)]

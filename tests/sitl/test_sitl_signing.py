@@ -23,6 +23,7 @@ def undisturbed(flown) -> bool:
     return flown.row["outcome"] == "SUC" and forger is not None and forger.told > 500
 
 
+@pytest.mark.drawn(of="flavour")
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_signed_it_delivers_whatever_a_forger_without_the_key_says(fly_case, flavour, key):
     flown = fly_case(flavour, FORGED, signing_key=key)

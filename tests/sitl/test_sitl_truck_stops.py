@@ -56,6 +56,7 @@ def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_c
     assert (out_m, back_m) == (pytest.approx(20.0, abs=1.5), pytest.approx(26.0, abs=1.5))
 
 
+@pytest.mark.drawn(of="flavour")
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_safety_rule_3_killed_on_the_way_out_it_comes_down_at_the_promised_stop(fly_case, flavour):
     killed = {"kind": "companion_kill", "phase": "outbound", "at_s": 4.0, "restart": False}

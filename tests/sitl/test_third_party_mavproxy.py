@@ -151,7 +151,7 @@ def fly(client: MavProxy, served: ServedVehicle) -> None:
     flew_the_mission(served, highest_m)
 
 
-def test_mavproxy_flies_a_mission_on_ardupilot_over_tcp(tmp_path: Path) -> None:
+def on_ardupilot_over_tcp(tmp_path: Path) -> None:
     served = on_the_ground(AutopilotKind.ARDUPILOT)
     mission = waypoints_file(tmp_path, with_home=True)
     with Host(SPEEDUP) as host:
@@ -170,7 +170,7 @@ def test_mavproxy_flies_a_mission_on_ardupilot_over_tcp(tmp_path: Path) -> None:
             fly(client, served)
 
 
-def test_mavproxy_flies_a_mission_on_px4_over_udp(tmp_path: Path) -> None:
+def on_px4_over_udp(tmp_path: Path) -> None:
     served = on_the_ground(AutopilotKind.PX4)
     mission = waypoints_file(tmp_path, with_home=False)
     with Host(SPEEDUP) as host:
@@ -183,3 +183,9 @@ def test_mavproxy_flies_a_mission_on_px4_over_udp(tmp_path: Path) -> None:
             client.expect("Mode MISSION")
             client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
             fly(client, served)
+
+
+@pytest.mark.drawn(keep=1)
+@pytest.mark.parametrize("fly_it", [on_ardupilot_over_tcp, on_px4_over_udp])
+def test_mavproxy_flies_a_mission(fly_it: Callable[[Path], None], tmp_path: Path) -> None:
+    fly_it(tmp_path)

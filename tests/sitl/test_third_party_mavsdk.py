@@ -211,7 +211,7 @@ def fly_on_px4(served: ServedVehicle) -> None:
             asyncio.run(body())
 
 
-def test_mavsdk_flies_a_mission_on_px4_over_udp() -> None:
+def on_px4_over_udp() -> None:
     fly_on_px4(on_the_ground(AutopilotKind.PX4))
 
 
@@ -221,7 +221,7 @@ def test_the_check_fails_in_a_world_that_lies_30_m_off_the_map() -> None:
         fly_on_px4(on_the_ground(AutopilotKind.PX4, off))
 
 
-def test_mavsdk_flies_a_mission_on_ardupilot_over_tcp() -> None:
+def on_ardupilot_over_tcp() -> None:
     served = on_the_ground(AutopilotKind.ARDUPILOT)
 
     async def body(port: str) -> None:
@@ -247,3 +247,9 @@ def test_mavsdk_flies_a_mission_on_ardupilot_over_tcp() -> None:
         (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
         with host.running():
             asyncio.run(body(url.rsplit(":", 1)[1]))
+
+
+@pytest.mark.drawn(keep=1)
+@pytest.mark.parametrize("fly_it", [on_ardupilot_over_tcp, on_px4_over_udp])
+def test_mavsdk_flies_a_mission(fly_it: Callable[[], None]) -> None:
+    fly_it()

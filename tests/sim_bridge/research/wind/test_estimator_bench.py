@@ -96,6 +96,7 @@ def test_px4s_drag_fusion_finds_the_wind_that_its_coefficients_explain() -> None
     assert np.linalg.eigvalsh(covs[-1])[0] > 0.0
 
 
+@pytest.mark.night
 def test_in_gusts_the_estimator_is_near_the_bound_and_not_below_it() -> None:
     """A small sample; `sim-bridge estimator-bench` flies the whole envelope."""
     truth = load_airframe(ROOT / "params" / "truth" / "m100.toml")
