@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[1]
 
 DRAW = "--draw-seed"
 NEW_SEED = "new"
+LONG = ("sitl", "third_party")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -64,12 +65,14 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what was not drawn."""
+    """Leave out what was not drawn; begin with the files that fly, for those take longest."""
     seed = config.getoption(DRAW)
     left_out = set() if seed is None else _not_drawn(items, int(seed))
     if left_out:
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
+    flying = {item.path for item in items if any(map(item.get_closest_marker, LONG))}
+    items.sort(key=lambda item: item.path not in flying)
 
 
 def _not_drawn(items: list[pytest.Item], seed: int) -> set[pytest.Item]:
