@@ -11,6 +11,8 @@ from ground_station.app.desk.replanner import NoPlan, Replanner
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.dispatch.replanning import (
+    ReplanCause,
+    ReplanReason,
     broken_promise,
     day_now,
     replan_reason,
@@ -34,7 +36,7 @@ class ReplanAttempt:
 
     at_s: float | None = None
     situation: object = None
-    why: str | None = None
+    why: ReplanReason | None = None
     refused: bool = False
     died: int = 0
 
@@ -42,14 +44,16 @@ class ReplanAttempt:
 @dataclass(frozen=True, slots=True)
 class _Request:
     snapshot: DaySnapshot
-    why: str
+    why: ReplanReason
     wind: Forecast
     """The forecast before it."""
 
 
 @dataclass(slots=True)
 class ActivePlan:
-    """`plan` and `data` as they are now. `review` replaces them; `version` counts how often."""
+    """`plan` and `data` as they are now. `review` replaces both, `note_orders` the data; `version`
+    counts how often.
+    """
 
     day: DayStore
     data: DayData
@@ -107,8 +111,8 @@ class ActivePlan:
             return
         request, self._request = self._request, None
         if self._asks_again(made, request.why, snapshot):
-            if self.data.day.forecast != request.wind:  # else the reason would be gone
-                self._plan_with(request.wind)
+            if self.data.day.forecast != request.wind:
+                self._plan_with(request.wind)  # so that the wind stays a reason
         else:
             self._take(made, request, snapshot)
 
@@ -116,7 +120,7 @@ class ActivePlan:
         """Whether there is a reason for a new plan that has not been refused, now or later."""
         return self._reason(replace(snapshot, tried_s=None)) is not None
 
-    def _reason(self, snapshot: DaySnapshot) -> str | None:
+    def _reason(self, snapshot: DaySnapshot) -> ReplanReason | None:
         why = replan_reason(snapshot, self.params)
         return None if self.attempt.refused and why == self.attempt.why else why
 
@@ -127,9 +131,9 @@ class ActivePlan:
         if why is None:
             return
         wind = self.data.day.forecast
-        if "wind" in why:
+        if why.cause is ReplanCause.WIND:
             self._plan_with(measured(wind))
-        self.say(f"a new plan: {why}")
+        self.say(f"a new plan: {why.words}")
         self._request = _Request(snapshot, why, wind)
         self.replanner.ask(day_now(self.data, snapshot), self._standing_state(snapshot))
 
@@ -141,7 +145,7 @@ class ActivePlan:
         self.data = self._with_forecast(wind)
         self.version += 1
 
-    def _asks_again(self, made: DayPlan | NoPlan, why: str, snapshot: DaySnapshot) -> bool:
+    def _asks_again(self, made: DayPlan | NoPlan, why: ReplanReason, snapshot: DaySnapshot) -> bool:
         """Whether the planner has ended without an answer, and is asked once more."""
         if not isinstance(made, NoPlan) or not made.again:
             return False
@@ -165,10 +169,11 @@ class ActivePlan:
         if refused or isinstance(made, NoPlan):
             self.say(f"no new plan ({wrong}): the old one goes on")
             return
-        wind = self.data.day.forecast if "wind" in request.why else None
+        is_for_wind = request.why.cause is ReplanCause.WIND
+        wind = self.data.day.forecast if is_for_wind else None
         took_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
         late = shifted(made, start, request.snapshot.now_s, took_s)
-        self.day.take_plan(late, request.why, wind)
+        self.day.take_plan(late, request.why.words, wind)
         in_force = self.day.plan()
         assert in_force is not None
         self.plan = in_force

@@ -7,7 +7,6 @@ transactions. Plan, promises and the truck's orders are in the store; nothing he
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -93,7 +92,7 @@ class TruckDispatcher:
         if self.active.is_replanning and not snapshot.replanning:
             # Asked for just now: the truck stays from this turn on.
             snapshot = tracker.snapshot = replace(snapshot, replanning=True)
-        rules = DispatchRules(self.active.params, self._may_launch, self._charged)
+        rules = DispatchRules(self.active.params, self._launch_conflict, self._charged)
         actions = rules.decide(snapshot)
         for action in actions:
             self._carry_out(action)
@@ -173,11 +172,13 @@ class TruckDispatcher:
         )
         return f"{sortie.vehicle}: {sortie.order} ({id_}), home {sortie.home}" if id_ else None
 
-    def _may_launch(self, sortie: PlannedSortie, in_air: Sequence[PlannedSortie]) -> str | None:
+    def _launch_conflict(
+        self, sortie: PlannedSortie, in_air: Sequence[PlannedSortie]
+    ) -> str | None:
         if self._airspace is None:
             self._airspace = Airspace(self.active.data)
         try:
-            return self._airspace.may_launch(sortie, in_air, self.active.stops)
+            return self._airspace.launch_conflict(sortie, in_air, self.active.stops)
         except KeyError as missing:  # a pad of no plan: separation cannot be checked
             return f"unknown pad {missing}"
 
@@ -194,8 +195,7 @@ class TruckDispatcher:
         day, drone = data.day, data.day.drone(vehicle)
         assert drone is not None
         airframe = data.airframes[drone.airframe]
-        energy = RouteEnergy(airframe, cruise_airspeed_mps=day.mission.cruise_airspeed_mps)
-        self._reach[vehicle] = Reach(drone, airframe, day.mission, day.forecast, energy)
+        self._reach[vehicle] = Reach(drone, airframe, day.mission, day.forecast)
         return self._reach[vehicle]
 
     @property

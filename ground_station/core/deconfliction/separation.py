@@ -100,7 +100,9 @@ def conflict(first: OperationalVolume, second: OperationalVolume) -> str | None:
     return proximity(first, second).conflict(*layers)
 
 
-def may_launch(sortie: OperationalVolume, in_air_now: Iterable[OperationalVolume]) -> str | None:
+def launch_conflict(
+    sortie: OperationalVolume, in_air_now: Iterable[OperationalVolume]
+) -> str | None:
     """The desk's last check before a launch: why the sortie must wait; None: it may go.
 
     The same check is made before the home of a sortie in the air is moved, with the sortie as it

@@ -93,7 +93,7 @@ class DaySnapshot:
             return None
         return self.plan.stops[index] if self.told in (None, truck.stop) else None
 
-    def out(self, vehicle: str) -> str | None:
+    def why_out(self, vehicle: str) -> str | None:
         """Why a drone is out of service; None: it is in service."""
         if self.drone(vehicle).doubtful:
             return "doubtful"
@@ -109,7 +109,7 @@ class DaySnapshot:
     def free(self, vehicle: str) -> bool:
         """Whether a drone is on the truck, with a fresh pack, and in service."""
         mine = [row for row in self.sorties if row.vehicle == vehicle]
-        return all(row.aboard for row in mine) and self.out(vehicle) is None
+        return all(row.aboard for row in mine) and self.why_out(vehicle) is None
 
     def pending(self) -> list[PlannedSortie]:
         """Planned sorties that are not begun, in order of launch."""
@@ -125,7 +125,7 @@ class DaySnapshot:
             (row.id, row.row.state, row.aboard, row.gone, row.promised, row.asked)
             for row in self.sorties
         ]
-        out = frozenset(vehicle for vehicle in self.drones if self.out(vehicle) is not None)
+        out = frozenset(vehicle for vehicle in self.drones if self.why_out(vehicle) is not None)
         where = None if truck is None else (truck.stop, truck.driving)
         return where, self.open, tuple(flights), out
 
@@ -158,7 +158,7 @@ class DaySnapshot:
     def _is_or_comes(self, vehicle: str, stop: str) -> bool:
         """Whether a drone is on the truck or lands at this stop: nothing may wait for another."""
         mine = [row for row in self.sorties if row.vehicle == vehicle and not row.aboard]
-        return self.out(vehicle) is None and all(row.promised == stop for row in mine)
+        return self.why_out(vehicle) is None and all(row.promised == stop for row in mine)
 
     def delay_s(self) -> float:
         """Delay of the truck against the plan; negative: it is early."""

@@ -55,7 +55,7 @@ class DepotAssigner:
         self._day = day
         self._frame = frame_at(day.depot.place)
         energies = {
-            name: RouteEnergy(airframe, cruise_airspeed_mps=day.mission.cruise_airspeed_mps)
+            name: RouteEnergy.for_mission(airframe, day.mission)
             for name, airframe in airframes.items()
         }
         self._reach = {

@@ -37,7 +37,7 @@ receiver."""
 
 NEAR_PAD_M = 50.0
 
-MayLaunch = Callable[[PlannedSortie, Sequence[PlannedSortie]], str | None]
+LaunchConflict = Callable[[PlannedSortie, Sequence[PlannedSortie]], str | None]
 """Why a sortie must wait for those in the air; None: it may go."""
 
 Charged = Callable[[PlannedSortie, float], bool]
@@ -77,7 +77,7 @@ class DispatchRules:
     """
 
     params: DispatchParams
-    may_launch: MayLaunch
+    launch_conflict: LaunchConflict
     charged: Charged
 
     def decide(self, day: DaySnapshot) -> list[DispatchAction]:
@@ -157,7 +157,7 @@ class DispatchRules:
             return []
         moved = msgspec.structs.replace(row.sortie, home=here.id)
         others = _in_air([other for other in day.sorties if other != row])
-        if self.may_launch(moved, others) is not None:
+        if self.launch_conflict(moved, others) is not None:
             return []
         why = f"the truck comes {comes_s - lands_s:.0f} s too late"
         return [RequestHomeChange(row.id, here.id, why)]
@@ -184,7 +184,9 @@ class DispatchRules:
                 continue
             if row.refused >= self.params.launches:
                 actions.append(WithdrawAssignment(row.id, f"launch refused {row.refused} times"))
-            elif self._launch_is_due(row, day, here) and not self.may_launch(row.sortie, in_air):
+            elif self._launch_is_due(row, day, here) and not self.launch_conflict(
+                row.sortie, in_air
+            ):
                 in_air.append(row.sortie)
                 actions.append(AuthoriseLaunch(row.id))
         return actions

@@ -4,6 +4,8 @@ Promises bind whatever the plan says: a new plan begins after the last promised 
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
 
 import msgspec
 
@@ -17,27 +19,48 @@ from ground_station.core.schema.orders import Service
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def replan_reason(day: DaySnapshot, params: DispatchParams) -> str | None:
-    """Why the day needs a new plan; None: it does not.
+class ReplanCause(Enum):
+    """What has departed from the plan."""
 
-    The reason is the same text as long as the same thing is wrong. So a reason for which no plan
-    was found is not tried again, and does not keep the day from ending.
+    DRONE_OUT = "drone out"
+    ORDER_LEFT_OUT = "order left out"
+    TRUCK_LATE = "truck late"
+    WIND = "wind"
+
+
+@dataclass(frozen=True, slots=True)
+class ReplanReason:
+    """Why the day needs a new plan, and the words for the dispatcher.
+
+    Equal as long as the same thing is wrong. So a reason for which no plan was found is not tried
+    again, and does not keep the day from ending.
     """
+
+    cause: ReplanCause
+    words: str
+
+
+def replan_reason(day: DaySnapshot, params: DispatchParams) -> ReplanReason | None:
+    """Why the day needs a new plan; None: it does not."""
     if day.truck is None or day.index is None or day.replanning:
         return None
     if day.tried_s is not None and day.now_s - day.tried_s < params.replan_again_s:
         return None
     for sortie in day.pending():
-        why = day.out(sortie.vehicle)
+        why = day.why_out(sortie.vehicle)
         if why is not None:
-            return f"{sortie.vehicle} is out of service ({why})"
+            words = f"{sortie.vehicle} is out of service ({why})"
+            return ReplanReason(ReplanCause.DRONE_OUT, words)
     left_out = sorted(day.open - _work_ahead(day) - {line.order for line in day.plan.unplanned})
     if left_out:
-        return f"{left_out[0]} is open and not in the plan"
+        words = f"{left_out[0]} is open and not in the plan"
+        return ReplanReason(ReplanCause.ORDER_LEFT_OUT, words)
     if day.delay_s() > params.late_s and day.situation != day.tried:
-        return f"the truck is more than {params.late_s:.0f} s late"
+        words = f"the truck is more than {params.late_s:.0f} s late"
+        return ReplanReason(ReplanCause.TRUCK_LATE, words)
     if day.wind_off_sigmas > params.wind_sigmas:
-        return f"the wind is {params.wind_sigmas:g} standard deviations from the forecast, or more"
+        sigmas = f"{params.wind_sigmas:g} standard deviations"
+        return ReplanReason(ReplanCause.WIND, f"the wind is {sigmas} from the forecast, or more")
     return None
 
 
@@ -61,7 +84,7 @@ def standing_state(day: DaySnapshot, drones: list[str], recover_s: float) -> Day
     left = sorted(day.open - serves - {sortie.order for sortie in flying})
     free = {drone: day.now_s for drone in drones if day.free(drone)}
     for row in held:
-        if day.out(row.vehicle) is None:
+        if day.why_out(row.vehicle) is None:
             lands_s = day.now_s if row.over else _expected_flight(row, day).land_s
             free[row.vehicle] = max(day.now_s, lands_s) + recover_s
     return DayState(tuple(stops), flying, tuple(left), free, day.plan.revision + 1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
-from ground_station.core.deconfliction.separation import OperationalVolume, may_launch
+from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
@@ -45,7 +45,7 @@ class Airspace:
             sortie.land_s,
         )
 
-    def may_launch(
+    def launch_conflict(
         self,
         sortie: PlannedSortie,
         in_air_now: Iterable[PlannedSortie],
@@ -58,7 +58,7 @@ class Airspace:
         the sortie with its new home, beside all others in the air.
         """
         mine = self.volume(sortie, stops)
-        return may_launch(mine, [self.volume(other, stops) for other in in_air_now])
+        return launch_conflict(mine, [self.volume(other, stops) for other in in_air_now])
 
 
 def _ne(point: Ned) -> tuple[float, float]:

@@ -237,6 +237,17 @@ def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+def test_an_order_named_after_the_wind_leaves_the_forecast_alone(day):
+    told = day(12)
+    forecast = told.dispatcher.active.data.day.forecast
+    late = msgspec.structs.replace(HARBOUR.orders[0], id="wind-1")
+    told.desk.store.add_orders([late])
+    told.run()
+    assert any("wind-1 is open" in why for _, why in DayStore(told.database, lambda: 1).plans())
+    assert DayStore(told.database, lambda: 1).wind() is None
+    assert told.dispatcher.active.data.day.forecast == forecast
+
+
 def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day):
     told = day(13)
     told.world.driver.late_s = 400.0

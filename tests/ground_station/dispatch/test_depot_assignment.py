@@ -3,10 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
+from ground_station.core.feasibility.reach import Reach
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 
@@ -32,3 +35,14 @@ def test_the_nearest_customers_go_first_one_to_each_free_drone(tmp_path):
 def test_an_almost_empty_drone_is_given_nothing_that_it_cannot_bring(tmp_path):
     assigner = DepotAssigner(DAY.day, DAY.airframes)
     assert assigner.assign(rows(tmp_path), [], [FreeDrone("d1", 0.17)]) == []
+
+
+def test_a_drone_is_judged_by_the_speeds_that_it_flies_with():
+    mission = msgspec.structs.replace(DAY.day.mission, speed="cruise")
+    day = msgspec.structs.replace(DAY.day, mission=mission)
+    assigner, drone = DepotAssigner(day, DAY.airframes), day.drones[0]
+    order = next(o for o in DAY.orders if o.id == "H-101")
+    reach = Reach(drone, DAY.airframes[drone.airframe], mission, day.forecast)
+    as_flown = reach.can_bring(order.mass_kg, assigner.ground_ned(order))
+    assert assigner.can_bring(order, drone.id) == as_flown
+    assert DepotAssigner(DAY.day, DAY.airframes).can_bring(order, drone.id) != as_flown

@@ -10,7 +10,7 @@ import pytest
 
 from companion.core.base.place import Place
 from ground_station.adapters.files.day_files import read_day
-from ground_station.core.deconfliction.separation import OperationalVolume, may_launch
+from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
@@ -153,9 +153,9 @@ def test_the_desks_last_check_passes_the_plan_and_stops_what_is_put_off_into_ano
             for other in plan.sorties[:number]
             if other.launch_s <= sortie.launch_s < other.land_s
         ]
-        assert airspace.may_launch(sortie, in_air, stops) is None, sortie.order
+        assert airspace.launch_conflict(sortie, in_air, stops) is None, sortie.order
         others = [s for s in plan.sorties if s.vehicle != sortie.vehicle]
-        refused += airspace.may_launch(sortie, others, stops) is not None
+        refused += airspace.launch_conflict(sortie, others, stops) is not None
     assert refused > len(plan.sorties) / 2
 
 
@@ -178,5 +178,5 @@ def volume(
     ],
 )
 def test_who_may_be_in_the_air_with_a_drone_that_flies_north_at_40_metres(other, reason):
-    said = may_launch(volume("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
+    said = launch_conflict(volume("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
     assert said is None if reason is None else reason in (said or "")
