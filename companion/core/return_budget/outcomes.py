@@ -130,7 +130,7 @@ class Chances:
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
 
     def _best_way(self, point: int, before_wh: Floats) -> tuple[int, float]:
-        """The way home with the highest probability (the first of near ties), and that probability."""
+        """The way home with the highest P(home), the first of near ties, and that P(home)."""
         chances = [
             float(self._budget.p_enough(before_wh + self._table.way_wh(point, way)).mean())
             for way in range(self._table.ways(point))

@@ -49,7 +49,9 @@ def p_success(
 
 
 def filtered(process: DayProcess, noisy_ne_mps: Floats) -> tuple[Floats, Floats]:
-    """Components' means (parts, 2) and covariance (parts, parts), one second after the last input."""
+    """Components' means (parts, 2) and covariance (parts, parts) one second after the last
+    input.
+    """
     keep = np.exp(-1.0 / np.array(process.memory_s))
     variance = np.array(process.std_mps) ** 2
     added = np.diag(variance * (1.0 - keep**2))

@@ -63,7 +63,7 @@ def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tu
 def fitted_process(
     unjudged: tuple[Unjudged, ...], stretches: tuple[Stretch, ...], shipped: WindProcessParams
 ) -> WindProcessParams:
-    """Process fitted to the first hours of unjudged wind; the shipped one if there is too little."""
+    """Process fitted to the first hours of unjudged wind; the shipped one if too little is left."""
     means: list[WindMeans] = []
     for part in unjudged:
         wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]

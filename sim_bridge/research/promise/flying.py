@@ -56,7 +56,7 @@ DEPARTURES = 240
 CHUNK = 20
 _HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
 _MODEL_STD_FRAC = 0.01  # error of a calibrated model in another wind, as a share
-_COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
+_COUNTER_STD_FRAC = 0.002  # of the budget: a coulomb counter's error within a flight
 _LOOKS = 48  # decisions within the longest possible flight
 _LEAST_BETWEEN_S = 10.0
 _LEAST_OPEN_S = 600
@@ -197,7 +197,7 @@ def _departures(
     planner: Planner,
     rng: np.random.Generator,
 ) -> Floats:
-    """P(home) at departures in these blocks, (departures, levels); NaN where the gate would stay."""
+    """P(home) at departures in these blocks, (departures, levels); NaN if the gate would stay."""
     blocks = [block for _, block in open_to]
     widths = np.array([b.last - b.first + 1 for b in blocks])
     edges = np.concatenate([[0], np.cumsum(widths)])

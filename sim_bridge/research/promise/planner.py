@@ -50,7 +50,7 @@ class MissionView:
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """One policy's mission: when it turned back (inf: never; 0: did not depart), and its P(home)."""
+    """One policy's mission: when it turned back (inf: never; 0: did not depart), its P(home)."""
 
     go: bool
     turn_s: float
@@ -222,7 +222,7 @@ def ahead_of(
 
 
 def _points(here_m: float, distance_m: float, step_m: float) -> list[float]:
-    """Next decision points (m out), thinned: the next, the last before the customer, the customer."""
+    """Next decision points (m out), thinned: the next, the last before the customer, and there."""
     if distance_m - here_m <= step_m:
         return [distance_m]
     looks = np.arange(here_m + step_m, distance_m, step_m)

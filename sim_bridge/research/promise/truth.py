@@ -120,7 +120,9 @@ class TruePower:
         return self.budget_wh * 3600.0 / min(self.loaded_w, self.empty_w) + ground_s
 
     def round_trip_wh_per_m(self, wind_ne_mps: Floats, unit_ne: Floats) -> Floats:
-        """Energy per metre, out loaded and back empty, in constant wind (n, 2); inf if no progress."""
+        """Wh per metre, out loaded and back empty, in constant wind (n, 2); inf without
+        progress.
+        """
         out = ground_speed_mps(self._profile.airspeed_mps, wind_ne_mps, unit_ne)
         back = ground_speed_mps(self._profile.airspeed_mps, wind_ne_mps, -unit_ne)
         with np.errstate(divide="ignore"):
