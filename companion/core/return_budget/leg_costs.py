@@ -20,8 +20,8 @@ from companion.core.wind.forecast import WindForecast, WindOutlook
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
 _MERGE_M = 450.0  # straight cruise legs are merged up to this length
 _MERGE_TURN_RAD = math.radians(3.0)
-# Only every other sample is followed through the later gates, the most costly part. Tail
-# probabilities are not estimated from these samples.
+# Only every other sample is followed through the later gates: that is the most costly part, and it
+# needs no tail of its own.
 POLICY = slice(None, None, 2)
 _POINTS = 6  # most decision points after thinning
 
@@ -155,9 +155,7 @@ class LegTable:
         )
 
     def _need(self, spans: list[_Span]) -> Need:
-        """Need of these spans together. Variance: the wind's walk plus its lasting estimation
-        error.
-        """
+        """Need of these spans together. Its variance: the wind's walk plus its lasting error."""
         rows = [row for span in spans for row in _rows(span)]
         total = self._seen_gradient[rows].sum(axis=0)
         lasting = float(total @ self._error_cov @ total)
@@ -296,8 +294,7 @@ def _least(needs: list[Need]) -> Need:
 
 
 def thinned(ahead: Ahead) -> Ahead:
-    """The same mission with at most `_POINTS` decision points: the next, the last two, some
-    between.
+    """The same mission with at most `_POINTS` decision points: the next, the last two, some others.
 
     A gate that decides less often brings the vehicle home slightly less often. So the stated
     probabilities err low.

@@ -250,11 +250,11 @@ class WindState:
         innovations, whitened. `white` (2,) is the whitened innovations.
         """
         self.x += gain @ white
-        self.cov -= gain @ gain.T  # exactly symmetric in floating point
+        self.cov -= gain @ gain.T  # a matrix times its transpose is exactly symmetric
 
     def correct(self, row: Floats, innovation: float, noise: float) -> None:
-        """Kalman update by one scalar; `row` (17,) is its derivative by the state, `noise` its
-        variance.
+        """Kalman update by one scalar with variance `noise`; `row` (17,) is its derivative by
+        the state.
         """
         gain = self.cov @ row
         s = float(row @ gain) + noise
