@@ -1,7 +1,7 @@
-"""What every leg of the remaining mission costs in every sampled wind, priced all at once.
+"""Energy of every leg of the remaining mission under every sampled wind, in one vectorised pass.
 
-Decision point 0 is here and now; point i is the end of stage i. Winds are read at each leg's
-middle, at the time that it is flown in the mean wind.
+Decision point 0 is here and now; point i is the end of stage i. Each leg's wind is read at its
+midpoint, at the time it is flown in the mean wind.
 """
 
 import math
@@ -18,16 +18,17 @@ from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindOutlook
 
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
-_MERGE_M = 450.0  # straight cruise legs are priced together up to this length
+_MERGE_M = 450.0  # straight cruise legs are merged up to this length
 _MERGE_TURN_RAD = math.radians(3.0)
-# Every other sample follows the later gates: that is the most work, and needs no tail of its own.
+# Only every other sample is followed through the later gates: that is the most costly part, and it
+# needs no tail of its own.
 POLICY = slice(None, None, 2)
-_POINTS = 6  # decision points that a later gate is followed through
+_POINTS = 6  # most decision points after thinning
 
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """Rows of the table that belong to one stage or way home."""
+    """Rows `first` to `last` (exclusive) of the leg table: one stage or one way home."""
 
     first: int
     last: int
@@ -39,7 +40,7 @@ class _Span:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """An energy need as a later gate will see it: what it expects, (K,), and how sure it is."""
+    """An energy need as a later gate will see it: expected Wh (K,) and standard deviation (Wh)."""
 
     wh: Floats
     std_wh: float
@@ -47,8 +48,10 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """What a later gate will see, for every POLICY sample: the needs of turning there (and by which
-    way), of flying to the next decision point and turning there, of the whole trip.
+    """What a later gate will see, for each POLICY sample.
+
+    The needs of turning back there (and the way home chosen), of flying to the next decision point
+    and turning back there, and of the whole trip.
     """
 
     turning: Need
@@ -59,8 +62,10 @@ class Foreseen:
 
 @dataclass(frozen=True, slots=True)
 class _Outlook:
-    """Rows of the foreseen legs that a later gate prices: ways home here, the stage to the next
-    point and the ways home there, the stages after it and the ways home from the last.
+    """Row spans that the gate at a later point prices.
+
+    Ways home from that point; the stage to the next point and the ways home there; the stages after
+    that and the ways home from the last point.
     """
 
     here: tuple[_Span, ...]
@@ -71,7 +76,7 @@ class _Outlook:
 
 
 class LegTable:
-    """Energy of stages and ways home, (K,) Wh each, for one `Ahead`."""
+    """Energy (K,) in Wh of each stage and each way home, for one `Ahead`."""
 
     def __init__(
         self,
@@ -96,45 +101,45 @@ class LegTable:
 
     @property
     def stages(self) -> int:
-        """How many stages there are: the last decision point's number."""
+        """Number of stages, which is also the index of the last decision point."""
         return len(self._stage)
 
     def ways(self, point: int) -> int:
-        """How many ways home a decision point has."""
+        """Number of ways home from a decision point."""
         return len(self._ways[point])
 
     def stage_wh(self, stage: int) -> Floats:
-        """Energy of stage 1, 2, ... in every sample."""
+        """Energy (K,) of stage 1, 2, ..."""
         return _sum(self._energy, self._stage[stage - 1])
 
     def way_wh(self, point: int, way: int) -> Floats:
-        """Energy of a way home from a decision point in every sample."""
+        """Energy (K,) of one way home from a decision point."""
         return _sum(self._energy, self._ways[point][way])
 
     def chosen_way_wh(self, point: int, way: Ints) -> Floats:
-        """The same with each POLICY sample's own choice of way."""
+        """Energy of the way home that each POLICY sample chose; `way` has its index per sample."""
         energies = np.stack([self.way_wh(point, i)[POLICY] for i in range(self.ways(point))])
         return energies[way, np.arange(way.size)]
 
     def whole_wh(self) -> Floats:
-        """Energy of all stages and the first way home after them, in every sample."""
+        """Energy (K,) of all stages and of the first way home after them."""
         total = sum((self.stage_wh(i + 1) for i in range(self.stages)), np.zeros(1))
         return total + self.way_wh(self.stages, 0)
 
     def unattended_wh(self) -> Floats | None:
-        """Energy to come home when no further command arrives.
+        """Energy (K,) to come home if no further command arrives; None if there is no such route.
 
-        On to the next waypoint, and from there the first of the ways: the mission aboard knows
-        no other, and nobody is there to choose.
+        The vehicle flies to the next waypoint and from there takes the first way home. The mission
+        on the autopilot holds no other.
         """
         if self._unattended is None:
             return None
         return _sum(self._energy, self._unattended) + (self.stage_wh(1) if self._stage else 0.0)
 
     def predicted(self, point: int) -> Foreseen:
-        """What the gate at a later point will think that turning and flying on need.
+        """Needs that the gate at a later point will estimate, for each POLICY sample.
 
-        For every POLICY sample; that gate knows only its own wind until then.
+        That gate knows only its own sample's wind until then.
         """
         seen = self._outlooks[point]
         here = [self._need([way]) for way in seen.here]
@@ -150,6 +155,7 @@ class LegTable:
         )
 
     def _need(self, spans: list[_Span]) -> Need:
+        """Need of these spans together. Its variance: the wind's walk plus its lasting error."""
         rows = [row for span in spans for row in _rows(span)]
         total = self._seen_gradient[rows].sum(axis=0)
         lasting = float(total @ self._error_cov @ total)
@@ -187,7 +193,7 @@ class LegTable:
         return _Span(first, len(self._legs))
 
     def _schedule(self, times: Floats) -> tuple[Floats, Floats]:
-        """Each leg's middle and each decision point's time from now, in the mean wind."""
+        """Time (s from now) of each leg's midpoint and each decision point, in the mean wind."""
         middle = np.zeros(len(self._legs))
         arrival = np.zeros(self.stages + 1)
         for point in range(self.stages + 1):
@@ -224,8 +230,8 @@ class LegTable:
     ) -> None:
         """Price what the gate at each later point will price, as it will see it.
 
-        Its forecast is the regression of a leg's wind on its wind then: the walk is Gaussian. How
-        sure it is comes from the energy's gradient at the mean wind.
+        Its forecast is the regression of a leg's wind on the wind at that point, since the walk is
+        Gaussian. Its uncertainty comes from the energy's gradient at the mean wind.
         """
         legs, origin = self._lay_out_foreseen()
         cov, mean = forecast.walk_cov_m2ps2, forecast.mean_to_ne_mps
@@ -240,12 +246,12 @@ class LegTable:
         self._seen = self._route_energy.costs_by_leg(chosen, seen[0], seen[1]).energy_wh
         mean_wind = mean.mean(axis=0)
         self._seen_gradient = self._route_energy.gradient_wh_per_mps(chosen, mean_wind)
-        known = np.outer(share, share) * variance  # rows are only joined within one point
+        known = np.outer(share, share) * variance  # used only within one point
         self._seen_cov = leg_rows @ cov @ leg_rows.T - known
         self._error_cov = forecast.error_cov_m2ps2
 
     def _lay_out_foreseen(self) -> tuple[Ints, Ints]:
-        """(leg, decision point) of every row that a later gate prices; fills `_outlooks`."""
+        """(leg, decision point) of each row that a later gate prices; fills `_outlooks`."""
         legs: list[int] = []
         origin: list[int] = []
 
@@ -273,9 +279,9 @@ class LegTable:
 
 
 def _ended_at(leg: Leg, place: Ned) -> Leg:
-    """The same leg moved along so that it ends at a place: its course is what a turn begins from.
+    """The same leg shifted to end at `place`; its course sets the turn angle there.
 
-    A leg under way begins where the vehicle is, so it cannot simply be cut off there.
+    A leg under way begins at the vehicle, so it cannot simply be shortened.
     """
     moved = tuple(p - to for p, to in zip(place, leg.to_ned_m, strict=True))
     north, east, down = (f + m for f, m in zip(leg.from_ned_m, moved, strict=True))
@@ -283,14 +289,15 @@ def _ended_at(leg: Leg, place: Ned) -> Leg:
 
 
 def _least(needs: list[Need]) -> Need:
-    """The least of alternative needs in every sample; as sure as the first of them."""
+    """Minimum of alternative needs per sample, with the std of the first."""
     return Need(np.min([need.wh for need in needs], axis=0), needs[0].std_wh)
 
 
 def thinned(ahead: Ahead) -> Ahead:
-    """The same mission with fewer decision points: the next and the last two, some between.
+    """The same mission with at most `_POINTS` decision points: the next, the last two, some others.
 
-    A gate that may decide less often comes home a little less often: what is said errs low.
+    A gate that decides less often brings the vehicle home slightly less often. So the stated
+    probabilities err low.
     """
     count = len(ahead.stages)
     if count <= _POINTS:
@@ -308,7 +315,7 @@ def thinned(ahead: Ahead) -> Ahead:
 
 
 def merge_straight(legs: tuple[Leg, ...]) -> list[Leg]:
-    """The same way with straight cruise legs joined: priced once, at the wind in their middle."""
+    """The same route with straight cruise legs merged; each is priced at its midpoint wind."""
     merged: list[Leg] = []
     for leg in legs:
         before = merged[-1] if merged else None
@@ -350,7 +357,7 @@ def _fill(middle: Floats, times: Floats, span: _Span, start_s: float) -> None:
 
 
 def _weights(at_s: Floats) -> Floats:
-    """Rows that interpolate linearly between the forecast's nodes, (len, nodes)."""
+    """Linear interpolation weights between the forecast's nodes, (len, nodes)."""
     index = np.clip(np.searchsorted(_NODES_S, at_s, side="right") - 1, 0, _NODES_S.size - 2)
     share = (at_s - _NODES_S[index]) / (_NODES_S[index + 1] - _NODES_S[index])
     rows = np.zeros((at_s.size, _NODES_S.size))

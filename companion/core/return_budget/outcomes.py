@@ -1,6 +1,6 @@
-"""Probabilities that the gate decides by: of turning back here, of flying on, of later decisions.
+"""Probabilities that the gate decides by: turning back here, flying on, later decisions.
 
-None of them depends on the accepted loss, except `Chances.of_flying_on`.
+None depends on the accepted loss, except `Chances.of_flying_on`.
 """
 
 from dataclasses import dataclass
@@ -12,30 +12,33 @@ from companion.core.base.arrays import Bools, Floats
 from companion.core.return_budget.leg_costs import POLICY, LegTable, Need
 from companion.core.return_budget.wind_samples import PathSampler
 
-# Share of a delivery's worth that the next decision is taken to save (`LaterDecision.goes_on`).
+# Share of a delivery's value that waiting for the next decision is assumed to gain
+# (`LaterDecision.goes_on`).
 _WAITING_FRAC = 0.3
-_MARGIN_WH = 0.005  # how finely a margin is found
-_TIE = 0.002  # of probability: landing sites closer than this are ranked by their order
+_MARGIN_WH = 0.005  # tolerance of the bisection for a margin
+_TIE = 0.002  # in probability: landing sites closer than this are ranked by their order
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Energy above the reserve as believed, and the errors that it is compared under."""
+    """Believed energy above the reserve, and the standard deviations of battery and model."""
 
     left_wh: float
     battery_std_wh: float
     model_std_frac: float
     scale: float = 1.0
-    """Needs are the model's; what they really take is `scale` times as much."""
+    """Ratio of real to modelled energy; multiplies every need."""
 
     def p_enough(self, need_wh: Floats) -> Floats:
-        """Probability that each need is met, model and battery errors integrated."""
+        """Probability that each need is met, integrated over model and battery errors."""
         need_wh = self.scale * need_wh
         spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
         return ndtr((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
 
     def p_seen(self, left_wh: Floats, need: Need) -> Floats:
-        """Probability that a later gate gives to a need with this left, its spread normal."""
+        """Probability that a later gate assigns to a need with `left_wh` left; wind error is
+        normal.
+        """
         need_wh = self.scale * need.wh
         wind_std_wh = self.scale * need.std_wh
         spread = np.sqrt(
@@ -44,14 +47,14 @@ class Budget:
         return ndtr((left_wh - need_wh) / np.maximum(spread, 1e-6))
 
     def p_left(self, left_wh: Floats) -> Floats:
-        """Probability that what is left is there, where only the battery's error is left."""
+        """Probability that the remaining energy is above 0, with only the battery error."""
         return ndtr(left_wh / max(self.battery_std_wh, 1e-6))
 
     def margin_wh(self, need_wh: Floats, p: float) -> float:
-        """What is left above the energy at which the mean of `p_enough` would be just `p`.
+        """Remaining energy above the level at which the mean of `p_enough` would be just `p`.
 
-        By halving, up to _MARGIN_WH too little and never too much: of the bracket's ends the one
-        that suffices is taken.
+        Bisection. The margin is at most _MARGIN_WH too small and never too large, because the
+        bracket's sufficient end is used.
         """
         need_wh = self.scale * need_wh
         spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
@@ -68,8 +71,9 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class LaterDecision:
-    """A later decision point in every POLICY sample: the chances as its gate will see them, and
-    what the mission will have taken that turns there.
+    """A later decision point in each POLICY sample: the probabilities that its gate will compute.
+
+    `turned_p_home` is P(home) of a mission that turns back there.
     """
 
     p_turn: Floats
@@ -78,11 +82,10 @@ class LaterDecision:
     turned_p_home: Floats
 
     def goes_on(self, promise: float) -> Bools:
-        """Whether that gate will fly on.
+        """Whether that gate will fly on, per sample.
 
-        As the gate itself decides, with the worth of waiting for the next look in place of a
-        policy flown from there: waiting pays while what it risks is little against what success
-        may add.
+        It follows the gate's own rule, except that a fixed value of waiting replaces simulating the
+        policy from there. Waiting is worth it if the risk is small compared with the possible gain.
         """
         promised = np.maximum(self.p_next, self.p_whole) >= np.minimum(promise, self.p_turn)
         commits = self.p_whole >= promise * self.p_turn
@@ -92,21 +95,21 @@ class LaterDecision:
 
 
 class Chances:
-    """What can be said of the remaining mission before asking how much loss is accepted."""
+    """Probabilities of the remaining mission that do not depend on the accepted loss."""
 
     def __init__(self, table: LegTable, budget: Budget, sampler: PathSampler) -> None:
         self._table, self._budget = table, budget
         self.way_now, self.p_now = self._best_way(0, np.zeros(sampler.count))
-        """The best of the ways home from here, and P(home) by it."""
+        """Best way home from here, and P(home) by it."""
         if table.stages == 0:
             self.onward_need_wh = table.way_wh(0, self.way_now)
             return
         flown = table.stage_wh(1)
         way, self.p_onward = self._best_way(1, flown)
-        """P(home) by way of the next decision point, or of a better one further on."""
+        """P(home) via the next decision point, or via a later one if that is better."""
         self.onward_need_wh = flown + table.way_wh(1, way)
         self.p_whole = float(budget.p_enough(table.whole_wh()).mean())
-        """The chance that the energy does for the whole trip, whatever gates would say."""
+        """Probability that the energy suffices for the whole trip, ignoring later gates."""
         self._looks: list[LaterDecision] = []
         if table.stages == 1:
             self._arrived = np.array([self.p_onward])
@@ -117,7 +120,7 @@ class Chances:
             self.p_onward, self.onward_need_wh = p_further, further_wh
 
     def of_flying_on(self, promise: float) -> tuple[float, float]:
-        """(P(home), P(home and delivered)) when every later gate asks for `promise`."""
+        """(P(home), P(home and delivered)) if every later gate requires `promise`."""
         flying = np.ones(self._arrived.size, np.bool_)
         p_home = self._arrived.copy()
         for look in self._looks:
@@ -127,7 +130,7 @@ class Chances:
         return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
 
     def _best_way(self, point: int, before_wh: Floats) -> tuple[int, float]:
-        """The way home from a decision point with the best chance; the first among near equals."""
+        """The way home with the highest P(home), the first of near ties, and that P(home)."""
         chances = [
             float(self._budget.p_enough(before_wh + self._table.way_wh(point, way)).mean())
             for way in range(self._table.ways(point))
@@ -136,9 +139,9 @@ class Chances:
         return best, chances[best]
 
     def _best_further(self) -> tuple[float, Floats]:
-        """(P(home), need) by flying on to the best of the points after the next.
+        """(P(home), need) of flying on to the best of the points after the next.
 
-        A landing site may lie ahead; or the parcel, once delivered, no longer be carried home.
+        A landing site may lie ahead. Or the parcel, once delivered, is not carried home.
         """
         table = self._table
         flown = table.stage_wh(1)
@@ -151,10 +154,10 @@ class Chances:
         return best, need
 
     def _foresee(self, model_error: Floats) -> None:
-        """The later looks, and P(home) of flying past them all, for every POLICY sample.
+        """The later decisions, and P(home) of flying past all of them, for each POLICY sample.
 
-        Each sample flies its own wind with its own model error, which its gate sees in what was
-        used; the gate there knows its wind so far, and forecasts from it.
+        Each sample flies its own wind with its own model error. Its gate sees that error in the
+        energy used so far, knows its wind up to that point, and forecasts from it.
         """
         table, budget = self._table, self._budget
         drawn = budget.scale * (1.0 + budget.model_std_frac * model_error)
@@ -179,6 +182,6 @@ class Chances:
 
 
 def _first_best(chances: list[float]) -> int:
-    """The first of the chances that are as good as the best."""
+    """Index of the first probability within _TIE of the highest."""
     top = max(chances)
     return next(i for i, p in enumerate(chances) if p >= top - _TIE)

@@ -1,14 +1,13 @@
-"""Where vehicles stand if they brake, what a neighbour's report leaves open, and what lies between.
+"""Braking paths, bounds on a neighbour's position from its report, and the slack between them.
 
-Every vehicle holds, at every tick, one manoeuvre: brake to a stop, now. `separation_filter` asks
-here, for each velocity that it looks at, how much nearer the path stays to the vehicle's own
-braking path than to each neighbour's. The proof that this is enough is in
-docs/explanation/avoidance.md. Distances are measured in the norm whose unit ball is the separation
-cylinder.
+At every tick each vehicle has one fallback manoeuvre: brake to a stop now. For each candidate
+velocity, `separation_filter` asks how much nearer the path stays to the vehicle's own braking path
+than to each neighbour's. The proof that this suffices is in docs/explanation/avoidance.md.
+Distances use the norm whose unit ball is the separation cylinder.
 
-Arrays are batched and component first, which takes half the calls: (3, A, ...) north, east, down of
-A vehicles, C velocities, J neighbours, T instants, from where each vehicle is now. What is
-flat and what is high comes as (2, A, ...).
+Arrays are batched, component first, which halves the number of calls: (3, A, ...) north, east, down
+for A vehicles, C velocities, J neighbours, T instants, relative to each vehicle's position now.
+Horizontal and vertical parts are (2, A, ...).
 """
 
 from dataclasses import dataclass
@@ -19,12 +18,15 @@ import numpy as np
 from companion.core.base.arrays import Bools, Floats, Ints, Singles
 from companion.core.base.errors import LeewayError
 
-IN_CACHE = 60_000  # numbers worked on at once
+IN_CACHE = 60_000  # array elements per batch, to stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
 class SeparationParams:
-    """What must be kept, what a vehicle can do, and how wrong a neighbour's report may be."""
+    """Required separation, vehicle limits, and error bounds of a neighbour's report.
+
+    Raises LeewayError for a value that is not finite and above 0.
+    """
 
     horizontal_m: float = 5.0
     vertical_m: float = 4.0
@@ -33,11 +35,11 @@ class SeparationParams:
     max_climb_mps: float = 2.0
     accel_mps2: float = 3.0  # PX4 MPC_ACC_HOR default 3; ArduCopter WPNAV_ACCEL default 2.5
     climb_accel_mps2: float = 2.0  # PX4 MPC_ACC_DOWN_MAX 3, ArduCopter PSC_ACC_Z 1 to 2.5
-    tracking_m: float = 0.5  # how far the vehicle strays from the path that it was told
+    tracking_m: float = 0.5  # deviation from the commanded path
     tracking_vertical_m: float = 0.2
     error_sigmas: float = 3.0
-    max_age_s: float = 3.0  # older reports: the reach of a neighbour is not widened further
-    obstacle_m: float = 3.0  # left free about buildings: half a span, tracking and map
+    max_age_s: float = 3.0  # beyond this age a neighbour's reach grows no further
+    obstacle_m: float = 3.0  # clearance to buildings: half a span, tracking and map error
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -47,25 +49,25 @@ class SeparationParams:
 
     @property
     def stop_s(self) -> float:
-        """The longest time that braking takes."""
+        """The longest braking time, horizontal or vertical."""
         braking = self.max_speed_mps / self.accel_mps2
         return max(braking, self.max_climb_mps / self.climb_accel_mps2)
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """What was heard of each vehicle's neighbours: arrays (A, J, 3) and (A, J)."""
+    """Latest report of each neighbour of each vehicle: arrays (A, J, 3) and (A, J)."""
 
     pos_ned_m: Floats
     vel_ned_mps: Floats
     age_s: Floats
-    pos_std_m: Floats  # of each horizontal axis
+    pos_std_m: Floats  # per horizontal axis
     alt_std_m: Floats
     vel_std_mps: Floats
     present: Bools
 
     def picked(self, *index: Ints) -> "Neighbours":
-        """These vehicles, or these neighbours of these vehicles."""
+        """The same, indexed by vehicle, or by vehicle and neighbour."""
         return Neighbours(
             self.pos_ned_m[index],
             self.vel_ned_mps[index],
@@ -79,20 +81,20 @@ class Neighbours:
 
 @dataclass(frozen=True)
 class Instants:
-    """The instants looked at, and what has to be kept at each so that it holds between them."""
+    """The sampled instants, and the separation needed at each so that it holds between them."""
 
     params: SeparationParams
-    times_s: Floats  # (T,): ends of ticks until everybody stands
+    times_s: Floats  # (T,): ends of ticks until every vehicle has stopped
     after_tick_s: Floats  # (T,): the same from the end of the first tick
-    accel_mps2: Floats  # (2,): flat and high
-    shares: Floats  # (3, T): what a metre north, east and down is of the cylinder
-    most_change: float  # of slack, between two velocities within reach of the same tick
+    accel_mps2: Floats  # (2,): horizontal and vertical
+    shares: Floats  # (3, T): 1/m, metres north, east, down to cylinder units
+    most_change: float  # bound on the slack's change between two velocities reachable in one tick
 
     @classmethod
     def of(cls, p: SeparationParams) -> "Instants":
-        """Two pass each other by at most a chord between instants, and braking they slow down.
+        """Between instants two vehicles pass by at most a chord, and braking makes that shorter.
 
-        Vertically a pair that is separated at either end is so all along.
+        Vertically, a pair that is separated at both ends of a tick is separated throughout.
         """
         times = p.tick_s * np.arange(int(np.ceil(p.stop_s / p.tick_s)) + 2, dtype=np.float64)
         fastest = np.maximum(p.max_speed_mps - p.accel_mps2 * (times - 2.0 * p.tick_s), 0.0)
@@ -115,30 +117,32 @@ instants_of = lru_cache(Instants.of)
 
 @dataclass(frozen=True)
 class Heard:
-    """Those neighbours that can matter: where they were, from the vehicle, and how sure that is.
+    """Neighbours that can matter: relative position and velocity, age and uncertainty.
 
-    Whoever is not present fills a column up, and is of finite numbers.
+    Absent neighbours pad the columns, with finite numbers.
     """
 
     away_m: Floats  # (3, A, J)
     vel_mps: Floats  # (3, A, J)
-    age_s: Floats  # (A, J), no more than what a neighbour's reach is widened for
-    std: Floats  # (3, A, J): flat and high position in m, velocity in m/s
+    age_s: Floats  # (A, J), capped at `max_age_s`
+    std: Floats  # (3, A, J): horizontal and vertical position in m, velocity in m/s
     present: Bools  # (A, J)
 
 
 @dataclass(frozen=True)
 class Reports:
-    """Where neighbours would be if they braked now, and how far from there at most.
+    """Braking paths of the neighbours, and how far from them a neighbour may be.
 
-    In cylinders, as all distances here: metres times `Instants.shares`.
+    In cylinder units, as all distances here: metres times `Instants.shares`.
     """
 
     braking: Singles  # (3, A, J, T)
-    unsure: Singles  # (2, A, J, T), flat and high; minus infinity of who is not there
+    unsure: Singles  # (2, A, J, T), horizontal and vertical; minus infinity if absent
 
     def picked(self, rows: Ints, kept: Bools) -> "Reports":
-        """Of these vehicles, those neighbours (rows, J) that are kept, in few columns."""
+        """For these vehicles, the neighbours marked in `kept` (rows, J), in as few columns as
+        possible.
+        """
         order = few_columns(kept)
         if order is None:
             return self.of(rows)
@@ -156,7 +160,7 @@ class Reports:
 
 
 def few_columns(kept: Bools) -> Ints | None:
-    """Which columns (A, most) hold all that is kept, first; None: all of them, as they are."""
+    """Column order (A, most) that puts the kept entries first; None if all are kept."""
     if kept.all():
         return None
     most = int(kept.sum(axis=1).max(initial=0))
@@ -164,12 +168,12 @@ def few_columns(kept: Bools) -> Ints | None:
 
 
 def flat_of(vectors: Floats) -> Floats:
-    """Horizontal lengths; (...)."""
+    """Horizontal lengths (...) of vectors (3, ...)."""
     return np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1])
 
 
 def no_more_than(vectors: Floats, flat: float, high: float) -> Floats:
-    """These vectors (3, ...), shortened over the ground and cut vertically."""
+    """Vectors (3, ...) with horizontal length at most `flat` and vertical part within +-`high`."""
     found = np.empty_like(vectors)
     length = np.maximum(flat_of(vectors), 1e-9)
     np.multiply(vectors[:2], np.minimum(1.0, flat / length), out=found[:2])
@@ -178,7 +182,7 @@ def no_more_than(vectors: Floats, flat: float, high: float) -> Floats:
 
 
 def reach(vel: Floats, wanted: Floats, p: SeparationParams) -> Floats:
-    """What one tick's acceleration makes of the wanted velocity; (3, ...)."""
+    """Velocity (3, ...) after one tick of acceleration towards the wanted one, within limits."""
     change = no_more_than(wanted, p.max_speed_mps, p.max_climb_mps) - vel
     return vel + no_more_than(change, p.accel_mps2 * p.tick_s, p.climb_accel_mps2 * p.tick_s)
 
@@ -191,7 +195,7 @@ def _flat_and_high(vectors: Floats) -> Floats:
 
 
 def _brake_by(vel: Floats, after_s: Floats, now: Instants) -> Floats:
-    """The way made while braking from `vel` (3, ...) for `after_s` (T,); (3, ..., T)."""
+    """Displacement (3, ..., T) while braking from `vel` (3, ...) for `after_s` (T,)."""
     speed = _flat_and_high(vel)
     accel = now.accel_mps2.reshape(2, *(1,) * (speed.ndim - 1))
     share = np.minimum(after_s, (speed / accel)[..., None])
@@ -205,12 +209,14 @@ def _brake_by(vel: Floats, after_s: Floats, now: Instants) -> Floats:
 
 
 def braking_of(vel: Floats, now: Instants) -> Floats:
-    """The path if one brakes now; (3, ..., T)."""
+    """Braking path (3, ..., T) from now."""
     return _brake_by(vel, now.times_s, now)
 
 
 def paths_of(vel: Floats, chosen: Floats, now: Instants) -> Floats:
-    """One tick from `vel` (3, A) towards each velocity (3, A, C), braking then; (3, A, C, T)."""
+    """Accelerate for one tick from `vel` (3, A) to each velocity (3, A, C), then brake; (3, A, C,
+    T).
+    """
     paths = _brake_by(chosen, now.after_tick_s, now)
     paths += (0.5 * now.params.tick_s * (vel[..., None] + chosen))[..., None]
     paths[..., 0] = 0.0
@@ -218,9 +224,9 @@ def paths_of(vel: Floats, chosen: Floats, now: Instants) -> Floats:
 
 
 def relevant(pos_ned_m: Floats, vel: Floats, told: Neighbours, now: Instants) -> Heard:
-    """Neighbours that could matter before everybody stands, in as few columns as hold them.
+    """Neighbours that could matter before every vehicle has stopped, in as few columns as possible.
 
-    `pos_ned_m` (A, 3) as told; `vel` (3, A).
+    `pos_ned_m` (A, 3) as reported; `vel` (3, A).
     """
     p = now.params
     away = np.ascontiguousarray((told.pos_ned_m - pos_ned_m[:, None]).transpose(2, 0, 1))
@@ -231,11 +237,11 @@ def relevant(pos_ned_m: Floats, vel: Floats, told: Neighbours, now: Instants) ->
     own = flat_of(vel) + p.accel_mps2 * p.tick_s
     speed = flat_of(theirs)
     flown = own * p.tick_s + 0.5 * own**2 / p.accel_mps2
-    # What a tick's acceleration changes of the braking path, and the separation itself.
+    # Change of the braking path by one tick of acceleration, plus the separation itself.
     beside = 2.0 * p.accel_mps2 * p.tick_s * p.stop_s + p.max_speed_mps * p.tick_s
     flown += beside + 1.0 / now.shares[0].min()
     reached = flown[:, None] + speed * age + 0.5 * speed**2 / p.accel_mps2 + unsure
-    near = told.present & (flat_of(away) < reached)  # no number is not less than any
+    near = told.present & (flat_of(away) < reached)  # NaN compares false
     near &= np.isfinite(away[2] + theirs[2])
     std = np.stack([told.pos_std_m, told.alt_std_m, told.vel_std_mps])
     order = few_columns(near)
@@ -249,9 +255,9 @@ def relevant(pos_ned_m: Floats, vel: Floats, told: Neighbours, now: Instants) ->
 
 
 def reports_of(heard: Heard, now: Instants) -> Reports:
-    """A report of age t: half a t^2 and a t more than its own errors in position and velocity.
+    """Braking paths and uncertainty of reports. Age t adds a t^2 / 2 to position, a t to velocity.
 
-    The braking path is at most min(tau, v / a) as far off as the velocity
+    An error in velocity moves the braking path by at most that error times min(tau, v / a)
     (docs/explanation/avoidance.md).
     """
     sigmas, age, vel = now.params.error_sigmas, heard.age_s, heard.vel_mps
@@ -274,9 +280,11 @@ def reports_of(heard: Heard, now: Instants) -> Reports:
 def slack_of(
     paths: Floats, braking: Floats, reports: Reports, now: Instants, each: bool = False
 ) -> Singles:
-    """How much nearer to my braking path than to any neighbour's, less a separation; (A, C).
+    """How much nearer a path stays to its own braking path than to any neighbour's, minus 1; (A,
+    C).
 
-    Paths (3, A, C, T), one's own braking path (3, A, T). Of `each` neighbour: (A, C, J).
+    Cylinder units. `paths` (3, A, C, T), own braking path (3, A, T). With `each`, per neighbour:
+    (A, C, J). Infinite without neighbours.
     """
     count, neighbours, instants = paths.shape[2], *reports.unsure.shape[2:]
     found = np.full((paths.shape[1], count, neighbours if each else 1), np.inf, dtype=np.float32)
@@ -296,9 +304,9 @@ def slack_of(
 
 
 def _norm(away: Singles, unsure: Singles | None = None) -> Singles:
-    """The cylinder's norm of these (3, ...), less what is not known of them; in place.
+    """Cylinder norm of vectors (3, ...), minus their uncertainty; overwrites its input.
 
-    Singles: twice as fast, and as exact as it has to be.
+    float32: twice as fast, and accurate enough.
     """
     np.multiply(away[:2], away[:2], out=away[:2])
     np.add(away[0], away[1], out=away[0])

@@ -1,8 +1,8 @@
-"""Wind from tilt and acceleration: the drag that they tell, and what it says of wind, trim, gain.
+"""Drag measurement from tilt and acceleration, and the update of wind, trim and gain by it.
 
-In steady air `m (a_h - thrust_h) = -s D(v - w)`, with the thrust along the body's axis and its size
-from the vertical balance. No accelerometer, no throttle: only attitude and ground velocity, which
-every autopilot sends.
+In steady air `m (a_h - thrust_h) = -s D(v - w)`. Thrust acts along the body axis; the vertical
+force balance gives its size. Inputs are attitude and ground velocity only, which every autopilot
+sends. No accelerometer or throttle is needed.
 """
 
 import itertools
@@ -22,7 +22,7 @@ _GREATEST_LOG_GAIN = 2.0
 
 
 def has_tilt(seen: WindObservation) -> bool:
-    """Whether attitude and velocity are known, and such as a multirotor flies."""
+    """Whether attitude and velocity are known, and roll and pitch are in a multirotor's range."""
     if seen.vel_ned_mps is None or seen.yaw_rad is None:
         return False
     if seen.roll_rad is None or seen.pitch_rad is None:
@@ -32,11 +32,11 @@ def has_tilt(seen: WindObservation) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ReportedMotion:
-    """Velocity as reported (NED), and what it changed by since the report before.
+    """Reported velocity (NED) and its change since the previous report.
 
-    `thrust_*` is the horizontal thrust acceleration when that velocity was so: velocity comes later
-    than attitude. `turning_mps2` is how much the thrust changed meanwhile. `since_s` is None where
-    there is no report before, and no acceleration.
+    `thrust_*` is the horizontal thrust acceleration at the time of that velocity, because velocity
+    arrives later than attitude. `turning_mps2` is the thrust's change over the interval. `since_s`
+    is None if there is no previous report; then there is no acceleration.
     """
 
     velocity_n: float
@@ -51,24 +51,24 @@ class ReportedMotion:
 
 
 class MotionWatch:
-    """Turns reports of velocity and attitude into motion."""
+    """Derives motion from successive reports of velocity and attitude."""
 
     __slots__ = ("_before", "_sink_mps", "_sinking_mps2", "_thrusts")
 
-    LONGEST_S = 1.0  # a longer gap hides what the vehicle did
+    LONGEST_S = 1.0  # no acceleration is derived across a longer gap
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """The vehicle is on the ground, or nothing was heard."""
+        """Discard the history: the vehicle is on the ground, or reports stopped."""
         self._before: tuple[float, float, float] | None = None  # t_s, north, east
         self._sink_mps: float | None = None
         self._sinking_mps2 = 0.0
         self._thrusts: list[tuple[float, float, float]] = []  # t_s, north, east
 
     def take(self, seen: WindObservation, p: WindEstimatorParams) -> ReportedMotion:
-        """One observation that `has_tilt`."""
+        """Motion of one observation; `has_tilt` must hold for it."""
         north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
         before = self._before
         since_s = None if before is None else seen.t_s - before[0]
@@ -105,7 +105,7 @@ class MotionWatch:
         self._sinking_mps2 = step / since_s
 
     def _thrust_at(self, t_s: float) -> tuple[float, float]:
-        """Between the reports about `t_s`; the first one before them."""
+        """Thrust interpolated at `t_s`; clamped to the first and last report."""
         later = self._thrusts[0]
         for early, late in itertools.pairwise(self._thrusts):
             later = late
@@ -119,7 +119,9 @@ class MotionWatch:
 
 
 def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
-    """Horizontal thrust acceleration: along minus the body's z axis, `lift_mps2` of it upward."""
+    """Horizontal thrust acceleration (north, east). Thrust points along minus the body's z axis;
+    its upward part is `lift_mps2`.
+    """
     roll, pitch, yaw = seen.roll_rad or 0.0, seen.pitch_rad or 0.0, seen.yaw_rad or 0.0
     forward = -lift_mps2 * math.tan(pitch)
     right = lift_mps2 * math.tan(roll) / math.cos(pitch)
@@ -129,9 +131,12 @@ def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class DragSeen:
-    """Drag acceleration along heading and right: measured, expected, its size by the airframe file
-    (m/s2), the most that its slope changes with the airspeed (1/m), the airspeed, and the rows
-    (2, states) of d(expected - measured)/dx."""
+    """Drag acceleration along heading and to its right.
+
+    `measured` and `expected` in m/s2; `size_mps2`, the magnitude that the airframe file and gains
+    give; `bends_pm` (1/m), an upper bound on the change of slope with airspeed; `rows` (2, states),
+    d(expected - measured)/dx.
+    """
 
     measured: tuple[float, float]
     expected: tuple[float, float]
@@ -144,7 +149,7 @@ class DragSeen:
 def drag_seen(
     airframe: Airframe, mass_kg: float, x: Floats, motion: ReportedMotion, yaw_rad: float
 ) -> DragSeen:
-    """What drag was measured, and what the state `x` makes of it."""
+    """Measured drag, and the drag that the state `x` (17,) predicts."""
     mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
     heading = yaw_rad + turned
     cos, sin = math.cos(heading), math.sin(heading)
@@ -157,13 +162,13 @@ def drag_seen(
     q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
     drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
     drag_r = gain_r * (k_r + q_r * speed) * right / mass_kg
-    # d drag / d (forward, right); the wind enters with the opposite sign.
+    # Jacobian of drag by air velocity (forward, right); the wind enters with the opposite sign.
     ff = gain_f * (k_f + q_f * (speed + forward * forward / speed)) / mass_kg
     fr = gain_f * q_f * forward * right / speed / mass_kg
     rr = gain_r * (k_r + q_r * (speed + right * right / speed)) / mass_kg
     rf = gain_r * q_r * forward * right / speed / mass_kg
-    # The acceleration is the ground track's, the thrust the body's: only the first turns.
-    # What the reports' noise adds to their difference is known as far as the states know it.
+    # The heading error rotates the acceleration, measured over ground, but not the thrust, which is
+    # in body axes. The estimated velocity noises are taken out of the acceleration.
     dt_s = motion.since_s or 1.0
     noise_n, noise_e, before_n, before_e = x[At.NOISE :].tolist()
     accel_n = motion.accel_n - (noise_n - before_n) / dt_s
@@ -198,9 +203,12 @@ def _gain(log_gain: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class TiltTold:
-    """What one measurement of drag says to a state: the innovation (m/s2) of both axes and its
-    covariance, and the correction that they make, weighed: `gain @ white` is added to the state,
-    `gain @ gain.T` taken off its covariance. `area` is the root of the covariance's determinant."""
+    """Innovations (m/s2) of both axes from one drag measurement, their variances, and the update.
+
+    `gain` (states, 2) and `white` (2,) are whitened: the update adds `gain @ white` to the state
+    and subtracts `gain @ gain.T` from the covariance. `area` is the square root of the innovation
+    covariance's determinant.
+    """
 
     innovations: tuple[float, float]
     variances: tuple[float, float]
@@ -209,32 +217,34 @@ class TiltTold:
     area: float
 
     def log_density(self, sigmas: float, noise: float) -> float:
-        """How likely the innovation was foretold to be, but for a constant: the logarithm of its
-        Gaussian density, where what lies beyond `sigmas` counts as lying there. `noise`: how much
-        greater its variance is than stated, by what is seen."""
+        """Log of the innovation's Gaussian density, up to a constant.
+
+        Its size is capped at `sigmas`. `noise` is the observed innovation variance over the stated
+        one.
+        """
         size = min(float(self.white @ self.white) / noise, sigmas**2)
         return -0.5 * size - math.log(self.area)
 
     @property
     def surprise(self) -> float:
-        """Mean normalised square of the innovation; 1 as expected."""
+        """Mean normalised innovation squared (NIS) per axis; 1 if consistent."""
         (a, b), (s, t) = self.innovations, self.variances
         return 0.5 * (a * a / s + b * b / t)
 
     def is_outlier(self, sigmas: float) -> bool:
-        """Whether either axis is more than `sigmas` off."""
+        """Whether the innovation of either axis exceeds `sigmas` standard deviations."""
         (a, b), (s, t) = self.innovations, self.variances
         return a * a > sigmas**2 * s or b * b > sigmas**2 * t
 
     @property
     def wind_step_ne_mps(self) -> tuple[float, float]:
-        """The correction of the wind, mean and gust together."""
+        """Correction of the total wind, mean plus gust."""
         mean_n, mean_e, gust_n, gust_e = (self.gain[:4] @ self.white).tolist()
         return mean_n + gust_n, mean_e + gust_e
 
     @property
     def wind_step_variance_m2ps2(self) -> float:
-        """The trace of the variance that was expected of that correction."""
+        """Expected variance of that correction, summed over both axes."""
         wind = self.gain[:2] + self.gain[2:4]
         return float(np.vdot(wind, wind))
 
@@ -246,10 +256,11 @@ def tilt_told(
     seen: WindObservation,
     motion: ReportedMotion,
 ) -> TiltTold:
-    """What one measurement of drag says to `state`.
+    """Innovation and update of `state` from one drag measurement.
 
-    An extended filter's one linearisation, or more (Bell and Cathey 1993) while the wind is
-    unknown: drag is quadratic, its slope in still air would throw the first estimate far out.
+    Once the wind is known, one linearisation as in an extended Kalman filter. Before, five more
+    iterations (Bell and Cathey 1993): drag is quadratic, and its slope in still air would make the
+    first estimate far too large.
     """
     known = state.wind_is_known
     told = _told(state, state.x, airframe, params, seen, motion)
@@ -266,7 +277,7 @@ def _told(
     seen: WindObservation,
     motion: ReportedMotion,
 ) -> TiltTold:
-    """Linearised about a state that need not be the filter's own."""
+    """One linearisation about `about` (17,), which need not be the state's own mean."""
     drag = drag_seen(airframe, seen.mass_kg, about, motion, seen.yaw_rad or 0.0)
     state.airspeed_mps = drag.airspeed_mps
     rows = drag.rows
@@ -280,7 +291,7 @@ def _told(
     noise_f, noise_r = _noises(state, airframe, params, drag, motion)
     bend_f, bend_r = _bends(state, drag)
     ff, rr = ff + noise_f + bend_f, rr + noise_r + bend_r
-    # Cholesky's factor of the innovation's covariance, [[a, 0], [b, c]], and its inverse
+    # Cholesky factor of the innovation covariance, [[a, 0], [b, c]], and its inverse
     a = math.sqrt(ff)
     b = fr / a
     c = math.sqrt(rr - b * b)
@@ -297,8 +308,9 @@ def _noises(
     drag: DragSeen,
     motion: ReportedMotion,
 ) -> tuple[float, float]:
-    """Variance of a drag measurement along either axis: sensors, gusts too fast for the filter,
-    what a transient's delays do, and what the drag model errs by for seconds on end."""
+    """Measurement noise variance along each axis: attitude noise, fast gusts, timing error in
+    transients, and the drag model's error, correlated over seconds.
+    """
     dt_s = max(motion.since_s or 0.1, 0.02)
     late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
     off = airframe.drag.model_std_frac * drag.size_mps2
@@ -309,12 +321,11 @@ def _noises(
 
 
 def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
-    """Variance along either axis of what the linearisation leaves out while wind and gain are
-    uncertain: half the trace of (H P)^2, H the drag's second derivatives (Jazwinski 1970, 9.3), the
-    wind's taken at their most.
+    """Variance along each axis that the linearisation omits while wind and gain are uncertain.
 
-    Wind, gain and trim, of which one heading tells only a sum, else seem told apart by nothing but
-    the point of linearisation, which moves.
+    Half the trace of (H P)^2, with H the drag's second derivatives (Jazwinski 1970, 9.3); those by
+    wind are taken at their upper bound. On one heading only a sum of wind, gain and trim is
+    observable. Without this term the moving linearisation point would seem to separate them.
     """
     p = state.cov[: At.HEADING, : At.LATELY].tolist()
     nn = p[0][0] + 2.0 * p[0][2] + p[2][2]

@@ -1,20 +1,19 @@
-"""The wind filter's state: what it holds, how it moves by itself, how it is corrected.
+"""State of the wind's extended Kalman filter: states, process model, measurement update.
 
-State, 17: the slow mean of the wind to north and east (m/s), the gust on top of it (m/s), the mean
-of both over the last seconds (m/s), tilt trim along body forward and right (rad), logarithm of the
-drag gain of either axis, error of the heading (rad), logarithm of the airspeed's scale, airspeed's
-bias (m/s), noise of the velocity reported last and of the one before, to north and east (m/s).
+17 states: slow mean wind north and east (m/s); gust on top of it (m/s); lagged mean of both over
+the last seconds (m/s); tilt trim along body forward and right (rad); log drag gain of each axis;
+heading error (rad); log airspeed scale; airspeed bias (m/s); noise of the latest reported velocity
+and of the one before, north and east (m/s).
 
-- Gusts are Ornstein-Uhlenbeck: as strong as a share of the wind, and as short as the vehicle takes
-  through an eddy, length over airspeed (frozen turbulence, Taylor 1938). The slow mean walks.
-- What is asked for is the mean over the 10 s about now. Half of it has been flown: the third pair
-  of states, a lag of about the mean age. The other half is foretold: the slow mean, and what is
-  left of the gust; what cannot be foretold of it widens the covariance.
-- An acceleration is the difference of two velocities that are reported with noise; as the noise of
-  the one is in the next difference too, with the other sign, it is a state (so no low-pass is
-  needed, and none delays the wind).
-- Trims, gains and scales have priors of the airframe, and walk by little: on one heading for ever
-  they stay apart from the wind only by those priors, and the covariance says so.
+- The slow mean is a random walk. Gusts are Ornstein-Uhlenbeck. Their std is a fraction of the
+  wind. Their memory is eddy length over airspeed (frozen turbulence, Taylor 1938).
+- The output is the mean wind over a 10 s window centred on now. The past half is the third pair of
+  states, a lag whose mean age is about that of the last 5 s. The future half is predicted from the
+  slow mean and the decayed gust. What cannot be predicted of the gust widens the covariance.
+- An acceleration is the difference of two noisy reported velocities. Each noise enters two
+  successive differences with opposite signs, so it is a state. No low-pass filter delays the wind.
+- Trims, gains and scales start from the airframe's priors and walk slowly. If the heading never
+  changes, only those priors separate them from the wind, and the covariance shows it.
 """
 
 import math
@@ -33,7 +32,7 @@ STATES = 17
 
 
 class At(IntEnum):
-    """Where a state stands; north and forward first, east and right behind it."""
+    """Index of each state in `x`. A pair has north or forward first, then east or right."""
 
     MEAN = 0
     GUST = 2
@@ -49,48 +48,48 @@ class At(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class WindEstimatorParams:
-    """Noises and limits, with where they come from.
+    """Process and measurement noises, thresholds, and their sources.
 
-    [coast] from a recording at a coast (awegroup, 12 May 2023), mean wind 8.4 m/s: half the
-    variance of what the wind changes in 1, 5, 10, 30, 300 s is 0.0043, 0.0135, 0.017, 0.023, 0.035
-    of the mean wind squared, each axis; a gust of 15 % with 5 s of memory on a walk of
-    0.006 m2/s3 has the same.
+    [est]: our estimate. [coast]: from a recording at a coast (awegroup, 12 May 2023), mean wind
+    8.4 m/s. There, half the variance of the wind's change over 1, 5, 10, 30, 300 s is 0.0043,
+    0.0135, 0.017, 0.023, 0.035 of the mean wind squared, each axis. A gust of 15 % with 5 s of
+    memory on a walk of 0.006 m2/s3 gives the same.
     """
 
-    prior_wind_std_mps: float = 10.0  # each axis, before anything is seen
-    mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind, as its square
-    least_walk_m2ps3: float = 0.005  # [coast] likewise, in calm too
-    gust_frac: float = 0.15  # [coast] of the mean wind, before the flight has shown its own
-    gust_length_m: float = 60.0  # where no height is known; [coast] has 40 m near the ground
-    fast_gust_m2ps: float = 0.15  # gusts too fast for the filter, as noise, at the reference wind
+    prior_wind_std_mps: float = 10.0  # each axis, before any measurement
+    mean_walk_m2ps3: float = 0.005  # [coast] at the reference wind; scales with wind squared
+    least_walk_m2ps3: float = 0.005  # [coast] lower limit, same scaling; holds in calm air too
+    gust_frac: float = 0.15  # [coast] of the mean wind; prior until learned in flight
+    gust_length_m: float = 60.0  # used if height is unknown; [coast] has 40 m near ground
+    fast_gust_m2ps: float = 0.15  # gusts too fast to track, as noise, at the reference wind
     reference_wind_mps: float = 8.4  # [coast]
-    least_wind_mps: float = 3.0  # in weaker wind gusts are no share of it (sonic_a: 50 %)
-    lag_s: float = 2.7  # of an exponential nearest to the mean of the last 5 s
+    least_wind_mps: float = 3.0  # below it gusts stop scaling with wind (sonic_a: 50 %)
+    lag_s: float = 2.7  # time constant of the exponential nearest to the mean of the last 5 s
     trim_walk_rad2ps: float = math.radians(0.2) ** 2 / 60.0  # [est] heat, manoeuvres
     gain_walk_per_s: float = 0.02**2 / 600.0
-    gain_parcel_std_frac: float = 0.03  # [est] how wrong the parcel's own drag may be
+    gain_parcel_std_frac: float = 0.03  # [est] error of the parcel's own drag
     prior_heading_std_rad: float = math.radians(2.5)  # compass calibration and declination
     heading_walk_rad2ps: float = math.radians(0.5) ** 2 / 300.0
     velocity_std_mps: float = 0.06  # u-blox M8 data sheet says 0.05, unfused
-    latency_s: float = 0.02  # of velocity behind attitude: PX4 sends 50, 100 a second; GNSS 0.12
+    latency_s: float = 0.02  # velocity behind attitude: PX4 sends 50, 100 a second; GNSS 0.12
     latency_std_s: float = 0.08  # [est]
-    sink_smoothing_s: float = 0.3  # of the vertical velocity, for the lift
+    sink_smoothing_s: float = 0.3  # of the vertical velocity, which sets the lift
     tilt_noise_m2ps3: float = 0.05**2 * 0.1  # attitude noise, 0.3 deg at 10 Hz, as spectral density
-    model_memory_s: float = 5.0  # [est] how long the drag model errs the same way
+    model_memory_s: float = 5.0  # [est] correlation time of the drag model's error
     known_wind_std_mps: float = 1.5
     pitot_scale_std_frac: float = 0.08  # [est] position error beside rotors
     pitot_bias_std_mps: float = 0.5  # [est] zero after calibration
-    pitot_walk_per_s: float = 0.01**2 / 300.0  # of scale; bias in m/s likewise
-    scalar_wind_std_mps: float = 2.5  # a scalar cannot start a vector: known to this, it may enter
+    pitot_walk_per_s: float = 0.01**2 / 300.0  # of scale; same value for the bias, in (m/s)^2/s
+    scalar_wind_std_mps: float = 2.5  # airspeed is used only once the wind's std is below this
     pitot_std_mps: float = 0.5
     pitot_memory_s: float = 0.5
-    pitot_model_std_frac: float = 0.05  # [est] flow angle and wash: not to be learned
-    pitot_least_mps: float = 4.0  # below, a pitot on a multirotor reads its own offset
+    pitot_model_std_frac: float = 0.05  # [est] flow angle and rotor wash; not estimated
+    pitot_least_mps: float = 4.0  # below this, a pitot on a multirotor reads its own offset
     vector_std_mps: float = 0.5  # [est] a small ultrasonic anemometer on a mast
-    autopilot_std_mps: float = 1.0  # where it states none
-    autopilot_least_std_mps: float = 0.3  # it knows neither its coefficients' nor its trims' error
+    autopilot_std_mps: float = 1.0  # used if it reports none
+    autopilot_least_std_mps: float = 0.3  # it leaves out errors of its drag coefficients and trims
     autopilot_every_s: float = 1.0
-    autopilot_memory_s: float = 10.0  # it is filtered: its errors last
+    autopilot_memory_s: float = 10.0  # it is filtered, so its errors are correlated
     gate_sigmas: float = 4.0
     doubt_after_s: float = 4.0
     stuck_after_s: float = 5.0
@@ -98,13 +97,13 @@ class WindEstimatorParams:
     faulty_sigmas: float = 3.0
     sound_sigmas: float = 2.0
     sound_after_s: float = 10.0
-    floor_std_mps: float = 0.05  # [est] what no state stands for
+    floor_std_mps: float = 0.05  # [est] unmodelled errors
     settle_s: float = 5.0
     stale_after_s: float = 15.0
 
 
 class WindState:
-    """Mean and covariance of the 17 states; one hypothesis of what is so."""
+    """Mean `x` (17,) and covariance `cov` (17, 17): one hypothesis of the filter."""
 
     __slots__ = ("_params", "airspeed_mps", "cov", "front", "gust_length_m", "turbulence", "x")
 
@@ -118,7 +117,7 @@ class WindState:
         self.front = Front()
 
     def copy(self) -> "WindState":
-        """One that goes its own way from here."""
+        """An independent copy, for a second hypothesis."""
         other = object.__new__(WindState)
         other._params = self._params
         other.x, other.cov = self.x.copy(), self.cov.copy()
@@ -128,7 +127,7 @@ class WindState:
         return other
 
     def snapshot(self) -> dict[str, object]:
-        """What a checkpoint keeps."""
+        """Contents of a checkpoint."""
         return {
             "x": self.x.tolist(),
             "cov": self.cov.tolist(),
@@ -137,7 +136,7 @@ class WindState:
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
-        """Go on from a checkpoint; raises KeyError, ValueError, LeewayError when it is not one."""
+        """Restore a checkpoint; raises KeyError, ValueError or LeewayError if it is invalid."""
         x = np.array(msgspec.convert(snapshot["x"], list[float]))
         cov = np.array(msgspec.convert(snapshot["cov"], list[list[float]]))
         airspeed_mps = msgspec.convert(snapshot["airspeed_mps"], float)
@@ -154,45 +153,49 @@ class WindState:
 
     @property
     def wind_is_known(self) -> bool:
-        """Enough to linearise the drag about it."""
+        """Whether the wind's std is small enough to linearise the drag about it once."""
         return self.wind_std_mps < self._params.known_wind_std_mps
 
     @property
     def wind_std_mps(self) -> float:
-        """Of the slow mean, along one axis."""
+        """Standard deviation of the slow mean along one axis."""
         return math.sqrt(0.5 * float(self.cov[0, 0] + self.cov[1, 1]))
 
     @property
     def scale(self) -> float:
-        """Wind squared over the reference's, with a floor."""
+        """Wind squared over reference wind squared. The wind has a floor, `least_wind_mps`."""
         p = self._params
         wind = max(math.hypot(self.x[0], self.x[1]), p.least_wind_mps)
         return (wind / p.reference_wind_mps) ** 2
 
     @property
     def gust_variance_m2ps2(self) -> float:
-        """Of the gust along either axis."""
+        """Stationary variance of the gust along each axis."""
         p = self._params
         return self.turbulence.ratio * p.gust_frac**2 * p.reference_wind_mps**2 * self.scale
 
     @property
     def fast_gust_m2ps(self) -> float:
-        """Gusts too fast for the filter, as noise. Where the air is given as calm it has few of
-        these either; what is learned of slower ones says little of them."""
+        """Spectral density of gusts too fast for the filter, treated as white noise.
+
+        Scaled by the turbulence ratio only if that ratio is given (`is_held`). A ratio learned from
+        slow gusts says little about fast ones.
+        """
         calm = self.turbulence.ratio if self.turbulence.is_held else 1.0
         return self._params.fast_gust_m2ps * self.scale * calm
 
     @property
     def mean_walk_m2ps3(self) -> float:
-        """How fast the slow mean walks: as the params say, slower where the air is calm (but never
-        slower than recordings do), and as a front makes it."""
+        """Process noise of the slow mean. Lower in calm air, but never below what recordings show;
+        higher while a front passes.
+        """
         p = self._params
         walk = max(p.mean_walk_m2ps3 * min(self.turbulence.ratio, 1.0), p.least_walk_m2ps3)
         return walk * self.scale + self.front.walk_m2ps3
 
     @property
     def gust_memory_s(self) -> float:
-        """How long an eddy lasts at this airspeed."""
+        """Correlation time of a gust: eddy length over airspeed."""
         p = self._params
         return self.gust_length_m / max(self.airspeed_mps, p.least_wind_mps)
 
@@ -203,9 +206,10 @@ class WindState:
         surprise: float,
         dt_s: float,
     ) -> None:
-        """Learn from a correction of the wind by tilt, see `Turbulence.corrected`.
+        """Learn the turbulence from one wind correction by tilt, see `Turbulence.corrected`.
 
-        Air that is given has no fronts either: what a turn leaves was taken for one in calm.
+        Skipped if the turbulence is given. No fronts are detected then either: in calm air, the
+        residue of a turn was taken for a front.
         """
         if self.turbulence.is_held:
             return
@@ -215,7 +219,7 @@ class WindState:
             self.open_wind(missed_m2ps2)
 
     def wait(self, dt_s: float) -> None:
-        """Let `dt_s` pass."""
+        """Prediction step over `dt_s`."""
         if dt_s <= 0.0:
             return
         p = self._params
@@ -227,7 +231,7 @@ class WindState:
         move.flat[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
         self.x = move @ self.x
         cov = move @ self.cov @ move.T
-        cov += cov.T  # symmetric again
+        cov += cov.T  # restore symmetry
         cov *= 0.5
         self.cov = cov
         walk = self.mean_walk_m2ps3 * dt_s
@@ -242,22 +246,25 @@ class WindState:
         )
 
     def correct_both(self, gain: Floats, white: Floats) -> None:
-        """Kalman's correction by two scalars at once: `gain` (states, 2) is the covariance with the
-        innovations, whitened, and `white` (2,) the innovations themselves, whitened."""
+        """Kalman update by two scalars at once. `gain` (17, 2) is the covariance of state and
+        innovations, whitened. `white` (2,) is the whitened innovations.
+        """
         self.x += gain @ white
-        self.cov -= gain @ gain.T  # a matrix by its own transpose is exactly symmetric
+        self.cov -= gain @ gain.T  # a matrix times its transpose is exactly symmetric
 
     def correct(self, row: Floats, innovation: float, noise: float) -> None:
-        """Kalman's correction by one scalar; `row` is its derivative by the state."""
+        """Kalman update by one scalar with variance `noise`; `row` (17,) is its derivative by
+        the state.
+        """
         gain = self.cov @ row
         s = float(row @ gain) + noise
         self.x += gain * (innovation / s)
-        self.cov -= np.multiply.outer(gain, gain) / s  # exactly symmetric, as the product commutes
+        self.cov -= np.multiply.outer(gain, gain) / s  # exactly symmetric: products commute
 
     def ten_second_mean(self, waited_s: float) -> tuple[Floats, Floats]:
-        """Mean and covariance of the wind's mean over the 10 s about now, `waited_s` ago.
+        """Mean (2,) and covariance (2, 2) of the 10 s mean wind, `waited_s` after the last update.
 
-        What is known is as old as the velocity is late: so much more is still to come.
+        The reported velocity is late by `latency_s`, so the predicted part is longer by that much.
         """
         p = self._params
         memory_s = self.gust_memory_s
@@ -277,14 +284,14 @@ class WindState:
         return rows @ self.x, 0.5 * (cov + cov.T) + spread * np.eye(2)
 
     def open_wind(self, variance_m2ps2: float) -> None:
-        """Believe the wind less, for all that it may have been lately."""
+        """Add a variance on each axis to the slow mean and the lagged mean, fully correlated."""
         for at in (0, 1):
             for first in (At.MEAN, At.LATELY):
                 for second in (At.MEAN, At.LATELY):
                     self.cov[first + at, second + at] += variance_m2ps2
 
     def open_gain(self, variance: float) -> None:
-        """Believe less of the drag of both axes, which changed together."""
+        """Add this variance to both drag gains, fully correlated: both axes changed together."""
         self.cov[At.LOG_GAIN : At.HEADING, At.LOG_GAIN : At.HEADING] += variance
 
 
@@ -299,7 +306,7 @@ _NOISE_BEFORE = [At.NOISE_BEFORE, At.NOISE_BEFORE + 1]
 
 
 def _still() -> Floats:
-    """What moves nothing but the velocities' noise: the last becomes the one before."""
+    """Transition over no time: identity, but the last velocity noise becomes the one before."""
     move = np.eye(STATES)
     move[_NOISE, _NOISE] = move[_NOISE_BEFORE, _NOISE_BEFORE] = 0.0
     move[_NOISE_BEFORE, _NOISE] = 1.0
@@ -307,7 +314,8 @@ def _still() -> Floats:
 
 
 _STILL = _still()
-# Where waiting puts its numbers: gusts keep, lately keeps, takes of the mean, takes of the gust.
+# Flat indices into the transition matrix that `wait` fills, as (row, column): gust on itself,
+# lagged mean on itself, on the slow mean, on the gust.
 _MOVED = [
     STATES * (row + axis) + column + axis
     for row, column in (
@@ -321,15 +329,17 @@ _MOVED = [
 
 
 def gust_length_m(height_m: float) -> float:
-    """Length of the eddies at a height above ground, L_u of MIL-F-8785C, 3.7.3.4, which holds from
-    10 to 1,000 feet: 35 m at 3 m, 150 m at 30 m."""
+    """Eddy length at a height above ground: L_u of MIL-F-8785C, 3.7.3.4. Valid from 10 to 1,000
+    feet, clamped beyond. 35 m at 3 m, 150 m at 30 m.
+    """
     feet = min(max(height_m / 0.3048, 10.0), 1000.0)
     return 0.3048 * feet / (0.177 + 0.000823 * feet) ** 1.2
 
 
 def _mean_variance(spans: float) -> float:
-    """Variance of the mean over `spans` memories of an Ornstein-Uhlenbeck process of variance 1
-    that starts at a known value: the double integral of exp(-|s - u|) - exp(-(s + u))."""
+    """Variance of the mean over `spans` correlation times of an Ornstein-Uhlenbeck process of
+    variance 1 that starts at a known value: the double integral of exp(-|s - u|) - exp(-(s + u)).
+    """
     a, once, twice = spans, math.exp(-spans), math.exp(-2.0 * spans)
     return 2.0 / a**2 * (a - (1.0 - once) - (1.0 - once) + 0.5 * (1.0 - twice))
 

@@ -1,6 +1,6 @@
-"""From a day's file to its world: wind, drones with their companions, truck, network, faults.
+"""Build a day's world from its file: wind, drones with their companions, truck, network, faults.
 
-Everything that is drawn is drawn from the seed, each part from a stream of its own.
+All random draws derive from the seed, with an independent stream for each part.
 """
 
 import math
@@ -45,24 +45,24 @@ from sim_bridge.truth.wind_params import (
 
 AUTOPILOTS = ("px4", "ardupilot")
 SHELF_SPREAD_FRAC = 0.03
-"""Packs leave the charger full and wait: they are this much below what the day says, at most."""
+"""Packs wait after charging: their charge is below the day's by up to this fraction."""
 
 FORECAST_FROM_S = 600.0
-"""A recorded day is planned with the mean of the recording's ten minutes before it began: what a
-dispatcher with an anemometer at the depot has."""
+"""The forecast of a recorded day is the mean of the ten minutes before it began, as a dispatcher
+with an anemometer at the depot has it."""
 
 KILLED_WITHIN = (0.1, 0.7)
-"""Of the plan's time: while there is something to kill."""
+"""Kill times as fractions of the planned duration, while something is running."""
 
 WIND_EVERY_S = 300.0
 WANDER_FRAC = 0.5
-"""A made wind is drawn about the forecast: a mean that is off by its std, and wanders by half of
-that every five minutes, towards that mean."""
+"""Synthetic wind: its mean differs from the forecast by the forecast's std. Every five minutes a
+step of half that std is added to a deviation that decays towards that mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class DayWish:
-    """What the command line asks of a day's world."""
+    """Command-line options of a day's world."""
 
     wind_log: Path | None = None
     wind_table: Path | None = None
@@ -74,7 +74,7 @@ class DayWish:
 
 @dataclass(frozen=True, slots=True)
 class DayWind:
-    """The true wind, and the forecast that the desk has of it."""
+    """The true wind, and the forecast of it that the desk has."""
 
     params: WindParams
     mean: MeanWind
@@ -83,7 +83,7 @@ class DayWind:
 
 @dataclass(slots=True)
 class Faults:
-    """What is to go wrong, drawn before the day as shares of its plan's time (`spread_over`)."""
+    """Faults to inject, drawn before the day as fractions of its planned duration."""
 
     ground_kills: list[float] = field(default_factory=list)
     companion_kills: list[float] = field(default_factory=list)
@@ -93,13 +93,13 @@ class Faults:
     companion_kills_s: list[float] = field(default_factory=list)
 
     def spread_over(self, makespan_s: float) -> None:
-        """The day is planned to take so long: now its times are known."""
+        """Convert the fractions to times, once the planned duration is known."""
         self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
         self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
 
 
 class Network(Protocol):
-    """What the world needs of the fleet's network: time passes, and what vehicles tell."""
+    """What the world needs of the fleet's network: stepping, vehicle states, message counts."""
 
     @property
     def states(self) -> dict[str, State]: ...
@@ -108,13 +108,13 @@ class Network(Protocol):
     @property
     def lost(self) -> int: ...
     def deliver(self, t_s: float) -> None:
-        """Let time reach `t_s`."""
+        """Advance time to `t_s` and deliver what is due."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Plumbing:
-    """How world, companions and truck meet: in this process (`bus`), or as processes."""
+    """How world, companions and truck connect: in this process (`bus`), or between processes."""
 
     network: Network
     start: Callable[[DayDrone], Companion]
@@ -130,7 +130,7 @@ Plumb = Callable[[DayData, DayClock, np.random.Generator], Plumbing]
 
 @dataclass(slots=True)
 class BuiltDay:
-    """Everything of a day but its desk."""
+    """Everything of a day except its desk."""
 
     data: DayData
     frame: LocalFrame
@@ -143,7 +143,10 @@ class BuiltDay:
 
 
 def day_wind(data: DayData, wish: DayWish, rng: np.random.Generator, need_s: float) -> DayWind:
-    """The recording from where the seed says, the table's wind, or one drawn about the forecast."""
+    """Wind from a recording (start drawn from the seed), from a table, or drawn about the forecast.
+
+    Raises LeewayError for wind that cannot be read or a recording that is too short.
+    """
     forecast = data.day.forecast
     try:
         if wish.wind_log is not None:
@@ -229,7 +232,7 @@ def here(loss: float, folder: Path) -> Plumb:
 def build_day(
     data: DayData, wish: DayWish, seed: int, folder: Path, need_s: float, plumb: Plumb
 ) -> BuiltDay:
-    """The world of one day; `data` comes back with the forecast that holds."""
+    """Build the world of one day. The returned `data` holds the forecast in force."""
     seeds = np.random.SeedSequence(seed).spawn(6)
     wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, _ = seeds
     wind = day_wind(data, wish, np.random.default_rng(wind_seed), need_s)

@@ -1,8 +1,9 @@
-"""The fleet's network in one process: desk and members meet on simulated time, as on zenoh.
+"""The fleet's network in one process: desk and members exchange messages on simulated time.
 
-States and events go to every desk, commands and questions to every life of a vehicle, each answered
-or visibly not; a member's liveliness is seen by all. A message takes `DELAY_S` and, by `loss`, may
-not arrive; liveliness always does (zenoh keeps it itself). The same generator, the same losses.
+Semantics follow zenoh. States and events go to every desk. Commands and queries go to every session
+of a vehicle; each is answered or visibly times out. Every desk sees a member's liveliness. A
+message takes `DELAY_S` and is dropped with probability `loss`. Liveliness is never dropped, because
+zenoh maintains it itself. The same generator gives the same losses.
 """
 
 import heapq
@@ -35,14 +36,16 @@ from ground_station.core.fleet.fleet_link import (
 )
 
 DELAY_S = 0.02
-"""Of a message: a few hops of a radio network, less than a step of the simulated day."""
+"""Message delay: a few hops of a radio network, less than a step of the simulated day."""
 
 Answers = Callable[[list[bytes]], None]
 
 
 @dataclass(slots=True)
 class Bus:
-    """The network. `t_s` is the day's time, set by who steps it; `deliver` after each step."""
+    """The network. `t_s` is the day's time, set by the caller that steps it; `deliver` after each
+    step.
+    """
 
     rng: np.random.Generator
     loss: float = 0.0
@@ -52,14 +55,14 @@ class Bus:
     track_delay_s: float = DELAY_S
     spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
     states: dict[str, State] = field(default_factory=dict)
-    """What each vehicle last said, whether or not anybody heard it: for the judge."""
+    """Each vehicle's last published state, delivered or not; for the judge."""
     _links: list["BusLink"] = field(default_factory=list)
     _desks: list["BusFleet"] = field(default_factory=list)
     _under_way: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
     _numbers: "count[int]" = field(default_factory=count)
 
     def join(self, vehicle: str, life: str) -> "BusLink":
-        """A member comes: everybody sees that it lives."""
+        """Add a member session; every desk sees it come alive."""
         link = BusLink(self, vehicle, life)
         for other in self.links_of(vehicle):
             self._twin(other, link)
@@ -73,7 +76,7 @@ class Bus:
         self.later(DELAY_S, lambda: who.hear(asked))
 
     def leave(self, link: "BusLink") -> None:
-        """A member is gone, in order or killed: its token goes with it."""
+        """Remove a member session, closed or killed; its liveliness token is dropped."""
         if link in self._links:
             self._links.remove(link)
             self._all_see(link, up=False)
@@ -83,12 +86,12 @@ class Bus:
             self.tell_alive(desk, link, up=up)
 
     def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
-        """A desk sees a life come or go."""
+        """Notify a desk that a member session came or went."""
         alive = LivelinessChanged(link.vehicle, link.life, up=up)
         self.later(DELAY_S, lambda: desk.hear(alive))
 
     def desk(self) -> "BusFleet":
-        """A desk joins; it sees who lives."""
+        """Add a desk; it is told which members are alive."""
         desk = BusFleet(self)
         self._desks.append(desk)
         for link in self._links:
@@ -96,26 +99,26 @@ class Bus:
         return desk
 
     def leave_desk(self, desk: "BusFleet") -> None:
-        """A desk is gone."""
+        """Remove a desk."""
         if desk in self._desks:
             self._desks.remove(desk)
 
     @property
     def desks(self) -> list["BusFleet"]:
-        """Who listens."""
+        """The connected desks."""
         return list(self._desks)
 
     def links_of(self, vehicle: str | None = None) -> list["BusLink"]:
-        """The lives of one vehicle, or all."""
+        """The sessions of one vehicle, or of all."""
         return [link for link in self._links if vehicle in (None, link.vehicle)]
 
     def post(self, deliver: Callable[[], None]) -> None:
-        """Send a message: it arrives after `DELAY_S`, or never."""
+        """Send a message: it arrives after `DELAY_S`, or is lost."""
         if not self._is_lost():
             self.later(DELAY_S, deliver)
 
     def post_track(self, sender: "BusLink", raw: bytes) -> None:
-        """To every other vehicle, as late and as wrong as this network makes it."""
+        """Send a track to every other vehicle, with this network's delay and distortion."""
         spoilt = self.spoil(raw, self.t_s)
         for link in self.links_of():
             if link.vehicle != sender.vehicle and not self._is_lost():
@@ -128,11 +131,11 @@ class Bus:
         return lost
 
     def later(self, after_s: float, do: Callable[[], None]) -> None:
-        """Do something after a while."""
+        """Schedule a call `after_s` from now."""
         heapq.heappush(self._under_way, (self.t_s + after_s, next(self._numbers), do))
 
     def deliver(self, t_s: float) -> None:
-        """Let time reach `t_s`, and arrive what is due."""
+        """Advance time to `t_s` and make the calls that are due."""
         while self._under_way and self._under_way[0][0] <= t_s:
             self.t_s, _, do = heapq.heappop(self._under_way)
             do()
@@ -141,7 +144,7 @@ class Bus:
 
 @dataclass(slots=True)
 class BusLink:
-    """A member's end (`companion.fleet.network.MemberLink`)."""
+    """A member's end (`companion.fleet.network.MemberLink`); one per session (`life`)."""
 
     bus: Bus
     vehicle: str
@@ -151,19 +154,19 @@ class BusLink:
     _tracks: list[bytes] = field(default_factory=list)
 
     def asked(self) -> list[Asked]:
-        """Everything that waits."""
+        """Take all pending commands and queries."""
         waiting, self._waiting = self._waiting, []
         return waiting
 
     def hear(self, asked: Asked) -> None:
-        """Something arrives."""
+        """Queue an incoming command or query."""
         self._waiting.append(asked)
 
     def be_woken(self, wake: Callable[[], None]) -> None:
-        """Nobody sleeps here: every member is stepped."""
+        """No effect: every member is stepped."""
 
     def publish_state(self, raw: bytes) -> None:
-        """Tell the newest state; who asks later gets it too."""
+        """Publish the newest state; it also answers later queries."""
         self.state = raw
         state = decode_state(raw)
         if isinstance(state, State):
@@ -172,25 +175,25 @@ class BusLink:
             self.bus.post(lambda desk=desk: desk.hear_state(self.vehicle, raw))
 
     def publish_event(self, raw: bytes) -> None:
-        """Tell an event, to whoever listens."""
+        """Publish an event to every desk."""
         for desk in self.bus.desks:
             self.bus.post(lambda desk=desk: desk.hear_event(self.vehicle, raw))
 
     def publish_track(self, raw: bytes) -> None:
-        """Tell the neighbours where we are."""
+        """Send the own position to the neighbours."""
         self.bus.post_track(self, raw)
 
     def tracks(self) -> list[bytes]:
-        """What neighbours told since the last call."""
+        """Neighbours' tracks received since the last call."""
         tracks, self._tracks = self._tracks, []
         return tracks
 
     def hear_track(self, raw: bytes) -> None:
-        """A neighbour's place arrives."""
+        """Queue a neighbour's track."""
         self._tracks.append(raw)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the network."""
         self.bus.leave(self)
 
 
@@ -202,28 +205,28 @@ class BusFleet:
     _heard: list[FleetInput] = field(default_factory=list)
 
     def receive(self, wait_s: float) -> list[FleetInput]:
-        """What has arrived; time does not pass here."""
+        """Take what has arrived; never waits."""
         heard, self._heard = self._heard, []
         return heard
 
     def hear(self, heard: FleetInput) -> None:
-        """Something arrives."""
+        """Queue an input for the desk."""
         self._heard.append(heard)
 
     def hear_state(self, vehicle: str, raw: bytes) -> None:
-        """A vehicle's state arrives."""
+        """Decode and queue a vehicle's state."""
         state = self._decoded(vehicle, raw, decode_state)
         if isinstance(state, State):
             self.hear(StateReceived(state))
 
     def hear_event(self, vehicle: str, raw: bytes) -> None:
-        """A vehicle's event arrives."""
+        """Decode and queue a vehicle's event."""
         event = self._decoded(vehicle, raw, decode_event)
         if isinstance(event, FleetEvent):
             self.hear(EventsReceived(vehicle, [event]))
 
     def ask_states(self, wait_s: float) -> None:
-        """Ask every vehicle for its newest state."""
+        """Query every vehicle for its newest state."""
         for link in self.bus.links_of():
             self.bus.post(lambda link=link: self._reply_state(link))
 
@@ -232,7 +235,7 @@ class BusFleet:
             self.bus.post(lambda: self.hear_state(link.vehicle, link.state))
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
-        """Ask a vehicle for the events that it keeps after this number."""
+        """Query a vehicle for its stored events after this number."""
         for link in self.bus.links_of(vehicle):
             asked = Asked(
                 Ask.EVENTS, self._once(lambda raw: self._replay(vehicle, raw)), b"", after
@@ -240,7 +243,7 @@ class BusFleet:
             self.bus.post(lambda link=link, asked=asked: link.hear(asked))
 
     def _once(self, take: Answers) -> Answers:
-        """Replies go back as one message, and no more after the first call."""
+        """Callback that sends all replies as one message; further calls do nothing."""
         gone: list[bool] = []
 
         def answer(replies: list[bytes]) -> None:
@@ -257,7 +260,7 @@ class BusFleet:
             self.hear(EventsReceived(vehicle, found, replayed=True))
 
     def send(self, command: Command, wait_s: float) -> None:
-        """Send a command; its answer, or that there was none in this time, is heard."""
+        """Send a command; queues its answer, or None if there is no answer within `wait_s`."""
         done: list[bool] = []
 
         def conclude(result: Result | None) -> None:
@@ -288,5 +291,5 @@ class BusFleet:
         return message
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the network."""
         self.bus.leave_desk(self)

@@ -1,14 +1,14 @@
-"""The one clock of a simulated day, for desk, companions, truck and judge."""
+"""The single clock of a simulated day, for desk, companions, truck and judge."""
 
 from dataclasses import dataclass
 
 EPOCH_US = 1_780_000_000_000_000
-"""When every simulated day begins, by the wall clocks of all who are in it (June 2026)."""
+"""Wall-clock start of every simulated day (June 2026)."""
 
 
 @dataclass(slots=True)
 class DayClock:
-    """The clock of everybody in the day (`ground_station.core.fleet.fleet_link.Clock`)."""
+    """Simulated time (`ground_station.core.fleet.fleet_link.Clock`)."""
 
     t_s: float = 0.0
 
@@ -17,5 +17,5 @@ class DayClock:
         return self.t_s
 
     def epoch_us(self) -> int:
-        """Microseconds since 1970."""
+        """Microseconds since 1970-01-01, UTC."""
         return EPOCH_US + round(self.t_s * 1e6)

@@ -1,7 +1,8 @@
-"""A fleet's companion inside the simulated day's process: the flight code, stepped.
+"""A companion inside the simulated day's process: the flight code, stepped.
 
-Standby, flight after flight, through kills: the same parts as `companion run --fleet`
-(`companion.app.flight.fleet_run`), with a link in memory and the day's time.
+It stands by and flies assignments, and is restarted after kills. It uses the same parts as
+`companion run --fleet` (`companion.app.flight.fleet_run`), with an in-memory link and the day's
+clock.
 """
 
 from collections import deque
@@ -18,38 +19,40 @@ from companion.core.pilot.context import PilotOptions
 
 @dataclass(slots=True)
 class MemoryLink:
-    """Two queues of datagrams: `heard` for the companion, `said` by it."""
+    """Two datagram queues: `heard` for the companion, `said` by it."""
 
     datagrams: bool = True
     heard: deque[bytes] = field(default_factory=deque)
     said: list[bytes] = field(default_factory=list)
 
     def receive(self, timeout_s: float) -> Incoming | None:
-        """The next datagram, if there is one: time stands still here."""
+        """The next datagram or None; never waits."""
         return Incoming(self.heard.popleft()) if self.heard else None
 
     def send(self, data: bytes) -> None:
-        """Put a datagram out."""
+        """Queue a datagram for the autopilot."""
         self.said.append(data)
 
     def waiting(self) -> int:
-        """How many have not been received. None that a decision should wait for: the world does."""
+        """Always 0: no decision needs to wait for datagrams, since the world waits for the
+        companion.
+        """
         return 0
 
     def wake(self) -> None:
-        """Nobody sleeps."""
+        """No effect: nothing blocks here."""
 
     def answer_to(self, peer: object) -> None:
-        """There is one other end."""
+        """No effect: there is only one peer."""
 
     def close(self) -> None:
-        """The next user of the line starts without what is still in it."""
+        """Drop pending datagrams; the link's next user starts with an empty queue."""
         self.heard.clear()
 
 
 @dataclass(slots=True)
 class SteppedCompanion:
-    """One life of a companion. `ended` is its exit code, once a run of it broke off."""
+    """One companion process's life. `ended` is its exit code, once it has ended."""
 
     port: FleetPort
     airframe: str
@@ -65,7 +68,9 @@ class SteppedCompanion:
         return self.ended is None
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Hear all of these, talk to the desk; what is said to the autopilot in answer."""
+        """Process all these datagrams and talk to the desk; returns the replies to the
+        autopilot.
+        """
         self.link.heard.extend(datagrams)
         self._once()
         while self.link.heard and self.ended is None:
@@ -74,14 +79,14 @@ class SteppedCompanion:
         return said
 
     def kill(self) -> None:
-        """As a computer that loses its power: what is on the disk stays, nothing else."""
+        """End as at a power loss: only what is on disk remains."""
         self.ended = 9
-        self.port.close()  # its session's token goes when the process does
+        self.port.close()  # its liveliness token ends with the process
         if self._run is not None:
             self._run.recorder.close()
 
     def stop(self) -> None:
-        """In order: records are closed."""
+        """Orderly shutdown: records are closed."""
         if self._run is not None:
             self._run.end(self.ended or 0)
             self._run = None

@@ -1,4 +1,4 @@
-"""The dispatcher's desk inside the simulated day's process, and the day's record in its store."""
+"""The dispatcher's desk inside the simulated day's process, and its store."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,13 +22,13 @@ LOG = "desk.log"
 
 
 def store_url(folder: Path) -> str:
-    """Where a day's truth is kept."""
+    """Database URL of a day's store."""
     return f"sqlite:///{folder / 'desk.db'}"
 
 
 @dataclass(slots=True)
 class Books:
-    """A day's store, opened."""
+    """A day's opened store."""
 
     database: Database
     store: Store
@@ -36,28 +36,28 @@ class Books:
 
     @classmethod
     def open(cls, folder: Path, clock: Clock) -> "Books":
-        """Take up what the folder holds, or begin."""
+        """Open the folder's store, or create it."""
         database = Database(store_url(folder))
         return cls(database, Store(database, clock.epoch_us), DayStore(database, clock.epoch_us))
 
     @property
     def plans(self) -> list[DayPlan]:
-        """Every plan that was in force."""
+        """All plans that were in force, in order."""
         return [plan for plan, _ in self.day.plans()]
 
     @property
     def told(self) -> dict[str, str]:
-        """Each order's state, and why."""
+        """Each order's state and the reason, by order."""
         return {row.order.id: f"{row.state.value} {row.why}".strip() for row in self.store.orders()}
 
     def close(self) -> None:
-        """Give the connections back."""
+        """Close the database connections."""
         self.store.close()
 
 
 @dataclass(slots=True)
 class DeskHere:
-    """`ground_station`'s desk, stepped. `kill` drops all but what its store has on the disk."""
+    """`ground_station`'s desk, stepped. `kill` discards everything except its store on disk."""
 
     built: BuiltDay
     folder: Path
@@ -71,7 +71,10 @@ class DeskHere:
     def open(
         cls, built: BuiltDay, plan: DayPlan, folder: Path, seed: int, trials: int | None
     ) -> "DeskHere":
-        """Take the orders and the plan into the store, and sit down."""
+        """Store the orders and the plan, and start the desk.
+
+        Raises LeewayError if the store holds other orders.
+        """
         books = Books.open(folder, built.clock)
         taken = books.store.add_orders(built.data.orders)
         if taken.conflicts:
@@ -108,36 +111,36 @@ class DeskHere:
             self.desk.turn(0.0)
 
     def kill(self) -> None:
-        """Nothing is put in order."""
+        """Stop without cleaning up, as SIGKILL does."""
         if self.desk is not None:
             self._say("KILLED")
-            self.desk.exchange.fleet.close()  # a dead process has no session
+            self.desk.exchange.fleet.close()  # a killed process loses its session
             self.desk = None
             self.books.close()
 
     def start(self) -> None:
-        """The same command again, on the same store."""
+        """Restart on the same store."""
         self.books = Books.open(self.folder, self.built.clock)
         self._say("STARTED AGAIN")
         self._sit_down()
 
     @property
     def is_done(self) -> bool:
-        """The desk says that the day is over."""
+        """Whether the desk has finished the day."""
         return self.desk is not None and self.desk.dispatcher.is_done
 
     @property
     def plans(self) -> list[DayPlan]:
-        """Every plan that was in force."""
+        """All plans that were in force, in order."""
         return self.books.plans
 
     @property
     def told(self) -> dict[str, str]:
-        """Each order's state, and why."""
+        """Each order's state and the reason, by order."""
         return self.books.told
 
     def close(self) -> None:
-        """In order."""
+        """Orderly shutdown."""
         if self.desk is not None:
             self.desk.exchange.fleet.close()
             self.desk = None

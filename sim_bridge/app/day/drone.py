@@ -1,7 +1,7 @@
-"""One drone of the simulated day: switched off aboard the truck, or standing and flying by itself.
+"""One drone of the simulated day: powered off aboard the truck, or standing and flying.
 
-Whenever the driver puts it on a pad it has a pack from the shelf, boots there, and its companion
-with it. Positions are NED metres about the day's depot, time is the day's.
+Each time the driver puts it on a pad, it gets a pack from the shelf and boots there, with its
+companion. Positions are NED metres about the day's depot; time is the day's.
 """
 
 import math
@@ -29,21 +29,21 @@ PHYSICS_STEP_S = 0.01
 RECORD_EVERY_STEPS = 20
 LINK = 0
 COMPANION_BOOT_S = 8.0
-"""From power to a companion that is on the network: a Raspberry Pi class computer takes 10 to 20 s,
-the autopilot's own boot is simulated beside it; less here because everybody waits for it."""
+"""From power-on to a companion on the network. A Raspberry Pi class computer takes 10 to 20 s; here
+it is less, to shorten the wait. The autopilot's own boot is simulated in parallel."""
 
 BOOTED_S = 60.0
-"""A minute after power: both autopilots' estimators are ready."""
+"""Time after power-on at which both autopilots' estimators are ready."""
 
 RESTART_S = 6.0
-"""systemd's second, and the program's start (deploy/leeway-companion-fleet.service)."""
+"""systemd's 1 s delay plus the program's start (deploy/leeway-companion-fleet.service)."""
 
 
 class Companion(Protocol):
-    """What flies the drone, in this process or another."""
+    """The drone's companion, in this process or another."""
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Datagrams of the autopilot, its TIMESYNC request last; what is said in answer."""
+        """Pass the autopilot's datagrams, its TIMESYNC request last; returns the replies."""
         ...
 
     def kill(self) -> None:
@@ -51,7 +51,7 @@ class Companion(Protocol):
         ...
 
     def stop(self) -> None:
-        """In order."""
+        """Orderly shutdown."""
         ...
 
     @property
@@ -61,24 +61,24 @@ class Companion(Protocol):
 
 
 BY_HAND_AFTER_S = 45.0
-"""The companion gives up its own tries to disarm before (`touchdown`), and says so."""
+"""By then the companion has given up its attempts to disarm (`touchdown`) and reported it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Later:
-    """The day's mean wind as a vehicle sees it that was switched on at `from_s`."""
+    """The day's mean wind on the time axis of a vehicle powered on at `from_s`."""
 
     mean: MeanWind
     from_s: float
 
     def to_ne_mps(self, t_s: float) -> tuple[float, float]:
-        """Where the air moves to, north and east, `t_s` after switching on."""
+        """Wind towards north and east, `t_s` after power-on."""
         return self.mean.to_ne_mps(self.from_s + t_s)
 
 
 @dataclass(frozen=True, slots=True)
 class DroneWorld:
-    """What all drones of a day share. `site`: latitude, longitude, height AMSL of the depot."""
+    """What all drones of a day share. `site`: depot latitude, longitude (deg), height AMSL (m)."""
 
     site: tuple[float, float, float]
     terrain: Terrain
@@ -90,9 +90,9 @@ class DroneWorld:
 
 @dataclass(slots=True)
 class PowerUp:
-    """From one battery to the next: what flew then, and where it stood. `t0_s`: switched on.
+    """One power cycle: vehicle, autopilot, pad and recorded track. `t0_s`: power-on time.
 
-    `rows`: time of the day, north, east, down, airborne; five a second, from truth.
+    `rows`: time of day, north, east, down, airborne; five a second, from truth.
     """
 
     t0_s: float
@@ -110,11 +110,11 @@ class PowerUp:
 
     @property
     def t_s(self) -> float:
-        """Since switched on."""
+        """Seconds since power-on."""
         return self.steps * PHYSICS_STEP_S
 
     def look(self) -> None:
-        """Write down where it truly is, and note its parcel's release."""
+        """Record the true position, and the parcel's release if it happened."""
         vehicle = self.vehicle
         north, east, down = vehicle.pos_ned_m
         t_s = self.t0_s + self.t_s
@@ -127,7 +127,7 @@ class PowerUp:
 
 @dataclass(slots=True)
 class DayDrone:
-    """`number` is its MAVLink system. `up` is None while it is switched off, aboard the truck."""
+    """`number` is its MAVLink system id. `up` is None while it is powered off aboard the truck."""
 
     name: str
     number: int
@@ -157,7 +157,7 @@ class DayDrone:
 
     @property
     def carries_parcel(self) -> bool:
-        """As the driver sees it."""
+        """Whether the parcel is attached, as the driver sees it."""
         return self.up is not None and self.up.vehicle.parcel_aboard
 
     def switch_on(
@@ -169,9 +169,9 @@ class DayDrone:
         *,
         booted: bool = False,
     ) -> None:
-        """On its pad, with a parcel and a pack from the shelf.
+        """Power on at its pad, with a parcel and a pack from the shelf.
 
-        `booted`: as if for a while, autopilot and companion with it.
+        `booted`: autopilot and companion have already booted.
         """
         self.switch_off()
         charge_seed, gust_seed, sensor_seed = self.seeds.spawn(3)
@@ -198,14 +198,14 @@ class DayDrone:
             world.parameters[self.flavour],
             system_id=self.number,
             boot_age_s=BOOTED_S if booted else 0.0,
-            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # satellites tell all the same time
+            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # GNSS time is common to all
         )
         autopilot.add_link(LINK, LinkKind.ONBOARD)
         self.up = PowerUp(t_s, pad_ne_m, order, charge_frac, vehicle, autopilot)
         self.companion_due_s = t_s if booted else t_s + COMPANION_BOOT_S
 
     def switch_off(self) -> None:
-        """Power off: autopilot and companion with it; an armed one is disarmed by hand first."""
+        """Power off autopilot and companion; an armed autopilot is disarmed by hand first."""
         self.disarmed_by_hand += self.up is not None and self.up.autopilot.is_armed
         if self.companion is not None:
             self.companion.kill()
@@ -218,7 +218,7 @@ class DayDrone:
     # --- time ----------------------------------------------------------------------------------
 
     def advance(self, t_s: float, steps: int) -> None:
-        """Fly so many physical steps, then let autopilot and companion talk; `t_s` is then."""
+        """Fly this many physics steps, then exchange messages; `t_s` is the time after them."""
         up = self.up
         if up is None:
             return
@@ -246,7 +246,7 @@ class DayDrone:
             return
         heard = bundled(frame for frame in said if not self._is_lost())
         up.autopilot.request_timesync(LINK, round(up.t_s * 1e9))
-        heard += [frame for _, frame in up.autopilot.take_outbox()]  # time stands still for it
+        heard += [frame for _, frame in up.autopilot.take_outbox()]  # sent within the same instant
         for datagram in self.companion.hear(heard):
             if not self._is_lost():
                 up.autopilot.receive(LINK, datagram)
@@ -257,7 +257,7 @@ class DayDrone:
         return lost
 
     def track(self, up: PowerUp, reserve_frac: float) -> VehicleTrack:
-        """What one pack's time came to, for the judge."""
+        """The track of one power cycle, for the judge."""
         rows = np.asarray(up.rows, float).reshape(-1, 5)
         truth = up.vehicle.truth
         pack = Battery(
@@ -283,21 +283,21 @@ class DayDrone:
         )
 
     def kill_companion(self, t_s: float) -> None:
-        """SIGKILL; it starts again as its service does."""
+        """SIGKILL; it restarts after RESTART_S, as its service does."""
         if self.companion is not None:
             self.companion.kill()
             self.companion = None
             self.companion_due_s = t_s + RESTART_S
 
-    # --- what is so ----------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------
 
     @property
     def is_airborne(self) -> bool:
-        """Whether it flies now."""
+        """Whether it is in the air now."""
         return self.up is not None and self.up.vehicle.is_airborne
 
     def airborne_s(self, t_s: float) -> float:
-        """For how long it has been in the air now."""
+        """How long (s) it has been in the air; 0 on the ground."""
         rows = self.up.rows if self.up is not None else []
         began_s = t_s
         for row in reversed(rows):
@@ -307,10 +307,10 @@ class DayDrone:
         return t_s - began_s
 
     def standing_at(self, t_s: float, ne_m: tuple[float, float], within_m: float) -> bool:
-        """Whether a driver may walk up to it there: disarmed, or on the ground for a while.
+        """Whether a driver may approach it there: disarmed, or on the ground long enough.
 
-        An ArduCopter that never notices its landing (measured, wind on the ground) stays armed at
-        idle, and its companion says "disarm by hand": that is what the driver then does.
+        An ArduCopter that misses its landing (measured, with wind on the ground) stays armed at
+        idle, and its companion reports "disarm by hand". The driver then does so.
         """
         up = self.up
         if up is None or self.is_airborne:
@@ -320,7 +320,7 @@ class DayDrone:
         return math.dist(up.vehicle.pos_ned_m[:2], ne_m) <= within_m
 
     def grounded_s(self, t_s: float) -> float:
-        """For how long it has been on the ground now."""
+        """How long (s) it has been on the ground; 0 if it has not flown."""
         rows = self.up.rows if self.up is not None else []
         last = next((row[0] for row in reversed(rows) if row[4]), None)
         return t_s - last if last is not None else 0.0

@@ -1,4 +1,4 @@
-"""Days planned, flown and kept in their folders; a finished day is not flown again."""
+"""Days planned, flown and stored in their folders; a finished day is not flown again."""
 
 import hashlib
 import json
@@ -22,14 +22,14 @@ from sim_bridge.app.day.run import RESULT, DayOptions, DeskSeat, fly_day
 from sim_bridge.app.flight.series import PROGRAM
 
 LONGEST_S = 5400.0
-"""A day is meant to take an hour at most; one that takes half as long again is broken off."""
+"""Time limit of a day: a day should take at most one hour; this is 1.5 times that."""
 
 SETTINGS = "settings"
 
 
 @dataclass(frozen=True, slots=True)
 class Flyer:
-    """`settings` tells days apart that a change of file, option or program makes others."""
+    """Plans and flies days. `settings` is the digest of all files, options and code of a day."""
 
     console: Console
     path: Path
@@ -41,7 +41,7 @@ class Flyer:
     processes: bool = False
 
     def row(self, seed: int, *, picture: bool) -> dict[str, Any]:
-        """One day's row: of the day that lies finished in its folder, or flown now."""
+        """One day's result row: read from its finished folder, or flown now."""
         folder = self.runs / f"day-{self.data.day.name}{self._marks()}-seed{seed}"
         known = finished(folder, self.settings)
         if known is not None:
@@ -71,7 +71,7 @@ class Flyer:
             return fly_day(options, plumb, take_seat, view.update)
 
     def _marks(self) -> str:
-        """Of the faults, so that a folder's name says what was flown."""
+        """Folder name suffix that states the faults and the mode."""
         wish = self.wish
         marks: dict[str, float] = {
             "loss": wish.loss,
@@ -87,7 +87,7 @@ class Flyer:
 
 
 def finished(folder: Path, settings: str) -> dict[str, Any] | None:
-    """The row of a day that was flown to its end with these settings; None: it is to be flown."""
+    """The row of a day flown with these settings; None if there is none."""
     try:
         row = json.loads((folder / RESULT).read_text())
     except (OSError, json.JSONDecodeError):
@@ -97,7 +97,7 @@ def finished(folder: Path, settings: str) -> dict[str, Any] | None:
 
 
 def settings_of(path: Path, wish: DayWish, trials: int | None) -> str:
-    """A digest of all that decides a day but its seed: its files, the options, the program."""
+    """Digest of everything that determines a day except its seed: files, options, program."""
     options = {k: str(v) for k, v in asdict(wish).items()} | {"trials": str(trials)}
     digest = hashlib.sha256(json.dumps(options, sort_keys=True).encode())
     named = [wish.wind_log, wish.wind_table]

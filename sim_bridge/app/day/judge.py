@@ -1,8 +1,8 @@
 """The verdict on a day, from truth: vehicles home, parcels delivered, least separations.
 
-Times are the day's, positions NED metres about its depot. Nothing here knows what the desk or the
-companions believe, but for the home that each vehicle told at each moment: that is the promise
-which the truck has to keep (safety rule 3).
+Times are the day's, positions NED metres about its depot. The beliefs of desk and companions are
+not used, with one exception: the home that each vehicle reported at each moment. The truck must
+keep that promise (safety rule 3).
 """
 
 import itertools
@@ -19,15 +19,16 @@ from sim_bridge.app.flight.judge import (
 )
 
 LEAST_FLIGHT_S = 5.0
-"""Shorter hops on one pack are a bounce of the landing, not a flight."""
+"""Shorter airborne intervals are landing bounces, not flights."""
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleTrack:
-    """One vehicle from switching on to switching off: what truly was, sampled evenly.
+    """One power cycle of a vehicle, from truth, sampled evenly.
 
-    `ned_m` has a row a sample; `released_s` and `released_ned_m`: where the parcel left it, with
-    `release_height_m` above the ground there. `margin_wh`: usable above the reserve, at the end.
+    `t_s`, `airborne` (n,); `ned_m` (n, 3). `released_s` and `released_ned_m`: the parcel's release,
+    at `release_height_m` above the ground there. `margin_wh`: usable energy above the reserve at
+    the end.
     """
 
     vehicle: str
@@ -47,7 +48,7 @@ class VehicleTrack:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """The truck stood at a stop from `arrived_s` to `left_s` (infinite: it is there still)."""
+    """The truck stood at a stop from `arrived_s` to `left_s` (infinite: still there)."""
 
     stop: str
     ne_m: tuple[float, float]
@@ -57,7 +58,7 @@ class Stand:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """From `t_s` on the vehicle told this home (None: none, or it stood by)."""
+    """From `t_s` on the vehicle reported this home (None: none, or in standby)."""
 
     t_s: float
     vehicle: str
@@ -74,7 +75,7 @@ class HandedOver:
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """Where a vehicle is to land at a stop."""
+    """A vehicle's landing pad at a stop."""
 
     stop: str
     vehicle: str
@@ -83,7 +84,7 @@ class Pad:
 
 @dataclass(frozen=True, slots=True)
 class DayFacts:
-    """What a day is judged by. `customers`: NED of the ground; `rally`: declared places."""
+    """What a day is judged by. `customers`: NED of the ground; `rally`: declared rally points."""
 
     customers: dict[str, tuple[float, float, float]]
     drop_height_m: float
@@ -97,7 +98,7 @@ class DayFacts:
 
 @dataclass(frozen=True, slots=True)
 class DayFlight:
-    """One flight by truth. `stop`: where it landed, `at rally`, or None for nowhere promised."""
+    """One flight, from truth. `stop`: where it landed, `rally`, or None if at no promised place."""
 
     vehicle: str
     autopilot: str
@@ -114,7 +115,9 @@ class DayFlight:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """The nearest that two airborne vehicles came: 3-D, and its horizontal and vertical parts."""
+    """Closest approach of two airborne vehicles: 3-D distance and its parts, horizontal and
+    vertical.
+    """
 
     distance_m: float
     horizontal_m: float
@@ -125,8 +128,10 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class DayVerdict:
-    """`lost`: vehicles not home; `twice`: orders brought or flown again after they were brought;
-    `broken`: promises that the truck did not keep, in words."""
+    """`delivered`: who delivered each order. `lost`: flights that did not end at home. `twice`:
+    orders flown or handed over again after delivery. `broken`: promises that the truck broke, in
+    words.
+    """
 
     flights: list[DayFlight]
     delivered: dict[str, str]
@@ -138,7 +143,7 @@ class DayVerdict:
 
 
 def judge_day(world: DayFacts) -> DayVerdict:
-    """Judge a day that has ended (or was stopped) by truth."""
+    """Judge a finished or interrupted day by truth."""
     flights: list[DayFlight] = []
     broken: list[str] = []
     for track in world.tracks:
@@ -156,7 +161,7 @@ def judge_day(world: DayFacts) -> DayVerdict:
 
 
 def flown(track: VehicleTrack) -> list[tuple[int, int]]:
-    """First and last airborne sample of each flight on one pack."""
+    """First and last airborne sample of each flight within one power cycle."""
     up = np.concatenate(([False], track.airborne > 0.0, [False]))
     edges = np.flatnonzero(np.diff(up.astype(int)))
     spans = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -187,7 +192,7 @@ def _flight(world: DayFacts, track: VehicleTrack, begin: int, end: int) -> DayFl
 
 
 def brought(world: DayFacts, track: VehicleTrack, begin_s: float, end_s: float) -> bool:
-    """Whether the parcel left the vehicle on this flight, low over its own customer."""
+    """Whether the parcel was released on this flight, low over its own customer."""
     place = world.customers.get(track.order or "")
     if place is None or track.released_s is None or track.released_ned_m is None:
         return False
@@ -203,7 +208,7 @@ def brought(world: DayFacts, track: VehicleTrack, begin_s: float, end_s: float) 
 def place_of_landing(
     world: DayFacts, track: VehicleTrack, ne_m: tuple[float, float], land_s: float
 ) -> str | None:
-    """The stop on whose pad for it it stands, and where the truck is or will be; or `rally`."""
+    """The stop whose pad it landed on, if the truck is or will be there; `rally`; or None."""
     if any(_near(ne_m, place) for place in world.rally):
         return "rally"
     on = {p.stop for p in world.pads if p.vehicle == track.vehicle and _near(ne_m, p.ne_m)}
@@ -218,7 +223,9 @@ def _near(ne_m: tuple[float, float], place_ne_m: tuple[float, float]) -> bool:
 
 
 def broken_promises(track: VehicleTrack, begin: int, end: int, world: DayFacts) -> list[str]:
-    """A truck that left a stop while a flight told that stop as its home, in words."""
+    """Cases in which the truck left a stop while a flight reported that stop as its home, in
+    words.
+    """
     begin_s, end_s = float(track.t_s[begin]), float(track.t_s[end])
     told = [(t.t_s, t.home) for t in world.homes if t.vehicle == track.vehicle]
     found: list[str] = []
@@ -236,7 +243,7 @@ def broken_promises(track: VehicleTrack, begin: int, end: int, world: DayFacts) 
 
 
 def twice(flights: list[DayFlight], served: list[HandedOver]) -> list[str]:
-    """Orders that were flown or handed over again after they had been brought."""
+    """Orders that were flown or handed over again after delivery."""
     brought_s: dict[str, float] = {}
     found: list[str] = []
     deeds = [(f.launch_s, f.order, f.delivered, f.land_s or f.launch_s) for f in flights]
@@ -252,8 +259,10 @@ def twice(flights: list[DayFlight], served: list[HandedOver]) -> list[str]:
 
 
 def nearest_of(tracks: list[VehicleTrack]) -> tuple[Near | None, float | None]:
-    """The least distance of any two vehicles in the air at once, and the least of their horizontal
-    distances; None where never two flew at once."""
+    """Closest approach of any two airborne vehicles, and the least horizontal distance of any two.
+
+    None if no two were airborne at once.
+    """
     nears: list[Near] = []
     flat: list[float] = []
     for a, b in itertools.combinations(tracks, 2):
@@ -268,7 +277,9 @@ def nearest_of(tracks: list[VehicleTrack]) -> tuple[Near | None, float | None]:
 
 
 def _nearest_pair(a: VehicleTrack, b: VehicleTrack) -> tuple[Near, float] | None:
-    """On the samples of `a`, with `b` interpolated; between samples they move straight."""
+    """Closest approach on the samples of `a`, with `b` interpolated; motion is linear in
+    between.
+    """
     low = max(a.t_s[0], b.t_s[0])
     high = min(a.t_s[-1], b.t_s[-1])
     times = a.t_s[(a.t_s >= low) & (a.t_s <= high)]
@@ -296,7 +307,9 @@ def _nearest_pair(a: VehicleTrack, b: VehicleTrack) -> tuple[Near, float] | None
 
 
 def _at(track: VehicleTrack, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Position at these times, and whether it flew at the last sample before each."""
+    """Positions (n, 3) at these times, and whether it was airborne at the last sample before
+    each.
+    """
     ned = np.column_stack([np.interp(times, track.t_s, track.ned_m[:, k]) for k in range(3)])
     index = np.clip(np.searchsorted(track.t_s, times + 1e-9) - 1, 0, len(track.t_s) - 1)
     return ned, track.airborne[index]

@@ -1,8 +1,8 @@
-"""A simulated day whose desk and companions are processes: `sim-bridge day --processes`.
+"""A simulated day with desk and companions as separate processes: `sim-bridge day --processes`.
 
-MAVLink goes over UDP on loopback, the fleet over zenoh, time is the wall's. The world (vehicles,
-truck with its driver, wind) is this process; it meets the others only by what they send. No other
-process outlives it, however it ends.
+MAVLink runs over UDP on loopback, the fleet over zenoh, in wall-clock time. This process is the
+world (vehicles, truck with driver, wind). It meets the others only through their messages. All
+other processes end with it, however it ends.
 """
 
 import contextlib
@@ -47,8 +47,10 @@ DESK_MAIN = "from ground_station.app.cli.main import main; main()"
 
 
 def write_network(folder: Path, *, relayed: bool) -> None:
-    """zenoh configurations on loopback: everybody calls a router of the simulator's; `relayed`: the
-    desk calls another, and nothing but a relay lies between the two.
+    """Write the zenoh configurations for loopback; all members connect to a router of the
+    simulator.
+
+    With `relayed` the desk connects to a second router, and only a lossy relay joins the two.
     """
     here = "tcp/127.0.0.1:{}"
     members, desk = here.format(_free_port()), here.format(_free_port())
@@ -80,18 +82,20 @@ def _free_port() -> int:
 
 @dataclass(slots=True)
 class Wires:
-    """Every drone's UDP endpoint, by its place in the fleet; `pace` waits for the wall's clock."""
+    """One UDP endpoint per drone, by its index in the fleet; `pace` follows the wall clock."""
 
     endpoints: EndpointSet
     inbox: dict[int, deque[bytes]] = field(default_factory=dict)
     pacer: Pacer = field(default_factory=Pacer)
 
     def pace(self, t_s: float) -> None:
-        """Wait until the day's time is due; keep what arrives meanwhile."""
+        """Wait until the wall clock reaches the day's time; keep datagrams that arrive
+        meanwhile.
+        """
         self._keep(self.pacer.wait_until(t_s, self.endpoints))
 
     def exchange(self, number: int, datagrams: list[bytes]) -> list[bytes]:
-        """Send these to a companion; what it has said since the last time."""
+        """Send datagrams to a companion; returns what it sent since the last call."""
         for datagram in datagrams:
             self.endpoints.send(number, datagram)
         self._keep(self.endpoints.poll(0.0))
@@ -107,14 +111,14 @@ class Wires:
 
 @dataclass(slots=True)
 class UdpCompanion:
-    """A `companion run --fleet` process at the other end of a wire."""
+    """A `companion run --fleet` process at the far end of a UDP link."""
 
     process: CompanionProcess
     wires: Wires
     number: int
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Send; what has come since."""
+        """Send datagrams; returns those received since the last call."""
         return self.wires.exchange(self.number, datagrams)
 
     def kill(self) -> None:
@@ -141,7 +145,7 @@ class Launcher:
     folder: Path
 
     def start(self, drone: DayDrone) -> Companion:
-        """One drone's companion."""
+        """Start one drone's companion."""
         port = self.wires.endpoints.urls[drone.number - 1].rsplit(":", 1)[1]
         (own,) = [d for d in self.data.day.drones if d.id == drone.name]
         process = CompanionProcess(
@@ -161,8 +165,9 @@ class Launcher:
 
 @dataclass(slots=True)
 class ZenohNetwork:
-    """The fleet's network as the world listens in on it, on the vehicles' side: states only, for
-    the judge. With `dice` a relay that loses messages lies between there and the desk.
+    """The world's listener on the fleet network, on the vehicles' side; states only, for the judge.
+
+    With `dice`, a lossy relay connects the vehicles' side to the desk.
     """
 
     ears: ZenohFleet
@@ -175,7 +180,7 @@ class ZenohNetwork:
     def open(
         cls, folder: Path, fleet: str, loss: float, rng: np.random.Generator
     ) -> "ZenohNetwork":
-        """Between a folder's zenoh configurations, which are written here."""
+        """Write a folder's zenoh configurations and connect to them."""
         write_network(folder, relayed=loss > 0.0)
         if loss == 0.0:
             return cls(ZenohFleet(fleet, folder / ROUTER))
@@ -186,30 +191,30 @@ class ZenohNetwork:
 
     @property
     def sent(self) -> int:
-        """Messages that were to be relayed; without a relay, states that were heard."""
+        """Messages offered to the relay; without a relay, states received."""
         return self.heard if self.dice is None else self.dice.sent
 
     @property
     def lost(self) -> int:
-        """How many of them were lost."""
+        """Messages that the relay dropped."""
         return 0 if self.dice is None else self.dice.lost
 
     def deliver(self, t_s: float) -> None:
-        """Take what has been heard."""
+        """Take the states received; `t_s` is not used."""
         for heard in self.ears.receive(0.0):
             if isinstance(heard, StateReceived):
                 self.heard += 1
                 self.states[heard.state.vehicle] = heard.state
 
     def close(self) -> None:
-        """Stop listening, and relaying."""
+        """Close the listener and the relay."""
         self.ears.close()
         if self.relay is not None:
             self.relay.close()
 
 
 def apart(folder: Path, loss: float) -> Plumb:
-    """Companions and truck over UDP and zenoh, on the wall's time; `loss`: of fleet messages."""
+    """Companions and truck over UDP and zenoh, in wall-clock time; `loss`: of fleet messages."""
     LEAVES_AT_ONCE.set()
 
     def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
@@ -232,12 +237,12 @@ def apart(folder: Path, loss: float) -> Plumb:
 
 
 IN_ORDER = (0, 3)
-"""How a desk's process ends by itself; 3: orders are left that nobody can bring."""
+"""Exit codes of a desk that finished; 3: orders are left that cannot be delivered."""
 
 
 @dataclass(slots=True)
 class DeskProcess:
-    """`ground-station dispatch` on its store; `kill` and `start` are a real kill -9 and restart."""
+    """`ground-station dispatch` on its store; `kill` is a real SIGKILL, `start` a real restart."""
 
     folder: Path
     day_file: Path
@@ -247,7 +252,7 @@ class DeskProcess:
 
     @classmethod
     def open(cls, path: Path, built: BuiltDay, plan: DayPlan, folder: Path) -> "DeskProcess":
-        """The desk's files, and its first start; `path` is the day's file."""
+        """Write the desk's files and start it; `path` is the day's file."""
         (folder / PLAN).write_bytes(msgspec.json.format(msgspec.json.encode(plan)))
         seat = cls(folder, write_day_file(path, built.data, folder), built.clock)
         built.faults.spread_over(plan.makespan_s)
@@ -255,7 +260,7 @@ class DeskProcess:
         return seat
 
     def start(self) -> None:
-        """The command that a person gives, first and after a kill."""
+        """Run the desk's command, at first and after a kill."""
         if self._output is None:
             self._output = (self.folder / LOG).open("ab")
         arguments = [
@@ -276,7 +281,9 @@ class DeskProcess:
         )
 
     def turn(self) -> None:
-        """It turns by itself. Raises LeewayError where it has ended, and not in order."""
+        """Check the desk's process; it runs by itself. Raises LeewayError if it ended with
+        an error.
+        """
         code = None if self._process is None else self._process.poll()
         if code not in (None, *IN_ORDER):
             words = (self.folder / LOG).read_text(errors="replace").strip().splitlines()[-5:]
@@ -292,23 +299,23 @@ class DeskProcess:
 
     @property
     def is_done(self) -> bool:
-        """It has ended, in order."""
+        """Whether it has ended by itself with a code of IN_ORDER."""
         return self._process is not None and self._process.poll() in IN_ORDER
 
     @property
     def plans(self) -> list[DayPlan]:
-        """Every plan that was in force, as its store has them."""
+        """All plans that were in force, from its store."""
         with contextlib.closing(Books.open(self.folder, self.clock)) as books:
             return books.plans
 
     @property
     def told(self) -> dict[str, str]:
-        """Each order's state, and why, as its store has them."""
+        """Each order's state and the reason, from its store."""
         with contextlib.closing(Books.open(self.folder, self.clock)) as books:
             return books.told
 
     def close(self) -> None:
-        """SIGTERM, then SIGKILL; always leaves no process behind."""
+        """SIGTERM, then SIGKILL after 10 s; leaves no process behind."""
         process = self._process
         if process is not None and process.poll() is None:
             process.terminate()
@@ -321,7 +328,7 @@ class DeskProcess:
 
 
 def write_day_file(path: Path, data: DayData, folder: Path) -> Path:
-    """The day as the world has it (its forecast, its files by absolute path), for the desk."""
+    """Write the world's day for the desk: its forecast, and its files by absolute path."""
     day = data.day
     changed: dict[str, Any] = {"orders": [str((path.parent / o).resolve()) for o in day.orders]}
     for name in ("no_fly", "roads"):

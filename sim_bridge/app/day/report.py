@@ -1,4 +1,4 @@
-"""Simulated days on the terminal: a progress line while they are flown, then tables."""
+"""Simulated days on the terminal: a progress line during the flight, then tables."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""One simulated day from its orders to its verdict, and what it leaves in its folder."""
+"""One simulated day from its orders to its verdict, and the files it leaves in its folder."""
 
 import contextlib
 import json
@@ -24,7 +24,7 @@ from sim_bridge.app.day.world import DayWorld, Seat
 RESULT, PICTURE = "day.json", "day.png"
 FORMAT = "simulated-day/1"
 EXPECTED_S = 3600.0
-"""How much wind a day needs; should it take longer, a recording's last value is held."""
+"""Wind (s) that a day needs; beyond it, a recording's last value is held."""
 
 
 class DeskSeat(Seat, Protocol):
@@ -32,22 +32,22 @@ class DeskSeat(Seat, Protocol):
 
     @property
     def plans(self) -> list[DayPlan]:
-        """Every plan of the day, as it was made and made again."""
+        """All plans of the day, the first and the replans."""
         ...
 
     @property
     def told(self) -> dict[str, str]:
-        """What the desk holds of each order: its state, and why."""
+        """The desk's state of each order, and the reason."""
         ...
 
     def close(self) -> None:
-        """In order."""
+        """Orderly shutdown."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class DayOptions:
-    """One day. `limit_s`: the day's own time after which it is broken off."""
+    """Options of one day. `limit_s`: simulated time after which it is stopped."""
 
     name: str
     data: DayData
@@ -65,19 +65,19 @@ def fly_day(
     take_seat: Callable[[BuiltDay, Path], DeskSeat],
     progress: Callable[[DayWorld], bool],
 ) -> dict[str, Any]:
-    """Fly the day to its end; its row, which is in the folder too."""
+    """Fly the day to its end; returns its result row, which is also written to the folder."""
     folder = options.folder
     if folder.exists():
-        shutil.rmtree(folder)  # of a day that was stopped: the same seed flies the same day
+        shutil.rmtree(folder)  # left by an interrupted run; the same seed flies the same day
     folder.mkdir(parents=True)
     need_s = min(options.limit_s, EXPECTED_S)
-    with contextlib.ExitStack() as stack:  # each is ended, whatever becomes of the others
+    with contextlib.ExitStack() as stack:  # each is closed even if another fails to
         made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
         stack.callback(made.plumbing.close)
         stack.callback(made.truck.port.close)
         for drone in made.drones:
             stack.callback(drone.switch_off)
-        seat = take_seat(made, folder)  # plans, which may take minutes, and be stopped
+        seat = take_seat(made, folder)  # plans the day: may take minutes and be interrupted
         stack.callback(seat.close)
         world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
         began_wall_s, began_cpu_s = wall_s(), cpu_s()
@@ -191,7 +191,7 @@ def _row(
 
 
 def _believed_otherwise(orders: list[str], by: dict[str, str], told: dict[str, str]) -> list[str]:
-    """Orders of which the desk holds something else than what was so."""
+    """Orders whose state at the desk differs from the truth."""
     return [id_ for id_ in orders if (id_ in by) != told.get(id_, "").startswith("delivered")]
 
 

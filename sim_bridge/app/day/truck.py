@@ -1,7 +1,7 @@
-"""The simulated truck and its driver: each task of the desk takes a realistic time.
+"""The simulated truck and its driver: each task from the desk takes a realistic time.
 
-The driver does one thing after another, in the order in which the desk asked. Positions are NED
-metres about the day's depot.
+The driver does one task at a time, in the order the desk asked. Positions are NED metres about the
+day's depot.
 """
 
 import math
@@ -17,25 +17,25 @@ from ground_station.core.fleet.truck_state import Task, TaskKind
 from sim_bridge.app.day.drone import DayDrone
 
 ON_PAD_M = 30.0
-"""A driver looks for a drone about its pad; farther off it is somebody else's ground."""
+"""Radius about its pad in which a driver looks for a drone; beyond is other people's ground."""
 
 WAIT_DOWN_S = 60.0
-"""A drone that is to be taken aboard and still flies is waited for, and then told."""
+"""The driver retries a task that cannot be done for this long, then reports it to the desk."""
 
 SPEED_STD_FRAC, TASK_STD_FRAC = 0.10, 0.15
-"""How much one drive's speed and one task's time vary: a driver, not a machine."""
+"""Std of the logarithm of one drive's duration and of one task's duration."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriverTimes:
-    """Seconds for each of a driver's tasks, on average."""
+    """Mean duration (s) of each of a driver's tasks."""
 
     launch_s: float
     recover_s: float
     serve_s: float
 
     def of(self, kind: TaskKind) -> float:
-        """For one task at a stop."""
+        """Mean duration of one kind of task at a stop."""
         match kind:
             case TaskKind.PUT_OUT:
                 return self.launch_s
@@ -47,7 +47,7 @@ class DriverTimes:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One drive as it was: from place to place, leaving and arriving, day's time."""
+    """One drive as it was: from, to, departure and arrival in the day's time."""
 
     stop: str
     from_ne_m: tuple[float, float]
@@ -58,7 +58,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class DriverTask:
-    """One task of the driver's, done (or not: `why`) between two times at a stop."""
+    """One task of the driver at a stop, done or not (`why`), between two times."""
 
     kind: str
     stop: str
@@ -71,7 +71,7 @@ class DriverTask:
 
 @dataclass(slots=True)
 class DayTruck:
-    """`drive_s(stop, from, to)` is what a drive takes on average; `late_s` befalls the second."""
+    """`drive_s(stop, from, to)`: mean duration of a drive; `late_s`: delay of the second drive."""
 
     port: TruckMember
     frame: LocalFrame
@@ -95,11 +95,11 @@ class DayTruck:
 
     @property
     def ne_m(self) -> tuple[float, float]:
-        """Where it stands, or stood last."""
+        """Where it stands or, while driving, its destination."""
         return self.drives[-1].to_ne_m if self.drives else (0.0, 0.0)
 
     def ne_at_m(self, t_s: float) -> tuple[float, float]:
-        """Where it is, also on the way (drawn as a straight line)."""
+        """Its position, interpolated along a straight line while driving."""
         if not self.drives or t_s >= self.drives[-1].arrive_s:
             return self.ne_m
         drive = self.drives[-1]
@@ -108,7 +108,7 @@ class DayTruck:
         return n0 + share * (n1 - n0), e0 + share * (e1 - e0)
 
     def turn(self, t_s: float) -> None:
-        """Answer the desk, work, tell the state."""
+        """Answer the desk, work on the current task, publish the state."""
         self.port.turn()
         if self._task is not None and self._task not in self.port.todo:
             self._task = None  # withdrawn
@@ -165,7 +165,7 @@ class DayTruck:
         self.done.append(row)
 
     def _do(self, task: Task, t_s: float) -> str:
-        """What the hands do at the end of a task; why it cannot be, or nothing."""
+        """Carry out the task's action at its end; returns why it is impossible, or ""."""
         drone = self.drones.get(task.vehicle or "")
         match task.kind:
             case TaskKind.PUT_OUT if drone is not None:

@@ -1,4 +1,4 @@
-"""The simulated day: drones, truck, network and desk, stepped by a tenth of a second."""
+"""The simulated day: drones, truck, network and desk, stepped by 0.1 s."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,37 +14,37 @@ STEP_S = 0.1
 STEPS = round(STEP_S / PHYSICS_STEP_S)
 DESK_EVERY_S = 0.5
 DESK_AWAY_S = 20.0
-"""From a desk's kill -9 to the same command given again by a person or a service."""
+"""From a desk's SIGKILL to its restart by a person or a service."""
 
 LEAST_AT_WORK_S = 5.0
 LEAST_UP_S = 15.0
-"""A companion is killed well in the air, where it matters."""
+"""Least time in the air before a companion is killed: a kill matters in flight."""
 
 
 class Seat(Protocol):
-    """The desk, wherever it runs."""
+    """The desk, in this process or another."""
 
     def turn(self) -> None:
-        """Hear, mind, assign, send."""
+        """One turn of the desk's loop: receive, check, assign, send."""
         ...
 
     def kill(self) -> None:
-        """SIGKILL: only what the store holds is left."""
+        """SIGKILL: only its store remains."""
         ...
 
     def start(self) -> None:
-        """The same command again."""
+        """Restart with the same command."""
         ...
 
     @property
     def is_done(self) -> bool:
-        """Nothing is open or under way."""
+        """Whether nothing is open or under way."""
         ...
 
 
 @dataclass(slots=True)
 class DayWorld:
-    """`run` until the desk has nothing left to do, or `limit_s`."""
+    """`run` until the desk has nothing left to do, or until `limit_s`."""
 
     clock: DayClock
     plumbing: Plumbing
@@ -59,7 +59,10 @@ class DayWorld:
     _steps: int = 0
 
     def run(self, limit_s: float, progress: Callable[["DayWorld"], bool]) -> bool:
-        """Whether the day ended by itself; `progress` is called once a second, False stops."""
+        """Run the day; returns whether it ended by itself.
+
+        `progress` is called once per simulated second; if it returns False, the day stops.
+        """
         while self.clock.t_s < limit_s:
             self.step()
             if self._steps % round(1.0 / STEP_S) == 0:
@@ -71,12 +74,12 @@ class DayWorld:
 
     @property
     def is_over(self) -> bool:
-        """The desk has nothing left to do, and nothing flies."""
+        """Whether the desk is up and done, the truck has no task, and nothing flies."""
         at_rest = self._desk_back_s is None and not any(d.is_airborne for d in self.drones)
         return at_rest and not self.truck.port.todo and self.seat.is_done
 
     def step(self) -> None:
-        """A tenth of a second."""
+        """Advance by STEP_S."""
         self._steps += 1
         t_s = self.clock.t_s = self._steps * STEP_S
         self.plumbing.network.deliver(t_s)
@@ -101,7 +104,7 @@ class DayWorld:
         if self._desk_back_s is not None and t_s >= self._desk_back_s:
             self._desk_back_s = None
             self.seat.start()
-            at_work_s = t_s + LEAST_AT_WORK_S  # a dead desk is not killed once more
+            at_work_s = t_s + LEAST_AT_WORK_S  # no further kill until the desk has worked this long
             faults.ground_kills_s = [max(kill_s, at_work_s) for kill_s in faults.ground_kills_s]
             faults.log.append((t_s, "desk started again"))
         if self._desk_back_s is None and faults.ground_kills_s and t_s >= faults.ground_kills_s[0]:
@@ -113,7 +116,7 @@ class DayWorld:
             self._kill_a_companion(t_s)
 
     def _kill_a_companion(self, t_s: float) -> None:
-        """Of one that has been in the air for a while; else later."""
+        """Kill one that has been in the air for LEAST_UP_S; if there is none, try again later."""
         flying = [d for d in self.drones if d.is_airborne and d.companion is not None]
         flying = [d for d in flying if d.airborne_s(t_s) >= LEAST_UP_S]
         if not flying:
@@ -123,7 +126,7 @@ class DayWorld:
         drone.kill_companion(t_s)
         self.faults.log.append((t_s, f"companion of {drone.name} killed"))
 
-    # --- what was ------------------------------------------------------------------------------
+    # --- record --------------------------------------------------------------------------------
 
     @property
     def stands(self) -> list[Stand]:
@@ -137,5 +140,5 @@ class DayWorld:
 
     @property
     def served(self) -> list[HandedOver]:
-        """What the driver handed over."""
+        """Orders that the driver handed over."""
         return [HandedOver(order, t_s) for t_s, order in self.truck.delivered]

@@ -1,4 +1,4 @@
-"""Flyable paths, many at a time: arcs and straights in the air, carried along by the wind."""
+"""Batches of flyable paths: arcs and straights in the air frame, displaced by the wind."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats
 
-PARTS = 4  # a leading arc where a climb needs a longer way, and the word's three
+PARTS = 4  # a leading arc if a climb needs a longer path, then the word's three
 
 
 @dataclass(frozen=True, slots=True)
 class AirPaths:
-    """n paths. Each is up to four parts of constant turn: +1 right, -1 left, 0 straight.
+    """n paths, each of up to four parts of constant turn: +1 right, -1 left, 0 straight.
 
     `start` (n, 4): north, east, down m, AIR heading rad. `turn` (n, 4); `length_m` (n, 4):
     horizontal metres through the air; `radius_m`, `level_mps` (horizontal airspeed) and
-    `climb_mps` (up) (n,); `wind_to_ne_mps` (n, 2). `word`: its name, by path.
+    `climb_mps` (up) (n,); `wind_to_ne_mps` (n, 2). `word`: name of each path's Dubins word.
     """
 
     start: Floats
@@ -33,31 +33,31 @@ class AirPaths:
 
     @property
     def air_length_m(self) -> Floats:
-        """Horizontal metres through the air."""
+        """Horizontal metres through the air; (n,)."""
         return self.length_m.sum(axis=1)
 
     @property
     def time_s(self) -> Floats:
-        """How long each takes."""
+        """Duration of each path; (n,)."""
         return self.air_length_m / self.level_mps
 
     @property
     def airspeed_mps(self) -> Floats:
-        """Speed through the air, climb included."""
+        """Airspeed, climb included; (n,)."""
         return np.hypot(self.level_mps, self.climb_mps)
 
     @property
     def path_angle_rad(self) -> Floats:
-        """Flight-path angle in the air, up positive."""
+        """Flight-path angle in the air frame, up positive; (n,)."""
         return np.arctan2(self.climb_mps, self.level_mps)
 
     @property
     def turning_rad(self) -> Floats:
-        """All the turning, whichever way."""
+        """Total absolute turn angle; (n,)."""
         return (np.abs(self.turn) * self.length_m).sum(axis=1) / self.radius_m
 
     def some(self, at: NDArray[np.int64]) -> "AirPaths":
-        """Some of them."""
+        """The paths at these indices."""
         return AirPaths(
             self.start[at],
             self.turn[at],
@@ -70,7 +70,7 @@ class AirPaths:
         )
 
     def one(self, index: int) -> "AirPaths":
-        """A single path of them."""
+        """A batch of one path."""
         return self.some(np.array([index]))
 
     def at(self, time_s: Floats) -> Floats:
@@ -84,7 +84,7 @@ class AirPaths:
             length = self.length_m[:, part : part + 1]
             done_m = np.clip(flown_m - begun_m, 0.0, length)
             angle = self.turn[:, part : part + 1] * done_m / self.radius_m[:, None]
-            # A chord of the arc: 2 R sin(angle / 2) long, half the angle off the heading.
+            # Chord of the arc: length 2 R sin(angle / 2), at half the angle from the heading.
             chord = done_m * np.sinc(angle / (2.0 * np.pi))
             north += chord * np.cos(heading + 0.5 * angle)
             east += chord * np.sin(heading + 0.5 * angle)
@@ -97,7 +97,7 @@ class AirPaths:
         return np.stack([north, east, down, heading], axis=2)
 
     def end(self) -> Floats:
-        """The pose that each arrives at; (n, 4)."""
+        """Final pose of each path; (n, 4)."""
         return self.at(self.time_s[:, None])[:, 0]
 
     def ground_course_rad(self, time_s: Floats) -> Floats:

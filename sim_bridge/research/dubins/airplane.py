@@ -1,13 +1,13 @@
-"""Dubins-airplane paths between poses in steady wind: the shortest in time that climb limits allow.
+"""Time-optimal Dubins-airplane paths between poses in steady wind, within climb limits.
 
-Kinematics (arXiv 2604.13441, III-A, in the air as its last lines ask): constant airspeed, turn
-radius and flight-path angle; the wind carries it along. The three cases of Chitsaz & LaValle 2007
-and Owen, Beard & McLain 2015: low altitude, the Dubins path at a lesser angle; high, full circles
-of a somewhat larger radius at the steepest angle; medium, an arc the other way first, or, where
-none fits exactly, a full circle at a lesser angle.
+Kinematics (arXiv 2604.13441, III-A, in the air frame as its last lines ask): constant airspeed,
+turn radius and flight-path angle; the wind displaces the path. The three cases are those of Chitsaz
+& LaValle 2007 and Owen, Beard & McLain 2015. Low altitude: the Dubins path at a smaller angle.
+High: full circles of a slightly larger radius at the steepest angle. Medium: first an arc the other
+way, or, if none fits exactly, a full circle at a smaller angle.
 
-At the steepest angle the time is known, `T = dz / (V sin gamma)`, and with it where the drifting
-goal will be: lengthening needs no rendezvous.
+At the steepest angle the flight time is known, `T = dz / (V sin gamma)`. So the drifted goal's
+position is known, and lengthening the path needs no rendezvous.
 """
 
 import math
@@ -37,10 +37,10 @@ from sim_bridge.research.dubins.words import (
     length_of,
 )
 
-_CHUNK = 4096  # paths at a time: many enough for numpy, few enough for the cache
+_CHUNK = 4096  # paths per batch: amortises numpy's overhead, fits the cache
 _CALM_MPS = 1e-6
 _MOST_CIRCLES = 1000
-_LATER = 2.0  # a word that was asked for may take this many times the quickest
+_LATER = 2.0  # a requested word may take at most this many times the quickest
 
 
 def join_poses(
@@ -51,12 +51,14 @@ def join_poses(
     radius_m: ArrayLike | None = None,
     words: ArrayLike | None = None,
 ) -> AirPaths:
-    """The quickest path from each start to each goal; poses (n, 4): north, east, down m, AIR
-    heading rad. Winds (2,) or (n, 2), where the air moves to. `radius_m` (n,) widens turns. `words`
-    (n,) names the word of each path, -1 for any; where that word does not lead there, any may.
+    """The quickest path from each start to each goal.
 
-    There is always one. Raises LeewayError for poses that are not numbers, for wind as fast as
-    the airspeed, and for a radius under the limit.
+    Poses (n, 4): north, east, down m, AIR heading rad. Winds (2,) or (n, 2), towards north and
+    east. `radius_m` (n,) widens turns. `words` (n,) requests a word per path, -1 for any; if that
+    word does not connect the poses, any may.
+
+    A path always exists. Raises LeewayError for poses that are not finite, for wind as fast as the
+    airspeed, for a radius below the limit, and for a climb of more than 1000 circles.
     """
     start = np.atleast_2d(np.asarray(start, float))
     goal = np.atleast_2d(np.asarray(goal, float))
@@ -72,7 +74,7 @@ def join_poses(
     word = np.broadcast_to(np.asarray(-1 if words is None else words, np.int64), (len(start),))
     require_air_faster(limits.airspeed_mps, wind)
     steepest = np.where(start[:, 2] >= goal[:, 2], limits.climb_rad, limits.descent_rad)
-    # Horizontal speed in the steepest climb is what must outrun the wind there.
+    # In the steepest climb the horizontal airspeed must exceed the wind.
     climbs = start[:, 2] != goal[:, 2]
     if climbs.any():
         slowest = limits.airspeed_mps * math.cos(max(limits.climb_rad, limits.descent_rad))
@@ -87,7 +89,7 @@ def join_poses(
 
 
 def concatenated(paths: list[AirPaths]) -> AirPaths:
-    """All of them as one batch."""
+    """All paths as one batch."""
     if not paths:
         none = np.empty(0)
         return AirPaths(
@@ -131,7 +133,7 @@ def _joined(
         away[:, 0], away[:, 1], -away[:, 2], start[:, 3], goal[:, 3],
         wind[:, 0], wind[:, 1], radius, airspeed,
     )  # fmt: skip
-    # No climb is over sooner than at the steepest angle.
+    # The steepest angle gives the shortest climb time.
     needed_s = np.abs(meeting.climb_m) / (airspeed * np.sin(steepest))
     time, word = quickest(meeting, np.zeros(len(start)), wanted)
     longer = Stretched.none(len(start))
@@ -148,7 +150,9 @@ def _joined(
 
 
 def quickest(meeting: Meeting, not_before_s: Floats, wanted: Ints) -> tuple[Floats, Ints]:
-    """Least time at or after `not_before_s` and its word, by path; the wanted one where it fits."""
+    """Least time not before `not_before_s` and its word, per path; the wanted word where it
+    fits.
+    """
     nothing = np.zeros(len(not_before_s))
     straight = chase_time_s(meeting, meeting.away_n, meeting.away_e, nothing)
     earliest = np.maximum(straight * (1.0 - 1e-9) - 1e-9, not_before_s)
@@ -179,7 +183,7 @@ def _equal_turns(
 
 
 def _more_circles(meeting: Meeting, not_before_s: Floats, times: Floats) -> None:
-    """Full circles until the climb is over, where one is not enough."""
+    """Add full circles until the climb is completed, where one is not enough."""
     for circles in range(2, _MOST_CIRCLES):
         rows = np.flatnonzero(np.isinf(times[:2].min(axis=0)))
         if not len(rows):
@@ -192,7 +196,7 @@ def _more_circles(meeting: Meeting, not_before_s: Floats, times: Floats) -> None
 
 
 def _other_word(meeting: Meeting, word: int, earliest: Floats, latest: Floats) -> Floats:
-    """Two opposite turns, or three; in calm air these lengths are closed forms."""
+    """Least time with two opposite turns or three turns; closed-form lengths in calm air."""
     calm = np.hypot(meeting.wind_n, meeting.wind_e) < _CALM_MPS
     time = np.full(len(earliest), np.inf)
     still = np.flatnonzero(calm)
@@ -246,7 +250,7 @@ def _laid_out(
 
 
 def _parts_m(word: int, turns: Turns, radius: Floats, flown_m: Floats) -> Floats:
-    """The word's three lengths; full circles that it flies besides lie in its first turn."""
+    """The word's three lengths; extra full circles are added to its first turn."""
     straight = MIDDLE[word] == 0
     middle = turns.middle if straight else turns.middle * radius
     first, last = radius * turns.first_rad, radius * turns.last_rad

@@ -1,9 +1,9 @@
-"""A path between two poses that keeps clear of buildings and no-fly areas, or why there is none.
+"""A path between two poses that is clear of buildings and no-fly areas, or why there is none.
 
-Obstacle screening first, then synthesis (arXiv 2604.13441, IV-C): the quickest path if it is clear;
-else other words and wider turns, via-points at the corners of what stands in the way (the planner's
-visibility graph), and the way over it. A remedy's candidates are joined and screened as one batch;
-the quickest clear path of all is kept.
+Obstacle screening first, then synthesis (arXiv 2604.13441, IV-C). The quickest path is used if it
+is clear. Else the remedies are other words and wider turns, via-points at the obstacles' corners
+(the planner's visibility graph), and the way over the obstacle. Each remedy's candidates are
+joined and screened as one batch. The quickest clear path of all is kept.
 """
 
 import math
@@ -22,41 +22,41 @@ from sim_bridge.research.dubins.limits import FlightLimits
 from sim_bridge.research.dubins.words import WORDS
 
 STEP_M = 5.0
-"""Paths are screened by points no further apart over the ground than this."""
+"""Largest spacing over the ground of the points at which paths are screened."""
 
 _WIDER = (1.0, 1.5, 2.0, 3.0)
-_BEYOND = (0.1, 0.5, 1.0, 1.6)  # via-points stand this many turn radii off the clearance
-_OVER_M = 2.0  # flown over with this much more than the clearance
+_BEYOND = (0.1, 0.5, 1.0, 1.6)  # distance of via-points beyond the clearance, in turn radii
+_OVER_M = 2.0  # extra height above the clearance when flying over
 
 
 @dataclass(frozen=True, slots=True)
 class ClearPath:
-    """Legs flown one after another, from pose to pose; `remedy` says what had to be done."""
+    """Legs flown one after another, from pose to pose; `remedy` names the remedy used, if any."""
 
     legs: AirPaths
     remedy: str
 
     @property
     def time_s(self) -> float:
-        """How long it takes."""
+        """Total duration."""
         return float(self.legs.time_s.sum())
 
     def points(self, step_m: float = STEP_M) -> Floats:
-        """Points along the way, (k, 4): north, east, down m, air heading rad."""
+        """Points along the path, (k, 4): north, east, down m, air heading rad."""
         parts = [_sampled(self.legs.one(i), step_m)[0] for i in range(len(self.legs))]
         return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
 
 @dataclass(frozen=True, slots=True)
 class NoPath:
-    """No clear path; `reason` in words."""
+    """No clear path exists; `reason` in words."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class _Chain:
-    """A candidate: poses (m, 4) to be joined one after another, with a radius and a word each."""
+    """A candidate: poses (m, 4) to join in sequence, with one radius and one word."""
 
     poses: Floats
     radius_m: float
@@ -71,10 +71,10 @@ def clear_path(
     obstacles: ObstacleMap,
     ceiling_m: float | None = None,
 ) -> ClearPath | NoPath:
-    """From pose to pose, (4,) each: north, east, down m, air heading rad. `ceiling_m` above the
-    depot bounds the way over an obstacle; None: not over it.
+    """From pose to pose, (4,) each: north, east, down m, air heading rad.
 
-    Raises LeewayError for poses that are not numbers and wind as fast as the airspeed.
+    `ceiling_m` above the depot limits flight over an obstacle; None forbids it. Raises LeewayError
+    for poses that are not finite and for wind as fast as the airspeed.
     """
     for name, pose in (("start", start), ("goal", goal)):
         place = (float(pose[0]), float(pose[1]), float(pose[2]))
@@ -127,7 +127,7 @@ def _remedies(
 def _around(
     start: Floats, goal: Floats, beyond_m: float, radius_m: float, obstacles: ObstacleMap
 ) -> list[_Chain]:
-    """The shortest way through the visibility graph, with several headings at its corners."""
+    """The shortest route through the visibility graph, with several headings at its corners."""
     ends = [_place(start), _place(goal)]
     height_m = min(-ends[0][2], -ends[1][2])
     knots = list(ends)
@@ -151,7 +151,9 @@ def _around(
 
 
 def _posed(route: list[Ned], start: Floats, goal: Floats, share: float) -> Floats:
-    """Poses along a route: headings at its corners lie between both courses; heights in between."""
+    """Poses along a route: corner headings between both courses, heights interpolated by
+    distance.
+    """
     poses = [start]
     for before, here, after in zip(route, route[1:], route[2:], strict=False):
         into, out = course_rad(before, here), course_rad(here, after)
@@ -166,7 +168,7 @@ def _posed(route: list[Ned], start: Floats, goal: Floats, share: float) -> Float
 def _over(
     start: Floats, goal: Floats, radius_m: float, obstacles: ObstacleMap, ceiling_m: float
 ) -> list[_Chain]:
-    """Climbs at the start and descends at the goal, and flies between them above it all."""
+    """Climb at the start, fly above all obstacles between, descend at the goal."""
     top_m = obstacles.highest_m(_place(start), _place(goal))
     height_m = max(top_m + obstacles.clearance_up_m + _OVER_M, -start[2], -goal[2])
     if not height_m <= ceiling_m:
@@ -174,7 +176,7 @@ def _over(
     up, down = start.copy(), goal.copy()
     up[2], down[2] = -height_m, -height_m
     chains = [np.stack([start, up, down, goal])]
-    # Or straight on while climbing: as far as a climb of one in four needs.
+    # Or climb straight ahead, for the distance that a gradient of one in four needs.
     for ahead in (4.0 * (height_m + start[2]), 4.0 * (height_m + goal[2])):
         forth, back = up.copy(), down.copy()
         forth[:2] += ahead * np.array([math.cos(start[3]), math.sin(start[3])])
@@ -212,7 +214,7 @@ def _quickest_clear(
 
 
 def _sampled(paths: AirPaths, step_m: float) -> Floats:
-    """Poses along each path, as many for each: (n, k, 4)."""
+    """Poses along each path, the same number for each: (n, k, 4)."""
     ground_mps = paths.level_mps + np.hypot(*paths.wind_to_ne_mps.T)
     longest_m = float(np.max(ground_mps * paths.time_s, initial=0.0))
     count = max(math.ceil(longest_m / step_m), 1) + 1

@@ -1,10 +1,10 @@
-"""A route's corners flown at full speed: what turning costs, and how the heading changes.
+"""A route's corners flown at full speed: the time that turning costs, and the heading change.
 
-A corner is rounded by one turn that leaves the first leg before the waypoint and meets the second
-after it. In wind the turn is a circle in the air (a trochoid over the ground): with air headings
-`psi` that hold both courses, its displacement is `d = 2 R sin(|dpsi| / 2) u(psi_mid) + w T`,
-`T = |dpsi| R / V`, and `d = a u(in) + b u(out)` says where it begins and ends: closed form. Where
-legs are too short for that, the Dubins path from the first leg's middle to the second's.
+One turn rounds a corner: it leaves the first leg before the waypoint and meets the second after it.
+In wind the turn is a circle in the air and a trochoid over the ground. With air headings `psi` that
+hold both courses, its displacement is `d = 2 R sin(|dpsi| / 2) u(psi_mid) + w T`,
+`T = |dpsi| R / V`. Then `d = a u(in) + b u(out)` gives its begin and end in closed form. Where legs
+are too short, a Dubins path joins the first leg to the second instead.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from sim_bridge.research.dubins.airplane import join_poses
 from sim_bridge.research.dubins.limits import FlightLimits, require_air_faster
 
 WINDOW_S = 2.0
-"""Max turn is the largest change of heading within this time (docs/reference/outcomes.md)."""
+"""Window of max turn, the largest heading change within it (docs/reference/outcomes.md)."""
 
 _STRAIGHT_RAD = 1e-6
 _SAMPLES = 17
@@ -27,10 +27,10 @@ _SAMPLES = 17
 class Corners:
     """n corners as flown; arrays (n,).
 
-    `extra_s`: time beyond that of both legs flown to the corner and away from it, mostly negative
-    where it is cut. `before_m` and `after_m`: where on the legs the turn begins and ends.
-    `off_m`: how far from the waypoint it passes. `turn_rad`: largest change of air heading within
-    2 s. `cut`: by one turn; else by a Dubins path.
+    `extra_s`: time compared with flying both legs to the corner and away from it; mostly negative
+    where it is cut. `before_m` and `after_m`: distance along the legs, from the waypoint, at which
+    the turn begins and ends. `off_m`: least distance from the waypoint. `turn_rad`: largest change
+    of air heading within 2 s. `cut`: flown by one turn; else by a Dubins path.
     """
 
     extra_s: Floats
@@ -43,7 +43,7 @@ class Corners:
 
 @dataclass(frozen=True, slots=True)
 class _Course:
-    """A course over the ground, and the air heading and ground speed that hold it."""
+    """A course over the ground, with the air heading and ground speed that hold it."""
 
     unit_n: Floats
     unit_e: Floats
@@ -68,9 +68,10 @@ def round_corners(
     limits: FlightLimits,
     wind_to_ne_mps: Floats,
 ) -> Corners:
-    """Every corner at the limits' airspeed and radius. Rooms: what of each leg it may use.
+    """Round every corner at the limits' airspeed and radius; all arrays (n,).
 
-    Raises LeewayError for wind as fast as the airspeed.
+    `room_in_m` and `room_out_m`: length of each leg that the turn may use. Raises LeewayError for
+    wind as fast as the airspeed.
     """
     count = len(course_in_rad)
     wind = np.broadcast_to(wind_to_ne_mps, (count, 2))
@@ -119,7 +120,7 @@ def _cut(first: _Course, last: _Course, limits: FlightLimits, wind: Floats) -> C
 def _along_arc(
     heading: Floats, change: Floats, share: Floats, radius: float, time: Floats, wind: Floats
 ) -> tuple[Floats, Floats]:
-    """Displacement over the ground after each share of a turn; (n, k) twice."""
+    """Displacement over the ground (north, east) after each share of a turn; (n, k) each."""
     angle = change[:, None] * share
     chord = 2.0 * radius * np.sin(0.5 * np.abs(angle))
     middle = heading[:, None] + 0.5 * angle
@@ -140,7 +141,7 @@ def _join(
     limits: FlightLimits,
     wind: Floats,
 ) -> None:
-    """The corners at `rows` by Dubins paths that use all the room."""
+    """Fly the corners at `rows` as Dubins paths that use all the room."""
     before, after = room_in_m[rows], room_out_m[rows]
     zero = np.zeros(len(rows))
     start = np.stack(
@@ -163,12 +164,13 @@ def _join(
 
 
 def stopping_s(turn_rad: Floats, speed_mps: float, accel_mps2: float) -> Floats:
-    """Time lost at a corner that is not rounded: the share of speed that turns is lost and made
-    again, as `route_energy` prices it.
+    """Time lost at a corner flown without rounding.
+
+    The velocity component lost in the turn is braked and regained, as `route_energy` prices it.
     """
     return 0.5 * (1.0 - np.cos(turn_rad)) * speed_mps / accel_mps2
 
 
 def hover_turn_s(turn_rad: Floats, limits: FlightLimits, accel_mps2: float) -> Floats:
-    """Time lost at a corner by stopping there and turning as slowly as a turn in flight does."""
+    """Time lost by stopping at a corner and yawing there at the turn rate of a turn in flight."""
     return limits.airspeed_mps / accel_mps2 + turn_rad / limits.turn_rate_rps

@@ -1,4 +1,4 @@
-"""The picture of `sim-bridge research paths`: the same two poses in three worlds."""
+"""The picture of `sim-bridge research paths`: the same two poses in calm, in wind, in a town."""
 
 import math
 from pathlib import Path
@@ -34,7 +34,7 @@ TOWN = (
 def draw(
     path: Path, airspeed_mps: float, bank_deg: float, wind_mps: float, wind_from_deg: float
 ) -> Path:
-    """Write the picture. Raises LeewayError for limits and winds that cannot be flown."""
+    """Write the picture; raises LeewayError for limits and winds that cannot be flown."""
     import matplotlib
 
     matplotlib.use("Agg")

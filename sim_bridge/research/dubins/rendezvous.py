@@ -1,15 +1,15 @@
-"""Dubins words in wind: in the air mass the goal drifts upwind, and the path has to meet it.
+"""Dubins words in wind, solved as a rendezvous: in the air frame the goal drifts upwind.
 
-Seen from the air the goal moves at minus the wind, so a word must be exactly as long as what is
-flown by the time that it takes (McGee, Spry & Hedrick 2005; Techy & Woolsey, "Minimum-time path
-planning for unmanned aerial vehicles in steady uniform winds", 2009):
-`L(c(T)) = D(T)`, `c(T) = c - w T`, and, climbing dz on the way, `D(T) = sqrt(V^2 T^2 - dz^2)`.
+There the goal moves at minus the wind. So a word's length must equal the distance flown in the time
+it takes (McGee, Spry & Hedrick 2005; Techy & Woolsey, "Minimum-time path planning for unmanned
+aerial vehicles in steady uniform winds", 2009): `L(c(T)) = D(T)`, `c(T) = c - w T`, and with a
+climb dz `D(T) = sqrt(V^2 T^2 - dz^2)`.
 
-Equal turns (LSL, RSR): their turning does not depend on T, the rest is monotone in T, so there is
-one root for each number of full circles: closed form where level, Newton from below where not.
-The other words: the turning is followed continuously along T (no jumps at full circles), so
-every root is where a smooth function crosses a multiple of 2 pi R; crossings are bracketed on a
-grid that ends where the word does, and closed in by regula falsi.
+Equal turns (LSL, RSR): the turning does not depend on T and the rest is monotone in T. So there is
+one root per number of full circles: closed form if level, else Newton from below.
+Other words: the turning is unwrapped along T, without jumps at full circles. So each root is where
+a smooth function crosses a multiple of 2 pi R. Crossings are bracketed on a grid over the times at
+which the word exists, and refined by regula falsi.
 """
 
 from collections.abc import Callable
@@ -33,16 +33,18 @@ from sim_bridge.research.dubins.words import (
 )
 
 _NEWTON_STEPS = 5
-_GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 10))  # denser where words begin and end
+_GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 10))  # denser at both ends of an interval
 _FALSI_STEPS = 9
 _BISECTIONS = 36
 _MET_M = 1e-7
-_ROUNDS = 4  # crossings tried in each interval before it is given up
+_ROUNDS = 4  # crossings tried in each interval before giving up
 
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Poses to join, by path: arrays (n,). `away` is goal minus start; wind where it blows to."""
+    """Pose pairs to join; arrays (n,). `away` is goal minus start; wind is towards north and
+    east.
+    """
 
     away_n: Floats
     away_e: Floats
@@ -55,7 +57,7 @@ class Meeting:
     airspeed_mps: float
 
     def take(self, at: NDArray[np.int64]) -> "Meeting":
-        """Some of them."""
+        """The pairs at these indices."""
         fields = (
             self.away_n,
             self.away_e,
@@ -69,11 +71,13 @@ class Meeting:
         return Meeting(*(field[at] for field in fields), airspeed_mps=self.airspeed_mps)
 
     def flown_m(self, time_s: Floats) -> Floats:
-        """D(T): horizontal metres through the air by then."""
+        """D(T): horizontal metres flown through the air by then; (n,)."""
         return np.sqrt(np.maximum((self.airspeed_mps * time_s) ** 2 - self.climb_m**2, 0.0))
 
     def shift(self, word: int) -> tuple[Floats, Floats]:
-        """`c` of a word at T = 0."""
+        """`c` of a word at T = 0: (north, east) m between the centres of its last and
+        first turn.
+        """
         return centre_shift(
             self.away_n,
             self.away_e,
@@ -85,14 +89,14 @@ class Meeting:
         )
 
     def turns_at(self, word: int, time_s: Floats) -> Turns:
-        """A word's parts when it takes that long."""
+        """The three parts of a word if the flight takes that long."""
         c_n, c_e = self.shift(word)
         c_n, c_e = c_n - self.wind_n * time_s, c_e - self.wind_e * time_s
         return turns_of(word, c_n, c_e, self.start_rad, self.goal_rad, self.radius_m)
 
 
 def chase_time_s(meeting: Meeting, c_n: Floats, c_e: Floats, extra_m: Floats) -> Floats:
-    """The T with `D(T) = extra + |c - w T|`: the one root of a rising function."""
+    """The T with `D(T) = extra + |c - w T|`: the only root of a rising function."""
     speed = meeting.airspeed_mps
     room = speed**2 - meeting.wind_n**2 - meeting.wind_e**2
     b = speed * extra_m - c_n * meeting.wind_n - c_e * meeting.wind_e
@@ -115,9 +119,9 @@ def chase_time_s(meeting: Meeting, c_n: Floats, c_e: Floats, extra_m: Floats) ->
 
 
 def equal_turns_time_s(meeting: Meeting, word: int, circles: int) -> Floats:
-    """Time of LSL or RSR with so many full circles more; infinite where it needs yet another.
+    """Time of LSL or RSR with `circles` extra full circles; infinite if it needs one more.
 
-    With `circles` = 1 it is always finite: there is always a way.
+    With `circles` = 1 it is always finite: a path always exists.
     """
     turn = int(FIRST[word])
     total = round_off(turn * (meeting.goal_rad - meeting.start_rad)) + TWO_PI * circles
@@ -127,7 +131,7 @@ def equal_turns_time_s(meeting: Meeting, word: int, circles: int) -> Floats:
 
 
 def first_meeting_s(meeting: Meeting, word: int, earliest_s: Floats, latest_s: Floats) -> Floats:
-    """The first T in the interval at which a word other than LSL and RSR fits; infinite: none."""
+    """First T in the interval at which a word other than LSL and RSR fits; infinite if none."""
     found = np.full(len(meeting.away_n), np.inf)
     for begin, end in _where_it_exists(meeting, word, earliest_s, latest_s):
         rows = np.flatnonzero(begin < np.minimum(end, found))
@@ -141,7 +145,9 @@ def first_meeting_s(meeting: Meeting, word: int, earliest_s: Floats, latest_s: F
 def _where_it_exists(
     meeting: Meeting, word: int, earliest_s: Floats, latest_s: Floats
 ) -> list[tuple[Floats, Floats]]:
-    """Times at which the circles are far apart enough (two turns), or near enough (three)."""
+    """Intervals in which the end circles are far enough apart (two turns) or close enough
+    (three).
+    """
     c_n, c_e = meeting.shift(word)
     limit = (4.0 if MIDDLE[word] != 0 else 2.0) * meeting.radius_m
     wind2 = np.maximum(meeting.wind_n**2 + meeting.wind_e**2, 1e-18)
@@ -161,9 +167,9 @@ def _where_it_exists(
 
 
 def _spare_loops(meeting: Meeting, word: int, time_s: Floats, base_s: Floats) -> Floats:
-    """What is flown beyond the word with its turning followed continuously, in full circles.
+    """Distance flown beyond the word's length with its turning unwrapped, in full circles.
 
-    `time_s` (n, k); turning is followed from `base_s` (n,). A root is where this is a whole number.
+    `time_s` (n, k); the turning is unwrapped from `base_s` (n,). Roots are at whole numbers.
     """
     turn = float(FIRST[word])
     c_n, c_e = (c[:, None] for c in meeting.shift(word))
@@ -180,7 +186,7 @@ def _spare_loops(meeting: Meeting, word: int, time_s: Floats, base_s: Floats) ->
         needed = radius * (angle[:, None] + 4.0 * WIDE[word] * half)
         return (flown - needed) / (TWO_PI * radius)
     straight = np.sqrt(np.maximum(far2 - 4.0 * radius * radius, 0.0))
-    # c moves on a straight line: seen from its first place it never turns by half a circle.
+    # c moves on a straight line, so its bearing changes by less than pi from the first.
     n0 = c_n - (meeting.wind_n * base_s)[:, None]
     e0 = c_e - (meeting.wind_e * base_s)[:, None]
     swept = np.arctan2(n0 * e - e0 * n, n0 * n + e0 * e) + np.arctan2(e0, n0)
@@ -214,7 +220,7 @@ def _first_crossing_s(meeting: Meeting, word: int, begin_s: Floats, end_s: Float
 
 
 def _fits(meeting: Meeting, word: int, time_s: Floats) -> NDArray[np.bool_]:
-    """Whether the word is as long as what is flown, or shorter by full circles."""
+    """Whether the word's length equals the distance flown, or is less by whole circles."""
     length = length_of(word, meeting.turns_at(word, time_s), meeting.radius_m)
     loops = (meeting.flown_m(time_s) - length) / (TWO_PI * meeting.radius_m)
     whole = np.round(loops)
@@ -231,7 +237,7 @@ def _closed_in(
     at_low: Floats,
     at_high: Floats,
 ) -> Floats:
-    """The crossing between two times: regula falsi (Illinois), then bisection where it lingers."""
+    """The crossing in each bracket: regula falsi (Illinois), then bisection where not converged."""
 
     def beyond(time: Floats, rows: NDArray[np.int64] | slice = slice(None)) -> Floats:
         sub = meeting if isinstance(rows, slice) else meeting.take(rows)

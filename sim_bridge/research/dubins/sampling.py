@@ -1,9 +1,9 @@
-"""A path as autopilots take it: mission items far enough apart, or set-points at a steady rate.
+"""A path as autopilots accept it: sparse mission items, or set-points at a fixed rate.
 
-Mission items: an autopilot goes on within its acceptance radius of an item, so items nearer than
-two radii are one to it (PX4: NAV_ACC_RAD 10 m; ArduCopter: WPNAV_RADIUS 2 m), and it slows for what
-turns at one: `v = sqrt(a d / tan(turn / 2))` within `d` of it (PX4, computeMaxSpeedInWaypoint).
-Set-points carry place and ground velocity, so that between two of them nothing has to be guessed.
+An autopilot advances within its acceptance radius of a mission item. Items closer than two radii
+act as one (PX4: NAV_ACC_RAD 10 m; ArduCopter: WPNAV_RADIUS 2 m). It slows down for a turn at an
+item: `v = sqrt(a d / tan(turn / 2))` within `d` of it (PX4, computeMaxSpeedInWaypoint). Set-points
+carry position and ground velocity, so the motion between two of them is defined.
 """
 
 import math
@@ -17,15 +17,15 @@ from companion.core.base.geo import Ned
 from sim_bridge.research.dubins.air_path import PARTS, AirPaths
 
 LARGEST_TURN_RAD = math.radians(15.0)
-"""At one mission item, where the acceptance radius allows."""
+"""Largest turn at one mission item, if the acceptance radius allows."""
 
 _ON_A_LINE_RAD = math.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class SetPoints:
-    """`t_s` (k,) from the path's start; `pos_ned_m` and `vel_ned_mps` (k, 3); `heading_rad` (k,)
-    through the air.
+    """`t_s` (k,) from the path's start; `pos_ned_m`, `vel_ned_mps` (k, 3); air `heading_rad`
+    (k,).
     """
 
     t_s: Floats
@@ -35,7 +35,10 @@ class SetPoints:
 
 
 def set_points(legs: AirPaths, period_s: float) -> SetPoints:
-    """Legs flown one after another, every `period_s` and at the end."""
+    """Sample legs flown in sequence, every `period_s` and at the end.
+
+    Raises LeewayError for a period that is not finite and above 0.
+    """
     if not 0.0 < period_s < math.inf:
         raise LeewayError(f"period_s = {period_s!r}: expected more than 0")
     parts: list[Floats] = []
@@ -54,10 +57,10 @@ def set_points(legs: AirPaths, period_s: float) -> SetPoints:
 
 
 def mission_points(legs: AirPaths, accept_radius_m: float) -> list[Ned]:
-    """Places to fly through in straight lines, the start left out, the last one the goal.
+    """Waypoints (NED m) for straight legs between them; without the start, ending at the goal.
 
-    Where it turns an item each `LARGEST_TURN_RAD`, but never nearer than two acceptance radii;
-    straights only at their ends.
+    In turns there is one item per `LARGEST_TURN_RAD`, but never closer than two acceptance radii.
+    Straights have items only at their ends. Raises LeewayError for a radius that is not above 0.
     """
     if not 0.0 < accept_radius_m < math.inf:
         raise LeewayError(f"accept_radius_m = {accept_radius_m!r}: expected more than 0")
@@ -77,7 +80,7 @@ def mission_points(legs: AirPaths, accept_radius_m: float) -> list[Ned]:
 
 
 def _item_times_s(leg: AirPaths) -> Floats:
-    """Ends of its parts, and turns cut into equal ones."""
+    """Times of a leg's part ends, with turns divided into equal pieces."""
     times: list[float] = []
     done_m = 0.0
     for part in range(PARTS):

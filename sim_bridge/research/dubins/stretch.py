@@ -1,9 +1,9 @@
-"""Paths stretched to a given time and length, for climbs at the steepest angle.
+"""Paths lengthened to a given time and length, for climbs at the steepest angle.
 
-The goal's place in the air is known then, so these are plain geometry. First LSL and RSR with full
-circles, their radius grown until the length fits: both in closed form, since turning does not
-depend on the radius and `|c|` is a quadratic in it. Where that does not fit (medium altitude), an
-arc against the first turn: Owen, Beard & McLain 2015, figure 7.
+The goal's position in the air frame is then known, so this is plain geometry. First LSL and RSR
+with full circles, the radius increased until the length fits. Both are closed form, since turning
+does not depend on the radius and `|c|^2` is quadratic in it. Where that does not fit (medium
+altitude), an arc opposite to the first turn: Owen, Beard & McLain 2015, figure 7.
 """
 
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ from sim_bridge.research.dubins.words import (
     turns_of,
 )
 
-_WIDEST = 3.0  # a radius grows to at most this many times the least
+_WIDEST = 3.0  # largest radius, as a multiple of the minimum
 _ARCS = np.linspace(0.0, TWO_PI, 33)
 _BISECTIONS = 40
 
 
 @dataclass(slots=True)
 class Stretched:
-    """Paths that were found, by row; `found` says where."""
+    """Lengthened paths by row; `found` (n,) marks the rows that have one."""
 
     found: NDArray[np.bool_]
     time_s: Floats
@@ -43,7 +43,7 @@ class Stretched:
 
     @classmethod
     def none(cls, count: int) -> "Stretched":
-        """None found yet."""
+        """Empty result of `count` rows."""
         return cls(
             np.zeros(count, np.bool_),
             np.zeros(count),
@@ -54,13 +54,13 @@ class Stretched:
         )
 
     def put(self, rows: Ints, other: "Stretched") -> None:
-        """Lay another's rows where they belong."""
+        """Copy another result's rows to these indices."""
         for name in ("found", "time_s", "word", "turn", "length_m", "radius_m"):
             getattr(self, name)[rows] = getattr(other, name)
 
 
 def stretched(meeting: Meeting, time_s: Floats, level_mps: Floats) -> Stretched:
-    """A path of each meeting that takes exactly `time_s` at `level_mps` over ground of the air."""
+    """A path for each pair that takes exactly `time_s` at horizontal airspeed `level_mps`."""
     found = Stretched.none(len(time_s))
     found.time_s = time_s
     length = level_mps * time_s
@@ -79,12 +79,12 @@ def stretched(meeting: Meeting, time_s: Floats, level_mps: Floats) -> Stretched:
 def _by_radius(
     meeting: Meeting, away_n: Floats, away_e: Floats, length_m: Floats, found: Stretched
 ) -> None:
-    """LSL or RSR, whichever needs the lesser radius."""
+    """LSL or RSR, whichever needs the smaller radius."""
     best = np.full(len(length_m), np.inf)
     for word in (0, 1):
         turn = int(FIRST[word])
         least = round_off(turn * (meeting.goal_rad - meeting.start_rad))
-        # c(R) = away + R m; its length at the least radius tells how many circles fit.
+        # c(R) = away + R m; its length at the minimum radius sets how many circles fit.
         m_n = turn * (np.sin(meeting.start_rad) - np.sin(meeting.goal_rad))
         m_e = turn * (np.cos(meeting.goal_rad) - np.cos(meeting.start_rad))
         direct = np.hypot(away_n + meeting.radius_m * m_n, away_e + meeting.radius_m * m_e)
@@ -111,12 +111,12 @@ def _by_radius(
 def _radius_of_length(
     away_n: Floats, away_e: Floats, m_n: Floats, m_e: Floats, total: Floats, length_m: Floats
 ) -> Floats:
-    """R with `R total + |away + R m| = length`, at most length / total; NaN where there is none."""
+    """R with `R total + |away + R m| = length`, at most length / total; NaN if there is none."""
     a = total**2 - m_n**2 - m_e**2
     b = length_m * total + away_n * m_n + away_e * m_e
     c = length_m**2 - away_n**2 - away_e**2
     with np.errstate(invalid="ignore", divide="ignore"):
-        # The lesser root, in the form that does not cancel.
+        # The smaller root, in the form without cancellation.
         radius = c / (b + np.sqrt(b**2 - a * c))
     return np.where(np.isfinite(radius), radius, np.nan)
 
@@ -130,7 +130,7 @@ def _by_arc(
     rows: Ints,
     found: Stretched,
 ) -> None:
-    """An arc against the first turn, then the word: the arc at which the length fits."""
+    """An arc opposite to the first turn, then the word; solves for the arc that fits the length."""
 
     def beyond(arc: Floats, sub: Meeting, n: Floats, e: Floats, wanted: Floats) -> Floats:
         return _length_with(sub, word, arc, n, e) - wanted
@@ -140,7 +140,7 @@ def _by_arc(
         axis=1,
     )
     rising = (table[:, :-1] <= 0.0) & (table[:, 1:] >= 0.0)
-    # A jump by a full circle is no crossing.
+    # A jump by a full circle is not a crossing.
     smooth = np.abs(np.diff(table, axis=1)) < np.pi * meeting.radius_m[:, None]
     crossing = rising & smooth
     some = np.flatnonzero(crossing.any(axis=1))
@@ -169,7 +169,7 @@ def _by_arc(
 def _turns_after(meeting: Meeting, word: int, arc: Floats, away_n: Floats, away_e: Floats):
     first = int(FIRST[word])
     heading = meeting.start_rad - first * arc
-    # The arc's circle lies at -first; its chord in north and east:
+    # The arc turns by -first; subtract its chord, north and east.
     n = away_n - meeting.radius_m * first * (np.sin(meeting.start_rad) - np.sin(heading))
     e = away_e - meeting.radius_m * first * (np.cos(heading) - np.cos(meeting.start_rad))
     c = centre_shift(n, e, heading, meeting.goal_rad, first, int(LAST[word]), meeting.radius_m)
@@ -179,6 +179,6 @@ def _turns_after(meeting: Meeting, word: int, arc: Floats, away_n: Floats, away_
 def _length_with(
     meeting: Meeting, word: int, arc: Floats, away_n: Floats, away_e: Floats
 ) -> Floats:
-    """Metres with the arc before the word; NaN where the word has no path."""
+    """Length (m) of the arc and the word; NaN where the word has no path."""
     turns = _turns_after(meeting, word, arc, away_n, away_e)
     return meeting.radius_m * arc + length_of(word, turns, meeting.radius_m)

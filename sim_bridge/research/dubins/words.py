@@ -17,16 +17,16 @@ import numpy as np
 from companion.core.base.arrays import Floats
 
 TWO_PI = 2.0 * np.pi
-NEARLY_ROUND = 1e-9  # a turn this near to a full circle is none
+NEARLY_ROUND = 1e-9  # rad; a turn this close to a full circle counts as 0
 
 WORDS = ("LSL", "RSR", "LSR", "RSL", "LRL", "RLR", "LRL", "RLR")
 FIRST = np.array([-1, 1, -1, 1, -1, 1, -1, 1])
 LAST = np.array([-1, 1, 1, -1, -1, 1, -1, 1])
 MIDDLE = np.array([0, 0, 0, 0, 1, -1, 1, -1])
 WIDE = np.array([0, 0, 0, 0, 1, 1, -1, -1])
-"""Of three turns, the middle one: +1 more than half a circle, -1 less."""
+"""Middle of three turns: +1 more than half a circle, -1 less; 0 for a straight."""
 IN_CALM = 6
-"""The first six words are Dubins'."""
+"""Number of words needed in calm air: Dubins' six, the first six of WORDS."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Turns:
 
 
 def round_off(angle_rad: Floats) -> Floats:
-    """The angle in [0, 2 pi); rounding just below a full circle counts as none."""
+    """The angle in [0, 2 pi); values just below a full circle become 0."""
     angle = np.mod(angle_rad, TWO_PI)
     return np.where(angle > TWO_PI - NEARLY_ROUND, 0.0, angle)
 
@@ -53,7 +53,7 @@ def centre_shift(
     last: int,
     radius: Floats,
 ) -> tuple[Floats, Floats]:
-    """`c` (north, east) for a word's first and last turn."""
+    """`c` (north, east) m for a word's first and last turn."""
     north = away_n + radius * (first * np.sin(start_rad) - last * np.sin(goal_rad))
     east = away_e + radius * (last * np.cos(goal_rad) - first * np.cos(start_rad))
     return north, east
@@ -93,7 +93,7 @@ def _three_turns(
 
 
 def length_of(word: int, turns: Turns, radius: Floats) -> Floats:
-    """Horizontal metres through the air; NaN where the word has no path."""
+    """Horizontal length (m) through the air; NaN where the word has no path."""
     middle = turns.middle * radius if MIDDLE[word] != 0 else turns.middle
     return radius * (turns.first_rad + turns.last_rad) + middle
 
@@ -101,7 +101,7 @@ def length_of(word: int, turns: Turns, radius: Floats) -> Floats:
 def shortest_lengths_m(
     away_ne_m: Floats, start_rad: Floats, goal_rad: Floats, radius_m: Floats
 ) -> Floats:
-    """Dubins' length of each word without wind; (n, 6), infinite where there is no such path.
+    """Dubins length of each word without wind; (n, 6), infinite where no such path exists.
 
     Shkel & Lumelsky, "Classification of the Dubins set", 2001, by the circles above.
     """

@@ -1,8 +1,8 @@
-"""What the planner believes of its vehicle: an airframe file, calibrated as an operator would.
+"""The planner's vehicle model: an airframe file, calibrated as an operator would do it.
 
-The shipped numbers hold for the airframe's own cruise; `promise` flies at whatever airspeed makes
-wind over air what is asked. So the power model is fitted to what the vehicle draws on a calibration
-flight at that airspeed: cruise and hover, loaded and empty, in a steady wind.
+The shipped parameters hold at the airframe's own cruise speed. `promise` picks the airspeed that
+gives the requested wind over airspeed. So the power model is fitted to a calibration flight at that
+airspeed: cruise and hover, loaded and empty, in a steady wind.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,10 @@ class MeasuredPower:
 
 
 def calibrated(airframe: Airframe, measured: Sequence[MeasuredPower]) -> Airframe:
-    """The airframe with drag, parcel drag, induced factor and efficiency fitted to the powers."""
+    """Airframe with drag, parcel drag, induced factor and drive efficiency fitted to `measured`.
+
+    Nonlinear least squares on log power, with weak regularisation towards the given airframe.
+    """
 
     def changed(x: Floats) -> Airframe:
         drag, rotor = airframe.drag, airframe.power_rotor

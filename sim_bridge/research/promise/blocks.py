@@ -1,4 +1,4 @@
-"""Judged blocks, missions drawn in them, and the wind that every mission meets."""
+"""Judged blocks, missions drawn in them, and the wind that each mission meets."""
 
 import itertools
 import math
@@ -12,14 +12,14 @@ from sim_bridge.research.promise.recording import Stretch
 from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, TruePower
 
 BLOCK_S = 1200
-BEFORE_S = 30  # of wind that the distance is chosen by, and that is seen before the start
+BEFORE_S = 30  # wind before the start: the vehicle sees it, and it sets the distance
 TIERS = {"hard": (0.5, 1.1), "easy": (0.2, 1.1), "stress": (0.5, 1.1)}
 LEAST_DISTANCE_M = 50.0
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Seconds `first` to `last` of a stretch in which missions start, all judged together.
+    """Starts of missions from second `first` to `last` of a stretch; one cross-validation block.
 
     `until`: the last second that a mission from it may fly through.
     """
@@ -31,9 +31,10 @@ class Block:
 
 
 def blocks_of(stretches: tuple[Stretch, ...], longest_s: float) -> tuple[Block, ...]:
-    """20-minute blocks over every stretch; what is left over goes to the last block.
+    """Blocks of about 20 minutes over every stretch, of equal length within a stretch.
 
-    A mission starts when it has been watched for BEFORE_S, and ends within its stretch.
+    A mission starts at least BEFORE_S into its stretch and ends within it. Raises LeewayError if no
+    stretch is long enough.
     """
     blocks: list[Block] = []
     reach = math.ceil(longest_s)
@@ -56,12 +57,12 @@ def blocks_of(stretches: tuple[Stretch, ...], longest_s: float) -> tuple[Block, 
 
 @dataclass(frozen=True, slots=True)
 class DrawnMissions:
-    """Missions with where they come from: block and second of each, in order of time."""
+    """Missions in order of time, with the block that each starts in."""
 
     block: Ints
     flown: TrueMissions
     asked_frac: Floats
-    """Round-trip energy in the wind of the last 30 s over the budget."""
+    """Round-trip energy in the mean wind of the last 30 s, over the budget."""
 
 
 def draw_missions(
@@ -73,7 +74,9 @@ def draw_missions(
     count: int,
     rng: np.random.Generator,
 ) -> DrawnMissions:
-    """`count` missions, starts uniform over all judged seconds, directions uniform, stratified."""
+    """Draw `count` missions: starts uniform over all judged seconds (stratified), directions
+    uniform.
+    """
     widths = np.array([b.last - b.first + 1 for b in blocks])
     edges = np.concatenate([[0], np.cumsum(widths)])
     second = np.floor((np.arange(count) + rng.random(count)) / count * edges[-1]).astype(np.int64)
@@ -96,7 +99,7 @@ def draw_missions(
 
 
 def distances_m(wind_ne_mps: Floats, unit_ne: Floats, asked: Floats, power: TruePower) -> Floats:
-    """How far a share of the budget goes, out and back, in a wind that stays."""
+    """Distance (n,) whose round trip takes the share `asked` of the budget in a constant wind."""
     speed = np.hypot(wind_ne_mps[:, 0], wind_ne_mps[:, 1])
     fixed_wh = power.deliver_wh(speed) + power.land_wh(speed, loaded=False)
     per_m = power.round_trip_wh_per_m(wind_ne_mps, unit_ne)

@@ -1,10 +1,10 @@
-"""An upper bound on the deliveries of any rule with the same information, on simulated wind.
+"""Upper bound on the deliveries of any rule with the same information, on simulated wind.
 
-The process of a simulated day is Gaussian and Markov, so what its past tells of its future is known
-exactly: a Kalman filter on the true process over every noisy second until the vehicle is over the
-customer, and futures drawn from where it ends. That gives P(success | all that was seen) of each
-mission. Whoever may deliver the missions with the greatest of these, and comes home for nothing
-from all others, does at least as well as any policy that has to decide on the way and pay for it.
+The process of a simulated day is Gaussian and Markov, so its posterior given the past is exact. A
+Kalman filter on the true process runs over every noisy second until the vehicle is over the
+customer. Futures are drawn from its final state. This gives P(success | all that was seen) of each
+mission. The bound delivers the missions where this is highest and brings all others home at no
+cost. No policy that must decide en route and pay for it can do better.
 """
 
 import numpy as np
@@ -21,9 +21,9 @@ FUTURES = 200
 def p_success(
     world: PromiseWorld, number: int, seen: MissionView, rng: np.random.Generator
 ) -> float:
-    """P(delivered and home) over the customer, given every noisy second until then.
+    """P(delivered and home), decided over the customer, given every noisy second until then.
 
-    `rng` is the mission's own: the noise is the one that its planner sees.
+    `rng` is the mission's own, so the noise is the noise that its planner sees.
     """
     power, profile = world.power, world.profile
     if not np.isfinite(seen.arrival_s):
@@ -35,7 +35,7 @@ def p_success(
     left_wh = power.budget_wh - power.loaded_w * seen.arrival_s / 3600.0
     if left_wh <= 0.0:
         return 0.0
-    # Beyond these seconds its energy is gone, wherever it is.
+    # After this many seconds its energy is spent, wherever it is.
     steps = 2 + int(power.endurance_s * left_wh / power.budget_wh + profile.landing_s + 60.0)
     wind = futures(process, mean, cov, steps, rng)
     missions = Missions(
@@ -44,12 +44,14 @@ def p_success(
         np.full(FUTURES, seen.distance_m),
     )
     flown = TrueMissions(missions, power, profile, wind)
-    flown.arrival_s = np.zeros(FUTURES)  # over the customer already
+    flown.arrival_s = np.zeros(FUTURES)  # already over the customer
     return float((flown.delivering_wh() <= left_wh).mean())
 
 
 def filtered(process: DayProcess, noisy_ne_mps: Floats) -> tuple[Floats, Floats]:
-    """The parts' means (parts, 2) one second after the last observation, and their covariance."""
+    """Components' means (parts, 2) and covariance (parts, parts) one second after the last
+    input.
+    """
     keep = np.exp(-1.0 / np.array(process.memory_s))
     variance = np.array(process.std_mps) ** 2
     added = np.diag(variance * (1.0 - keep**2))
@@ -66,7 +68,7 @@ def filtered(process: DayProcess, noisy_ne_mps: Floats) -> tuple[Floats, Floats]
 def futures(
     process: DayProcess, mean: Floats, cov: Floats, steps: int, rng: np.random.Generator
 ) -> Floats:
-    """FUTURES winds, (FUTURES, steps, 2), that follow on a belief over the parts."""
+    """FUTURES wind series (FUTURES, steps, 2) drawn from a belief over the components."""
     keep = np.exp(-1.0 / np.array(process.memory_s))[:, None]
     spread = np.array(process.std_mps)[:, None] * np.sqrt(1.0 - keep**2)
     root = np.linalg.cholesky(cov + 1e-12 * np.eye(3))
@@ -79,7 +81,10 @@ def futures(
 
 
 def most_success(p_each: Floats, lost: float) -> float:
-    """The greatest expected count of successes with at most `lost` expected losses."""
+    """The largest expected number of successes with at most `lost` expected losses.
+
+    Fractional knapsack: missions ranked by probability, the last one taken in part.
+    """
     ranked = np.sort(p_each)[::-1]
     losses = np.cumsum(1.0 - ranked)
     whole = int((losses <= lost).sum())

@@ -1,12 +1,12 @@
-"""Cross-fitting: what the planner of a judged block learns from the seconds that are not judged.
+"""Cross-fitting: a block's planner is fitted only on seconds outside that block.
 
-For each block: the outlook's process, by likelihood and with its tails, as `companion fit-wind`
-does it; where less than 20 minutes are left to fit, the shipped one. Then two numbers. `spread`:
-how much wider than the outlook's the errors of its forecasts were, over windows as long as a way
-home. `accepted`: what a single decision may risk so that all missions together lose what the
-operator accepts; found on departures drawn in the same seconds, by what the gate itself says there.
-Nothing that a judged mission sees or flies through enters: the block, the history before it and the
-longest mission behind it are left out.
+For each block the outlook's wind process is fitted by likelihood, tails included, as `companion
+fit-wind` does it. With less than 20 minutes to fit on, the shipped process is used. Two numbers
+follow. `spread`: how much larger the forecast errors were than stated, over windows as long as a
+way home. `accepted`: the risk that a single decision may take so that all missions together lose
+what the operator accepts. It is found from the gate's own P(home) at departures drawn in the same
+seconds. Nothing that a judged mission sees or flies through is used: the block, the history before
+it and the longest mission after it are held out.
 """
 
 import math
@@ -33,12 +33,12 @@ _EVERY_S = 20
 _MOST_ERRORS = 500
 _WINDOW_FRACS = (0.15, 0.3)  # of the endurance: short and long ways home
 _INDEPENDENT_S = 200.0  # forecast errors this far apart are taken as independent
-_PRIOR_ERRORS = 10.0  # independent errors that the outlook's own spread counts for
+_PRIOR_ERRORS = 10.0  # weight of the prior spread 1, in independent errors
 
 
 @dataclass(frozen=True, slots=True)
 class Unjudged:
-    """Seconds `first` to `last` of a stretch that a fold's models may be fitted on."""
+    """Seconds `first` to `last` of a stretch on which a fold's models may be fitted."""
 
     stretch: int
     first: int
@@ -46,7 +46,7 @@ class Unjudged:
 
 
 def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tuple[Unjudged, ...]:
-    """What is left of every stretch without the judged blocks, their history and their missions."""
+    """Each stretch without the judged blocks, their history and their missions."""
     left: list[Unjudged] = []
     for index, stretch in enumerate(stretches):
         taken = sorted((b.first - HISTORY_S, b.until) for b in judged if b.stretch == index)
@@ -63,7 +63,7 @@ def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tu
 def fitted_process(
     unjudged: tuple[Unjudged, ...], stretches: tuple[Stretch, ...], shipped: WindProcessParams
 ) -> WindProcessParams:
-    """The process of the unjudged wind, or of its first hours; the shipped one for too little."""
+    """Process fitted to the first hours of unjudged wind; the shipped one if too little is left."""
     means: list[WindMeans] = []
     for part in unjudged:
         wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]
@@ -81,10 +81,10 @@ def fitted_spread(
     endurance_s: float,
     rng: np.random.Generator,
 ) -> float:
-    """Root mean square of the standardised forecast errors, drawn towards 1 while they are few.
+    """RMS of the standardised forecast errors, shrunk towards 1 while there are few.
 
-    One standard deviation of its own estimate, 1 / sqrt(2 n), is added: a promise that is not kept
-    costs more than a delivery that is not made.
+    One standard error, 1 / sqrt(2 n), is added: a broken promise costs more than a delivery not
+    made.
     """
     usable = [u for u in unjudged if u.last - u.first > HISTORY_S + endurance_s]
     seconds = sum(u.last - u.first - HISTORY_S for u in usable)
@@ -107,9 +107,9 @@ def _standardised(
     every_s: int,
     rng: np.random.Generator,
 ) -> Iterator[float]:
-    """Squared errors of window means over their variance as the gate has it, mean over both axes.
+    """Yield squared errors of window means over the gate's variance, averaged over both axes.
 
-    The gate prices a leg at the wind in its middle; the windows are ways home, short and long.
+    The gate prices a leg at its midpoint wind. The windows are as long as short and long ways home.
     """
     seconds = wind_ne_mps.shape[0]
     noisy = wind_ne_mps + NOISE_MPS * rng.standard_normal(wind_ne_mps.shape)
@@ -131,7 +131,7 @@ def _standardised(
 
 
 def aimed_at(max_loss: float) -> float:
-    """The mean loss to aim at so that chance does not carry it over what is accepted.
+    """The mean loss to aim at, so that sampling error does not exceed the accepted loss.
 
     `L - 0.06 sqrt(L (1 - L))`: two standard deviations over 1,100 independent missions above it is
     L (2 / sqrt(1100) = 0.06). 0.4 % for 1 %, 13 % for 15 %.
@@ -140,10 +140,10 @@ def aimed_at(max_loss: float) -> float:
 
 
 def accepted_for(max_loss: float, levels: tuple[float, ...], said_p_home: Floats) -> float:
-    """The boldest level with which departures, by what is said there, lose what is aimed at.
+    """The highest risk level at which departures, by their own P(home), lose no more than aimed at.
 
-    `said_p_home` (departures, levels): NaN where the gate would not go. The level is interpolated
-    between two of the grid's.
+    `said_p_home` (departures, levels) is NaN where the gate would not go. The level is
+    interpolated, in its logarithm, between two grid levels. Raises ValueError without departures.
     """
     if said_p_home.shape[0] == 0:
         raise ValueError("no departures to settle the accepted loss on")

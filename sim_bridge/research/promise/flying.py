@@ -1,4 +1,4 @@
-"""The gate's part of `promise`: a planner for each fold, and its missions, in pieces of work."""
+"""The gate's part of `promise`: fit a planner for each fold and fly its missions in work items."""
 
 import math
 from dataclasses import dataclass
@@ -56,8 +56,8 @@ DEPARTURES = 240
 CHUNK = 20
 _HOVER_WIND_OVER_AIR = 0.4  # of the calibration flight
 _MODEL_STD_FRAC = 0.01  # error of a calibrated model in another wind, as a share
-_COUNTER_STD_FRAC = 0.002  # of the budget: what a coulomb counter is off by within a flight
-_LOOKS = 48  # of a mission that flies for as long as it can
+_COUNTER_STD_FRAC = 0.002  # of the budget: a coulomb counter's error within a flight
+_LOOKS = 48  # decisions within the longest possible flight
 _LEAST_BETWEEN_S = 10.0
 _LEAST_OPEN_S = 600
 _SPARE_DAYS = 12
@@ -65,7 +65,7 @@ _SPARE_DAYS = 12
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """What a fold's planner learned from the seconds that it does not judge."""
+    """A fold's planner parameters, fitted on seconds outside the fold."""
 
     fold: int
     process: WindProcessParams
@@ -76,7 +76,7 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True)
 class FoldWork:
-    """Fit one fold."""
+    """Work item: fit one fold."""
 
     setting: Setting
     fold: int
@@ -84,7 +84,7 @@ class FoldWork:
 
 @dataclass(frozen=True, slots=True)
 class FlyWork:
-    """Fly some missions of one fold."""
+    """Work item: fly some missions of one fold."""
 
     setting: Setting
     fitted: Fitted
@@ -93,19 +93,19 @@ class FlyWork:
 
 @dataclass(frozen=True, slots=True)
 class GateFlight:
-    """One mission under every policy, by the names in `PromiseWorld.accepted_losses`."""
+    """One mission under every policy, in the order of `PromiseWorld.accepted_losses`."""
 
     mission: int
     go: list[bool]
     turn_s: list[float | None]
     said: list[list[float | None]]
     p_bound: float | None = None
-    """On simulated wind: P(success) over the customer by the true process (bound.py)."""
+    """P(success) over the customer by the true process (bound.py); simulated wind only."""
 
 
 @lru_cache(maxsize=1)
 def world_of(setting: Setting) -> PromiseWorld:
-    """The world of a setting, built once in every process."""
+    """The world of a setting, built once per process."""
     return PromiseWorld(setting)
 
 
@@ -142,7 +142,7 @@ def believed_route_energy(setting: Setting) -> RouteEnergy:
 def planner_params(
     world: PromiseWorld, process: WindProcessParams, spread: float, accepted: tuple[float, ...]
 ) -> PlannerParams:
-    """What a fold's planner believes."""
+    """Planner parameters of one fold."""
     power = world.power
     pack_std_wh = math.hypot(world.setting.pack_std_frac, _COUNTER_STD_FRAC) * power.budget_wh
     return PlannerParams(
@@ -159,7 +159,7 @@ def planner_params(
 
 
 def fit_fold(work: FoldWork) -> Fitted:
-    """Fit spread and accepted losses on what the fold does not judge."""
+    """Fit process, spread and accepted risks on the seconds outside the fold."""
     world = world_of(work.setting)
     rng = np.random.default_rng([work.setting.seed, 4, work.fold])
     unjudged = unjudged_by(world.judged(work.fold), world.stretches)
@@ -176,9 +176,9 @@ def fit_fold(work: FoldWork) -> Fitted:
 
 
 def _open_to(world: PromiseWorld, unjudged: tuple[Unjudged, ...]) -> list[tuple[Stretch, Block]]:
-    """Where departures may be drawn: in unjudged seconds; with too few, in simulated wind.
+    """Where departures may be drawn: unjudged seconds, or simulated wind if there are too few.
 
-    What is said at a departure hardly depends on the wind, but on how it compares to the airspeed.
+    P(home) at a departure depends little on the wind itself, but on wind over airspeed.
     """
     found = [
         (world.stretches[u.stretch], Block(u.stretch, u.first + BEFORE_S, u.last, u.last))
@@ -197,7 +197,7 @@ def _departures(
     planner: Planner,
     rng: np.random.Generator,
 ) -> Floats:
-    """P(home) as said at departures in these blocks, NaN where the gate would stay."""
+    """P(home) at departures in these blocks, (departures, levels); NaN if the gate would stay."""
     blocks = [block for _, block in open_to]
     widths = np.array([b.last - b.first + 1 for b in blocks])
     edges = np.concatenate([[0], np.cumsum(widths)])
@@ -209,7 +209,7 @@ def _departures(
         stretch, block = open_to[number]
         start = int(at - edges[number]) + block.first
         wind = stretch.wind_ne_mps
-        # History from before the fitted seconds would be the judged block's own.
+        # Earlier history would belong to the judged block.
         history = min(HISTORY_S, start - (block.first - BEFORE_S))
         angle = rng.uniform(0.0, 2.0 * math.pi)
         unit = np.array([math.cos(angle), math.sin(angle)])
@@ -230,7 +230,7 @@ def _departures(
 
 
 def works_of(world: PromiseWorld, fitted: list[Fitted]) -> list[FlyWork]:
-    """The missions in pieces, from all folds in turn: a call that is stopped has seen each."""
+    """Work items that alternate between folds, so that an interrupted run has missions of each."""
     by_fold: list[list[FlyWork]] = []
     for fold in fitted:
         mine = np.nonzero(world.fold_of_mission == fold.fold)[0].tolist()
@@ -244,7 +244,7 @@ def works_of(world: PromiseWorld, fitted: list[Fitted]) -> list[FlyWork]:
 
 
 def fly(work: FlyWork) -> list[GateFlight]:
-    """The gate's missions of one piece."""
+    """Fly the missions of one work item under the gate."""
     world = world_of(work.setting)
     names = tuple(world.accepted_losses)
     accepted = tuple(work.fitted.accepted[name] for name in names)
@@ -270,12 +270,12 @@ def _flight(world: PromiseWorld, planner: Planner, number: int) -> GateFlight:
 
 
 def _rng_of(world: PromiseWorld, number: int) -> np.random.Generator:
-    """A mission's own randomness; its first numbers are the noise on its wind."""
+    """A mission's own generator; its first draws are the noise on its wind."""
     return np.random.default_rng([world.setting.seed, 5, number])
 
 
 def seen_by(world: PromiseWorld, number: int) -> MissionView:
-    """What the vehicle of one mission may see: its wind, as it comes."""
+    """What one mission's planner may see: its wind second by second."""
     flown, missions = world.drawn.flown, world.drawn.flown.missions
     block = world.blocks[world.drawn.block[number]]
     start = int(missions.start[number])

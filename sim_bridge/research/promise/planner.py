@@ -1,9 +1,9 @@
-"""The planner's side: the flight's gate on a mission of `promise`, seeing only its own wind.
+"""The planner's side of `promise`: the flight's gate, which sees only its own mission's wind.
 
-What it is told: the wind so far at the vehicle with noise, where it is, what it has used. What it
-is asked: fly on or turn round, at the start and every `every_s` on the way out and over the
-customer; and, at the departure, half way out and over the customer, how sure it is of home. The
-gate is `companion.core.return_budget.budget.Gate`, with the outlook and the energy model that fly.
+Inputs: the noisy wind at the vehicle so far, its position, the energy used. Decision: fly on or
+turn back. It is taken at the start, every `every_s` on the way out, and over the customer. P(home)
+is recorded at departure, half way out and over the customer. The gate is
+`companion.core.return_budget.budget.Gate`, with the outlook and energy model used in flight.
 """
 
 import math
@@ -30,14 +30,14 @@ from sim_bridge.research.promise.truth import Profile
 
 HISTORY_S = 300
 NOISE_MPS = 0.5
-AVERAGE_S = 5  # the wind is believed from the mean of so many seconds, once each
-_STAGES = 5  # decision points ahead that the gate is shown, the next and the last among them
+AVERAGE_S = 5  # the wind belief is the mean of this many seconds; windows do not overlap
+_STAGES = 5  # most decision points before the drop, the next and the last included
 PHASES = ("departure", "half way", "delivery")
 
 
 @dataclass(frozen=True, slots=True)
 class MissionView:
-    """What one mission's vehicle may know: its wind from `history` seconds before the start on."""
+    """What one mission's vehicle may know. `wind_ne_mps` begins `history_s` before the start."""
 
     wind_ne_mps: Floats
     history_s: int
@@ -45,39 +45,39 @@ class MissionView:
     distance_m: float
     arrival_s: float
     out_m: Floats
-    """Metres out at every second from the start."""
+    """Distance flown out (m) at each second from the start."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """One policy's mission: when it turned (infinite: never; 0: it stayed), and what it said."""
+    """One policy's mission: when it turned back (inf: never; 0: did not depart), its P(home)."""
 
     go: bool
     turn_s: float
     said: tuple[float | None, ...]
-    """P(home) by phase; None where it did not come to that."""
+    """P(home) by phase; None if the phase was not reached."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerParams:
-    """What the planner believes of vehicle and mission, and how often it looks."""
+    """What the planner assumes about vehicle and mission, and its decision interval."""
 
     profile: Profile
     budget_wh: float
     loaded_w: float
-    """What it measures itself to draw on the way out."""
+    """Its measured power on the way out."""
     model: ModelError
     pack_std_wh: float
     every_s: float
     accepted: tuple[float, ...]
-    """Policies side by side: what a single decision may risk, rising."""
+    """One policy each: the risk that a single decision may take, ascending."""
     process: WindProcessParams
     spread: float
-    """Of the wind to come over the process's own, calibrated on other blocks."""
+    """Factor on the forecast's standard deviation, calibrated on other blocks."""
 
 
 class SpreadOutlook(WindOutlook):
-    """The flight's outlook with its spread times a calibrated factor."""
+    """The flight's outlook with its standard deviation scaled by a calibrated factor."""
 
     def __init__(self, process: WindProcessParams, spread: float) -> None:
         super().__init__(process)
@@ -86,26 +86,26 @@ class SpreadOutlook(WindOutlook):
     def forecast(
         self, belief: WindBelief, horizon_s: Floats, averaged_s: float = LEG_S
     ) -> WindForecast:
-        """As the outlook's, the walk's deviations times the factor."""
+        """As the outlook's, with the walk's covariance times the factor squared."""
         seen = super().forecast(belief, horizon_s, averaged_s)
         return replace(seen, walk_cov_m2ps2=self._spread**2 * seen.walk_cov_m2ps2)
 
 
 class Planner:
-    """Flies missions by the gate; one for a fold, as its models are that fold's."""
+    """Flies missions under the gate; one per fold, with that fold's models."""
 
     def __init__(self, route_energy: RouteEnergy, params: PlannerParams) -> None:
         self._params = params
         self._gate = Gate(route_energy, GateParams(max_loss=0.01, reserve_wh=0.0))
 
     def depart(self, seen: MissionView, rng: np.random.Generator) -> list[GateDecision]:
-        """What is decided at the start under every accepted loss."""
+        """The decision at the start under each accepted risk."""
         p = self._params
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
 
     def fly(self, seen: MissionView, rng: np.random.Generator) -> list[Decided]:
-        """One mission under every accepted loss."""
+        """One mission under each accepted risk."""
         p = self._params
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         turn_s = [math.inf] * len(p.accepted)
@@ -134,7 +134,7 @@ class Planner:
         ]
 
     def _looks(self, seen: MissionView) -> list[float]:
-        """When it decides: every so often on the way out, and over the customer."""
+        """Decision times: at regular intervals on the way out, and over the customer."""
         arrives = math.isfinite(seen.arrival_s)
         until = seen.arrival_s if arrives else seen.out_m.size - 1.0
         looks = np.arange(0.0, until, self._params.every_s).tolist()
@@ -165,7 +165,7 @@ def _interpolated(by_second: Floats, t_s: float) -> float:
 
 
 class _Watch:
-    """The wind as seen so far: 5-second means of noisy seconds, told to the outlook in order."""
+    """Wind seen so far: 5-second means of noisy seconds, passed to the outlook in order."""
 
     def __init__(self, seen: MissionView, rng: np.random.Generator, outlook: WindOutlook) -> None:
         noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
@@ -175,14 +175,14 @@ class _Watch:
         self.outlook = outlook
 
     def belief(self, t_s: float) -> WindBelief:
-        """The wind as believed at a time of the mission, the outlook told of all before."""
+        """Wind belief at a mission time; first passes all earlier means to the outlook."""
         while self._next <= t_s - 1e-9:
             self.outlook.observe(self._mean(float(self._next)))
             self._next += AVERAGE_S
         return self._mean(t_s)
 
     def _mean(self, t_s: float) -> WindBelief:
-        now = math.floor(t_s) + self._history_s  # whole seconds that have passed
+        now = math.floor(t_s) + self._history_s  # whole seconds elapsed
         mean = self._noisy[max(now - AVERAGE_S, 0) : max(now, 1)].mean(axis=0)
         cov = np.eye(2) * NOISE_MPS**2 / AVERAGE_S
         return WindBelief(t_s, mean, cov, ("told",), True)
@@ -191,7 +191,7 @@ class _Watch:
 def ahead_of(
     profile: Profile, unit_ne: Floats, here_m: float, distance_m: float, step_m: float
 ) -> Ahead:
-    """The gate's question on the way out, or over the customer: stages of what is left."""
+    """The gate's input on the way out or over the customer: the remaining stages."""
     p = profile
     up = -p.cruise_height_m
 
@@ -222,7 +222,7 @@ def ahead_of(
 
 
 def _points(here_m: float, distance_m: float, step_m: float) -> list[float]:
-    """Where the next looks are, thinned: the next one, the last before the customer, and there."""
+    """Next decision points (m out), thinned: the next, the last before the customer, and there."""
     if distance_m - here_m <= step_m:
         return [distance_m]
     looks = np.arange(here_m + step_m, distance_m, step_m)

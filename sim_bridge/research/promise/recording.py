@@ -1,7 +1,7 @@
 """Recordings as `promise` flies them: the companion's checks, then wind at whole seconds.
 
-What is wrong with a file is found and named as `companion fit-wind` does it (wind_log_checks.py);
-each run that it leaves is a stretch, if it lasts.
+Faults in a file are found and named as `companion fit-wind` does it (wind_log_checks.py). Each good
+run is a stretch, if it is long enough.
 """
 
 import math
@@ -20,7 +20,7 @@ LEAST_STRETCH_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Wind that moves to north and east, (n, 2), at whole seconds from `start_s` of its file."""
+    """Wind towards north and east, (n, 2) m/s, at whole seconds from `start_s` of its file."""
 
     name: str
     start_s: float
@@ -28,13 +28,13 @@ class Stretch:
 
     @property
     def seconds(self) -> int:
-        """How many seconds it lasts."""
+        """Duration in s."""
         return self.wind_ne_mps.shape[0] - 1
 
 
 @dataclass(frozen=True, slots=True)
 class WindRecording:
-    """A file's good stretches, and what was wrong with the rest, in words."""
+    """A file's good stretches, and the faults found in the rest."""
 
     path: Path
     stretches: tuple[Stretch, ...]
@@ -42,9 +42,9 @@ class WindRecording:
 
 
 def read_recording(path: Path) -> WindRecording:
-    """Read `t_s, wind_speed_mps, wind_from_deg` (where from, clockwise from north).
+    """Read `t_s, wind_speed_mps, wind_from_deg` (direction it blows from, clockwise from north).
 
-    LeewayError where nothing can be used: no file, no text, other columns, no good stretch.
+    Raises LeewayError if nothing is usable: no file, not text, other columns, no good stretch.
     """
     found = read_wind_log(path)
     stretches = (_at_whole_seconds(path.stem, run) for run in found.runs)
@@ -58,7 +58,7 @@ def read_recording(path: Path) -> WindRecording:
 
 
 def _at_whole_seconds(name: str, run: Samples) -> Stretch | None:
-    """The wind vector between samples, linear; None for less than a second."""
+    """Wind vector interpolated linearly at whole seconds; None for less than a second."""
     if run.t_s.size < 2:
         return None
     first, last = math.ceil(run.t_s[0]), math.floor(run.t_s[-1])

@@ -1,7 +1,7 @@
 """The rules compared with the gate: PX4's time rule, fixed thresholds, the clairvoyant.
 
-All go at once but the clairvoyant; all look every second on the way out, and none after the
-delivery, when there is nothing left to turn back from.
+All depart at once, except the clairvoyant. All are evaluated every second on the way out. None
+is after the delivery, where nothing is left to turn back from.
 """
 
 import math
@@ -19,34 +19,34 @@ THRESHOLDS = {"threshold_25": 0.25, "threshold_35": 0.35}
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """How each mission ended; `margin_wh` is what was left at the end, negative when it fell."""
+    """How each mission ended; `margin_wh` is the energy left at the end, negative if it ran out."""
 
     go: Bools
     delivered: Bools
     margin_wh: Floats
 
     def of(self, numbers: NDArray[np.int64]) -> "Ends":
-        """Some of the missions."""
+        """A subset of the missions."""
         return Ends(self.go[numbers], self.delivered[numbers], self.margin_wh[numbers])
 
     @property
     def home(self) -> Bools:
-        """Went, and came home."""
+        """Departed and came home."""
         return self.go & (self.margin_wh >= 0.0)
 
     @property
     def success(self) -> Bools:
-        """Delivered, and came home."""
+        """Delivered and came home."""
         return self.home & self.delivered
 
     @property
     def lost(self) -> Bools:
-        """Went, and did not come home."""
+        """Departed and did not come home."""
         return self.go & ~self.home
 
 
 def ends_of(flown: TrueMissions, turn_s: Floats, go: Bools | None = None) -> Ends:
-    """How missions end that turn at `turn_s` of their time (infinite: they deliver)."""
+    """Ends of missions that turn back `turn_s` after their start (inf: they deliver)."""
     budget_wh = flown.power.budget_wh + flown.pack_wh
     turned = np.isfinite(turn_s)
     spent = np.where(turned, flown.turning_wh(np.where(turned, turn_s, 0.0)), flown.delivering_wh())
@@ -57,17 +57,17 @@ def ends_of(flown: TrueMissions, turn_s: Floats, go: Bools | None = None) -> End
 
 
 def clairvoyant(flown: TrueMissions) -> Ends:
-    """Goes exactly where the whole trip will work out."""
+    """Departs only where the whole trip will succeed."""
     going = flown.delivering_wh() <= flown.power.budget_wh + flown.pack_wh
     ends = ends_of(flown, np.full(going.size, math.inf), going)
     return Ends(going, ends.delivered & going, ends.margin_wh)
 
 
 def px4_time(flown: TrueMissions) -> Ends:
-    """Returns when `1.1 t + 100 s` exceeds the time that the energy left lasts.
+    """Returns when `1.1 t + 100 s` exceeds the remaining flight time.
 
-    `t`: distance home at cruise ground speed without wind. The mean power of the last 60 s is the
-    loaded cruise's: at one airspeed it draws the same on all the way out.
+    `t`: distance home over cruise speed, without wind. PX4 uses the mean power of the last 60 s.
+    Here that is the loaded cruise power, constant on the way out at one airspeed.
     """
     times = _seconds(flown)
     out_m = np.stack([flown.out_m(np.full(flown.arrival_s.size, t)) for t in times], axis=1)
@@ -92,7 +92,7 @@ def _seconds(flown: TrueMissions) -> Floats:
 
 
 def _first(closed: Bools, times_s: Floats, flown: TrueMissions) -> Floats:
-    """The first second of each row's way out at which the rule closed; infinite for none."""
+    """First second of each row's way out at which the rule triggered; infinite if never."""
     open_yet = times_s[None, :] <= flown.arrival_s[:, None]
     hit = closed & open_yet
     return np.where(hit.any(axis=1), times_s[hit.argmax(axis=1)], math.inf)

@@ -31,22 +31,22 @@ _BOOTSTRAP_SEED = 6
 
 @dataclass(frozen=True, slots=True)
 class PromiseResult:
-    """Everything that a call found."""
+    """All results of one run."""
 
     verdict: PromiseVerdict
     statements: Statements
     matched: dict[str, RuleRow]
-    """The gate with a fixed rule's own loss accepted, by that rule's name."""
+    """The gate at the loss of each fixed rule, by that rule's name."""
     phases: list[tuple[str, int, float, float]]
     fitted: list[Fitted]
     most_SUC: float | None
-    """On simulated wind: the bound's SUC count at the loss that is accepted."""
+    """The bound's SUC count at the accepted loss; simulated wind only."""
 
 
 def result_of(
     world: PromiseWorld, fitted: list[Fitted], flights: Iterable[list[GateFlight]]
 ) -> PromiseResult:
-    """Judge what was flown, all missions or those that a stopped call got to."""
+    """Judge the missions flown: all, or those that an interrupted run completed."""
     names = tuple(world.accepted_losses)
     flown = sorted((f for part in flights for f in part), key=lambda f: f.mission)
     numbers = np.array([f.mission for f in flown], np.int64)
@@ -74,7 +74,7 @@ def _ends(world: PromiseWorld, flown: list[GateFlight], numbers: Ints, policy: i
 
 
 def title_of(world: PromiseWorld, missions: int) -> str:
-    """What was flown, in a line."""
+    """One-line description of what was flown."""
     setting = world.setting
     where = ", ".join(Path(name).stem for name in setting.wind_logs)
     where = where or f"{setting.simulated_days} simulated days"
@@ -149,7 +149,7 @@ def _cells(name: str, row: RuleRow, best: int) -> tuple[str, ...]:
 
 
 def reliability_sheet(result: PromiseResult) -> Sheet:
-    """What was said against what came true."""
+    """Stated P(home) against the share that came home."""
     rows: list[tuple[str, ...]] = []
     for each in result.verdict.reliability:
         said = said_in(result.statements, each)
@@ -172,7 +172,7 @@ def reliability_sheet(result: PromiseResult) -> Sheet:
 
 
 def draw(result: PromiseResult, title: str, path: Path) -> None:
-    """The reliability diagram, and how often what was said."""
+    """Draw the reliability diagram and a histogram of the stated P(home)."""
     import matplotlib
 
     matplotlib.use("Agg")

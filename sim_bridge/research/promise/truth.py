@@ -1,12 +1,11 @@
-"""The true missions: straight out, deliver, straight back, through the recording at 1 s.
+"""The true missions: straight out, deliver, straight back, through the recording at 1 s steps.
 
-The truth's side of `promise`: imports nothing of the planner's. The vehicle holds its airspeed,
-nose into the relative wind; ground speed follows the wind triangle second by second, and while the
-wind leaves no way it burns energy on the spot. Power is the truth's steady power at that airspeed,
-at the wind's speed where it hovers, climbs and sinks over one place. A stop or a start costs half
-of airspeed over acceleration at the mean of cruise and hover power; a turn for home costs both. It
-starts at cruise height over the depot, under way; home is landed at the depot with energy of its
-budget left.
+This is the truth's side of `promise`; it imports nothing of the planner's. The vehicle holds its
+airspeed. Ground speed follows the wind triangle each second; where the wind allows no progress it
+burns energy in place. Power is the truth's steady power at that airspeed, or at the wind's speed
+where it hovers, climbs or descends over one place. A stop or a start costs the time airspeed /
+(2 acceleration) at the mean of cruise and hover power; turning back costs both. A mission starts at
+cruise height over the depot, under way. It is home if it lands at the depot within its budget.
 """
 
 import math
@@ -25,7 +24,7 @@ _POWER_TOP_MPS = 45.0
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """How every mission is flown, apart from its distance; speeds as the autopilots' defaults."""
+    """Flight profile of every mission except its distance; speeds are the autopilots' defaults."""
 
     airspeed_mps: float
     payload_kg: float = 0.6
@@ -42,22 +41,22 @@ class Profile:
 
     @property
     def stop_s(self) -> float:
-        """Time lost by a stop, or by a start."""
+        """Time (s) lost by a stop, or by a start."""
         return 0.5 * self.airspeed_mps / self.accel_mps2
 
     @property
     def sinking_s(self) -> float:
-        """From cruise height to the drop."""
+        """Descent time from cruise height to drop height."""
         return (self.cruise_height_m - self.drop_height_m) / self.descent_mps
 
     @property
     def climbing_s(self) -> float:
-        """From the drop to cruise height."""
+        """Climb time from drop height to cruise height."""
         return (self.cruise_height_m - self.drop_height_m) / self.climb_mps
 
     @property
     def landing_s(self) -> float:
-        """From cruise height to motors off."""
+        """Time from cruise height to motors off."""
         fast_m = self.cruise_height_m - self.land_slow_height_m
         slow_s = self.land_slow_height_m / self.landing_mps
         return fast_m / self.descent_mps + slow_s + self.touchdown_s
@@ -92,7 +91,7 @@ class TruePower:
         self._profile = profile
 
     def deliver_wh(self, wind_mps: Floats) -> Floats:
-        """Sink, hover and climb at the customer in a wind of this speed, stop and start too."""
+        """Energy (n,) at the customer in this wind speed: stop, descent, hover, climb and start."""
         p = self._profile
         joule = p.sinking_s * np.interp(wind_mps, self._speeds, self._loaded_sink)
         joule += p.hover_s * np.interp(wind_mps, self._speeds, self._loaded_hover)
@@ -100,7 +99,7 @@ class TruePower:
         return (joule + p.stop_s * (self._loaded_stop_w + self._empty_stop_w)) / 3600.0
 
     def land_wh(self, wind_mps: Floats, *, loaded: bool) -> Floats:
-        """From cruise flight over the depot to motors off."""
+        """Energy (n,) from cruise flight over the depot to motors off."""
         p = self._profile
         fast, slow = self._sink[loaded]
         fast_s = (p.cruise_height_m - p.land_slow_height_m) / p.descent_mps
@@ -110,18 +109,20 @@ class TruePower:
 
     @property
     def turn_wh(self) -> float:
-        """To stop and start back, loaded."""
+        """Energy to stop and start back, loaded."""
         return 2.0 * self._profile.stop_s * self._loaded_stop_w / 3600.0
 
     @property
     def endurance_s(self) -> float:
-        """No mission flies longer than this before its budget is gone."""
+        """Upper bound on a mission's flight time within its budget."""
         p = self._profile
         ground_s = p.sinking_s + p.hover_s + p.climbing_s + p.landing_s + 6.0 * p.stop_s
         return self.budget_wh * 3600.0 / min(self.loaded_w, self.empty_w) + ground_s
 
     def round_trip_wh_per_m(self, wind_ne_mps: Floats, unit_ne: Floats) -> Floats:
-        """Out loaded and back empty in a wind (n, 2) that stays; infinite where no way is made."""
+        """Wh per metre, out loaded and back empty, in constant wind (n, 2); inf without
+        progress.
+        """
         out = ground_speed_mps(self._profile.airspeed_mps, wind_ne_mps, unit_ne)
         back = ground_speed_mps(self._profile.airspeed_mps, wind_ne_mps, -unit_ne)
         with np.errstate(divide="ignore"):
@@ -129,7 +130,7 @@ class TruePower:
 
 
 def ground_speed_mps(airspeed_mps: float, wind_ne_mps: Floats, unit_ne: Floats) -> Floats:
-    """The wind triangle's, never under 0, along unit vectors; both (..., 2)."""
+    """Ground speed along unit vectors by the wind triangle, at least 0; inputs (..., 2)."""
     along = (wind_ne_mps * unit_ne).sum(axis=-1)
     across = wind_ne_mps[..., 1] * unit_ne[..., 0] - wind_ne_mps[..., 0] * unit_ne[..., 1]
     squared = airspeed_mps**2 - across**2
@@ -146,10 +147,10 @@ class Missions:
 
 
 class TrueMissions:
-    """Every mission's possible ends, from the recording's own seconds.
+    """Every mission's possible ends, from the recorded wind.
 
     `wind_ne_mps` (n, seconds + 1, 2): each mission's wind from its start on. Times are seconds
-    from its start; energies are Wh; a vehicle that never arrives has infinite times.
+    from its start, energies Wh. A vehicle that never arrives has infinite times.
     """
 
     def __init__(
@@ -163,18 +164,18 @@ class TrueMissions:
         self._back_m = _run(ground_speed_mps(profile.airspeed_mps, wind_ne_mps, -unit))
         self.arrival_s = _crossing_s(self._out_m, missions.distance_m)
         self.pack_wh = np.zeros(missions.start.size)
-        """What each pack gives beyond the budget that is believed."""
+        """Each pack's energy beyond the believed budget."""
 
     def out_m(self, t_s: Floats) -> Floats:
-        """How far out every mission is at its time."""
+        """Distance out (m) of every mission at its time."""
         return np.minimum(_at(self._out_m, t_s), self.missions.distance_m)
 
     def out_by_second(self, number: int) -> Floats:
-        """How far out one mission is at every whole second."""
+        """Distance out (m) of one mission at each whole second."""
         return np.minimum(self._out_m[number], self.missions.distance_m[number])
 
     def turning_wh(self, t_s: Floats) -> Floats:
-        """Energy of the mission that turns round at its time, under way or over the customer."""
+        """Energy of each mission if it turns back at its time, under way or over the customer."""
         p, power = self.profile, self.power
         turned_s = t_s + 2.0 * p.stop_s
         home_s = _crossing_s(self._back_m, _at(self._back_m, turned_s) + self.out_m(t_s))
@@ -182,7 +183,7 @@ class TrueMissions:
         return cruised + power.turn_wh + self._land_wh(home_s, loaded=True)
 
     def delivering_wh(self) -> Floats:
-        """Energy of the mission that delivers."""
+        """Energy of each mission if it delivers."""
         p, power = self.profile, self.power
         arrived = self.arrival_s
         spent = power.loaded_w * arrived / 3600.0 + power.deliver_wh(self._speed_at(arrived))
@@ -207,7 +208,7 @@ def _run(ground_mps: Floats) -> Floats:
 
 
 def _at(series: Floats, t_s: Floats) -> Floats:
-    """Each row's value at its time, linear between seconds; beyond the end, the last."""
+    """Each row's value at its time, linear between seconds; the last value beyond the end."""
     last = series.shape[1] - 1
     t = np.minimum(np.where(np.isfinite(t_s), t_s, last), last)
     low = np.minimum(t.astype(np.int64), last - 1)
@@ -216,7 +217,7 @@ def _at(series: Floats, t_s: Floats) -> Floats:
 
 
 def _crossing_s(run_m: Floats, target_m: Floats) -> Floats:
-    """When each row's rising series reaches its target; infinite where it does not."""
+    """When each row's rising series reaches its target; infinite if never."""
     reached = run_m >= target_m[:, None]
     first = reached.argmax(axis=1)
     rows = np.arange(run_m.shape[0])

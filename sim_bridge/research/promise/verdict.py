@@ -1,9 +1,9 @@
-"""Was the promise kept? Counts of the rules, reliability of the stated P(home), intervals.
+"""Was the promise kept? Outcome counts of the rules, reliability of the stated P(home), intervals.
 
-Intervals: half an hour of wind is a handful of independent winds, however many missions fly through
-it, so the bootstrap draws whole units (300 s of a recording, a simulated day) with replacement. A
-bootstrap cannot know of losses that are not in the sample. Where it is narrower than Wilson's
-interval of the plain counts, that interval is used.
+Half an hour of wind holds few independent winds, however many missions fly through it. So the
+intervals are a block bootstrap: whole units (300 s of a recording, a simulated day) are drawn with
+replacement. A bootstrap cannot reflect losses that are absent from the sample. Where it is narrower
+than Wilson's interval of the plain counts, Wilson's is used.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
 
 
 class RuleRow(msgspec.Struct, frozen=True):
-    """Counts of one rule; `margin_wh_mean` of those that came home, None where none did."""
+    """Counts of one rule. `margin_wh_mean` is over those that came home; None if none did."""
 
     missions: int
     go: int
@@ -33,12 +33,12 @@ class RuleRow(msgspec.Struct, frozen=True):
 
     @property
     def loss(self) -> float:
-        """Share of the vehicles that went and did not come home."""
+        """Share of the departed vehicles that did not come home."""
         return (self.go - self.home) / max(self.go, 1)
 
 
 class Bin(msgspec.Struct, frozen=True):
-    """Statements with P(home) from `p_low` to `p_high`, and how many came true."""
+    """Statements with P(home) from `p_low` to `p_high`, and how many came home."""
 
     p_low: float
     p_high: float
@@ -49,7 +49,7 @@ class Bin(msgspec.Struct, frozen=True):
 
 
 class Go(msgspec.Struct, frozen=True):
-    """Decisions to go, and how many of them came home."""
+    """Decisions to depart, and how many of them came home."""
 
     count: int
     home: int
@@ -66,7 +66,7 @@ class PromiseVerdict(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Statements:
-    """What was said, by whom (mission), in which unit of wind, and whether it came true."""
+    """Stated P(home), whether it came home, the mission, and its bootstrap unit; arrays (n,)."""
 
     p_home: Floats
     home: Bools
@@ -88,16 +88,16 @@ def rule_row(ends: Ends) -> RuleRow:
 
 
 def statements_of(said: Floats, ends: Ends, unit: Ints) -> Statements:
-    """One statement for each mission that went and each phase that it came to; `said` (n, 3)."""
+    """One statement per departed mission and phase that it reached; `said` (n, 3)."""
     there = np.isfinite(said) & ends.go[:, None]
     mission, _ = np.nonzero(there)
     return Statements(said[there], ends.home[mission], mission, unit[mission])
 
 
 def bins_of(said: Statements, rng: np.random.Generator) -> list[Bin]:
-    """Reliability in bins of at least LEAST_MISSIONS missions, joined from below as needed.
+    """Reliability bins of at least LEAST_MISSIONS missions, merged downwards as needed.
 
-    What is left over below goes to the lowest bin that is full; where none is, one bin has all.
+    Statements left below the lowest full bin join it. If no bin is full, one bin holds all.
     """
     if said.p_home.size == 0:
         return []
@@ -122,7 +122,7 @@ def bins_of(said: Statements, rng: np.random.Generator) -> list[Bin]:
 
 
 def said_in(said: Statements, each: Bin) -> float:
-    """The mean of what was said in a bin."""
+    """Mean stated P(home) in a bin."""
     return float(said.p_home[_inside(said.p_home, each.p_low, each.p_high)].mean())
 
 
@@ -131,14 +131,14 @@ def _inside(p: Floats, low: float, high: float) -> Bools:
 
 
 def go_of(ends: Ends, unit: Ints, rng: np.random.Generator) -> Go:
-    """Whether those who went came home."""
+    """How many of those that departed came home."""
     home = ends.home[ends.go]
     lower, _ = interval95(home, unit[ends.go], rng)
     return Go(int(home.size), int(home.sum()), lower)
 
 
 def interval95(hit: Bools, unit: Ints, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of the share of hits: by units with replacement, or Wilson's where wider."""
+    """95 % interval of the share of hits: bootstrap by units, or Wilson's where that is wider."""
     if hit.size == 0:
         return 0.0, 1.0
     _, index = np.unique(unit, return_inverse=True)
@@ -158,7 +158,7 @@ def wilson95(hits: int, count: int) -> tuple[float, float]:
 
 
 def said_by_phase(said: Floats, ends: Ends) -> list[tuple[str, int, float, float]]:
-    """(phase, statements, mean said, share home) for the table."""
+    """(phase, statements, mean stated P(home), share home) for the table."""
     rows: list[tuple[str, int, float, float]] = []
     for k, phase in enumerate(PHASES):
         there = np.isfinite(said[:, k]) & ends.go

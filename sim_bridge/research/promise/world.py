@@ -1,4 +1,4 @@
-"""One call of `promise`: its winds, its missions, and how each rule flies them."""
+"""One run of `promise`: its winds, its missions, and how each rule flies them."""
 
 import hashlib
 import math
@@ -34,14 +34,14 @@ WIND_OVER_AIR = {"hard": 0.4, "easy": 0.4, "stress": 0.63}
 DAY_S = 3600
 SIMULATED_MEAN_MPS = 8.0
 MOST_FOLDS = 8
-UNIT_S = 300  # of the bootstrap, on recordings
+UNIT_S = 300  # bootstrap unit on recordings
 
 SLOWEST_MPS, FASTEST_MPS = 3.0, 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a call asks for; with `files`, digests of the recordings, it tells calls apart."""
+    """Options of a run. With `files`, the recordings' digests, it identifies the run."""
 
     wind_logs: tuple[str, ...]
     files: tuple[str, ...]
@@ -57,7 +57,7 @@ class Setting:
     pack_std_frac: float
 
     def check(self) -> None:
-        """Refuse what cannot be flown; LeewayError names the option."""
+        """Check the options; raises LeewayError that names the invalid one."""
         if self.tier not in TIERS:
             raise LeewayError(f"--tier {self.tier}: expected {', '.join(TIERS)}")
         if self.missions < 1:
@@ -76,7 +76,7 @@ class Setting:
 
 
 def digest(path: Path) -> str:
-    """What tells one recording from another."""
+    """The first 16 hex digits of a file's SHA-256; raises LeewayError if it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     except OSError as error:
@@ -84,7 +84,7 @@ def digest(path: Path) -> str:
 
 
 class PromiseWorld:
-    """Winds, missions and their true ends; the same in every process for the same setting."""
+    """Winds, missions and their true ends; identical in every process for the same setting."""
 
     def __init__(self, setting: Setting) -> None:
         setting.check()
@@ -95,7 +95,7 @@ class PromiseWorld:
         self.days, simulated = simulated_days(
             setting.simulated_days, setting.seed, SIMULATED_MEAN_MPS
         )
-        """The process of each simulated day; none on recordings."""
+        """The process of each simulated day; empty for recordings."""
         self.stretches = simulated or tuple(s for r in self.recordings for s in r.stretches)
         speeds = [np.hypot(s.wind_ne_mps[:, 0], s.wind_ne_mps[:, 1]) for s in self.stretches]
         self.mean_wind_mps = float(np.concatenate(speeds).mean())
@@ -119,19 +119,19 @@ class PromiseWorld:
         return min(max(wanted, SLOWEST_MPS), FASTEST_MPS)
 
     def _draw_packs(self) -> None:
-        """What each pack really gives, beside what is believed."""
+        """Draw each pack's true energy relative to the believed budget."""
         std_wh = self.setting.pack_std_frac * self.power.budget_wh
         rng = np.random.default_rng([self.setting.seed, 2])
         self.drawn.flown.pack_wh = std_wh * rng.standard_normal(self.setting.missions)
 
     @property
     def wind_over_air(self) -> float:
-        """The recording's mean wind over the airspeed that is flown."""
+        """Mean wind speed over airspeed."""
         return self.mean_wind_mps / self.profile.airspeed_mps
 
     @cached_property
     def folds(self) -> tuple[tuple[int, ...], ...]:
-        """Blocks that are judged together, by number: one each, or days in as many groups."""
+        """Block indices of each fold: one block each, or at most MOST_FOLDS groups of blocks."""
         count = len(self.blocks)
         if count <= MOST_FOLDS:
             return tuple((k,) for k in range(count))
@@ -140,7 +140,7 @@ class PromiseWorld:
 
     @cached_property
     def fold_of_mission(self) -> Ints:
-        """Which fold judges each mission."""
+        """The fold that judges each mission."""
         of_block = np.empty(len(self.blocks), np.int64)
         for fold, blocks in enumerate(self.folds):
             of_block[list(blocks)] = fold
@@ -152,7 +152,7 @@ class PromiseWorld:
 
     @cached_property
     def unit_of_mission(self) -> Ints:
-        """What the bootstrap draws: 300 s of a recording, or a simulated day, by number."""
+        """Bootstrap unit of each mission: 300 s of a recording, or a simulated day, as a number."""
         stretch = np.array([self.blocks[k].stretch for k in self.drawn.block])
         if not self.recordings:
             return stretch
@@ -161,14 +161,14 @@ class PromiseWorld:
 
     @cached_property
     def rules(self) -> dict[str, Ends]:
-        """How every fixed rule's missions end, and the clairvoyant's."""
+        """Mission ends under every fixed rule and under the clairvoyant."""
         flown = self.drawn.flown
         fixed = {name: threshold(flown, frac) for name, frac in THRESHOLDS.items()}
         return {"px4_time": px4_time(flown), **fixed, "clairvoyant": clairvoyant(flown)}
 
     @cached_property
     def accepted_losses(self) -> dict[str, float]:
-        """What the gate's policies accept: what was asked, and each fixed rule's own loss."""
+        """Accepted loss of each gate policy: the requested one, and each fixed rule's own loss."""
         own = {
             name: float(ends.lost.sum()) / max(int(ends.go.sum()), 1)
             for name, ends in self.rules.items()
@@ -195,12 +195,12 @@ def simulated_days(
 
 
 def seconds_of(stretches: tuple[Stretch, ...]) -> int:
-    """How long they last together."""
+    """Total duration in s."""
     return sum(s.seconds for s in stretches)
 
 
 def block_words(world: PromiseWorld) -> str:
-    """How the judging is laid out, in words."""
+    """Summary of stretches and judged blocks, in words."""
     count, minutes = len(world.blocks), BLOCK_S // 60
     return (
         f"{len(world.stretches)} stretch{'es' if len(world.stretches) > 1 else ''},"
