@@ -13,8 +13,6 @@ nothing depends on when they become known. A tail of 1 % is then a smooth number
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from companion.core.return_budget.leg_costs import LegTable
 from companion.core.return_budget.outcomes import Budget, Chances
 from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
@@ -27,7 +25,8 @@ from companion.core.wind.forecast import WindOutlook
 
 __all__ = ["Ahead", "Assessment", "Gate", "GateDecision", "GateParams", "Stage", "WayHome"]
 
-_BOLDNESS_STEPS = 5
+_ACCEPTED_TIMES = (3.0, 2.5, 2.0, 1.5, 1.0)
+"""What a single decision may risk, in times of `max_loss`: tried in turn at departure."""
 KEEPS_PROMISE = "flying on keeps the promise"
 _WORTH_TIE = 0.0005  # of probability: the samples' own noise where nothing is at stake
 _TIE = 0.002  # of probability: turning must be so much worse for flying on to be the way out
@@ -38,15 +37,13 @@ class GateParams:
     """The operator's risk and ours. `reserve_wh` must still be there after landing.
 
     `min_success`: with less than this chance that the energy does for the whole trip, whatever
-    the gate would say on the way, flying on is not worth its energy. `boldest`: a single decision
-    may risk at most this many times `max_loss` (see `Gate.depart`).
+    the gate would say on the way, flying on is not worth its energy.
     """
 
     max_loss: float
     reserve_wh: float
     min_success: float = 0.02
     samples: int = 256
-    boldest: float = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +130,9 @@ class Gate:
         model: ModelError | None,
         accepted_losses: Sequence[float],
     ) -> list[GateDecision]:
-        """The decisions of gates that accept different losses, at the price of one."""
+        """The decisions of gates that accept different losses, at the price of one: for research
+        that searches for the accepted loss.
+        """
         chances = self._question(ahead, wind, outlook, energy, model).chances
         return [self._decide(chances, accepted) for accepted in accepted_losses]
 
@@ -149,13 +148,12 @@ class Gate:
 
         `max_loss` bounds the loss of the whole mission as seen from departure. Most flights never
         meet a decision that is close, so a close one may risk more than the bound and the mission
-        still keeps it (a Lagrange weight, found by search). The boldest
-        share is taken with which the policy, flown through every sampled wind, loses no more than
-        `max_loss`; never more than `boldest` times it.
+        still keeps it. Accepted losses of 3, 2.5, 2, 1.5 and 1 times `max_loss` are tried in turn.
+        The first is taken with which the policy, flown through every sampled wind, loses no more
+        than `max_loss`.
         """
         question = self._question(ahead, wind, outlook, energy, model)
-        times = np.linspace(self.params.boldest, 1.0, _BOLDNESS_STEPS)
-        for accepted in (float(x) * self.params.max_loss for x in times):
+        for accepted in (times * self.params.max_loss for times in _ACCEPTED_TIMES):
             decision = self._decide(question.chances, accepted)
             if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
                 break

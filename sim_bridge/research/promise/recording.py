@@ -1,7 +1,7 @@
 """Recordings as `promise` flies them: the companion's checks, then wind at whole seconds.
 
-Faults in a file are found and named as `companion fit-wind` does it (wind_log_checks.py). Each good
-run is a stretch, if it is long enough.
+Faults in a file are found and named as `companion fit-wind` does it
+(`companion.core.wind_fit.log_checks`). Each good run is a stretch, if it is long enough.
 """
 
 import math
