@@ -4,12 +4,10 @@ zenoh's threads only put into the queue; the desk's one thread takes from it. No
 blocks: answers come through the same queue.
 """
 
-import os
 import queue
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import zenoh
 
@@ -41,9 +39,6 @@ QUEUE_SIZE = 100_000
 class ZenohFleet:
     """The desk's end of one fleet."""
 
-    opened = 0
-    """Sessions that this process has ever opened (see `leave_process`)."""
-
     def __init__(self, fleet: str, config: Path | None) -> None:
         """Join with this configuration file (JSON5), or as a peer found by multicast.
 
@@ -56,7 +51,6 @@ class ZenohFleet:
         try:
             settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
             self._session = zenoh.open(settings)
-            ZenohFleet.opened += 1
         except zenoh.ZError as error:
             raise LeewayError(f"{where}: {error}") from error
         liveliness = self._session.liveliness()
@@ -173,16 +167,3 @@ class ZenohFleet:
             self._queue.put(MessageRejected(key, f"speaks for {message.vehicle}"))
             return None
         return message
-
-
-def leave_process(code: int) -> NoReturn:
-    """End the process; without the interpreter's own shutdown where it has used zenoh.
-
-    During that shutdown threads of zenoh's runtime may still ask for Python's lock, which aborts
-    the process.
-    """
-    if not ZenohFleet.opened:
-        sys.exit(code)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)

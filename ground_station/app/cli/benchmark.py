@@ -2,25 +2,16 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import keep_compiled_code
-from ground_station.adapters.files.mfstsp_files import RESULTS, problem_folders, read_published
-from ground_station.app.benchmarks.mfstsp_bench import (
-    BenchParams,
-    BenchRow,
-    Row,
-    RowJournal,
-    rows_to_plan,
-    run_rows,
-    settings_of,
-)
-from ground_station.app.benchmarks.mfstsp_report import print_report
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ground_station.app.benchmarks.mfstsp_bench import BenchParams, BenchRow, Row, RowJournal
 
 benchmark = typer.Typer(no_args_is_help=True, help="The planner against published results.")
 POLICIES = ("search", "dynamic-assignment")
@@ -65,9 +56,22 @@ def mfstsp(
     Ctrl-C keeps the rows that are done in a journal beside the JSON file; the same command goes on
     from there.
     """
-    console = Console()
     if policy not in POLICIES:
         raise LeewayError(f"--policy {policy}: expected one of {', '.join(POLICIES)}")
+
+    from rich.console import Console
+
+    from ground_station.adapters.files.compiled_code import keep_compiled_code
+    from ground_station.adapters.files.mfstsp_files import RESULTS, problem_folders, read_published
+    from ground_station.app.benchmarks.mfstsp_bench import (
+        BenchParams,
+        RowJournal,
+        rows_to_plan,
+        settings_of,
+    )
+    from ground_station.app.benchmarks.mfstsp_report import print_report
+
+    console = Console()
     folders = _chosen(problem_folders(folder), problems)
     rows = rows_to_plan(folders, _names(vehicles), _numbers(drones))
     params = BenchParams(seconds, seed, policy)
@@ -93,8 +97,22 @@ def mfstsp(
 
 
 def _with_progress(
-    console: Console, rows: list[BenchRow], params: BenchParams, jobs: int, journal: RowJournal
-) -> list[Row]:
+    console: "Console",
+    rows: "list[BenchRow]",
+    params: "BenchParams",
+    jobs: int,
+    journal: "RowJournal",
+) -> "list[Row]":
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    from ground_station.app.benchmarks.mfstsp_bench import run_rows
+
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -104,14 +122,14 @@ def _with_progress(
     ) as progress:
         bar = progress.add_task("planning", total=len(rows))
 
-        def tell(number: int, row: Row) -> None:
+        def tell(number: int, row: "Row") -> None:
             said = f"{row['problem']} {row['vehicles']} x{row['drones']}: {row['makespan_s']:.0f} s"
             progress.update(bar, advance=1, description=said)
 
         return run_rows(rows, params, jobs, journal, tell)
 
 
-def _write(path: Path, rows: list[Row]) -> None:
+def _write(path: Path, rows: "list[Row]") -> None:
     """Write the file whole or not at all."""
     fresh = path.with_name(path.name + ".new")
     fresh.write_text(json.dumps({"rows": rows}) + "\n", encoding="utf-8")
@@ -170,6 +188,11 @@ def day_plan(
 
     ground-station benchmark day-plan --customers 1000
     """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from ground_station.adapters.files.compiled_code import keep_compiled_code
+
     console = Console()
     if not keep_compiled_code():
         console.print("first run: compiling the planner, some 20 s", highlight=False)

@@ -3,17 +3,17 @@
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.llm import LlmParams
 from ground_station.app.cli.options import DayArgument, open_day
-from ground_station.app.planning.clusters import BUILT_IN, cluster_by_llm, problem_of
-from ground_station.core.clustering.problem import Clustered, ClusteringProblem
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ground_station.core.clustering.problem import Clustered, ClusteringProblem
 
 app = typer.Typer()
 
@@ -51,6 +51,11 @@ def cluster(
 
     ground-station cluster harbour --method ours --groups 2
     """
+    from rich.console import Console
+
+    from ground_station.adapters.llm import LlmParams
+    from ground_station.app.planning.clusters import BUILT_IN, cluster_by_llm, problem_of
+
     data = open_day(day)
     console = Console()
     with console.status("energy of every delivery from every stop"):
@@ -67,7 +72,9 @@ def cluster(
     _show(console, problem, made)
 
 
-def _show(console: Console, problem: ClusteringProblem, made: Clustered) -> None:
+def _show(console: "Console", problem: "ClusteringProblem", made: "Clustered") -> None:
+    from rich.table import Table
+
     index = problem.index()
     table = Table("stop", "customers", "kg", "mean Wh", title=f"by {made.method}")
     total_wh = 0.0

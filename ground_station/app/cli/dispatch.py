@@ -2,18 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console, RenderableType
-from rich.live import Live
-from rich.table import Table
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.adapters.files.plan_files import read_day_plan
-from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
     DayArgument,
@@ -25,14 +19,9 @@ from ground_station.app.cli.options import (
 )
 from ground_station.app.cli.order import list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.desk.depot_dispatcher import DepotParams
-from ground_station.app.desk.desk import Desk
-from ground_station.app.desk.exchange import Exchange
-from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
-from ground_station.app.desk.recall import recall as recall_fleet
-from ground_station.app.desk.recall import recall_past_companion
-from ground_station.app.views.day_report import report_of, report_view
-from ground_station.app.views.watch_view import day_shown, watch_view
+
+if TYPE_CHECKING:
+    from ground_station.app.desk.desk import Desk
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
@@ -77,6 +66,11 @@ def dispatch(
     ground-station plan town --out plan.json
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
+    from ground_station.adapters.files.plan_files import read_day_plan
+    from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.app.desk.depot_dispatcher import DepotParams
+    from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+
     data = open_day(day)
     chosen = None if plan is None else read_day_plan(plan)
     opened = open_store(store)
@@ -104,7 +98,7 @@ def dispatch(
         opened.close()
 
 
-def _run(desk: Desk, idle_s: float | None) -> bool:
+def _run(desk: "Desk", idle_s: float | None) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     desk.begin()
     try:
@@ -118,8 +112,11 @@ def _run(desk: Desk, idle_s: float | None) -> bool:
     return False
 
 
-def _end(desk: Desk) -> None:
+def _end(desk: "Desk") -> None:
     """Say what is left over; that decides the exit code."""
+    from rich.console import Console
+    from rich.table import Table
+
     left = desk.left_over()
     if not left:
         typer.echo("every order is delivered or cancelled")
@@ -144,6 +141,14 @@ def watch(
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
+    from rich.console import Console, RenderableType
+    from rich.live import Live
+
+    from ground_station.adapters.store.day_store import DayStore
+    from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.views.watch_view import day_shown, watch_view
+
     opened = open_store(store)
     ears = ZenohFleet(fleet, zenoh)
     exchange = Exchange(opened, ears, lambda words: None)
@@ -197,6 +202,12 @@ def recall(
         raise LeewayError("recall: expected a vehicle, or --all")
     if direct is not None and vehicle is None:
         raise LeewayError("--direct: expected one vehicle, not --all")
+
+    from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.desk.recall import recall as recall_fleet
+    from ground_station.app.desk.recall import recall_past_companion
+
     opened = open_store(store)
     ears = ZenohFleet(fleet, zenoh)
     exchange = Exchange(opened, ears, _say)
@@ -224,6 +235,11 @@ def report(
 
     ground-station report --store sqlite:///desk.db
     """
+    from rich.console import Console
+
+    from ground_station.adapters.store.day_store import DayStore
+    from ground_station.app.views.day_report import report_of, report_view
+
     opened = open_store(store)
     figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()

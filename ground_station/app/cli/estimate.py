@@ -1,13 +1,11 @@
 """`ground-station estimate`: the energy and the promise of one delivery, before it flies."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from ground_station.adapters.files.params import flight_file
-from ground_station.app.planning.flight_estimate import FlightEstimate, StatedWind, estimate_flight
+if TYPE_CHECKING:
+    from ground_station.app.planning.flight_estimate import FlightEstimate
 
 NO_GO = 3
 
@@ -37,12 +35,18 @@ def estimate(
 
     ground-station estimate default --wind-speed 8 --wind-from 270
     """
+    from ground_station.adapters.files.params import flight_file
+    from ground_station.app.planning.flight_estimate import StatedWind, estimate_flight
+
     made = estimate_flight(flight_file(flight), StatedWind(wind_speed, wind_from, wind_std), charge)
-    _print(Console(), made)
+    _print(made)
     raise typer.Exit(NO_GO if made.assessment.turn_back else 0)
 
 
-def _print(console: Console, made: FlightEstimate) -> None:
+def _print(made: "FlightEstimate") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     flight, plan, seen = made.flight, made.planned.plan, made.assessment
     vehicle = flight.vehicle
     table = Table(title=f"{flight.name}: {vehicle.airframe}, {vehicle.payload_kg:g} kg")
@@ -58,5 +62,6 @@ def _print(console: Console, made: FlightEstimate) -> None:
         ("return budget (gate)", "no go" if seen.turn_back else "go"),
     ):
         table.add_row(what, figure)
+    console = Console()
     console.print(table)
     console.print(seen.reason, highlight=False)

@@ -1,14 +1,15 @@
 """`ground-station`: the dispatcher's commands, put together."""
 
 import sys
-from importlib.metadata import PackageNotFoundError, version
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.app.cli import benchmark, cluster, dispatch, estimate, order, plan, truck
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
+OURS = ("companion", "ground_station")
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -19,6 +20,8 @@ app = typer.Typer(
 
 
 def _installed_version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     for name in DISTRIBUTIONS:
         try:
             return version(name)
@@ -45,29 +48,38 @@ def program_options(
     """Options of the program itself."""
 
 
+app.add_typer(estimate.app)
+app.add_typer(order.app, name="order")
+app.add_typer(dispatch.app)
+app.add_typer(benchmark.benchmark, name="benchmark")
+app.add_typer(cluster.app)
+app.add_typer(plan.app)
+app.add_typer(truck.app)
+
+
 def main() -> None:
     """Entry point. A mistake in the input is one line on stderr and exit code 2."""
-    try:
-        from ground_station.adapters.zenoh_fleet import leave_process
-        from ground_station.app.cli import cluster, dispatch, estimate, order, plan, truck
-        from ground_station.app.cli.benchmark import benchmark
-    except ImportError as error:  # the vehicle's install has this script, but not the desk
-        print(f"ground-station: pip install 'leeway-uas[ground]' ({error})", file=sys.stderr)
-        sys.exit(2)
-    app.add_typer(estimate.app)
-    app.add_typer(order.app, name="order")
-    app.add_typer(dispatch.app)
-    app.add_typer(benchmark, name="benchmark")
-    app.add_typer(cluster.app)
-    app.add_typer(plan.app)
-    app.add_typer(truck.app)
     try:
         app()
     except LeewayError as error:
         print(f"ground-station: {error}", file=sys.stderr)
-        leave_process(2)
+        _leave(2)
+    except ModuleNotFoundError as error:  # the vehicle's install has this script, not the desk
+        if error.name is None or error.name.partition(".")[0] in OURS:
+            raise
+        print(f"ground-station: pip install 'leeway-uas[ground]' ({error})", file=sys.stderr)
+        _leave(2)
     except SystemExit as end:
-        leave_process(end.code if isinstance(end.code, int) else int(end.code is not None))
+        _leave(end.code if isinstance(end.code, int) else int(end.code is not None))
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process, as zenoh asks for where a command has loaded it."""
+    if "zenoh" in sys.modules:
+        from companion.fleet.zenoh_link import leave_process
+
+        leave_process(code)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,15 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.files.params import day_file
-from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.order_store import Store
-from ground_station.core.schema.day_data import DayData
+
+if TYPE_CHECKING:
+    from ground_station.adapters.store.order_store import Store
+    from ground_station.core.schema.day_data import DayData
 
 DayArgument = Annotated[
     str, typer.Argument(help="The day: a day/1 TOML file, or the name of a bundled day (town).")
@@ -32,11 +31,17 @@ ZenohFile = Annotated[
 FleetName = Annotated[str, typer.Option("--fleet", help="The fleet's name, as in the day file.")]
 
 
-def open_day(day: str) -> DayData:
+def open_day(day: str) -> "DayData":
     """The day and all its files. DayFilesError lists everything that is wrong in them."""
+    from ground_station.adapters.files.day_files import read_day
+    from ground_station.adapters.files.params import day_file
+
     return read_day(day_file(day))
 
 
-def open_store(url: str) -> Store:
+def open_store(url: str) -> "Store":
     """The store. StoreError says in one line why it cannot be opened."""
+    from ground_station.adapters.store.database import Database
+    from ground_station.adapters.store.order_store import Store
+
     return Store(Database(url), epoch_us)

@@ -2,20 +2,18 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.day_files import read_orders
-from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_day, open_store
-from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.orders import Order, OrderState, Service
+from ground_station.core.schema.order_words import OrderState, Service
+
+if TYPE_CHECKING:
+    from ground_station.adapters.store.order_store import Store
+    from ground_station.core.schema.day_data import DayData
+    from ground_station.core.schema.orders import Order
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -41,6 +39,10 @@ def add(
 
     ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
     """
+    import msgspec
+
+    from ground_station.core.schema.orders import Order
+
     table = {
         "id": order_id,
         "lat_deg": lat,
@@ -75,6 +77,8 @@ def import_(
 
     ground-station order import harbour
     """
+    from ground_station.adapters.files.day_files import read_orders
+
     path = Path(file)
     data = None if path.suffix and path.suffix != ".toml" else open_day(file)
     orders = read_orders(path, None) if data is None else data.orders
@@ -93,6 +97,9 @@ def list_(
     store: StoreUrl = DEFAULT_STORE,
 ) -> None:
     """List the orders with their states."""
+    from rich.console import Console
+    from rich.table import Table
+
     opened = open_store(store)
     rows = [row for row in opened.orders() if state is None or row.state is state]
     opened.close()
@@ -126,7 +133,7 @@ def brought(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
     _move(order_id, (OrderState.STUCK,), OrderState.DELIVERED, store)
 
 
-def take_orders(store: Store, orders: list[Order]) -> None:
+def take_orders(store: "Store", orders: "list[Order]") -> None:
     """Put orders into the store, and say which are new."""
     taken = store.add_orders(orders)
     if taken.conflicts:
@@ -136,8 +143,13 @@ def take_orders(store: Store, orders: list[Order]) -> None:
     typer.echo(f"{len(taken.added)} orders taken{known}")
 
 
-def list_impossible(data: DayData) -> list[str]:
+def list_impossible(data: "DayData") -> list[str]:
     """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ground_station.core.dispatch.depot_assignment import DepotAssigner
+
     assigner = DepotAssigner(data.day, data.airframes)
     found: list[str] = []
     table = Table("order", "no drone from the depot", "possible with")

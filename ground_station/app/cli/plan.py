@@ -2,18 +2,17 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ground_station.adapters.files.compiled_code import keep_compiled_code
-from ground_station.adapters.files.plan_files import write_day_plan
 from ground_station.app.cli.options import DayArgument, open_day
-from ground_station.app.views.plan_view import show_plan
-from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.day_plan import DayPlan
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ground_station.core.schema.day_data import DayData
+    from ground_station.core.schema.day_plan import DayPlan
 
 app = typer.Typer()
 
@@ -52,6 +51,12 @@ def plan(
 
     ground-station plan town --out town.json --picture town.png
     """
+    from rich.console import Console
+
+    from ground_station.adapters.files.compiled_code import keep_compiled_code
+    from ground_station.adapters.files.plan_files import write_day_plan
+    from ground_station.app.views.plan_view import show_plan
+
     data = open_day(day)
     console = Console()
     if not keep_compiled_code():
@@ -75,9 +80,11 @@ def plan(
 
 
 def _planned(
-    console: Console, data: DayData, policy: PolicyName, trials: int | None, seed: int
-) -> DayPlan:
-    # Imported late: it contains compiled code.
+    console: "Console", data: "DayData", policy: PolicyName, trials: int | None, seed: int
+) -> "DayPlan":
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    # After keep_compiled_code: it contains compiled code.
     from ground_station.core.planning.day_planner import PlanParams, plan_day
     from ground_station.core.schema.day_state import first_state
 

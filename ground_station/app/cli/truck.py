@@ -5,17 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_link import ZenohLink, read_config
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.app.cli.options import DayArgument, ZenohFile, open_day
 from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.truck.driver_console import run_console
-from ground_station.app.truck.truck_member import TruckMember
-from ground_station.core.fleet.truck_state import TRUCK
 
 app = typer.Typer()
 
@@ -35,6 +29,14 @@ def truck(
 
     ground-station truck harbour --zenoh deploy/zenoh/peer.json5
     """
+    from rich.console import Console
+
+    from companion.fleet.topics import VehicleKeys
+    from companion.fleet.zenoh_link import ZenohLink, read_config
+    from ground_station.app.truck.driver_console import run_console
+    from ground_station.app.truck.truck_member import TruckMember
+    from ground_station.core.fleet.truck_state import TRUCK
+
     data = open_day(day)
     keys, config = VehicleKeys(fleet or data.day.fleet, TRUCK), read_config(zenoh)
     woken = threading.Event()

@@ -10,6 +10,7 @@ from msgspec import Meta
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed
+from ground_station.core.schema.order_words import OrderState, Service
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
@@ -23,14 +24,6 @@ BOUNDS = {
     "mass_kg": (0.0, 500.0),
 }
 """Ranges of an order's numbers."""
-
-
-class Service(Enum):
-    """Who may deliver an order."""
-
-    ANY = "any"
-    DRONE = "drone"
-    TRUCK = "truck"
 
 
 class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -60,18 +53,6 @@ def place_of(order: Order) -> Place:
         )
     except LeewayError as error:
         raise LeewayError(f"order {order.id}: {error}") from error
-
-
-class OrderState(Enum):
-    """`stuck` waits for a person: too many attempts, its vehicle was lost, or nothing proved the
-    drop.
-    """
-
-    OPEN = "open"
-    ASSIGNED = "assigned"
-    DELIVERED = "delivered"
-    STUCK = "stuck"
-    CANCELLED = "cancelled"
 
 
 class AssignmentState(Enum):

@@ -4,7 +4,14 @@ import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
 
+import pytest
+
 CODE = "from ground_station.app.cli.main import main; main()"
+
+HEAVY = (
+    "numpy", "scipy", "networkx", "msgspec", "shapely", "zenoh", "matplotlib", "numba",
+    "sqlalchemy", "httpx",
+)  # fmt: skip
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
@@ -40,3 +47,59 @@ def test_a_day_that_is_not_bundled_is_one_line_and_exit_code_2():
     assert (code, out) == (2, "")
     words = "ground-station: day 'nowhere': expected a file, or one of harbour, town\n"
     assert errors == words
+
+
+@pytest.mark.parametrize(
+    ("asked", "not_even"),
+    [
+        ("--version", ("rich",)),
+        ("--help", ()),
+        ("order --help", ()),
+        ("plan --help", ()),
+        ("dispatch --help", ()),
+    ],
+)
+def test_help_loads_nothing_that_plans_or_flies(asked: str, not_even: tuple[str, ...]) -> None:
+    assert loaded(asked, HEAVY + not_even) == ""
+
+
+def test_a_list_of_orders_loads_no_planner_and_no_network(tmp_path) -> None:
+    asked = f"order list --store sqlite:///{tmp_path}/d.db"
+    assert loaded(asked, ("numba", "scipy.stats", "networkx", "zenoh", "httpx")) == ""
+
+
+def loaded(asked: str, names: tuple[str, ...]) -> str:
+    """Those of the modules that a command has loaded."""
+    code = (
+        "import sys\n"
+        "from ground_station.app.cli.main import app\n"
+        f"app({asked.split()!r}, standalone_mode=False)\n"
+        f"print(*(name for name in {names!r} if name in sys.modules), file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stderr.strip()
+
+
+@pytest.mark.parametrize("missing", ["sqlalchemy", "numba"])
+def test_without_the_ground_extra_a_command_says_what_to_install(missing: str, tmp_path) -> None:
+    asked = {
+        "sqlalchemy": ["order", "list", "--store", f"sqlite:///{tmp_path}/d.db"],
+        "numba": ["plan", "town"],
+    }[missing]
+    code = f"""
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name == {missing!r}:
+            raise ModuleNotFoundError("No module named " + repr(name), name=name)
+sys.meta_path.insert(0, Absent())
+{CODE}
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *asked], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        f"ground-station: pip install 'leeway-uas[ground]' (No module named '{missing}')\n"
+    )

@@ -1,0 +1,23 @@
+"""Who may deliver an order, and what has become of it; light, for options of the command line."""
+
+from enum import Enum
+
+
+class Service(Enum):
+    """Who may deliver an order."""
+
+    ANY = "any"
+    DRONE = "drone"
+    TRUCK = "truck"
+
+
+class OrderState(Enum):
+    """`stuck` waits for a person: too many attempts, its vehicle was lost, or nothing proved the
+    drop.
+    """
+
+    OPEN = "open"
+    ASSIGNED = "assigned"
+    DELIVERED = "delivered"
+    STUCK = "stuck"
+    CANCELLED = "cancelled"
