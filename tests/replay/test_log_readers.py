@@ -15,9 +15,9 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
+    AutopilotKind,
     AutopilotWind,
     Battery,
-    Flavour,
     Ground,
     GroundState,
     Mode,
@@ -197,8 +197,8 @@ def test_the_kind_of_vehicle_is_told(written, world, kind, options, name):
     log = open_log(written(kind, world.rows(slice(0, 150)), **options))
     assert log.vehicle == name
     assert log.flies_by_tilt is (name == "multirotor")
-    assert log.flavour is (
-        Flavour.PX4 if options.get("px4", kind != "dataflash") else Flavour.ARDUPILOT
+    assert log.autopilot_kind is (
+        AutopilotKind.PX4 if options.get("px4", kind != "dataflash") else AutopilotKind.ARDUPILOT
     )
 
 
@@ -214,7 +214,7 @@ def test_only_one_of_two_vehicles_in_a_stream_is_read(written, make, world, tmp_
     other = make.tlog(tmp_path / "o.tlog", short, px4=False, system=7).read_bytes()
     (tmp_path / "two.tlog").write_bytes(ours + other)
     log = open_log(tmp_path / "two.tlog")
-    assert log.flavour is Flavour.PX4
+    assert log.autopilot_kind is AutopilotKind.PX4
     assert len(of_kind(log, Attitude)) == world.t_s.size
     assert "other systems speak too: 7" in said(log)
 

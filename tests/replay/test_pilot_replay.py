@@ -111,8 +111,8 @@ class Ears:
         return [repr(m.to_dict()) for m in heard if m.get_type() != "HEARTBEAT"]  # NaN is NaN
 
 
-@pytest.mark.parametrize("flavour", list(AutopilotKind))
-def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(flavour, tmp_path):
+@pytest.mark.parametrize("autopilot_kind", list(AutopilotKind))
+def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(autopilot_kind, tmp_path):
     vehicle = Vehicle(
         load_airframe(params_dir() / "truth" / "m100.toml"),
         WindField(SteadyWind(4.0, 200.0)),
@@ -120,8 +120,8 @@ def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(flavou
         payload_kg=0.6,
         depot_alt_amsl_m=12.0,
     )
-    parameters = read_parameters(params_dir() / "autopilots" / f"{flavour.value}.toml")
-    autopilot = Autopilot(flavour, (55.47, 8.45, 12.0), parameters)
+    parameters = read_parameters(params_dir() / "autopilots" / f"{autopilot_kind.value}.toml")
+    autopilot = Autopilot(autopilot_kind, (55.47, 8.45, 12.0), parameters)
     autopilot.add_link(0)
     ears = Ears(tmp_path / "live")
     tape: list[list[bytes]] = []

@@ -105,10 +105,10 @@ def short_file(tmp_path) -> Path:
 
 @pytest.fixture
 def fly_case(tmp_path):
-    """`fly_case(flavour, changes, seed=, gate=)` flies the short flight so changed."""
+    """`fly_case(autopilot, changes, seed=, gate=)` flies the short flight so changed."""
 
     def fly_it(
-        flavour: str,
+        autopilot_kind: str,
         changes: dict[str, Any] | None = None,
         *,
         seed: int = 1,
@@ -124,7 +124,7 @@ def fly_case(tmp_path):
         keep = _Keep(after_hands_off_s=after_hands_off_s)
         options = FlyOptions(
             flight_file=path,
-            autopilot=flavour,
+            autopilot=autopilot_kind,
             seed=seed,
             gate=gate,
             run_root=tmp_path / "runs",

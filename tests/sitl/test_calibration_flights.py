@@ -35,13 +35,20 @@ def tell(app, *words):
 def logs(tmp_path_factory):
     """One vehicle's four flights, each with its energy by truth."""
     folder = tmp_path_factory.mktemp("logs")
-    for flavour in ("px4", "ardupilot"):
+    for autopilot_kind in ("px4", "ardupilot"):
         plan = ["calibrate-plan", "--home", "55.47,8.45,12", "--airframe", "m100"]
-        options = ["--autopilot", flavour, "--duration-s", 240, "--out", folder / f"{flavour}.plan"]
+        options = [
+            "--autopilot",
+            autopilot_kind,
+            "--duration-s",
+            240,
+            "--out",
+            folder / f"{autopilot_kind}.plan",
+        ]
         assert tell(companion, *plan, *options).exit_code == 0
-    for seed, (name, (flavour, load, wind, from_deg, held)) in enumerate(FLIGHTS.items()):
-        words = ["fly-plan", folder / f"{flavour}.plan", "--out", folder / f"{name}.tlog"]
-        words += ["--autopilot", flavour, "--payload-kg", load, "--wind-speed-mps", wind]
+    for seed, (name, (autopilot_kind, load, wind, from_deg, held)) in enumerate(FLIGHTS.items()):
+        words = ["fly-plan", folder / f"{autopilot_kind}.plan", "--out", folder / f"{name}.tlog"]
+        words += ["--autopilot", autopilot_kind, "--payload-kg", load, "--wind-speed-mps", wind]
         words += ["--wind-from-deg", from_deg, "--seed", seed, *(["--nose-held"] if held else [])]
         flown = tell(bridge, *words)
         assert flown.exit_code == 0, flown.output

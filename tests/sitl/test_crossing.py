@@ -1,4 +1,4 @@
-"""Two vehicles, one of each flavour, head on in one layer, beside their true companions.
+"""Two vehicles, one of each autopilot, head on in one layer, beside their true companions.
 
 Separation is judged by truth. `sim-bridge cross` flies the whole scene
 (docs/explanation/avoidance.md).
@@ -46,7 +46,7 @@ def on_for(scene: Crossing, seconds: float) -> None:
         scene.step()
 
 
-def test_both_flavours_keep_apart_and_go_home_or_on_when_their_companions_die(make_scene):
+def test_both_autopilots_keep_apart_and_go_home_or_on_when_their_companions_die(make_scene):
     scene = make_scene()
     while min(c.aside_s for c in scene.crossers) < ASIDE_S:
         scene.step()

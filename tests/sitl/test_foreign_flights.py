@@ -47,12 +47,12 @@ def flight_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def stood(flavour: AutopilotKind, home: Home | None = None) -> ServedVehicle:
+def stood(autopilot_kind: AutopilotKind, home: Home | None = None) -> ServedVehicle:
     wind = WindField(SteadyWind(4.0, 70.0))
     return stand_up(
-        flavour,
+        autopilot_kind,
         load_airframe(PARAMS / "truth" / "m100.toml"),
-        read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml"),
+        read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml"),
         home=home or Home(),
         wind=wind,
         payload_kg=PAYLOAD_KG,
@@ -87,21 +87,21 @@ def away_m(served: ServedVehicle) -> float:
 
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize(
-    ("flavour", "endpoint", "link"),
+    ("autopilot_kind", "endpoint", "link"),
     [
         (AutopilotKind.PX4, "udpin::0", "udpout:127.0.0.1:PORT"),
         (AutopilotKind.ARDUPILOT, "tcpin::0", "tcp:127.0.0.1:PORT"),
     ],
 )
 def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they_were(
-    tmp_path, flavour, endpoint, link
+    tmp_path, autopilot_kind, endpoint, link
 ):
-    served = stood(flavour)
+    served = stood(autopilot_kind)
     before = settings(served)
     row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), configure=True)
     assert row["outcome"] == "SUC"
     assert row["judged_by"] == "companion"
-    assert row["autopilot"] == flavour.value
+    assert row["autopilot"] == autopilot_kind.value
     truth = served.truth
     assert not truth.parcel_aboard
     assert not truth.airborne

@@ -1,4 +1,4 @@
-"""A small day from orders to verdict: desk, truck, driver, both flavours, in one process.
+"""A small day from orders to verdict: desk, truck, driver, both autopilots, in one process.
 
 The plan is written by hand, so that nothing of the planner is needed; the desk, its store, the
 companions' loops, the truck's port and the simulated vehicles are those of every day.
@@ -118,7 +118,7 @@ def test_a_day_with_a_lossy_network_and_a_killed_desk_delivers_all_and_loses_nob
     assert row["what_went_wrong"][0].endswith("desk killed")
 
 
-def test_both_flavours_fly_at_once_and_planned_separation_holds(row):
+def test_both_autopilots_fly_at_once_and_planned_separation_holds(row):
     assert {f["autopilot"] for f in row["flights"]} == {"px4", "ardupilot"}
     assert row["separation_min_m"] >= 10.0
 

@@ -1,4 +1,4 @@
-"""`companion check` as a user runs it: a process of its own, over UDP, beside either flavour."""
+"""`companion check` as a user runs it: a process of its own, over UDP, beside either autopilot."""
 
 import contextlib
 import socket
@@ -55,14 +55,20 @@ class Checked:
 
 @pytest.fixture
 def check(tmp_path, short_flight):
-    """`check(flavour, settings, ...)` runs the command beside a vehicle on the ground."""
+    """`check(autopilot, settings, ...)` runs the command beside a vehicle on the ground."""
 
     def run(
-        flavour: str, settings: dict[str, float], *, charge_frac: float = 0.9, **changes: dict
+        autopilot_kind: str,
+        settings: dict[str, float],
+        *,
+        charge_frac: float = 0.9,
+        **changes: dict,
     ) -> Checked:
-        parameters = read_parameters(PARAMS / "autopilots" / f"{flavour}.toml", settings)
+        parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", settings)
         airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-        served = stand_up(AutopilotKind(flavour), airframe, parameters, charge_frac=charge_frac)
+        served = stand_up(
+            AutopilotKind(autopilot_kind), airframe, parameters, charge_frac=charge_frac
+        )
         mission = tmp_path / "flight.toml"
         mission.write_bytes(msgspec.toml.encode(short_flight(changes)))
         with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
@@ -97,10 +103,10 @@ def check(tmp_path, short_flight):
     return run
 
 
-@pytest.mark.drawn(of="flavour")
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, flavour):
-    checked = check(flavour, AS_PROMISED[flavour])
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, autopilot_kind):
+    checked = check(autopilot_kind, AS_PROMISED[autopilot_kind])
     assert checked.code == 0, checked.said
     lines = checked.said.splitlines()
     assert lines[-1] == "READY"
@@ -109,21 +115,21 @@ def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, flavour):
     assert any(line.startswith("ok       route: 5 waypoints out") for line in lines)
 
 
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, flavour):
-    checked = check(flavour, {})
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, autopilot_kind):
+    checked = check(autopilot_kind, {})
     assert checked.settings_after == checked.settings_before
     assert not checked.armed
 
 
-@pytest.mark.drawn(of="flavour")
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, flavour):
-    name = LOW_BATTERY[flavour]
-    checked = check(flavour, AS_PROMISED[flavour] | {name: 0.0})
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_kind):
+    name = LOW_BATTERY[autopilot_kind]
+    checked = check(autopilot_kind, AS_PROMISED[autopilot_kind] | {name: 0.0})
     assert checked.code == 3
     (missing,) = [line for line in checked.said.splitlines() if line.startswith("MISSING")]
-    wanted = AS_PROMISED[flavour][name]
+    wanted = AS_PROMISED[autopilot_kind][name]
     assert missing == (
         f"MISSING  a low-battery action of the autopilot's own: {name} is 0, set {wanted:g}"
     )

@@ -1,4 +1,4 @@
-"""A companion and a simulated vehicle, both flavours, over real UDP in lockstep.
+"""A companion and a simulated vehicle, both autopilots, over real UDP in lockstep.
 
 One table: name, world, faults, the check. Every check has a canary, a badly wrong world in which
 the same check must fail: a check that cannot fail shows nothing.
@@ -283,18 +283,18 @@ _SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
 
 
 @pytest.mark.drawn(keep=14)  # by night every case by both autopilots
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
-def test_flight(fly_case, flavour, case):
-    flown = _flown_once(fly_case, flavour, case.world, hands_off_s=case.hands_off_s)
+def test_flight(fly_case, autopilot_kind, case):
+    flown = _flown_once(fly_case, autopilot_kind, case.world, hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
 
 @pytest.mark.drawn(keep=1)
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", TAKEN_OVER, ids=lambda c: c.name.replace(" ", "_"))
-def test_flight_taken_over(fly_case, flavour, case):
-    flown = _flown_once(fly_case, flavour, case.world, hands_off_s=case.hands_off_s)
+def test_flight_taken_over(fly_case, autopilot_kind, case):
+    flown = _flown_once(fly_case, autopilot_kind, case.world, hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
 
@@ -305,15 +305,15 @@ _FLOWN: dict[str, Any] = {}
 @pytest.mark.drawn(keep=3)
 @pytest.mark.parametrize("case", CANARIES, ids=lambda c: c.name.replace(" ", "_"))
 def test_the_check_fails_in_a_wrong_world(fly_case, case):
-    flavour = "px4" if not case.canary else ("px4", "ardupilot")[CANARIES.index(case) % 2]
-    flown = _flown_once(fly_case, flavour, case.canary, gate=case.canary_gate)
+    autopilot_kind = "px4" if not case.canary else ("px4", "ardupilot")[CANARIES.index(case) % 2]
+    flown = _flown_once(fly_case, autopilot_kind, case.canary, gate=case.canary_gate)
     assert not case.check(flown), _story(flown)
 
 
-def _flown_once(fly_case, flavour, changes, *, gate=True, hands_off_s=None):
-    world = f"{flavour} {changes} {gate} {hands_off_s}"
+def _flown_once(fly_case, autopilot_kind, changes, *, gate=True, hands_off_s=None):
+    world = f"{autopilot_kind} {changes} {gate} {hands_off_s}"
     if world not in _FLOWN:
-        flown = fly_case(flavour, changes, gate=gate, after_hands_off_s=hands_off_s)
+        flown = fly_case(autopilot_kind, changes, gate=gate, after_hands_off_s=hands_off_s)
         if changes not in _SHARED_WORLDS:
             return flown
         _FLOWN[world] = flown

@@ -134,7 +134,7 @@ class Desk:
 class Scene:
     """A drone, its companion that lives on while the drone is off, and the desk."""
 
-    def __init__(self, folder: Path, flavour: str) -> None:
+    def __init__(self, folder: Path, autopilot_kind: str) -> None:
         self.t_s = 0.0
         self.desk = Desk()
         port = FleetPort.open(
@@ -151,10 +151,10 @@ class Scene:
         autopilots = params_dir() / "autopilots"
         world = DroneWorld(
             SITE, PlaneTerrain(), wind, mean_wind(wind, folder),
-            {flavour: read_parameters(autopilots / f"{flavour}.toml")},
+            {autopilot_kind: read_parameters(autopilots / f"{autopilot_kind}.toml")},
         )  # fmt: skip
         self.drone = DayDrone(
-            "d1", 1, flavour, load_airframe(params_dir() / "truth" / "m100.toml"), 20.0, 1.0,
+            "d1", 1, autopilot_kind, load_airframe(params_dir() / "truth" / "m100.toml"), 20.0, 1.0,
             (0.9, 0.9), world, folder, np.random.SeedSequence(3), lambda drone: self.companion,
         )  # fmt: skip
 

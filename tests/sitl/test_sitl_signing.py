@@ -1,4 +1,4 @@
-"""Signing on, in both flavours: a signed flight beside a forger who lacks the key.
+"""Signing on, in both autopilots: a signed flight beside a forger who lacks the key.
 
 In flight the forger (sim_bridge/app/flight/forger.py) tells both ends, ten times a second, to go
 elsewhere.
@@ -23,10 +23,10 @@ def undisturbed(flown) -> bool:
     return flown.row["outcome"] == "SUC" and forger is not None and forger.told > 500
 
 
-@pytest.mark.drawn(of="flavour")
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_signed_it_delivers_whatever_a_forger_without_the_key_says(fly_case, flavour, key):
-    flown = fly_case(flavour, FORGED, signing_key=key)
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_signed_it_delivers_whatever_a_forger_without_the_key_says(fly_case, autopilot_kind, key):
+    flown = fly_case(autopilot_kind, FORGED, signing_key=key)
     assert undisturbed(flown), flown.row
 
 

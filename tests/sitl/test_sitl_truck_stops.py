@@ -1,4 +1,4 @@
-"""A truck's promised stop is home: flights between stops, and a home that moves, both flavours.
+"""A truck's promised stop is home: flights between stops, and a home that moves, both autopilots.
 
 What the vehicle did is judged by truth and by the frames on the link; each check fails in the world
 of another test here, where the vehicle ends elsewhere.
@@ -56,11 +56,13 @@ def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_c
     assert (out_m, back_m) == (pytest.approx(20.0, abs=1.5), pytest.approx(26.0, abs=1.5))
 
 
-@pytest.mark.drawn(of="flavour")
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_safety_rule_3_killed_on_the_way_out_it_comes_down_at_the_promised_stop(fly_case, flavour):
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_safety_rule_3_killed_on_the_way_out_it_comes_down_at_the_promised_stop(
+    fly_case, autopilot_kind
+):
     killed = {"kind": "companion_kill", "phase": "outbound", "at_s": 4.0, "restart": False}
     wish = moved("outbound", 0.5, "stop-3")  # taken, and void with the companion that took it
-    flown = fly_case(flavour, WORLD | {"faults": [wish, killed]})
+    flown = fly_case(autopilot_kind, WORLD | {"faults": [wish, killed]})
     assert "will land at stop-3" in flown.said
     assert (flown.row["outcome"], landed_at(flown)) == ("ABRT", "stop-2")

@@ -52,12 +52,12 @@ def flew_and_came_home(flown) -> bool:
     return away and flown.row["home"] and flown.row["margin_wh"] >= 0.0
 
 
-@pytest.mark.drawn(of="flavour")
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_believed_a_tenth_too_good_it_still_comes_home_with_its_reserve(
-    fly_case, optimist, flavour
+    fly_case, optimist, autopilot_kind
 ):
-    flown = fly_case(flavour, SCARCE, believed=optimist)
+    flown = fly_case(autopilot_kind, SCARCE, believed=optimist)
     assert flew_and_came_home(flown), flown.row
 
 

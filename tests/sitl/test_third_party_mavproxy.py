@@ -36,10 +36,10 @@ TAKEOFF, WAYPOINT, LAND = 22, 16, 21
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: AutopilotKind) -> ServedVehicle:
+def on_the_ground(autopilot_kind: AutopilotKind) -> ServedVehicle:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
-    return stand_up(flavour, airframe, parameters, home=HOME)
+    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml")
+    return stand_up(autopilot_kind, airframe, parameters, home=HOME)
 
 
 class MavProxy:

@@ -36,10 +36,10 @@ METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 ABOUT_M = 3.0
 
 
-def on_the_ground(flavour: AutopilotKind, home: Home = HOME) -> ServedVehicle:
+def on_the_ground(autopilot_kind: AutopilotKind, home: Home = HOME) -> ServedVehicle:
     airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    parameters = read_parameters(PARAMS / "autopilots" / f"{flavour.value}.toml")
-    return stand_up(flavour, airframe, parameters, home=home)
+    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml")
+    return stand_up(autopilot_kind, airframe, parameters, home=home)
 
 
 def free_udp_port() -> int:

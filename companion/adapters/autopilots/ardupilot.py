@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from companion.adapters.autopilots.codec import mavlink
-from companion.core.mission.events import AutopilotWind, Event, Flavour, Mode
+from companion.core.mission.events import AutopilotKind, AutopilotWind, Event, Mode
 from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values, known
 
 MODE_NAMES = {
@@ -66,7 +66,7 @@ EKF_NOT_READY = mavlink.ESTIMATOR_CONST_POS_MODE
 class ArduPilot:
     """What is special about ArduCopter."""
 
-    flavour = Flavour.ARDUPILOT
+    autopilot_kind = AutopilotKind.ARDUPILOT
     home_items = 1
     free_yaw: float = 0.0  # it refuses NaN in TAKEOFF (AP_Mission::sanity_check_params)
     bytewise_parameters = False

@@ -213,7 +213,7 @@ class AutopilotPort:
         self._parameters.aim(system)
         t_s = self._clock.t_s
         state = [e for e in translate(message, chosen, {}, t_s) if isinstance(e, VehicleState)]
-        return [*state, Identified(t_s, chosen.flavour, system)]
+        return [*state, Identified(t_s, chosen.autopilot_kind, system)]
 
     def _set_clock(self, system: int, heartbeats: int) -> bool:
         """Set the clock by what the vehicle told; False while it is worth waiting for that.

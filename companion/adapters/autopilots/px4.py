@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from companion.adapters.autopilots.codec import CurrentMode, mavlink
-from companion.core.mission.events import AutopilotWind, Event, Flavour, Mode
+from companion.core.mission.events import AutopilotKind, AutopilotWind, Event, Mode
 from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values, known
 
 MAIN_NAMES = {
@@ -67,7 +67,7 @@ TRUST_PARAMETERS = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
 class Px4:
     """What is special about PX4 multirotors."""
 
-    flavour = Flavour.PX4
+    autopilot_kind = AutopilotKind.PX4
     home_items = 0
     free_yaw: float = math.nan  # 0 would be a heading: north
     bytewise_parameters = True

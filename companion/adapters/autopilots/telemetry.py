@@ -8,11 +8,11 @@ from companion.core.mission.events import (
     Airspeed,
     ArmingReadiness,
     Attitude,
+    AutopilotKind,
     AutopilotText,
     Battery,
     EstimatorHealth,
     Event,
-    Flavour,
     GnssFix,
     GnssTime,
     Ground,
@@ -63,7 +63,7 @@ class AutopilotProfile(Protocol):
     `ArduPilot` and `Px4` implement it.
     """
 
-    flavour: Flavour
+    autopilot_kind: AutopilotKind
     home_items: int
     free_yaw: float
     bytewise_parameters: bool

@@ -50,7 +50,7 @@ def replay_record(
             "path": str(log_path),
             "source": log.source,
             "vehicle": log.vehicle,
-            "autopilot": None if log.flavour is None else log.flavour.value,
+            "autopilot": None if log.autopilot_kind is None else log.autopilot_kind.value,
             "firmware": log.firmware,
             "start_s": log.start_s,
             "duration_s": log.duration_s,

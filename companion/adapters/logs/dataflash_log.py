@@ -12,10 +12,10 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
+    AutopilotKind,
     AutopilotWind,
     Battery,
     Event,
-    Flavour,
     GnssFix,
     Ground,
     GroundState,
@@ -81,7 +81,7 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
         source="dataflash",
         events=tuple(reader.events),
         findings=tuple(reader.findings),
-        flavour=Flavour.ARDUPILOT,
+        autopilot_kind=AutopilotKind.ARDUPILOT,
         vehicle=reader.vehicle,
         firmware=reader.firmware,
     )

@@ -42,6 +42,6 @@ def read_mcap_log(path: Path) -> RecordedFlight:
         source="mcap",
         events=tuple(events),
         findings=tuple(findings),
-        flavour=identified.flavour if identified is not None else None,
+        autopilot_kind=identified.autopilot_kind if identified is not None else None,
         vehicle=MULTIROTOR,
     )

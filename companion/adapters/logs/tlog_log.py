@@ -93,7 +93,7 @@ def read_tlog(path: Path) -> RecordedFlight:
         source="tlog",
         events=tuple(reader.events),
         findings=tuple(findings),
-        flavour=reader.profile.flavour,
+        autopilot_kind=reader.profile.autopilot_kind,
         vehicle=vehicle_kind(beat.type),
         firmware=reader.firmware,
     )

@@ -19,10 +19,10 @@ from companion.core.base.geo import moved_deg
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
+    AutopilotKind,
     AutopilotWind,
     Battery,
     Event,
-    Flavour,
     GnssFix,
     Ground,
     GroundState,
@@ -124,7 +124,7 @@ def read_ulog(path: Path) -> RecordedFlight:
         source="ulog",
         events=tuple(events),
         findings=tuple(findings),
-        flavour=Flavour.PX4,
+        autopilot_kind=AutopilotKind.PX4,
         vehicle=vehicle,
         firmware=_firmware(log),
     )

@@ -29,7 +29,7 @@ from companion.core.mission.actions import (
     Say,
     WindReport,
 )
-from companion.core.mission.events import Flavour
+from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_plan import FlightPlan, plan_row
 from companion.core.mission.preflight_checks import Finding
 from companion.core.pilot.telemetry_state import TelemetryState
@@ -66,14 +66,20 @@ class Recorder:
         self._decisions = DecisionLog(free_name(run_dir / "decisions.mcap"))
         self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
         self._heard = HeardRows()
-        self._flavour: Flavour | None = None
+        self._autopilot_kind: AutopilotKind | None = None
         self._finished: Finished | None = None
 
-    def heard(self, now: TelemetryState, flavour: Flavour | None, system_id: int | None) -> None:
+    def heard(
+        self, now: TelemetryState, autopilot_kind: AutopilotKind | None, system_id: int | None
+    ) -> None:
         """Record what is new in the situation at a tick: `companion replay` starts from it."""
-        if flavour is not None and system_id is not None and flavour is not self._flavour:
-            self._flavour = flavour
-            row = {"t_s": now.t_s, "flavour": flavour.value, "system_id": system_id}
+        if (
+            autopilot_kind is not None
+            and system_id is not None
+            and autopilot_kind is not self._autopilot_kind
+        ):
+            self._autopilot_kind = autopilot_kind
+            row = {"t_s": now.t_s, "flavour": autopilot_kind.value, "system_id": system_id}
             self._decisions.write(IDENTIFIED, row)
         for topic, row in self._heard.new(now):
             self._decisions.write(topic, row)

@@ -25,7 +25,7 @@ from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
-from companion.core.mission.events import Flavour
+from companion.core.mission.events import AutopilotKind
 from companion.core.mission.preflight_checks import Requirement, RouteFacts
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
@@ -174,9 +174,9 @@ class Run:
         recorder.close()
 
 
-def requirements(flavour: Flavour, facts: RouteFacts) -> tuple[Requirement, ...]:
+def requirements(autopilot_kind: AutopilotKind, facts: RouteFacts) -> tuple[Requirement, ...]:
     """What the promise asks of this autopilot's parameters."""
-    profile = ArduPilot() if flavour is Flavour.ARDUPILOT else Px4()
+    profile = ArduPilot() if autopilot_kind is AutopilotKind.ARDUPILOT else Px4()
     return profile.requirements(facts)
 
 

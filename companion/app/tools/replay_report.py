@@ -26,7 +26,7 @@ def report(
         word
         for word in (
             log.source,
-            log.flavour.value if log.flavour is not None else None,
+            log.autopilot_kind.value if log.autopilot_kind is not None else None,
             log.firmware,
             log.vehicle,
         )

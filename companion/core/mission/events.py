@@ -10,7 +10,7 @@ from enum import Enum
 from companion.core.separation.track import Track
 
 
-class Flavour(Enum):
+class AutopilotKind(Enum):
     """Which autopilot: they differ in what an order means."""
 
     ARDUPILOT = "ardupilot"
@@ -62,7 +62,7 @@ class Tick(Event):
 class Identified(Event):
     """An autopilot was recognised by several heartbeats."""
 
-    flavour: Flavour
+    autopilot_kind: AutopilotKind
     system_id: int
 
 

@@ -28,7 +28,7 @@ from typing import Protocol
 
 from companion.core.base.geo import Ned
 from companion.core.mission.actions import Action, Decision, PhaseChanged, Say, Severity
-from companion.core.mission.events import Flavour, Mode, VehicleState
+from companion.core.mission.events import AutopilotKind, Mode, VehicleState
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.estimates import Estimates
@@ -107,7 +107,7 @@ class FlightContext:
         self.estimates = estimates
         self.options = options
         self.telemetry = TelemetryState()
-        self.autopilot: Flavour | None = None
+        self.autopilot: AutopilotKind | None = None
         self.flight_plan: FlightPlan | None = None
         self.assessment: Assessment | None = None
         self.phase = Phase.IDENTIFY

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from companion.core.base.geo import Ned
-from companion.core.mission.events import AutopilotWind, Flavour
+from companion.core.mission.events import AutopilotKind, AutopilotWind
 from companion.core.mission.flight_file import Flight
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
@@ -90,12 +90,12 @@ class Estimates:
         """Usable energy left, `None` while nothing is known."""
         return self._ledger.belief()
 
-    def observe(self, now: TelemetryState, flavour: Flavour) -> tuple[str, ...]:
+    def observe(self, now: TelemetryState, autopilot_kind: AutopilotKind) -> tuple[str, ...]:
         """Take the telemetry at a tick; returns new warnings, in words."""
         t_s = now.t_s
         if self._battery_due(t_s):
             self._battery_s = t_s
-            self._observe_battery(now, flavour, t_s)
+            self._observe_battery(now, autopilot_kind, t_s)
         left_out = self._observe_wind(now, t_s)
         self.wind = self._estimator.belief(t_s)
         if now.airborne:
@@ -114,7 +114,9 @@ class Estimates:
         last_s = self._battery_s
         return last_s is None or t_s < last_s or t_s - last_s >= BATTERY_EVERY_S - 1e-6
 
-    def _observe_battery(self, now: TelemetryState, flavour: Flavour, t_s: float) -> None:
+    def _observe_battery(
+        self, now: TelemetryState, autopilot_kind: AutopilotKind, t_s: float
+    ) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
         heard = battery is not None and (
             battery.voltage_v is not None or battery.remaining_frac is not None
@@ -143,7 +145,7 @@ class Estimates:
                 ),
                 remaining_frac=battery.remaining_frac if battery else None,
                 # PX4's SIH counts a percentage down by time and knows no current.
-                remaining_is_timer=flavour is Flavour.PX4 and current_a is None,
+                remaining_is_timer=autopilot_kind is AutopilotKind.PX4 and current_a is None,
                 temperature_c=battery.temperature_c if battery else None,
                 modelled_power_w=modelled_w,
             )

@@ -21,9 +21,9 @@ from companion.core.mission.actions import (
 )
 from companion.core.mission.events import (
     Authorised,
+    AutopilotKind,
     AutopilotParameters,
     Event,
-    Flavour,
     MissionReadBack,
     MissionUploaded,
     Mode,
@@ -70,7 +70,7 @@ CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
 PACK_WAIT_S = 5.0
 
-Requirements = Callable[[Flavour, RouteFacts], tuple[Requirement, ...]]
+Requirements = Callable[[AutopilotKind, RouteFacts], tuple[Requirement, ...]]
 """What an autopilot's settings must be for a route."""
 
 
@@ -399,7 +399,7 @@ class GroundSequence:
         frame = frame_of(flight, context.telemetry.position, here=here)
         site = site_map(flight, frame, self._obstacles, here=here)
         reserve_frac = context.estimates.limits.reserve_frac
-        asides = context.options.keep_apart and context.autopilot is Flavour.ARDUPILOT
+        asides = context.options.keep_apart and context.autopilot is AutopilotKind.ARDUPILOT
         return make_plan(flight, site, self._planner, energy, reserve_frac, asides=asides)
 
     def _parameters_read(self, context: FlightContext, event: AutopilotParameters) -> None:

@@ -23,6 +23,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.events import (
     AbortOrdered,
     Authorised,
+    AutopilotKind,
     AutopilotParameters,
     AutopilotText,
     ClockLeapt,
@@ -30,7 +31,6 @@ from companion.core.mission.events import (
     ControlHandedBack,
     ControlTaken,
     Event,
-    Flavour,
     GnssTime,
     HomeMoved,
     Identified,
@@ -267,8 +267,8 @@ class Pilot:
 
     def _identified(self, event: Identified) -> None:
         context = self._context
-        context.autopilot = event.flavour
-        context.do(Note(f"{event.flavour.value} autopilot, system {event.system_id}"))
+        context.autopilot = event.autopilot_kind
+        context.do(Note(f"{event.autopilot_kind.value} autopilot, system {event.system_id}"))
         self._authority.begin(context.telemetry.state)
         self._resume.identified(context)
 
@@ -402,7 +402,7 @@ class Pilot:
         return self._context.estimates
 
     @property
-    def autopilot(self) -> Flavour | None:
+    def autopilot(self) -> AutopilotKind | None:
         """The autopilot, `None` until it is identified."""
         return self._context.autopilot
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.core.base.geo import Ned
 from companion.core.mission.actions import Action, FlyVelocity, JumpTo, SetMode, Severity
-from companion.core.mission.events import Flavour, MissionProgress, Mode
+from companion.core.mission.events import AutopilotKind, MissionProgress, Mode
 from companion.core.mission.flight_plan import DODGE_M, DODGES
 from companion.core.pilot.context import FlightContext, ItemProgress, ModeOrders
 from companion.core.pilot.desired_velocity import (
@@ -210,7 +210,7 @@ class SetpointTakeover:
         flown, vehicle, state = context.flight_plan, context.telemetry.state, self._state
         if flown is None or vehicle is None:
             return False
-        if context.autopilot is Flavour.PX4:
+        if context.autopilot is AutopilotKind.PX4:
             return state.active and vehicle.mode is Mode.GUIDED
         return state.item is not None and flown.mission.is_aside(state.item)
 
@@ -226,7 +226,7 @@ class SetpointTakeover:
         flown, index = context.flight_plan, self._progress.index
         if flown is None or index is None:
             return False
-        if context.autopilot is Flavour.PX4:  # RTL goes to the pad, which must still be home
+        if context.autopilot is AutopilotKind.PX4:  # RTL goes to the pad, which must still be home
             return not flown.plan.away_ned_m
         return flown.mission.aside_of(index) is not None
 
@@ -338,7 +338,7 @@ class SetpointTakeover:
         self._state.asked_s = context.t_s
         # A jump that was ordered in this very tick, perhaps, is not to be undone.
         jump_index, index = self._progress.jump_index, self._progress.index
-        if context.autopilot is Flavour.PX4:
+        if context.autopilot is AutopilotKind.PX4:
             self._modes.expect(Mode.MISSION, context.telemetry.state)
             context.do(SetMode(Mode.MISSION))
         elif jump_index is not None:
@@ -354,7 +354,7 @@ class SetpointTakeover:
         vehicle = context.telemetry.state
         if self._state.active or context.phase not in FLIGHT_PHASES or vehicle is None:
             return
-        if context.autopilot is Flavour.PX4:
+        if context.autopilot is AutopilotKind.PX4:
             ours = self._modes.ordered is Mode.MISSION and vehicle.mode is Mode.GUIDED
         else:
             ours = self.is_flown(context) and self._progress.index is not None
@@ -375,7 +375,7 @@ class SetpointTakeover:
         every_s = RENEW_S if flown else ASK_AGAIN_S
         if context.since_s(state.asked_s) < every_s or context.since_s(state.since_s) < STREAM_S:
             return
-        if context.autopilot is Flavour.PX4:
+        if context.autopilot is AutopilotKind.PX4:
             if flown:
                 return
             state.asked_s = context.t_s

@@ -14,7 +14,7 @@ import numpy as np
 from companion.core.base.arrays import Bools, Floats
 from companion.core.base.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission.actions import Decision
-from companion.core.mission.events import Airspeed, Attitude, AutopilotWind, Flavour
+from companion.core.mission.events import Airspeed, Attitude, AutopilotKind, AutopilotWind
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_of, make_plan, ned_of, site_map
 from companion.core.mission.preflight_checks import pack_trouble
@@ -113,7 +113,7 @@ def _as_used(log: RecordedFlight) -> RecordedFlight:
         log.source,
         events,
         (*log.findings, said),
-        log.flavour,
+        log.autopilot_kind,
         log.vehicle,
         log.firmware,
         log.position_measured,
@@ -138,7 +138,9 @@ class _Replay:
         self._route: Route | None = None
         self._home: LocalFrame | None = None
         self._gates = terms.with_energy and log.flies_by_tilt and log.has_battery
-        self._flavour = log.flavour or Flavour.ARDUPILOT  # PX4's percentage may be a timer
+        self._autopilot_kind = (
+            log.autopilot_kind or AutopilotKind.ARDUPILOT
+        )  # PX4's percentage may be a timer
         self._flying = False
         self._flew_s = 0.0
         self._closed = False
@@ -209,7 +211,9 @@ class _Replay:
         self._mind_take_off(now)
         if self._flying:
             self._flew_s += dt_s
-        self._notes += [(now.t_s, words) for words in self._judge.observe(now, self._flavour)]
+        self._notes += [
+            (now.t_s, words) for words in self._judge.observe(now, self._autopilot_kind)
+        ]
         wind = self._judge.wind
         if wind is not None and (wind.valid or self._wind):
             cov = wind.cov_ne_m2ps2

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Bools, Floats
-from companion.core.mission.events import Battery, Event, Flavour, Position
+from companion.core.mission.events import AutopilotKind, Battery, Event, Position
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
     ATTITUDE_MAX_AGE_S,
@@ -58,7 +58,7 @@ class RecordedFlight:
     source: str
     events: tuple[Event, ...]
     findings: tuple[LogFinding, ...] = ()
-    flavour: Flavour | None = None
+    autopilot_kind: AutopilotKind | None = None
     vehicle: str | None = None
     firmware: str | None = None
     position_measured: bool = True

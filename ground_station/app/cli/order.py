@@ -8,7 +8,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_day, open_store
-from ground_station.core.schema.order_words import OrderState, Service
+from ground_station.core.schema.order_states import OrderState, Service
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store

@@ -10,7 +10,7 @@ from msgspec import Meta
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed
-from ground_station.core.schema.order_words import OrderState, Service
+from ground_station.core.schema.order_states import OrderState, Service
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")

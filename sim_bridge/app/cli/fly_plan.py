@@ -70,9 +70,9 @@ def fly_plan_command(
     home, items = read_plan(plan)
     settings = _SETTINGS[autopilot] | (_NOSE_HELD[autopilot] if nose_held else {})
     settings |= dict(map(_setting, param or []))
-    flavour = AutopilotKind(autopilot)
+    autopilot_kind = AutopilotKind(autopilot)
     served = stand_up(
-        flavour,
+        autopilot_kind,
         load_airframe(params_dir() / "truth" / f"{airframe}.toml"),
         read_parameters(params_dir() / "autopilots" / f"{autopilot}.toml", settings),
         home=Home(*home),
@@ -85,7 +85,7 @@ def fly_plan_command(
     with console.status("on the ground") as status:
         flown = fly_plan(
             served,
-            flavour,
+            autopilot_kind,
             items,
             out,
             progress=lambda t_s: status.update(f"{t_s:.0f} s, {served.vehicle.height_m:.0f} m up"),

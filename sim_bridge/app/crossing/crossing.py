@@ -226,7 +226,7 @@ class Crossing:
             drone = DayDrone(
                 name=f"d{k + 1}",
                 number=k + 1,
-                flavour=self._flavour(k),
+                autopilot_kind=self._autopilot_kind(k),
                 airframe=truth,
                 temperature_c=20.0,
                 battery_health_frac=1.0,
@@ -248,7 +248,7 @@ class Crossing:
             drone.switch_on(0.0, crosser.pad_ne_m, PAYLOAD_KG, drone.name, booted=True)
         return found
 
-    def _flavour(self, k: int) -> str:
+    def _autopilot_kind(self, k: int) -> str:
         return AUTOPILOTS[k % 2] if self.options.autopilot == "mixed" else self.options.autopilot
 
     def _start(self, drone: DayDrone) -> Companion:

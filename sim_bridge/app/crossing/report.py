@@ -105,7 +105,7 @@ def _flight(crosser: Crosser, rows: np.ndarray) -> dict[str, Any]:
     )
     return {
         "vehicle": drone.name,
-        "autopilot": drone.flavour,
+        "autopilot": drone.autopilot_kind,
         "outcome": outcome,
         "flight_time_s": round(0.1 * float(rows[:, 4].sum()), 1),
         "set_points_s": round(crosser.aside_s, 1),

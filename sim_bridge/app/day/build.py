@@ -282,7 +282,7 @@ def _drones(
             DayDrone(
                 name=drone.id,
                 number=k + 1,
-                flavour=AUTOPILOTS[k % 2],
+                autopilot_kind=AUTOPILOTS[k % 2],
                 airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
                 temperature_c=drone.temperature_c,
                 battery_health_frac=drone.battery_health_frac,

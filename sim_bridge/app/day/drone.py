@@ -131,7 +131,7 @@ class DayDrone:
 
     name: str
     number: int
-    flavour: str
+    autopilot_kind: str
     airframe: AirframeTruth
     temperature_c: float
     battery_health_frac: float
@@ -193,9 +193,9 @@ class DayDrone:
             start_ne_m=pad_ne_m,
         )
         autopilot = Autopilot(
-            AutopilotKind(self.flavour),
+            AutopilotKind(self.autopilot_kind),
             world.site,
-            world.parameters[self.flavour],
+            world.parameters[self.autopilot_kind],
             system_id=self.number,
             boot_age_s=BOOTED_S if booted else 0.0,
             epoch_unix_s=EPOCH_US / 1e6 + t_s,  # GNSS time is common to all
@@ -268,7 +268,7 @@ class DayDrone:
         reserve_wh = reserve_frac * pack.usable_wh(up.vehicle.reference_draw_w)
         return VehicleTrack(
             vehicle=self.name,
-            autopilot=self.flavour,
+            autopilot=self.autopilot_kind,
             order=up.order,
             pad_ne_m=up.pad_ne_m,
             t_s=rows[:, 0],

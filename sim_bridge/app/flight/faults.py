@@ -86,7 +86,7 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             rng = np.random.default_rng(len(craft.record.rows))
             craft.bad_link = BadLink(craft.number, rng)
         case "forger":
-            craft.forger = Forger(craft.number, craft.flavour)
+            craft.forger = Forger(craft.number, craft.autopilot_kind)
         case "clock_jump":
             craft.autopilot.jump_clock(fault.by_s)
         case "jumps_refused":

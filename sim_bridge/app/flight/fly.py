@@ -139,7 +139,7 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
     return result
 
 
-def _flavour_of(options: FlyOptions, index: int) -> str:
+def _autopilot_kind_of(options: FlyOptions, index: int) -> str:
     return AUTOPILOTS[index % 2] if options.autopilot == "mixed" else options.autopilot
 
 
@@ -155,7 +155,7 @@ def _build_craft(
 ) -> Craft:
     gust_seed, sensor_seed, charge_seed = seed.spawn(3)
     charge_frac = _drawn_charge(flight, np.random.default_rng(charge_seed))
-    flavour = _flavour_of(options, index)
+    autopilot_kind = _autopilot_kind_of(options, index)
     number = index + 1
     depot = _shifted(flight.site.depot or HOME_DEFAULT, VEHICLE_SPACING_M * index)
     own_dir = run_dir if options.vehicles == 1 else run_dir / f"vehicle{number}"
@@ -177,9 +177,9 @@ def _build_craft(
         pitot=flight.vehicle.pitot,
     )
     autopilot = Autopilot(
-        AutopilotKind(flavour),
+        AutopilotKind(autopilot_kind),
         (depot.lat_deg or 0.0, depot.lon_deg or 0.0, depot.alt_amsl_m or 0.0),
-        read_parameters(params_dir() / "autopilots" / f"{flavour}.toml"),
+        read_parameters(params_dir() / "autopilots" / f"{autopilot_kind}.toml"),
         system_id=number,
     )
     autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD, signing=_signer(options.signing_key))
@@ -198,7 +198,7 @@ def _build_craft(
     )
     return Craft(
         number=number,
-        flavour=flavour,
+        autopilot_kind=autopilot_kind,
         flight=flight,
         charge_frac=charge_frac,
         depot=depot,
@@ -350,7 +350,7 @@ def _row(
     keys = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
     return {
         "vehicle": f"{craft.flight.vehicle.airframe}-{craft.number}",
-        "autopilot": craft.flavour,
+        "autopilot": craft.autopilot_kind,
         "judged_by": "truth",
         "charge_frac": round(craft.charge_frac, 3),
         "outcome": verdict.outcome,
@@ -389,9 +389,10 @@ def _draw(
         places[name] = (east, north)
     obstacles = read_obstacles(craft.flight, options.flight_file, craft.depot)
     gate = "" if options.gate else ", gate off"
+    what = f"{craft.flight.name}, {airframe.name} on {craft.autopilot_kind}"
     draw_flight(
         craft.run_dir / "flight.png",
-        title=f"{craft.flight.name}, {airframe.name} on {craft.flavour}, seed {options.seed}{gate}",
+        title=f"{what}, seed {options.seed}{gate}",
         record=craft.record,
         verdict=verdict,
         result=result,

@@ -54,7 +54,7 @@ class _Guest:
     def shown(self) -> Shown:
         heard = self.heard
         return Shown(
-            label=f"{self.number} {heard.flavour or self.link}",
+            label=f"{self.number} {heard.autopilot_kind or self.link}",
             phase=self.companion.phase or "looking for it",
             away_m=heard.away_m,
             up_m=heard.up_m,
@@ -92,7 +92,7 @@ def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
         own_row(
             guest.companion.result(),
             vehicle=f"{flight.vehicle.airframe}-{guest.number}",
-            autopilot=guest.heard.flavour or "-",
+            autopilot=guest.heard.autopilot_kind or "-",
             run=os.path.relpath(guest.companion.run_dir),
         )
         for guest in guests
@@ -149,5 +149,5 @@ def _complain(guest: _Guest) -> None:
     code = guest.companion.exit_code
     if code == EXIT_USAGE:
         raise LeewayError(f"companion {guest.number}: {guest.companion.last_words(1)}")
-    if code == EXIT_NO_LINK and guest.heard.flavour is None:
+    if code == EXIT_NO_LINK and guest.heard.autopilot_kind is None:
         raise LeewayError(f"--link {guest.link}: no autopilot heard")

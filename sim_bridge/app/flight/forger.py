@@ -18,7 +18,7 @@ class Forger:
     """Sends forged, unsigned messages for one vehicle at every exchange."""
 
     system: int
-    flavour: str
+    autopilot_kind: str
     told: int = 0
     _encoders: dict[int, Encoder] = field(default_factory=dict)
 
@@ -28,9 +28,9 @@ class Forger:
         heartbeat = Message(
             "HEARTBEAT",
             type=2,
-            autopilot=MAV_AUTOPILOT[self.flavour],
+            autopilot=MAV_AUTOPILOT[self.autopilot_kind],
             base_mode=129,
-            custom_mode=RTL_CUSTOM_MODE[self.flavour],
+            custom_mode=RTL_CUSTOM_MODE[self.autopilot_kind],
             system_status=4,
             mavlink_version=3,
         )
@@ -39,7 +39,7 @@ class Forger:
 
     def to_autopilot(self) -> list[bytes]:
         """Frames in the companion's name."""
-        order = command_long(self.system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[self.flavour])
+        order = command_long(self.system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[self.autopilot_kind])
         clear = Message("MISSION_CLEAR_ALL", target_system=self.system, target_component=1)
         return [self._frame(191, order), self._frame(191, clear)]
 

@@ -72,9 +72,11 @@ class Operator:
         """Ask the companion to land at another stop of the truck, by where its pad is."""
         self._wanted_deg = (lat_deg, lon_deg)
 
-    def mode_change(self, flavour: str) -> list[bytes]:
+    def mode_change(self, autopilot_kind: str) -> list[bytes]:
         """Order the autopilot to return to launch, behind the companion's back."""
-        order = command_long(self.vehicle_system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[flavour])
+        order = command_long(
+            self.vehicle_system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[autopilot_kind]
+        )
         return [self._encoder.encode(order)]
 
 

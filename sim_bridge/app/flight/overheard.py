@@ -13,7 +13,7 @@ from sim_bridge.autopilot.mavlink.codec import Decoder, Message
 
 STAMP = struct.Struct(">Q")
 AUTOPILOT, COMPANION = 1, 191
-FLAVOURS = {3: "ardupilot", 12: "px4"}  # MAV_AUTOPILOT
+AUTOPILOT_KINDS = {3: "ardupilot", 12: "px4"}  # MAV_AUTOPILOT
 SEVERITY_NOTICE = 5
 
 
@@ -22,7 +22,7 @@ class Overheard:
     """Follows one stream.tlog; `listen` takes what was appended since."""
 
     path: Path
-    flavour: str | None = None
+    autopilot_kind: str | None = None
     named: dict[str, float] = field(default_factory=dict)
     said: list[tuple[float, str]] = field(default_factory=list)
     t_s: float = 0.0
@@ -52,7 +52,7 @@ class Overheard:
         name, component = message.msg_name, message.src_component
         if component == AUTOPILOT:
             if name == "HEARTBEAT":
-                self.flavour = FLAVOURS.get(message.autopilot, self.flavour)
+                self.autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot, self.autopilot_kind)
             elif name == "GLOBAL_POSITION_INT":
                 self._place(message)
         elif component == COMPANION:

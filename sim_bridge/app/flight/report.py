@@ -75,7 +75,7 @@ class LiveView(Progress):
 def _shown(craft: Craft) -> Shown:
     row = craft.record.rows[-1] if craft.record.rows else (0.0,) * 13
     return Shown(
-        label=f"{craft.number} {craft.flavour}",
+        label=f"{craft.number} {craft.autopilot_kind}",
         phase=craft.phase,
         away_m=math.hypot(row[1], row[2]),
         up_m=-row[3],

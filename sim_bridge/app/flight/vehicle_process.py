@@ -58,7 +58,7 @@ class Craft:
     """A vehicle and everything about it; `t_s` runs from power-up."""
 
     number: int
-    flavour: str
+    autopilot_kind: str
     flight: Flight
     charge_frac: float
     depot: Place
@@ -134,11 +134,11 @@ class Craft:
 
     def pilot_takes_over(self) -> None:
         """The pilot takes the sticks: the mode switch goes to position hold."""
-        self.autopilot.set_rc(PILOT_CHANNELS[self.flavour])
+        self.autopilot.set_rc(PILOT_CHANNELS[self.autopilot_kind])
 
     def ground_takes_over(self) -> None:
         """Another ground station orders the vehicle home by mode change."""
-        for frame in self.operator.mode_change(self.flavour):
+        for frame in self.operator.mode_change(self.autopilot_kind):
             self.autopilot.receive(OPERATOR_LINK, frame)
 
     def receive(self, datagram: bytes) -> None:

@@ -45,7 +45,7 @@ class GroundStation:
     """Uploads a mission, starts it, and writes what it hears."""
 
     items: list[dict[str, Any]]
-    flavour: AutopilotKind
+    autopilot_kind: AutopilotKind
     log: Any
     armed: bool = False
     started: bool = False
@@ -73,7 +73,7 @@ class GroundStation:
             self._next_ask_s = t_s + ASK_AGAIN_S
             if self.uploaded:
                 out += [
-                    self._command(_MAV_CMD_DO_SET_MODE, *_MODE[self.flavour]),
+                    self._command(_MAV_CMD_DO_SET_MODE, *_MODE[self.autopilot_kind]),
                     self._command(_MAV_CMD_ARM, 1.0),
                 ]
             else:
@@ -102,12 +102,12 @@ class GroundStation:
     def _listed(self) -> list[dict[str, Any]]:
         """ArduPilot's item 0 is home."""
         home = {"command": 16, "frame": 0, "params": [0.0] * 7}
-        return [home, *self.items] if self.flavour is AutopilotKind.ARDUPILOT else self.items
+        return [home, *self.items] if self.autopilot_kind is AutopilotKind.ARDUPILOT else self.items
 
     def _item(self, seq: int) -> Message:
         item = self._listed[seq]
         params = [math.nan if p is None else float(p) for p in item["params"]]
-        if self.flavour is AutopilotKind.ARDUPILOT:
+        if self.autopilot_kind is AutopilotKind.ARDUPILOT:
             params = [0.0 if math.isnan(p) else p for p in params]
         names = ("param1", "param2", "param3", "param4")
         return self._to(
@@ -135,7 +135,7 @@ class GroundStation:
 
 def fly_plan(
     served: ServedVehicle,
-    flavour: AutopilotKind,
+    autopilot_kind: AutopilotKind,
     items: list[dict[str, Any]],
     tlog: Path,
     *,
@@ -147,7 +147,7 @@ def fly_plan(
     autopilot.add_link(LINK, LinkKind.GCS)
     winds: list[float] = []
     with tlog.open("wb") as log:
-        station = GroundStation(items, flavour, log)
+        station = GroundStation(items, autopilot_kind, log)
         flew, down_s, t_s = False, 0.0, 0.0
         for step in range(round(limit_s / STEP_S)):
             t_s = (step + 1) * STEP_S

@@ -60,7 +60,7 @@ class ServedVehicle:
 
 
 def stand_up(
-    flavour: AutopilotKind,
+    autopilot_kind: AutopilotKind,
     airframe: AirframeTruth,
     parameters: Mapping[str, Parameter],
     *,
@@ -84,7 +84,7 @@ def stand_up(
         depot_alt_amsl_m=home.alt_amsl_m,
     )
     autopilot = Autopilot(
-        flavour,
+        autopilot_kind,
         (home.lat_deg, home.lon_deg, home.alt_amsl_m),
         parameters,
         system_id=system_id,

@@ -72,7 +72,7 @@ def read_parameters(
     Raises ParameterError naming the key that is wrong.
     """
     tables = tomllib.loads(path.read_text())
-    unknown = tables.keys() - {"format", "flavour", "parameters", "renamed_in_4_7"}
+    unknown = tables.keys() - {"format", "autopilot", "flavour", "parameters", "renamed_in_4_7"}
     if unknown or tables.get("format") != _FORMAT:
         raise ParameterError(f"{path.name}: expected format {_FORMAT}, unknown: {sorted(unknown)}")
     parameters = {

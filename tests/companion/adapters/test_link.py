@@ -133,7 +133,7 @@ def test_one_heartbeat_is_nobody_three_are_a_vehicle():
     hear(made, codec, frame(mav, heartbeat()))
     assert made.system_id is None
     events = hear(made, codec, frame(mav, heartbeat()))
-    assert ev.Identified(0.0, ev.Flavour.PX4, 7) in events
+    assert ev.Identified(0.0, ev.AutopilotKind.PX4, 7) in events
 
 
 def test_a_fast_heartbeat_still_leaves_two_seconds_to_hear_another_computer():
@@ -294,7 +294,7 @@ def test_vfr_hud_airspeed_counts_only_with_a_sensor(autopilot, sensor):
         (12, 3 << 16, ev.Mode.OTHER),
     ],
 )
-def test_modes_are_the_flavours_own_numbers(autopilot, custom, mode):
+def test_modes_are_the_autopilots_own_numbers(autopilot, custom, mode):
     made, _, codec = port(autopilot)
     (event,) = hear(made, codec, frame(sender(), heartbeat(autopilot=autopilot, custom=custom)))
     assert event.mode is mode

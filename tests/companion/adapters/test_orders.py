@@ -1,4 +1,4 @@
-"""Orders on the wire: acknowledged, retried, refused, given up; in each flavour's own way."""
+"""Orders on the wire: acknowledged, retried, refused, given up; in each autopilot's own way."""
 
 import math
 import struct
@@ -145,7 +145,7 @@ def test_safety_rule_1_dropped_orders_are_never_sent_again():
     assert bench.take() == []
 
 
-def test_modes_are_ordered_in_each_flavours_numbers():
+def test_modes_are_ordered_in_each_autopilots_numbers():
     for autopilot, params in ((ARDUPILOT, (1.0, 3.0, 0.0)), (PX4, (1.0, 4.0, 4.0))):
         bench = Bench(autopilot)
         bench.port.order(SetMode(ev.Mode.MISSION), 10.0)
@@ -184,7 +184,7 @@ def test_a_newer_speed_replaces_the_one_that_still_waits():
     assert (again.param1, again.param2, again.param3) == (1.0, 11.0, -1.0)
 
 
-def test_the_release_is_a_command_that_both_flavours_know():
+def test_the_release_is_a_command_that_both_autopilots_know():
     bench = Bench(ARDUPILOT)
     bench.port.order(Release(), 10.0)
     (message,) = bench.take()
@@ -276,7 +276,7 @@ def test_a_vehicle_that_tells_no_time_is_asked_for_it_before_it_is_asked_for_any
     port.on_time_answer(answer)
     (message,) = codec.parse(bytes(beat.pack(mav)))
     identified = port.on_message(message)[-1]
-    assert identified == ev.Identified(40.0, ev.Flavour.ARDUPILOT, 1)
+    assert identified == ev.Identified(40.0, ev.AutopilotKind.ARDUPILOT, 1)
     assert clock.t_s == 40.0
 
 
@@ -485,7 +485,9 @@ FACTS = RouteFacts(
 
 @pytest.mark.parametrize("words", [ArduPilot(), Px4()])
 def test_what_configure_sets_meets_every_requirement(words):
-    path = Path(__file__).parents[3] / "params" / "autopilots" / f"{words.flavour.value}.toml"
+    path = (
+        Path(__file__).parents[3] / "params" / "autopilots" / f"{words.autopilot_kind.value}.toml"
+    )
     table = tomllib.loads(path.read_text())["parameters"]
     requirements = words.requirements(FACTS)
     values: dict[str, float | None] = dict.fromkeys(names_read(requirements))

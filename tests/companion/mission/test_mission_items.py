@@ -211,7 +211,7 @@ def test_what_arducopter_rewrites_is_not_a_difference():
     assert differences(flight.items, read(messages, 1)) == ()
 
 
-def test_jumps_are_numbered_as_the_flavour_counts():
+def test_jumps_are_numbered_as_the_autopilot_counts():
     # ArduPilot keeps its home at 0, so that every item and every jump target lies one higher.
     flight = mission()
     jump = next(i for i, item in enumerate(flight.items) if item.kind is ItemKind.JUMP)

@@ -98,7 +98,7 @@ class ScriptedJudge:
     def wind(self) -> WindBelief:
         return WindBelief(self.t_s, np.array(self.wind_ne), np.eye(2), ("test",), self.known)
 
-    def observe(self, now: Any, flavour: Any) -> tuple[str, ...]:
+    def observe(self, now: Any, autopilot_kind: Any) -> tuple[str, ...]:
         self.t_s = now.t_s
         return ()
 
@@ -132,7 +132,7 @@ class ScriptedJudge:
         self.payload_kg = kept.payload_kg
 
 
-def one_requirement(flavour: Any, facts: Any) -> tuple[Requirement, ...]:
+def one_requirement(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
     """A failsafe that is off until it is configured."""
     return (
         Requirement(
@@ -350,4 +350,4 @@ def world(
 def start(made: World) -> None:
     """Let the pilot recognise the autopilot."""
     made.tell(ev.VehicleState(made.t_s, made.mode, made.mode.value, made.armed))
-    made.tell(ev.Identified(made.t_s, ev.Flavour.PX4, 1))
+    made.tell(ev.Identified(made.t_s, ev.AutopilotKind.PX4, 1))

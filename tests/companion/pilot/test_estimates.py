@@ -40,10 +40,10 @@ def standing(t_s: float, *events: ev.Event, now: TelemetryState | None = None) -
 def test_the_ledgers_first_look_is_at_a_battery_because_it_only_falls():
     judge = judgement()
     now = standing(1.0)
-    judge.observe(now, ev.Flavour.PX4)
+    judge.observe(now, ev.AutopilotKind.PX4)
     assert judge.energy is None, "nothing was heard of the battery yet"
     standing(2.0, ev.Battery(2.0, voltage_v=25.6, current_a=0.5), now=now)
-    judge.observe(now, ev.Flavour.PX4)
+    judge.observe(now, ev.AutopilotKind.PX4)
     assert judge.energy is not None
     assert judge.energy.source.startswith("resting voltage")
     # 25.6 V on six cells: 4.267 V a cell, above 90 % by the airframe's own curve.
@@ -63,7 +63,7 @@ def test_the_autopilots_wind_is_believed_as_far_as_it_says():
     spread = []
     for std_mps in (0.5, 3.0):
         judge = Estimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS)
-        judge.observe(standing(1.0, ev.AutopilotWind(1.0, 5.0, 2.0, std_mps)), ev.Flavour.PX4)
+        judge.observe(standing(1.0, ev.AutopilotWind(1.0, 5.0, 2.0, std_mps)), ev.AutopilotKind.PX4)
         assert judge.wind is not None
         spread.append(float(np.trace(judge.wind.cov_ne_m2ps2)))
     # Its words repeat for 10 s at 1 Hz: ten times the variance, against a prior of 10 m/s.
@@ -168,7 +168,7 @@ def in_flight(resting_v: float) -> tuple[Estimates, Ahead]:
     """A judgement that knows a wind and a battery, over the depot of the default flight."""
     judge = judgement()
     battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5)
-    judge.observe(standing(1.0, battery), ev.Flavour.PX4)
+    judge.observe(standing(1.0, battery), ev.AutopilotKind.PX4)
     judge.wind = WindBelief(60.0, np.array([2.0, -3.0]), 0.2 * np.eye(2), ("test",), True)
     depot, customer, level = (0.0, 0.0, 0.0), (0.0, -400.0, 0.0), -40.0
     plan = Plan(

@@ -331,7 +331,7 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
     assert w.orders_after(taken_s) == []
 
 
-def low_rtl(flavour: Any, facts: Any) -> tuple[Requirement, ...]:
+def low_rtl(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
     """An RTL altitude that is too low, and no hindrance to take-off."""
     words = "an RTL above every obstacle"
     return (Requirement(("RTL_ALT",), words, lambda v: False, lambda v: {}, False),)

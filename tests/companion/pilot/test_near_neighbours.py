@@ -11,7 +11,7 @@ import pytest
 
 from companion.core.mission import events as ev
 from companion.core.mission.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
-from companion.core.mission.events import Flavour, Mode
+from companion.core.mission.events import AutopilotKind, Mode
 from companion.core.mission.mission_items import ItemKind, Part
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.context import FlightContext, PilotOptions
@@ -26,14 +26,14 @@ from tests.companion.pilot.fake_vehicle import AIRFRAME, DEPOT, FLIGHT, M_PER_DE
 
 UNIX_S = 1.8e9
 OPTIONS = PilotOptions(configure=True, authorise=True, keep_apart=True, name="d1")
-BOTH = pytest.mark.parametrize("flavour", list(Flavour))
+BOTH = pytest.mark.parametrize("autopilot_kind", list(AutopilotKind))
 
 
 @dataclass
 class Beside(World):
     """The vehicle, and one neighbour that flies a straight line (NED m about the depot, m/s)."""
 
-    flavour: Flavour = Flavour.PX4
+    autopilot_kind: AutopilotKind = AutopilotKind.PX4
     neighbour: tuple[float, float, float] | None = None
     neighbour_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)
     neighbour_goal: tuple[float, float] | None = None
@@ -44,7 +44,7 @@ class Beside(World):
     @property
     def guided(self) -> bool:
         """Whether it obeys set-points now."""
-        if self.flavour is Flavour.PX4:
+        if self.autopilot_kind is AutopilotKind.PX4:
             return self.mode is Mode.GUIDED
         item = self.items[self.index] if self.index < len(self.items) else None
         return item is not None and item.kind in (ItemKind.ASIDE, ItemKind.ASIDE_LIMIT)
@@ -106,13 +106,13 @@ class Beside(World):
         return math.dist((self.north, self.east), self.neighbour[:2])
 
 
-def beside(flavour: Flavour, options: PilotOptions = OPTIONS) -> Beside:
+def beside(autopilot_kind: AutopilotKind, options: PilotOptions = OPTIONS) -> Beside:
     """On its way out, with nobody near yet."""
     plain = world(options=options, armed=True)
     plain.armed = False
-    made = Beside(plain.pilot, plain.judge, flavour=flavour)
+    made = Beside(plain.pilot, plain.judge, autopilot_kind=autopilot_kind)
     made.tell(ev.VehicleState(0.0, made.mode, made.mode.value, False))
-    made.tell(ev.Identified(0.0, flavour, 1))
+    made.tell(ev.Identified(0.0, autopilot_kind, 1))
     made.run(lambda w: w.pilot.phase is Phase.OUTBOUND and w.north > 20.0)
     return made
 
@@ -125,9 +125,9 @@ def coming(w: Beside, ahead_m: float = 90.0) -> Beside:
 
 
 @BOTH
-def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
+def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(autopilot_kind):
     """One that stands in the way: all keep what they promise, so it would brake as well."""
-    w = coming(beside(flavour))
+    w = coming(beside(autopilot_kind))
     assert w.away_m > 40.0
     w.neighbour_vel = (0.0, 0.0, 0.0)
     nearest = math.inf
@@ -145,10 +145,10 @@ def test_it_takes_over_before_a_neighbour_goes_round_it_and_hands_back(flavour):
 @BOTH
 @pytest.mark.parametrize("goal_east_m", [None, 300.0, -300.0])
 def test_who_hovers_with_its_goal_across_our_way_is_taken_for_one_that_goes_there(
-    flavour, goal_east_m
+    autopilot_kind, goal_east_m
 ):
     """Two that had just left their customers met: each looked at the speed of that moment."""
-    w = beside(flavour)
+    w = beside(autopilot_kind)
     w.neighbour = (w.north + 50.0, w.east + 40.0, -w.height)
     if goal_east_m is not None:
         w.neighbour_goal = (w.north + 50.0, w.east + goal_east_m)
@@ -170,11 +170,13 @@ def test_backing_off_leads_level_away_from_the_nearest():
 
 
 @BOTH
-def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mission(flavour):
-    w = coming(beside(flavour))
+def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mission(
+    autopilot_kind,
+):
+    w = coming(beside(autopilot_kind))
     told = [a for _, a in w.log if isinstance(a, FlyVelocity | SetMode | JumpTo)]
     first = next(k for k, a in enumerate(told) if isinstance(a, FlyVelocity))
-    if flavour is Flavour.PX4:
+    if autopilot_kind is AutopilotKind.PX4:
         assert SetMode(Mode.GUIDED) not in told[: first + 3]
         assert SetMode(Mode.GUIDED) in told
     else:
@@ -183,8 +185,8 @@ def test_px4_hears_set_points_before_it_is_asked_and_arducopter_stays_in_its_mis
 
 
 @BOTH
-def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(flavour):
-    w = coming(beside(flavour))
+def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(autopilot_kind):
+    w = coming(beside(autopilot_kind))
     w.mode = Mode.HOLD
     w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 2.0)
     since_s = w.t_s
@@ -195,8 +197,8 @@ def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(flav
 
 
 @BOTH
-def test_the_gate_stands_above_the_detour(flavour):
-    w = coming(beside(flavour))
+def test_the_gate_stands_above_the_detour(autopilot_kind):
+    w = coming(beside(autopilot_kind))
     w.judge.turn_back = lambda judge: True
     w.run(lambda w: w.pilot.phase is Phase.RETURN, 5.0)
     assert w.guided  # still near: home, by set-points
@@ -206,9 +208,9 @@ def test_the_gate_stands_above_the_detour(flavour):
     assert w.items[w.index].part is Part.RETURN
 
 
-def homeward(flavour: Flavour) -> Beside:
+def homeward(autopilot_kind: AutopilotKind) -> Beside:
     """Turned back 20 m before a waypoint of the way out, with somebody in the way."""
-    w = beside(flavour)
+    w = beside(autopilot_kind)
     w.run(lambda w: w.north > 80.0)
     coming(w)
     w.judge.turn_back = lambda judge: True
@@ -217,9 +219,11 @@ def homeward(flavour: Flavour) -> Beside:
 
 
 @BOTH
-def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_hand_back(flavour):
+def test_who_has_reached_its_waypoint_by_set_points_goes_on_though_it_may_not_hand_back(
+    autopilot_kind,
+):
     """The autopilot counts no waypoint then: two stood over two that were 3 m apart, for good."""
-    w = homeward(flavour)
+    w = homeward(autopilot_kind)
     flown, first = w.pilot.flight_plan, w.pilot.item
     assert flown is not None
     assert first == flown.mission.returning[-1]
@@ -266,15 +270,15 @@ class NoTransition:
 
 
 @BOTH
-def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour):
+def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(autopilot_kind):
     """Leave to go on was given as the way became free, and the item before was ordered again: the
     pilot then took that for somebody else's hand, and let the vehicle go home undelivered."""
-    w = coming(beside(flavour))
+    w = coming(beside(autopilot_kind))
     flown = w.pilot.flight_plan
     assert flown is not None
     before, onward = flown.mission.outbound[0], flown.mission.outbound[1]
     context = FlightContext(FLIGHT, AIRFRAME, w.judge, OPTIONS, NoTransition())
-    context.autopilot, context.flight_plan, context.phase = flavour, flown, Phase.OUTBOUND
+    context.autopilot, context.flight_plan, context.phase = autopilot_kind, flown, Phase.OUTBOUND
     leave, modes, gone_s = Leave(before), Authority(), w.t_s + 60.0
     traffic = TrafficExchange(leave)
     setpoints = SetpointTakeover(
@@ -301,13 +305,13 @@ def test_a_hand_back_does_not_undo_the_jump_of_the_same_tick(flavour):
         tick()
         assert w.t_s < gone_s
     orders = [a for a in context.take_outbox() if isinstance(a, JumpTo | SetMode)]
-    jump = SetMode(Mode.MISSION) if flavour is Flavour.PX4 else JumpTo(onward)
+    jump = SetMode(Mode.MISSION) if autopilot_kind is AutopilotKind.PX4 else JumpTo(onward)
     assert orders == [jump]
 
 
 @BOTH
-def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(flavour):
-    w = homeward(flavour)
+def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(autopilot_kind):
+    w = homeward(autopilot_kind)
     first = w.pilot.item
     w.neighbour, w.neighbour_vel = (0.0, 0.0, -w.height - 8.0), (0.0, 0.0, 0.0)
     w.run(lambda _: w.guided and math.hypot(w.north, w.east) < 8.0, 90.0)
@@ -327,9 +331,9 @@ def test_a_mission_that_is_not_moved_past_a_waypoint_is_handed_back_as_it_is(fla
 
 
 @BOTH
-def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(flavour):
+def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(autopilot_kind):
     """One that always stands 14 m before us lets us neither pass nor climb."""
-    w = coming(beside(flavour))
+    w = coming(beside(autopilot_kind))
     height = w.height
 
     def stand_before(w: Beside) -> None:
@@ -355,8 +359,8 @@ def test_who_is_held_for_four_seconds_backs_off_and_takes_the_next_layer(flavour
 
 
 @BOTH
-def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flavour):
-    w = coming(beside(flavour), 120.0)
+def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(autopilot_kind):
+    w = coming(beside(autopilot_kind), 120.0)
     w.tells = False
     north = w.north
     for _ in range(250):
@@ -369,8 +373,8 @@ def test_a_neighbour_that_falls_silent_is_doubted_more_and_more_then_let_go(flav
 
 
 @BOTH
-def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(flavour):
-    w = beside(flavour)
+def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(autopilot_kind):
+    w = beside(autopilot_kind)
     w.neighbour, w.neighbour_vel = (w.north + 60.0, 400.0, -30.0), (0.0, 8.0, 0.0)
     w.log.clear()
     for _ in range(50):
@@ -383,15 +387,15 @@ def test_a_far_neighbour_changes_nothing_and_places_are_told_at_common_ticks(fla
 
 def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_companion_is_back():
     """A companion that begins anew finds the vehicle at an item of set-points: on, at once."""
-    before = coming(beside(Flavour.ARDUPILOT))
+    before = coming(beside(AutopilotKind.ARDUPILOT))
     kept = before.pilot.checkpoint()
     pilot = world(options=OPTIONS, kept=kept, armed=True)
-    w = Beside(pilot.pilot, pilot.judge, flavour=Flavour.ARDUPILOT)
+    w = Beside(pilot.pilot, pilot.judge, autopilot_kind=AutopilotKind.ARDUPILOT)
     for name in ("t_s", "north", "east", "height", "items", "index", "loaded", "values", "mode"):
         setattr(w, name, getattr(before, name))
     w.armed = True
     w.tell(ev.VehicleState(w.t_s, w.mode, w.mode.value, True))
-    w.tell(ev.Identified(w.t_s, Flavour.ARDUPILOT, 1))
+    w.tell(ev.Identified(w.t_s, AutopilotKind.ARDUPILOT, 1))
     assert w.guided
     w.run(lambda _: not w.guided, 5.0)
     assert w.pilot.phase is Phase.OUTBOUND

@@ -1,4 +1,4 @@
-"""What a series keeps: a flight is known by its flavour, seed and gate under the same settings."""
+"""What a series keeps: a flight is known by autopilot, seed and gate under the same settings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ def base(tmp_path) -> FlyOptions:
     return FlyOptions(flight_file=flight)
 
 
-def test_flights_are_known_again_by_flavour_seed_and_gate(base, tmp_path):
+def test_flights_are_known_again_by_autopilot_seed_and_gate(base, tmp_path):
     flights = planned(base, seeds=[1, 2], autopilots=["px4", "ardupilot"], gates=[True, False])
     path = tmp_path / "rows.json"
     file = SeriesFile.open(path, "settings")
