@@ -205,8 +205,8 @@ def recall(
 
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.desk.recall import NobodyHeardError, recall_past_companion
     from ground_station.app.desk.recall import recall as recall_fleet
-    from ground_station.app.desk.recall import recall_past_companion
 
     opened = open_store(store)
     ears = ZenohFleet(fleet, zenoh)
@@ -216,6 +216,9 @@ def recall(
         missing = recall_fleet(exchange, vehicle, wait)
         if direct is not None and vehicle in missing:
             missing -= recall_past_companion(exchange, vehicle, direct, silent_for)
+    except NobodyHeardError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(NOT_RECALLED) from None
     finally:
         ears.close()
         opened.close()

@@ -2,6 +2,7 @@
 
 import secrets
 
+from companion.core.base.errors import LeewayError
 from companion.fleet.messages import Answered, Recall
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.direct_line import return_to_launch
@@ -13,8 +14,15 @@ JOIN_S = 2.0
 """How long the fleet is listened for before it counts who is there."""
 
 
+class NobodyHeardError(LeewayError):
+    """A recall of all found no vehicle to recall."""
+
+
 def recall(exchange: Exchange, vehicle: str | None, wait_s: float) -> set[str]:
-    """Recall one vehicle, or (None) all that are heard; the names of those that did not take it."""
+    """Recall one vehicle, or (None) all that are heard; the names of those that did not take it.
+
+    Raises NobodyHeardError where all are asked and none is heard.
+    """
     store, status = exchange.store, exchange.status
     heard_until_s = monotonic_s() + min(wait_s, JOIN_S)
     while monotonic_s() < heard_until_s and (vehicle is None or not _is_heard(exchange, vehicle)):
@@ -22,7 +30,7 @@ def recall(exchange: Exchange, vehicle: str | None, wait_s: float) -> set[str]:
     heard = {name for name in status.vehicles if _is_heard(exchange, name)}
     names = {vehicle} if vehicle else heard
     if not names:
-        exchange.say("no vehicle is heard")
+        raise NobodyHeardError(f"no vehicle was heard in {min(wait_s, JOIN_S):g} s: none recalled")
     asked = {f"recall-{name}-{secrets.token_hex(6)}": name for name in names}
     for id_, name in asked.items():
         store.command(id_, name, Recall(), "operator")

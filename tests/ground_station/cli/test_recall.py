@@ -62,6 +62,13 @@ def test_a_recall_is_taken_by_the_companion_and_answered(recall):
     assert [type(command.deed) for command in vehicle.done] == [Recall]
 
 
+def test_a_recall_of_all_that_nobody_hears_is_no_success(recall):
+    run, _ = recall
+    code, said = run("--all", "--wait", "1")
+    assert code == 3
+    assert "no vehicle was heard in 1 s: none recalled" in said
+
+
 def test_the_direct_line_is_not_used_past_a_companion_that_lives(recall):
     run, make_vehicle = recall
     vehicle = make_vehicle()
