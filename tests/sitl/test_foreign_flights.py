@@ -128,15 +128,19 @@ def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_
     assert "--configure" in said
 
 
-def test_a_site_elsewhere_is_refused_and_with_here_it_lies_about_the_vehicle(tmp_path):
+def test_a_site_elsewhere_is_refused(tmp_path):
     served = stood(AutopilotKind.PX4, ELSEWHERE)
-    file = flight_file(tmp_path)
     link = "udpout:127.0.0.1:PORT"
-    row = fly(served, "udpin::0", link, tmp_path, file, configure=True)
+    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path), configure=True)
     assert row["outcome"] == "ABRT"
     assert "the vehicle stands" in row["reason"]
     assert "--here" in row["reason"]
+
+
+def test_with_here_the_site_lies_about_the_vehicle(tmp_path):
     served = stood(AutopilotKind.PX4, ELSEWHERE)
+    link = "udpout:127.0.0.1:PORT"
+    file = flight_file(tmp_path)
     row = fly(served, "udpin::0", link, tmp_path, file, configure=True, here=True)
     assert row["outcome"] == "SUC"
     assert not served.truth.parcel_aboard

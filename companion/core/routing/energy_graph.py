@@ -1,13 +1,12 @@
 """The directed waypoint graph whose edges cost energy that depends on wind and payload.
 
-Arrays are for planning; `networkx_graph` is for building, checking and drawing. Edges are sorted
-by (tail, head), so that the out-edges of a vertex are one slice and ties fall to the lowest head.
+Edges are sorted by (tail, head), so that the out-edges of a vertex are one slice and ties fall to
+the lowest head.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import networkx as nx
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -220,14 +219,3 @@ def least_energy_wh(graph: EnergyGraph, edge_wh: Floats, place: int, to_goal: bo
             break
         least = following
     return least
-
-
-def networkx_graph(graph: EnergyGraph) -> nx.DiGraph:
-    """The graph for checking and drawing: `pos_m` on vertices, `length_m` and `edge` on edges."""
-    drawn = nx.DiGraph(depot=graph.depot, target=graph.target)
-    for v, (east, north, up) in enumerate(graph.vertices_m.tolist()):
-        drawn.add_node(v, pos_m=(east, north), up_m=up)
-    lengths = graph.length_m.tolist()
-    for e, (tail, head) in enumerate(zip(graph.tail.tolist(), graph.head.tolist(), strict=True)):
-        drawn.add_edge(tail, head, length_m=lengths[e], edge=e)
-    return drawn

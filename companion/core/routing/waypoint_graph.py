@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 
 from companion.core.base.arrays import Floats, Ints
@@ -81,15 +80,6 @@ class WaypointGraph:
             Leg(LegKind.CRUISE, self.point(int(a)), self.point(int(b)), payload_kg)
             for a, b in zip(self.tail, self.head, strict=True)
         )
-
-    def to_networkx(self) -> "nx.DiGraph[int]":
-        """The same graph with `length_m` on its edges, to check and to draw."""
-        graph: nx.DiGraph[int] = nx.DiGraph()
-        for vertex in range(len(self.vertices_ned_m)):
-            graph.add_node(vertex, ned_m=self.point(vertex))
-        for a, b, length in zip(self.tail, self.head, self.length_m(), strict=True):
-            graph.add_edge(int(a), int(b), length_m=float(length))
-        return graph
 
     def energy_graph(self, route_energy: RouteEnergy, payload_kg: float) -> EnergyGraph:
         """The same graph as the planners have it."""

@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import KDTree
 
-from companion.core.routing.energy_graph import EnergyGraph, networkx_graph
+from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import Look
 from companion.core.routing.shortest_paths import RouteFinder
 from sim_bridge.adapters.wall_clock import cpu_s
@@ -111,7 +111,7 @@ def decision_lines(policy: ValuePolicy, samples: int = 500) -> list[Line]:
     sight = sight_of(model.chain, None)
     random = np.random.default_rng(BENCH_SEED)
     decider = Ber(policy, sight).begin(np.zeros(1))
-    finder, drawn = RouteFinder(graph), networkx_graph(graph)
+    finder, drawn = RouteFinder(graph), _networkx_graph(graph)
     power = graph.power_w[0] / 3600.0
     winds = random.integers(0, sight.count, samples)
     places = random.integers(0, graph.vertex_count, samples)
@@ -213,12 +213,22 @@ def recorded_scenario() -> Scenario:
     return msgspec.structs.replace(bench_scenario(), name="bench-log", wind=recording)
 
 
+def _networkx_graph(graph: EnergyGraph) -> nx.DiGraph:
+    """The same graph as networkx has it: `length_m` and `edge` on edges."""
+    drawn = nx.DiGraph(depot=graph.depot, target=graph.target)
+    drawn.add_nodes_from(range(graph.vertex_count))
+    lengths = graph.length_m.tolist()
+    for e, (tail, head) in enumerate(zip(graph.tail.tolist(), graph.head.tolist(), strict=True)):
+        drawn.add_edge(tail, head, length_m=lengths[e], edge=e)
+    return drawn
+
+
 def plain_rer(scenario: Scenario, missions: int) -> list[int]:
     """RER as one would write it first: a networkx search at each vertex of each mission."""
     bench = Workbench(scenario, CampaignParams(missions=missions, risk_weight=0.0))
     winds = bench.winds(0)
     graph = bench.graph
-    drawn = networkx_graph(graph)
+    drawn = _networkx_graph(graph)
     known: dict[int, np.ndarray] = {}
     outcomes = []
     for mission in range(missions):

@@ -335,6 +335,7 @@ def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
         "pyulog",
         "sqlalchemy",
         "zenoh",
+        "networkx",
         "scipy.optimize",
     )
     imports = "import sys; import companion.app.cli.main, companion.app.cli.flying"

@@ -2,11 +2,10 @@
 
 import math
 
-import networkx as nx
 import numpy as np
 import pytest
 
-from companion.core.routing.energy_graph import EnergyGraph, networkx_graph, prune
+from companion.core.routing.energy_graph import EnergyGraph, prune
 
 
 def square(powers=(1000.0, 500.0)):
@@ -114,12 +113,6 @@ def test_a_route_std_agrees_with_sampled_winds():
     total = sum(energy[int(load)][e] for e, load in zip(route, loads, strict=True))
     predicted = graph.route_energy_std_wh(route, [2.0, 1.0], covariance, loads)
     assert predicted == pytest.approx(total.std(), rel=0.05)  # linear in a small wind error
-
-
-def test_networkx_gets_the_same_graph():
-    drawn = networkx_graph(square())
-    assert nx.is_strongly_connected(drawn)
-    assert drawn.edges[0, 1]["length_m"] == pytest.approx(100.0)
 
 
 def test_pruning_leaves_out_only_edges_beyond_the_budget():
