@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check -q install -c constraints.txt
 # Most of what is installed is never imported: what is, Python compiles then. Halves the time.
 PIP_INSTALL += --no-compile
+# Some containers forbid Python to keep what it compiles: each command would compile all again.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help fly test sample night lint bench wheel-check docs docs-reference install clean
 
@@ -57,6 +59,7 @@ $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "make: $(PYTHON) is $$($(PYTHON) -V 2>&1); Leeway needs 3.11 or later: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@$(PYTHON) -m venv $(VENV)
+	@$(PIP_INSTALL) --upgrade pip  # Python 3.11's own takes twice as long to choose versions
 
 $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "installing leeway-uas[sim,ground] into $(VENV) ..."

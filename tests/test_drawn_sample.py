@@ -64,9 +64,3 @@ def test_a_seed_that_is_no_number_is_refused(family):
     result = family.runpytest_inprocess("--draw-seed", "many")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*expected a whole number*'many'*")
-
-
-def test_the_workers_of_a_run_draw_the_same(family):
-    # In a process of its own: workers that collect different tests end the run with an error.
-    result = family.runpytest_subprocess("-n", "2", "--draw-seed", "new")
-    result.assert_outcomes(passed=8 + 3 + 1)
