@@ -27,7 +27,7 @@ from sim_bridge.research.benchmarks.timing import Samples
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
-REAL_TIME_SECONDS_S = 120.0  # take-off, settling, tables made, the way out
+REAL_TIME_SECONDS_S = 120.0  # take-off, measuring the wind, the way out
 SOLO_SECONDS_S = 300.0
 WARM_UP_S = 5.0
 MEMORY_EVERY_S = 1.0
@@ -45,8 +45,6 @@ class _Meter(Progress):
     exchanges_s: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
     rss_mb: float = 0.0
-    together_mb: float = 0.0
-    """The companion and its table worker, most at any moment; shared pages counted once."""
     _looked_t_s: float = 0.0
     _cpu_at_start_s: float = 0.0
     _process: psutil.Process | None = None
@@ -71,11 +69,6 @@ class _Meter(Progress):
         with suppress(psutil.Error):
             self.cpu_s = self._cpu() - self._cpu_at_start_s
             self.rss_mb = max(self.rss_mb, self._process.memory_info().rss / 1e6)
-            family = [self._process, *self._process.children()]
-            shares = [p.memory_full_info() for p in family]
-            # PSS is Linux's; elsewhere what is the process's own.
-            together = sum(getattr(share, "pss", share.uss) for share in shares)
-            self.together_mb = max(self.together_mb, together / 1e6)
 
     def exchanged(self, wall_s: float) -> None:
         self.exchanges_s.append(wall_s)
@@ -129,8 +122,6 @@ def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[st
         loads = [100.0 * m.cpu_s / m.wall for m in meters]
         rows.append((f"companion at real time, {autopilot}", loads, "%", "< 15"))
         rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
-        together = [m.together_mb for m in meters]
-        rows.append(("  with its table worker, at most", together, "MB", "< 250"))
         rows.append(
             ("  telemetry to command p99", [m.exchange_p99_ms for m in meters], "ms", "< 100")
         )

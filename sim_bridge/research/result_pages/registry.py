@@ -245,8 +245,8 @@ PAGES = (
         "planner-speed",
         "Planner speed and size",
         "Planners and campaigns beside their plain alternatives.",
-        (PageCommand(_bench("planner", "--out", OUT), FIXED),),
-        2.0,
+        (PageCommand(_bench("planner", "--large", "--out", OUT), FIXED),),
+        3.0,
     ),
     Page(
         "paths",
