@@ -4,9 +4,10 @@ import contextlib
 import os
 import shutil
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -104,7 +105,17 @@ class Progress:
         return True
 
 
-def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]:
+class Script(Protocol):
+    """What happens to the vehicles of a run beside the faults of its flight file."""
+
+    def apply(self, crafts: list[Craft], t_s: float, lockstep: Lockstep) -> None:
+        """Called ten times a simulated second, after physics and before the companions answer."""
+        ...
+
+
+def fly(
+    options: FlyOptions, progress: Progress | None = None, script: Script | None = None
+) -> dict[str, Any]:
     """Fly to the end and judge; `{"flights": [...]}` as in docs/reference/flight-json.md."""
     progress = progress or Progress()
     flight = read_flight(options.flight_file)
@@ -129,7 +140,8 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
             stack.callback(craft.companion.end)
         plan = FaultPlan(faults)
         with saved_on_interrupt(run_dir):
-            _run(options, crafts, endpoints, plan, progress)
+            scripts = [plan] if script is None else [plan, script]
+            _run(options, crafts, endpoints, scripts, progress)
         for craft in crafts:
             craft.companion.end()
     rows = [_conclude(options, craft, airframe) for craft in crafts]
@@ -251,7 +263,7 @@ def _run(
     options: FlyOptions,
     crafts: list[Craft],
     endpoints: EndpointSet,
-    faults: FaultPlan,
+    scripts: Sequence[Script],
     progress: Progress,
 ) -> None:
     lockstep = Lockstep(
@@ -279,7 +291,8 @@ def _run(
         for craft in crafts:
             if not craft.finished:
                 craft.advance(STEPS)
-        faults.apply(crafts, t_s, lockstep)
+        for script in scripts:
+            script.apply(crafts, t_s, lockstep)
         _await_restarted(crafts, lockstep, t_s)
         sent_s = wall_s()
         gathered = lockstep.exchange(round(t_s * 1e9))

@@ -6,7 +6,6 @@ What is flown is on disk at once, so a series that was stopped goes on where it 
 import hashlib
 import json
 import multiprocessing
-import signal
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -23,7 +22,7 @@ from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.flight.fly import FlyOptions, fly
 from sim_bridge.app.flight.report import slim_table
-from sim_bridge.app.flight.stopping import stop_by_signal
+from sim_bridge.app.flight.stopping import begin_worker
 
 PROGRAM = Path(__file__).parents[3]
 NOT_SETTINGS = {"autopilot", "seed", "gate", "run_root", "picture", "lockstep_limit_s"}
@@ -130,7 +129,7 @@ def run_series(flights: list[FlyOptions], file: SeriesFile, jobs: int) -> list[R
     """
     left = [options for options in flights if not file.has(options)]
     context = multiprocessing.get_context("spawn")
-    pool = context.Pool(min(jobs, max(len(left), 1)), _begin_work)
+    pool = context.Pool(min(jobs, max(len(left), 1)), begin_worker)
     try:
         with Bar(transient=True) as bar:
             task = bar.add_task(f"{len(left)} flights", total=len(left))
@@ -148,12 +147,6 @@ def run_series(flights: list[FlyOptions], file: SeriesFile, jobs: int) -> list[R
 
 def _flown(pool: Pool, flights: list[FlyOptions]) -> Iterator[tuple[int, list[Row]]]:
     return pool.imap_unordered(_fly_one, list(enumerate(flights)))
-
-
-def _begin_work() -> None:
-    """In a worker: the terminal's Ctrl-C is for the parent, which sends SIGTERM to all workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stop_by_signal(signal.SIGTERM)
 
 
 def _fly_one(task: tuple[int, FlyOptions]) -> tuple[int, list[Row]]:

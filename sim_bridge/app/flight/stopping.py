@@ -8,6 +8,12 @@ LEAVES_AT_ONCE = threading.Event()
 """Set by what opens zenoh sessions: their threads can keep an interpreter from ending."""
 
 
+def begin_worker() -> None:
+    """In a worker: the terminal's Ctrl-C is for the parent, which sends SIGTERM to all workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stop_by_signal(signal.SIGTERM)
+
+
 def stop_by_signal(number: int) -> None:
     """From now on this signal raises SystemExit(128 + number) once; later ones change nothing."""
 

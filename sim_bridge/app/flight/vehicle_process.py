@@ -1,6 +1,7 @@
 """One simulated vehicle as flown: physics, autopilot, operator, companion process, record."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.forger import Forger
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.record import TruthRecord
+from sim_bridge.app.flight.tap import Tap
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.truth import terrain as ground
@@ -73,6 +75,9 @@ class Craft:
     link_silent_until_s: float = -1.0
     bad_link: BadLink | None = None
     forger: Forger | None = None
+    tap: Tap | None = None
+    others: dict[int, Callable[[float, bytes], None]] = field(default_factory=dict)
+    """Links of other ground stations, by number: what takes the frames that they are sent."""
     refused: frozenset[tuple[str, int]] = frozenset()
     commands: list[tuple[float, str, int]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
@@ -113,6 +118,8 @@ class Craft:
         """
         said = [*self._said_to_companion(), *self._refusals]
         self._refusals = []
+        if self.tap is not None:
+            said = self.tap.down(said, self.t_s)
         out = said if self.link_up else []
         if self.bad_link is not None and self.link_up:
             out = self.bad_link.spoil(out, self.autopilot.time_boot_ms)
@@ -128,6 +135,8 @@ class Craft:
         for link, frame in self.autopilot.take_outbox():
             if link == OPERATOR_LINK:
                 self.operator.receive(self.t_s, frame)
+            elif link in self.others:
+                self.others[link](self.t_s, frame)
             else:
                 frames.append(frame)
         return frames
@@ -152,7 +161,8 @@ class Craft:
             if (message.msg_name, number) in self.refused:
                 self._refuse(number)
                 return
-        self.autopilot.receive(COMPANION_LINK, datagram)
+        passed = datagram if self.tap is None else self.tap.up(datagram)
+        self.autopilot.receive(COMPANION_LINK, passed)
 
     def _refuse(self, command: int) -> None:
         """Answer a command with FAILED; what is no command (PX4's jump) is left without effect."""

@@ -1,0 +1,41 @@
+"""A row of the standing suite: what is done to a flight, in which phases, and what must hold."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from sim_bridge.app.faults.stage import Stage
+from sim_bridge.app.faults.verdict import Ask, FlownFault, comes_home, raises_nothing
+
+PHASES = ("ready", "climb", "outbound", "drop", "return", "land")
+"""Where in a flight a fault begins; the names of the command line and of the results."""
+
+BOTH = ("px4", "ardupilot")
+
+Play = Callable[[Stage], Iterator[None]]
+"""What happens, step by step: each `yield` is an exchange of 0.1 s with the companion."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCase:
+    """One row. `asks` are judged by truth; each returns what is wrong, or None.
+
+    `flight` changes the flight file, table by table. `ends_after_s`: the flight is ended so long
+    after a person has taken over, where nobody is expected to come home.
+    """
+
+    number: int
+    name: str
+    group: str
+    says: str
+    play: Play
+    asks: tuple[Ask, ...] = (comes_home,)
+    phases: tuple[str, ...] = ("outbound",)
+    autopilots: tuple[str, ...] = BOTH
+    flight: dict[str, Any] = field(default_factory=dict)
+    ends_after_s: float | None = None
+
+    def wrong(self, flown: FlownFault) -> list[str]:
+        """What does not hold of a flight; nobody may raise an exception in any."""
+        found = [ask(flown) for ask in (*self.asks, raises_nothing)]
+        return [words for words in found if words]

@@ -1,0 +1,29 @@
+"""All rows of the standing suite, by number."""
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.app.faults import authority, energy, host, link, mission_and_home
+from sim_bridge.app.faults.case import FaultCase
+
+CATALOGUE: tuple[FaultCase, ...] = tuple(
+    sorted(
+        (*authority.CASES, *mission_and_home.CASES, *energy.CASES, *host.CASES, *link.CASES),
+        key=lambda case: case.number,
+    )
+)
+"""Every row."""
+
+
+def chosen(names: list[str]) -> list[FaultCase]:
+    """The rows of these names or numbers; all of them where none is named.
+
+    Raises: LeewayError for a name that no row has.
+    """
+    if not names:
+        return list(CATALOGUE)
+    known = {case.name for case in CATALOGUE} | {str(case.number) for case in CATALOGUE}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise LeewayError(
+            f"--only {unknown[0]}: no such fault; `sim-bridge faults --list` names them"
+        )
+    return [case for case in CATALOGUE if case.name in names or str(case.number) in names]

@@ -1,0 +1,164 @@
+"""Faults of energy: batteries that say what is not so, a gripper that lies."""
+
+from collections.abc import Iterator
+
+from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.stage import Stage
+from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
+from sim_bridge.app.flight.tap import as_it_is, with_fields
+from sim_bridge.autopilot.mavlink.codec import Message
+
+BATTERY = "BATTERY_STATUS"
+LATE_S = 4.0
+WILD_MAH = 4_000_000
+FLYING = ("climb", "outbound", "drop", "return")
+
+
+def packs_apart(points: int) -> Play:
+    """A second pack is reported in turns with the first, so many points lower."""
+
+    def change(message: Message) -> list[Message] | None:
+        if message.msg_name != BATTERY:
+            return None
+        lower = max(message.battery_remaining - points, 0)
+        return [message, with_fields(message, id=1, battery_remaining=lower)]
+
+    def play(stage: Stage) -> Iterator[None]:
+        stage.tap.to_companion = change
+        stage.begin()
+        yield
+
+    return play
+
+
+def battery_late(stage: Stage) -> Iterator[None]:
+    """One battery message comes four seconds late, behind younger ones."""
+    yield from stage.reached()
+    stage.tap.hold_back_s[BATTERY] = LATE_S
+    yield from stage.wait(0.6)
+    del stage.tap.hold_back_s[BATTERY]
+
+
+def once(**fields: int) -> Play:
+    """One battery message says this, once."""
+
+    def play(stage: Stage) -> Iterator[None]:
+        yield from stage.reached()
+        told: list[Message] = []
+
+        def change(message: Message) -> list[Message] | None:
+            if told or message.msg_name != BATTERY:
+                return None
+            told.append(message)
+            return [with_fields(message, **fields)]
+
+        stage.tap.to_companion = change
+        yield from stage.until(lambda: bool(told))
+        stage.tap.to_companion = as_it_is
+
+    return play
+
+
+def counter_reset(stage: Stage) -> Iterator[None]:
+    """The counters of charge and energy begin again from zero."""
+    yield from stage.reached()
+    first: list[Message] = []
+
+    def change(message: Message) -> list[Message] | None:
+        if message.msg_name != BATTERY:
+            return None
+        first.append(message)
+        used = ("current_consumed", "energy_consumed")
+        return [
+            with_fields(
+                message, **{n: max(getattr(message, n) - getattr(first[0], n), 0) for n in used}
+            )
+        ]
+
+    stage.tap.to_companion = change
+
+
+def parcel_sticks(stage: Stage) -> Iterator[None]:
+    """The parcel does not leave; the gripper reports success."""
+    stage.craft.vehicle.release_fails = True
+    stage.begin()
+    yield
+
+
+SAFE = (comes_home, promises_nothing_false)
+PLAIN = (*SAFE, delivers)
+GROUP = "energy"
+CASES = (
+    FaultCase(
+        25,
+        "packs-5-apart",
+        GROUP,
+        "two packs whose percentages are 5 points apart",
+        packs_apart(5),
+        PLAIN,
+        ("ready",),
+    ),
+    FaultCase(
+        25,
+        "packs-20-apart",
+        GROUP,
+        "two packs whose percentages are 20 points apart",
+        packs_apart(20),
+        SAFE,
+        ("ready",),
+    ),
+    FaultCase(
+        26,
+        "counter-late",
+        GROUP,
+        "one battery message comes four seconds late",
+        battery_late,
+        PLAIN,
+        FLYING,
+    ),
+    FaultCase(
+        26,
+        "counter-reset",
+        GROUP,
+        "the counters of charge and energy begin again from zero",
+        counter_reset,
+        SAFE,
+        FLYING,
+    ),
+    FaultCase(
+        26,
+        "counter-wild",
+        GROUP,
+        "one wild counter",
+        once(current_consumed=WILD_MAH, energy_consumed=WILD_MAH),
+        PLAIN,
+        FLYING,
+    ),
+    FaultCase(
+        27,
+        "percentage-0-once",
+        GROUP,
+        "the battery is said to be empty, once",
+        once(battery_remaining=0),
+        PLAIN,
+        FLYING,
+    ),
+    FaultCase(
+        27,
+        "percentage-100-once",
+        GROUP,
+        "the battery is said to be full, once",
+        once(battery_remaining=100),
+        PLAIN,
+        FLYING,
+    ),
+    FaultCase(
+        30,
+        "parcel-sticks",
+        GROUP,
+        "the parcel does not leave, and the gripper reports success",
+        parcel_sticks,
+        SAFE,
+        ("drop",),
+    ),
+)

@@ -1,0 +1,176 @@
+"""Faults of what is aboard and where home is: edits by another station, a home that moves."""
+
+from collections.abc import Iterator
+
+from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.people import Station, dragged, foreign
+from sim_bridge.app.faults.stage import Stage
+from sim_bridge.app.faults.verdict import comes_home, promises_nothing_false, tells
+from sim_bridge.autopilot.mission.items import MissionItem
+
+DRAGGED_M = 1500.0
+ELSEWHERE_M = 3000.0
+FLYING = ("climb", "outbound", "drop", "return")
+
+
+def _aboard(stage: Stage) -> list[MissionItem]:
+    return list(stage.craft.autopilot.store.mission)
+
+
+def edited(stage: Stage) -> Iterator[None]:
+    """The next waypoint is dragged 1.5 km away; the list is as long as before."""
+    station = Station(stage)
+    yield from stage.reached()
+    current = stage.craft.autopilot.executor.index
+    yield from station.upload(dragged(_aboard(stage), current, DRAGGED_M))
+
+
+def replaced(stage: Stage) -> Iterator[None]:
+    """Somebody else's mission of the same length, 3 km away."""
+    station = Station(stage)
+    yield from stage.reached()
+    yield from station.upload(foreign(_aboard(stage), ELSEWHERE_M))
+
+
+def shorter(stage: Stage) -> Iterator[None]:
+    """The first half of the list is uploaded anew."""
+    station = Station(stage)
+    yield from stage.reached()
+    items = _aboard(stage)
+    yield from station.upload(items[: len(items) // 2])
+
+
+def longer(stage: Stage) -> Iterator[None]:
+    """The list is uploaded with somebody else's appended."""
+    station = Station(stage)
+    yield from stage.reached()
+    items = _aboard(stage)
+    yield from station.upload([*items, *foreign(items[1:], ELSEWHERE_M)])
+
+
+def cleared(stage: Stage) -> Iterator[None]:
+    """The mission is cleared."""
+    station = Station(stage)
+    yield from stage.reached()
+    station.clear()
+
+
+def cut_half_way(stage: Stage) -> Iterator[None]:
+    """Another station begins an upload and falls silent half-way."""
+    station = Station(stage)
+    yield from stage.reached()
+    items = _aboard(stage)
+    yield from station.upload(foreign(items, ELSEWHERE_M), stop_after=len(items) // 2)
+
+
+def home_moved(*, north_m: float = 0.0, up_m: float = 0.0) -> Play:
+    """Home is set elsewhere by another station."""
+
+    def play(stage: Stage) -> Iterator[None]:
+        station = Station(stage)
+        yield from stage.reached()
+        station.set_home(north_m=north_m, up_m=up_m)
+
+    return play
+
+
+def progress_late(stage: Stage) -> Iterator[None]:
+    """MISSION_CURRENT comes two seconds late, from now on."""
+    yield from stage.reached()
+    stage.tap.hold_back_s["MISSION_CURRENT"] = 2.0
+
+
+SAFE = (comes_home, promises_nothing_false)
+GROUP = "mission and home"
+CASES = (
+    FaultCase(
+        10,
+        "same-length-edit",
+        GROUP,
+        "another station drags one waypoint 1.5 km away; the list is as long as before",
+        edited,
+        (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        11,
+        "foreign-upload",
+        GROUP,
+        "another station uploads a mission of the same length, 3 km away",
+        replaced,
+        (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        12,
+        "shorter-upload",
+        GROUP,
+        "another station uploads the first half of the list",
+        shorter,
+        (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        12,
+        "longer-upload",
+        GROUP,
+        "another station uploads the list with another appended",
+        longer,
+        (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        13,
+        "mission-cleared",
+        GROUP,
+        "another station clears the mission",
+        cleared,
+        (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        14,
+        "upload-cut",
+        GROUP,
+        "another station begins an upload and falls silent half-way",
+        cut_half_way,
+        SAFE,
+        FLYING,
+    ),
+    FaultCase(
+        15,
+        "home-up-25",
+        GROUP,
+        "home is set 25 m higher",
+        home_moved(up_m=25.0),
+        (*SAFE, tells("home")),
+        FLYING,
+    ),
+    FaultCase(
+        16,
+        "home-down-20",
+        GROUP,
+        "home is set 20 m lower",
+        home_moved(up_m=-20.0),
+        (*SAFE, tells("home")),
+        FLYING,
+    ),
+    FaultCase(
+        17,
+        "home-3-km-away",
+        GROUP,
+        "home is set 3 km away",
+        home_moved(north_m=3000.0),
+        (*SAFE, tells("home")),
+        FLYING,
+    ),
+    FaultCase(
+        20,
+        "progress-late",
+        GROUP,
+        "mission progress comes two seconds late",
+        progress_late,
+        (comes_home,),
+        ("climb", "outbound"),
+    ),
+)

@@ -1,0 +1,50 @@
+"""The suite on the terminal: a line a row that broke, a table by fault, the result as JSON."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from sim_bridge.app.faults.case import FaultCase
+from sim_bridge.app.faults.runner import FaultRow
+from sim_bridge.app.flight.report import slim_table
+
+
+def result(rows: Sequence[FaultRow]) -> dict[str, Any]:
+    """`{"rows": [...], "held": n, "of": n}`."""
+    return {"rows": list(rows), "held": sum(row.held for row in rows), "of": len(rows)}
+
+
+def write(path: Path, rows: Sequence[FaultRow]) -> None:
+    """Write the result, whole or not at all."""
+    fresh = path.with_name(path.name + ".new")
+    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows))) + b"\n")
+    fresh.replace(path)
+
+
+def listing(cases: Sequence[FaultCase]) -> Iterator[str]:
+    """The rows, two lines each, with the phases in which each makes sense."""
+    for case in cases:
+        yield f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})"
+        yield f"   {case.says}"
+
+
+def summary(rows: Sequence[FaultRow]) -> Table:
+    """By fault: how many flights held, and what broke."""
+    table = slim_table("held, by fault", ("fault", "left"), ("held", "right"), ("why not", "left"))
+    for name in dict.fromkeys(row.fault for row in rows):
+        group = [row for row in rows if row.fault == name]
+        whys = dict.fromkeys(row.why for row in group if not row.held)
+        held = f"{sum(row.held for row in group)} of {len(group)}"
+        table.add_row(name, held, "; ".join(whys))
+    return table
+
+
+def broke(console: Console, row: FaultRow) -> None:
+    """Say at once what did not hold."""
+    if not row.held:
+        where = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
+        console.print(f"broke: {where}: {row.why}", highlight=False, markup=False)

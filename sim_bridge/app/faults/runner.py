@@ -1,0 +1,187 @@
+"""Flies the rows of the suite and judges them: one flight each, side by side."""
+
+import contextlib
+import multiprocessing
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.adapters.files.params import params_dir
+from sim_bridge.app.faults.case import FaultCase
+from sim_bridge.app.faults.catalogue import CATALOGUE
+from sim_bridge.app.faults.stage import Performance
+from sim_bridge.app.faults.verdict import FlownFault
+from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
+from sim_bridge.app.flight.stopping import begin_worker
+
+FLIGHT = "faults.toml"
+LOCKSTEP_LIMIT_S = 60.0
+
+
+class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One flight under one fault, as `--json` writes it."""
+
+    fault: str
+    group: str
+    autopilot: str
+    phase: str
+    seed: int
+    outcome: str
+    home: bool
+    delivered: bool
+    margin_wh: float
+    p_home_last_go: float | None
+    commands_after_takeover: int
+    exceptions: int
+    said: list[str]
+    held: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTask:
+    """One flight to be flown."""
+
+    fault: str
+    autopilot: str
+    phase: str
+    seed: int
+    run_root: Path
+
+
+def tasks(
+    cases: Sequence[FaultCase],
+    autopilots: Sequence[str],
+    phases: Sequence[str],
+    seeds: Sequence[int],
+    run_root: Path,
+) -> list[FaultTask]:
+    """All flights of these rows, of the phases in which each makes sense."""
+    return [
+        FaultTask(case.name, autopilot, phase, seed, run_root)
+        for case in cases
+        for autopilot in autopilots
+        if autopilot in case.autopilots
+        for phase in phases
+        if phase in case.phases
+        for seed in seeds
+    ]
+
+
+def run_all(
+    todo: Sequence[FaultTask], jobs: int, flown: Callable[[FaultRow], None]
+) -> list[FaultRow]:
+    """Fly them, `jobs` side by side; `flown` is told each as it ends. In the tasks' order."""
+    rows: dict[int, FaultRow] = {}
+    for index, row in _run(todo, jobs):
+        rows[index] = row
+        flown(row)
+    return [rows[index] for index in sorted(rows)]
+
+
+def _run(todo: Sequence[FaultTask], jobs: int) -> Iterator[tuple[int, FaultRow]]:
+    if jobs == 1 or len(todo) <= 1:
+        yield from map(_fly_numbered, enumerate(todo))
+        return
+    pool = multiprocessing.get_context("spawn").Pool(min(jobs, len(todo)), begin_worker)
+    try:
+        yield from pool.imap_unordered(_fly_numbered, list(enumerate(todo)))
+        pool.close()
+    except BaseException:
+        pool.terminate()
+        raise
+    finally:
+        pool.join()
+
+
+def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:
+    index, task = numbered
+    return index, fly_fault(task)
+
+
+def fly_fault(task: FaultTask) -> FaultRow:
+    """Fly one row and judge it."""
+    (case,) = (case for case in CATALOGUE if case.name == task.fault)
+    folder = task.run_root / f"{case.name}-{task.autopilot}-{task.phase}-seed{task.seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    draws = np.random.default_rng([task.seed, case.number])
+    performance = Performance(case.play, task.phase, draws)
+    options = FlyOptions(
+        flight_file=_write_flight(case, folder),
+        autopilot=task.autopilot,
+        seed=task.seed,
+        run_root=folder,
+        picture=False,
+        lockstep_limit_s=LOCKSTEP_LIMIT_S,
+    )
+    ending = _Ending(after_s=case.ends_after_s, performance=performance)
+    (row,) = fly(options, ending, performance)["flights"]
+    assert performance.stage is not None
+    return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
+
+
+def _write_flight(case: FaultCase, folder: Path) -> Path:
+    table = tomllib.loads((params_dir() / "flights" / FLIGHT).read_text())
+    path = folder / "flight.toml"
+    path.write_bytes(msgspec.toml.encode(_merged(table, case.flight)))
+    return path
+
+
+def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """`table` with its tables changed key by key."""
+    out = dict(table)
+    for key, value in changes.items():
+        known = out.get(key)
+        if isinstance(value, dict) and isinstance(known, dict) and key != "wind":
+            out[key] = _merged(known, value)
+        else:
+            out[key] = value
+    return out
+
+
+def _words(performance: Performance) -> str:
+    assert performance.stage is not None
+    path = performance.stage.craft.run_dir / "companion.out"
+    with contextlib.suppress(OSError):
+        return path.read_text(errors="replace")
+    return ""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Ending(Progress):
+    """Ends a flight some time after a person took over, where the row says so."""
+
+    after_s: float | None
+    performance: Performance
+
+    def goes_on(self, t_s: float) -> bool:
+        stage = self.performance.stage
+        if self.after_s is None or stage is None or stage.took_over_s is None:
+            return True
+        return t_s < stage.took_over_s + self.after_s
+
+
+def _judged(task: FaultTask, case: FaultCase, flown: FlownFault) -> FaultRow:
+    wrong = case.wrong(flown)
+    return FaultRow(
+        fault=case.name,
+        group=case.group,
+        autopilot=task.autopilot,
+        phase=task.phase,
+        seed=task.seed,
+        outcome=flown.row["outcome"],
+        home=flown.row["home"],
+        delivered=flown.row["delivered"],
+        margin_wh=flown.row["margin_wh"],
+        p_home_last_go=flown.p_home_last_go,
+        commands_after_takeover=flown.commands_after_takeover,
+        exceptions=flown.exceptions,
+        said=flown.said,
+        held=not wrong,
+        why="; ".join(wrong),
+    )

@@ -1,0 +1,116 @@
+"""What must hold of a flight under a fault, judged by truth and by what was sent and said."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from sim_bridge.app.faults.stage import Stage
+
+TRACEBACK = "Traceback (most recent call last)"
+
+
+@dataclass(frozen=True, slots=True)
+class FlownFault:
+    """A flight that has ended: its row by truth, its stage, and the companion's own words."""
+
+    row: dict[str, Any]
+    stage: Stage
+    words: str
+    """All that the companion printed."""
+
+    @property
+    def said(self) -> list[str]:
+        """What the operator was told, in order."""
+        return [text for _, text in self.stage.craft.operator.said]
+
+    @property
+    def said_since(self) -> list[str]:
+        """What the operator was told after the fault began."""
+        began_s = self.stage.began_s
+        said = self.stage.craft.operator.said
+        return [text for at_s, text in said if began_s is not None and at_s >= began_s]
+
+    @property
+    def commands_after_takeover(self) -> int:
+        """Commands after the companion could know that a person had taken over."""
+        taken_s = self.stage.took_over_s
+        if taken_s is None:
+            return 0
+        return sum(at_s > taken_s for at_s, _, _ in self.stage.craft.commands)
+
+    @property
+    def p_home_last_go(self) -> float | None:
+        """P(home) that the companion promised at its last decision to go on outward."""
+        gone = [d for d in self.row["decisions"] if d["kind"] in ("go", "onward", "descend")]
+        promised = [d["p_home"] for d in gone if d.get("p_home") is not None]
+        return promised[-1] if promised else None
+
+    @property
+    def exceptions(self) -> int:
+        """Tracebacks in what the companion printed."""
+        return self.words.count(TRACEBACK)
+
+
+Ask = Callable[[FlownFault], str | None]
+"""What is wrong with a flight by one rule, in a few words; None: it holds."""
+
+
+def raises_nothing(flown: FlownFault) -> str | None:
+    """No exception reaches anybody."""
+    return f"{flown.exceptions} exceptions" if flown.exceptions else None
+
+
+def comes_home(flown: FlownFault) -> str | None:
+    """Landed at the depot, a rally point or the promised stop, with the reserve, by truth."""
+    if flown.row["home"]:
+        return None
+    crashed = ", crashed" if flown.stage.craft.record.crashed else ""
+    return f"not home ({flown.row['outcome']}, {flown.row['margin_wh']:+.1f} Wh{crashed})"
+
+
+def delivers(flown: FlownFault) -> str | None:
+    """The fault costs no delivery either."""
+    return None if flown.row["delivered"] else "not delivered"
+
+
+def fault_began(flown: FlownFault) -> str | None:
+    """A flight that ended before its fault shows nothing."""
+    return None if flown.stage.began_s is not None else "the fault never began"
+
+
+def hands_off(flown: FlownFault) -> str | None:
+    """Not one command after a person has taken over."""
+    if flown.stage.took_over_s is None:
+        return "nobody took over"
+    sent = flown.commands_after_takeover
+    return f"{sent} commands after the take-over" if sent else None
+
+
+def stays_disarmed(flown: FlownFault) -> str | None:
+    """What a person disarmed stays disarmed."""
+    return "armed again" if flown.stage.armed else None
+
+
+def tells(*words: str, within_s: float | None = None) -> Ask:
+    """The operator hears one of these words (in time) after the fault began."""
+
+    def ask(flown: FlownFault) -> str | None:
+        began_s = flown.stage.began_s
+        if began_s is None:
+            return "the fault never began"
+        limit_s = began_s + (within_s if within_s is not None else 1e9)
+        said = flown.stage.craft.operator.said
+        heard = [t.lower() for at_s, t in said if began_s <= at_s <= limit_s]
+        if any(word in text for text in heard for word in words):
+            return None
+        return f"the operator did not hear {' or '.join(repr(word) for word in words)}"
+
+    return ask
+
+
+def promises_nothing_false(flown: FlownFault) -> str | None:
+    """It did not go on with a promise of 0.99 that it then broke."""
+    promised = flown.p_home_last_go
+    if promised is None or promised < 0.99 or flown.row["home"]:
+        return None
+    return f"P(home) {promised:.3f} was said, and it did not come home"
