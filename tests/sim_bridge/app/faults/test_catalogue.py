@@ -1,0 +1,51 @@
+"""The rows of the suite: named once, placed in known phases, found by name and by number."""
+
+from collections import Counter
+
+import pytest
+from typer.testing import CliRunner
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.app.faults.case import BOTH, PHASES
+from sim_bridge.app.faults.catalogue import CATALOGUE, chosen
+from sim_bridge.app.faults.runner import tasks
+from sim_bridge.main import app
+
+
+def test_every_name_is_one_row_and_every_row_has_a_number_of_the_suite():
+    assert max(Counter(case.name for case in CATALOGUE).values()) == 1
+    assert all(1 <= case.number <= 62 for case in CATALOGUE)
+
+
+def test_every_row_begins_in_known_phases_and_asks_something():
+    for case in CATALOGUE:
+        assert set(case.phases) <= set(PHASES), case.name
+        assert set(case.autopilots) <= set(BOTH), case.name
+        assert case.phases, case.name
+        assert case.asks, case.name
+
+
+def test_rows_are_chosen_by_name_and_by_number():
+    assert [case.name for case in chosen(["arm-ack-lost"])] == ["arm-ack-lost"]
+    assert {case.number for case in chosen(["25", "arm-ack-lost"])} == {1, 25}
+    assert chosen([]) == list(CATALOGUE)
+
+
+def test_a_name_that_no_row_has_is_refused_with_where_to_look():
+    with pytest.raises(LeewayError, match=r"no-such-fault.*--list"):
+        chosen(["no-such-fault"])
+
+
+def test_a_row_is_flown_only_in_phases_where_it_makes_sense(tmp_path):
+    made = tasks(chosen(["1", "7"]), BOTH, PHASES, range(1, 3), tmp_path)
+    assert {task.phase for task in made if task.fault == "arm-ack-lost"} == {"ready"}
+    assert "land" not in {task.phase for task in made}
+    assert len(made) == 2 * 2 * (1 + 4)
+
+
+def test_the_list_names_every_row_and_flies_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    listed = CliRunner().invoke(app, ["faults", "--list"])
+    assert listed.exit_code == 0
+    assert all(case.name in listed.output for case in CATALOGUE)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,72 @@
+"""The rules by which a row is judged, each on a flight that keeps it and one that does not."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from sim_bridge.app.faults.verdict import (
+    FlownFault,
+    comes_home,
+    delivers,
+    fault_began,
+    hands_off,
+    promises_nothing_false,
+    raises_nothing,
+    stays_disarmed,
+    tells,
+)
+
+
+def flown(**changes) -> FlownFault:
+    row = {"home": True, "delivered": True, "outcome": "SUC", "margin_wh": 3.0}
+    row["decisions"] = [{"kind": "go", "p_home": changes.pop("promised", 0.995)}]
+    craft = SimpleNamespace(
+        record=SimpleNamespace(crashed=False),
+        commands=changes.pop("commands", []),
+        operator=SimpleNamespace(said=changes.pop("said", [])),
+    )
+    stage = SimpleNamespace(
+        craft=craft,
+        began_s=changes.pop("began_s", 50.0),
+        took_over_s=changes.pop("took_over_s", 60.0),
+        armed=changes.pop("armed", False),
+    )
+    words = changes.pop("words", "")
+    return FlownFault(row | changes, stage, words)
+
+
+LOST = {"home": False, "outcome": "DEL", "margin_wh": -2.0}
+BAD = {
+    comes_home: LOST,
+    delivers: {"delivered": False},
+    fault_began: {"began_s": None},
+    hands_off: {"commands": [(60.1, "COMMAND_LONG", 400)]},
+    stays_disarmed: {"armed": True},
+    promises_nothing_false: LOST,
+    raises_nothing: {"words": "x\nTraceback (most recent call last):\n  File"},
+}
+
+
+@pytest.mark.parametrize("rule", BAD, ids=lambda rule: rule.__name__)
+def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
+    assert rule(flown()) is None
+    assert rule(flown(**BAD[rule]))
+
+
+def test_commands_before_the_take_over_do_not_count():
+    assert hands_off(flown(commands=[(59.9, "COMMAND_LONG", 400)])) is None
+
+
+def test_hands_off_is_not_shown_by_a_flight_that_nobody_took_over():
+    assert hands_off(flown(took_over_s=None)) == "nobody took over"
+
+
+def test_a_promise_under_99_percent_is_not_a_false_one():
+    assert promises_nothing_false(flown(promised=0.9, **LOST)) is None
+
+
+def test_words_before_the_fault_and_too_late_are_not_heard():
+    rule = tells("mission", within_s=2.0)
+    assert rule(flown(said=[(49.0, "another mission aboard")]))
+    assert rule(flown(said=[(53.0, "another mission aboard")]))
+    assert rule(flown(said=[(51.0, "another mission aboard")])) is None

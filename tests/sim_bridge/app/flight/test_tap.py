@@ -1,0 +1,64 @@
+"""The tap on the companion's link: what it leaves alone, loses, changes and holds back."""
+
+import pytest
+
+from sim_bridge.app.flight.tap import Tap, with_fields
+from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
+
+
+@pytest.fixture
+def autopilot() -> Encoder:
+    return Encoder(1, 1)
+
+
+def heartbeat(base_mode: int = 209) -> Message:
+    return Message(
+        "HEARTBEAT",
+        type=2,
+        autopilot=12,
+        base_mode=base_mode,
+        custom_mode=0,
+        system_status=4,
+        mavlink_version=3,
+    )
+
+
+def named(frames: list[bytes]) -> list[str]:
+    return [message.msg_name for frame in frames for message in Decoder().feed(frame)]
+
+
+def test_untouched_frames_pass_byte_for_byte(autopilot):
+    frames = [autopilot.encode(heartbeat()), autopilot.encode(Message("MISSION_CURRENT", seq=3))]
+    assert Tap().down(frames, 0.0) == frames
+    assert Tap().up(b"".join(frames)) == b"".join(frames)
+
+
+def test_a_changed_message_comes_from_the_same_sender_with_one_field_changed(autopilot):
+    tap = Tap(to_companion=lambda message: [with_fields(message, base_mode=81)])
+    (frame,) = tap.down([autopilot.encode(heartbeat())], 0.0)
+    (message,) = Decoder().feed(frame)
+    assert (message.src_system, message.src_component) == (1, 1)
+    assert message == heartbeat(81)
+
+
+def test_a_lost_message_is_gone_and_its_neighbours_are_not(autopilot):
+    lose = lambda message: [] if message.msg_name == "HEARTBEAT" else None  # noqa: E731
+    frames = [autopilot.encode(heartbeat()), autopilot.encode(Message("MISSION_CURRENT", seq=3))]
+    assert Tap(to_companion=lose).down(frames, 0.0) == frames[1:]
+    assert Tap(to_autopilot=lose).up(b"".join(frames)) == frames[1]
+
+
+def test_what_is_held_back_comes_later_and_once(autopilot):
+    tap = Tap(hold_back_s={"MISSION_CURRENT": 2.0})
+    frames = [autopilot.encode(heartbeat()), autopilot.encode(Message("MISSION_CURRENT", seq=3))]
+    assert tap.down(frames, 10.0) == frames[:1]
+    assert tap.down([], 11.9) == []
+    assert tap.down([], 12.0) == frames[1:]
+    assert tap.down([], 13.0) == []
+
+
+def test_added_frames_reach_the_companion_once(autopilot):
+    tap, frame = Tap(), autopilot.encode(heartbeat())
+    tap.added.append(frame)
+    assert named(tap.down([], 0.0)) == ["HEARTBEAT"]
+    assert tap.down([], 0.1) == []
