@@ -12,7 +12,7 @@ from sim_bridge.app.faults.verdict import (
     stays_disarmed,
     tells,
 )
-from sim_bridge.app.flight.tap import Change, as_it_is, with_fields
+from sim_bridge.app.link.tap import Change, as_it_is, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
 ARM_DISARM = 400

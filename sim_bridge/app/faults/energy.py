@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
-from sim_bridge.app.flight.tap import as_it_is, with_fields
+from sim_bridge.app.link.tap import as_it_is, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
 BATTERY = "BATTERY_STATUS"

@@ -7,7 +7,7 @@ import numpy as np
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
-from sim_bridge.app.flight.bad_link import BadLink
+from sim_bridge.app.link.bad_link import BadLink
 from sim_bridge.autopilot.mavlink.codec import Message
 
 SHARE = 0.3

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_bridge.adapters.lockstep import Lockstep
-from sim_bridge.app.flight.tap import Tap
 from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.app.link.tap import Tap
 
 STEP_S = 0.1
 AFTER_PHASE_S = (0.5, 4.0)

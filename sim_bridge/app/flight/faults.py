@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_bridge.adapters.lockstep import Lockstep
-from sim_bridge.app.flight.bad_link import BadLink
 from sim_bridge.app.flight.forger import Forger
 from sim_bridge.app.flight.scenario import Fault
 from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.app.link.bad_link import BadLink
 
 JUMPS = frozenset({("MISSION_SET_CURRENT", 0), ("COMMAND_LONG", 224)})
 ARMING = frozenset({("COMMAND_LONG", 400)})

@@ -10,12 +10,12 @@ from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight, Terrain
 from companion.core.mission.flight_plan import frame_at
 from sim_bridge.adapters.endpoint import bundled
-from sim_bridge.app.flight.bad_link import BadLink
 from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.forger import Forger
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.record import TruthRecord
-from sim_bridge.app.flight.tap import Tap
+from sim_bridge.app.link.bad_link import BadLink
+from sim_bridge.app.link.tap import Tap
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.truth import terrain as ground

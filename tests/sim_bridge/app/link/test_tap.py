@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_bridge.app.flight.tap import Tap, with_fields
+from sim_bridge.app.link.tap import Tap, with_fields
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 
