@@ -140,6 +140,13 @@ IDENTIFIED = "heard_autopilot"
 KINDS = dict(HEARD.values()) | {IDENTIFIED: Identified}
 
 
+def as_event_fields(topic: str, row: dict[str, Any]) -> dict[str, Any]:
+    """A row by the names of its event's fields: on disk an autopilot's kind is its `flavour`."""
+    if topic != IDENTIFIED or "flavour" not in row:
+        return row
+    return {**row, "autopilot_kind": row["flavour"]}
+
+
 class HeardRows:
     """Tells what is new in the situation since the last time, as rows for the decision log."""
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.logs.decision_log import KINDS, read_rows
+from companion.adapters.logs.decision_log import KINDS, as_event_fields, read_rows
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event, Identified
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
@@ -23,7 +23,7 @@ def read_mcap_log(path: Path) -> RecordedFlight:
         if kind is None:
             continue
         try:
-            event = msgspec.convert(row, kind)
+            event = msgspec.convert(as_event_fields(topic, row), kind)
         except msgspec.ValidationError as error:
             findings.append(LogFinding(f"topic {topic}", str(error), "left out"))
             continue

@@ -25,13 +25,16 @@ from companion.adapters.files.params import (
     read_wind_process,
 )
 from companion.adapters.logs.decision_log import SCHEMAS, DecisionLog, free_name, read_rows
+from companion.adapters.logs.open_log import open_log
 from companion.adapters.logs.tlog_writer import Tlog
 from companion.app.cli.main import app
 from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
+from companion.core.mission.events import Attitude, AutopilotKind
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
+from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.routing.route_planner import Plan, RallyWay
 
 ROOT = Path(__file__).parents[3]
@@ -354,6 +357,18 @@ def test_the_simulators_commands_start_without_the_desks_and_the_planners_librar
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert seen.stdout.strip() == "[]"
+
+
+def test_whose_autopilot_it_was_is_read_back_from_the_decision_log(tmp_path):
+    recorder, now = Recorder(tmp_path), TelemetryState()
+    now.update(Attitude(3.0, 0.01, 0.02, 0.03))
+    recorder.heard(now, AutopilotKind.PX4, 7)
+    recorder.close()
+    log = open_log(tmp_path / "decisions.mcap")
+    assert log.autopilot_kind is AutopilotKind.PX4
+    assert not log.findings
+    rows = [row for topic, row in read_rows(tmp_path / "decisions.mcap") if "auto" in topic]
+    assert rows == [{"t_s": 3.0, "flavour": "px4", "system_id": 7}]
 
 
 def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
