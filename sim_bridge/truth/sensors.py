@@ -1,7 +1,7 @@
 """Sensor models: noise, slowly varying bias, delay and faults.
 
-Faults are attributes to set: `gnss_outage`, `pitot_stuck`, `pitot_iced`, `voltage_failed`,
-`current_failed`.
+Faults are attributes to set: `gnss_outage`, `gnss_offset_ned_m`, `pitot_stuck`, `pitot_iced`,
+`voltage_failed`, `current_failed`, and `heading_bias_rad` for a compass that is off.
 """
 
 import math
@@ -70,6 +70,7 @@ class SensorSuite:
         self._voltage_v: float | None = None
         self._current_a: float | None = None
         self.gnss_outage = False
+        self.gnss_offset_ned_m: Vec3 = (0.0, 0.0, 0.0)
         self.pitot_stuck = False
         self.pitot_iced = False
         self.voltage_failed = False
@@ -167,10 +168,11 @@ class SensorSuite:
             return
         gauss, noise_m = self._gauss, self._p.gnss_position_noise_m
         noise_mps = self._p.gnss_velocity_noise_mps
+        off_n, off_e, off_d = self.gnss_offset_ned_m
         pos = (
-            body.north_m + north.value + noise_m * gauss(),
-            body.east_m + east.value + noise_m * gauss(),
-            body.down_m + down.value + 2.0 * noise_m * gauss(),
+            body.north_m + off_n + north.value + noise_m * gauss(),
+            body.east_m + off_e + east.value + noise_m * gauss(),
+            body.down_m + off_d + down.value + 2.0 * noise_m * gauss(),
         )
         vel = (
             body.north_mps + noise_mps * gauss(),

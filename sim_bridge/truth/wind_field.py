@@ -103,7 +103,7 @@ class RecordedWind:
 class WindField:
     """The wind that one vehicle meets: mean times power-law profile, plus its own gusts."""
 
-    __slots__ = ("_exponent", "_mean", "_reference_m", "_turbulence")
+    __slots__ = ("_exponent", "_mean", "_reference_m", "_turbulence", "front_to_ne_mps")
 
     def __init__(
         self,
@@ -116,6 +116,8 @@ class WindField:
         """Power law V(h) = V_ref (h / h_ref)^exponent (0: the same at all heights; 1/7 is the
         classic neutral value over open ground); below 1 m it is held at its value there."""
         self._mean = mean
+        self.front_to_ne_mps: tuple[float, float] = (0.0, 0.0)
+        """Added to the mean at the reference height: a front, while a fault lets one pass."""
         self._exponent = profile_exponent
         self._reference_m = reference_height_m
         self._turbulence = turbulence
@@ -138,7 +140,9 @@ class WindField:
 
         `airspeed_mps` is how fast the vehicle moves through the frozen field of gusts.
         """
-        reference_north, reference_east = self._mean.to_ne_mps(t_s)
+        mean_north, mean_east = self._mean.to_ne_mps(t_s)
+        reference_north = mean_north + self.front_to_ne_mps[0]
+        reference_east = mean_east + self.front_to_ne_mps[1]
         factor = self._profile(height_m)
         north, east = reference_north * factor, reference_east * factor
         if self._turbulence is None:

@@ -1,12 +1,19 @@
 """All rows of the standing suite, by number."""
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.faults import authority, energy, host, link, mission_and_home
+from sim_bridge.app.faults import air, authority, energy, host, link, mission_and_home
 from sim_bridge.app.faults.case import FaultCase
 
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted(
-        (*authority.CASES, *mission_and_home.CASES, *energy.CASES, *host.CASES, *link.CASES),
+        (
+            *air.CASES,
+            *authority.CASES,
+            *mission_and_home.CASES,
+            *energy.CASES,
+            *host.CASES,
+            *link.CASES,
+        ),
         key=lambda case: case.number,
     )
 )

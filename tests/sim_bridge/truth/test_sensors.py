@@ -87,6 +87,16 @@ def test_an_outage_holds_the_last_fix_and_says_so() -> None:
     assert after.pos_ned_m[0] == pytest.approx(bench.body.north_m, abs=2.5)
 
 
+def test_positions_that_lie_off_lie_off_by_as_much_as_is_told_and_no_speed_does() -> None:
+    there = Bench().step()
+    bench = Bench()
+    bench.sensors.gnss_offset_ned_m = (30.0, -4.0, 2.0)
+    off = bench.step()
+    assert np.subtract(off.pos_ned_m, there.pos_ned_m) == pytest.approx([30.0, -4.0, 2.0])
+    assert off.vel_ned_mps == there.vel_ned_mps
+    assert off.gnss_ok
+
+
 def test_errors_have_the_spread_that_is_stated() -> None:
     """Over 300 vehicles, standard deviations within 15 % (3 standard errors)."""
     rolls, norths, heights, headings = [], [], [], []

@@ -141,3 +141,12 @@ def test_a_log_is_found_beside_its_flight_file_and_brings_no_profile(tmp_path: P
 def test_a_mistake_in_the_wind_table_is_named(table: dict, named: str) -> None:
     with pytest.raises(TruthError, match=named):
         parse_wind(table)
+
+
+def test_a_front_adds_to_the_mean_and_grows_with_height_as_it_does() -> None:
+    field = WindField(SteadyWind(5.0, from_deg=180.0), profile_exponent=1.0 / 7.0)
+    calm = field.step(0.0, 0.1, 40.0, 0.0)
+    field.front_to_ne_mps = (0.0, 12.0)
+    north, east, down = field.step(0.1, 0.1, 40.0, 0.0)
+    assert (north, down) == (calm[0], 0.0)
+    assert east == pytest.approx(12.0 * 4.0 ** (1.0 / 7.0))
