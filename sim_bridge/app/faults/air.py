@@ -10,7 +10,9 @@ from sim_bridge.app.flight.vehicle_process import place_ne_m
 from sim_bridge.app.link.tap import with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
-FRONT_MPS = 12.0
+FRONT_MPS = 7.0
+"""On top of the 5 m/s of the flight: 12 m/s from ahead on the way home."""
+
 FRONT_S = 10.0
 """A gust front's rise: tens of seconds behind a cold front, seconds in an outflow."""
 
@@ -40,7 +42,7 @@ def _raise_front(stage: Stage, to_mps: float, over_s: float) -> Iterator[None]:
 
 
 def front(stage: Stage) -> Iterator[None]:
-    """A front of 12 m/s, straight against the way home."""
+    """A front: the wind rises to 12 m/s, straight against the way home."""
     yield from stage.reached()
     yield from _raise_front(stage, FRONT_MPS, FRONT_S)
 
@@ -84,7 +86,7 @@ def attitude_frozen(stage: Stage) -> Iterator[None]:
         return [with_fields(message, **{name: getattr(first[0], name) for name in TILTED})]
 
     stage.tap.to_companion = change
-    yield from _raise_front(stage, FRONT_MPS / 2.0, 60.0)
+    yield from _raise_front(stage, FRONT_MPS, 60.0)
 
 
 def compass_off(stage: Stage) -> Iterator[None]:
@@ -118,7 +120,15 @@ CASES = (
         "ready",
         **HOT_AND_HIGH,
     ),
-    row(32, "front", "a front of 12 m/s against the way home", front, "outbound", "drop", "return"),
+    row(
+        32,
+        "front",
+        "a front: the wind rises to 12 m/s against the way home within 10 s",
+        front,
+        "outbound",
+        "drop",
+        "return",
+    ),
     row(
         33,
         "shear",
@@ -132,7 +142,7 @@ CASES = (
     row(
         37,
         "attitude-frozen",
-        "roll and pitch are told as they were, while the headwind home grows by 6 m/s",
+        "roll and pitch are told as they were, while the headwind home grows by 7 m/s",
         attitude_frozen,
         "outbound",
         "drop",

@@ -8,7 +8,6 @@ from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import (
     comes_home,
     hands_off,
-    promises_nothing_false,
     stays_disarmed,
     tells,
 )
@@ -117,7 +116,7 @@ CASES = (
         GROUP,
         "the motors are stopped in the air: told within 2.5 s, and nothing is commanded",
         kill_switch,
-        (hands_off, promises_nothing_false, tells("hands off", "disarm", within_s=2.5)),
+        (hands_off, tells("hands off", "disarm", within_s=2.5)),
         FLYING,
         ends_after_s=15.0,
     ),
