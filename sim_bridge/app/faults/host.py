@@ -4,10 +4,12 @@ from collections.abc import Iterator
 
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, promises_nothing_false
+from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
 
 FLYING = ("climb", "outbound", "drop", "return")
 BOOT_S = (1.0, 8.0)
+GROUND_S = 22.0
+"""From power-up the suite's flight stands so long on its pad."""
 
 
 def killed(*, comes_back: bool) -> Play:
@@ -44,6 +46,14 @@ def torn(name: str) -> Play:
     return play
 
 
+def rebooted(stage: Stage) -> Iterator[None]:
+    """The autopilot reboots on the ground, at any moment before take-off."""
+    yield from stage.wait(stage.rng.uniform(1.0, GROUND_S))
+    if not stage.armed:
+        stage.begin()
+        stage.craft.autopilot.reboot()
+
+
 SAFE = (comes_home, promises_nothing_false)
 GROUP = "host"
 CASES = (
@@ -64,6 +74,15 @@ CASES = (
         torn("decisions.mcap"),
         SAFE,
         FLYING,
+    ),
+    FaultCase(
+        46,
+        "reboot-on-the-ground",
+        GROUP,
+        "the autopilot reboots at any moment before take-off",
+        rebooted,
+        (*SAFE, delivers),
+        ("ready",),
     ),
     FaultCase(
         49,
