@@ -11,6 +11,7 @@ from companion.core.mission.actions import (
     Arm,
     Configure,
     Decision,
+    JumpTo,
     Order,
     Reply,
     SaveCheckpoint,
@@ -200,3 +201,62 @@ def test_on_ground_of_unknown_height_it_is_down_after_a_time_that_no_fall_takes(
     began_s = w.t_s
     w.run(landed, 30.0)
     assert w.t_s - began_s > math.sqrt(2.0 * 120.0 / 9.8)
+
+
+# --- reports that are older than an order --------------------------------------------------------
+
+
+def turned_home_by_itself(leg: int) -> World:
+    """No leave was given at this leg's end for want of a fix; the mission aboard turned home."""
+    w = world().until(Phase.OUTBOUND)
+    w.run(lambda w: w.pilot.leg == leg and w.pilot.jump_item is None)
+    w.gnss = False
+    return w.run(lambda w: w.pilot.phase is Phase.RETURN)
+
+
+def goes_on_again(w: World) -> bool:
+    return "onward_again" in w.kinds
+
+
+def test_a_report_from_before_the_jump_does_not_undo_going_on():
+    # UDP reorders, and PX4 tells its item once a second: "gate open: going on" undid itself.
+    w = turned_home_by_itself(0)
+    homeward = w.index
+    w.gnss = True
+    w.run(goes_on_again)
+    w.run(lambda w: w.pilot.phase is Phase.OUTBOUND, 2.0)
+    for _ in range(2):
+        w.tell(ev.MissionProgress(w.t_s, homeward, len(w.items)))
+        w.tell(ev.Tick(w.t_s))
+    assert w.pilot.phase is Phase.OUTBOUND
+    assert w.to_the_end().outcome == "SUC"
+    assert w.kinds.count("onward_again") == 1
+
+
+def test_a_report_from_before_the_jump_does_not_confirm_it():
+    w = turned_home_by_itself(2)
+    outward = w.pilot.flight_plan.mission.outbound[-1]
+    w.gnss, w.obeys_jumps = True, False  # the order is lost
+    w.tell(ev.MissionProgress(w.t_s, outward, len(w.items)))
+    w.run(goes_on_again, 1.0)
+    ordered_s = w.t_s
+    w.tell(ev.MissionProgress(w.t_s, outward, len(w.items)))
+    assert w.pilot.jump_item == outward, "still waited for"
+    w.obeys_jumps = True
+    assert w.to_the_end().outcome == "SUC"
+    again = [t for t, a in w.log if isinstance(a, JumpTo) and t > ordered_s]
+    assert again, "and asked for again"
+
+
+def test_after_a_second_the_way_home_is_believed_again():
+    w = turned_home_by_itself(0)
+    homeward = w.index
+    w.gnss = True
+    w.run(goes_on_again)
+    w.run(lambda w: w.pilot.phase is Phase.OUTBOUND, 2.0)
+    for _ in range(12):
+        w.index = homeward
+        w.step()
+        if w.pilot.phase is Phase.RETURN:
+            return
+    raise AssertionError("it did not see that the mission turned home")
