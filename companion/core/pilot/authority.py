@@ -64,17 +64,20 @@ class Authority:
 
     def _is_foreign_disarm(self, context: FlightContext, state: VehicleState) -> bool:
         """Tell whether somebody disarmed what we had armed; at a landing it disarms by itself."""
-        if context.phase not in (Phase.ARM, *FLIGHT_PHASES):
-            return False
+        ours = context.phase in (Phase.ARM, *FLIGHT_PHASES)
         if state.armed:
-            self.armed_by_us = True
+            self.armed_by_us = self.armed_by_us or ours
             return False
-        landing = context.phase in (Phase.LAND, Phase.LAST_RESORT)
-        return self.armed_by_us and (not landing or _falls(context))
+        if self.disarmed_by_another or not self.armed_by_us:
+            return False
+        if context.phase in (Phase.LAND, Phase.LAST_RESORT):
+            return _falls(context)
+        return ours or context.phase is Phase.SUSPENDED
 
     def _disarmed(self, context: FlightContext) -> None:
         """Hands off for good: what another hand has disarmed is never armed again by us."""
-        against = context.against_standing()
+        taken_over = context.phase is Phase.SUSPENDED  # and may be landed anywhere
+        against = context.against_standing() if not taken_over or _falls(context) else ""
         self.disarmed_by_another = True
         self.disarmed_in_air = bool(against)
         why = "disarmed in the air" if against else "disarmed by another hand"

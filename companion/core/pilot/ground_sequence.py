@@ -524,7 +524,7 @@ class GroundSequence:
         open_since_s = self._state.arm_open_since_s
         if open_since_s is not None:
             if context.since_s(open_since_s) > ARM_SHOWS_S:
-                self._give_up(context, "ARM not answered, not seen: not sent again")
+                self._give_up(context, "ARM unanswered: not sent again")
             return
         if context.phase_s > ARM_LIMIT_S:
             self._give_up(context, "the autopilot does not arm")

@@ -116,6 +116,20 @@ def test_safety_rule_1_armed_after_it_gave_up_it_lets_go_and_sets_nothing():
     assert w.orders_after(taken_s) == []
 
 
+def test_safety_rule_1_disarmed_while_another_hand_has_it_it_is_not_armed_when_handed_back():
+    w = world().until(Phase.ARM)
+    w.tell(ev.VehicleState(w.t_s, Mode.OTHER, "STABILIZE", armed=True))
+    assert w.pilot.phase is Phase.SUSPENDED
+    w.armed, w.mode = False, Mode.HOLD
+    w.run(lambda w: w.t_s > 30.0)
+    w.tell(ev.ControlHandedBack(w.t_s, "255/190"))
+    handed_s = w.t_s
+    w.run(lambda w: w.pilot.phase is Phase.READY)
+    assert Answer(Reply.DENIED) in w.tell(ev.Authorised(w.t_s, "255/190"))
+    assert "not armed again" in w.to_the_end().reason
+    assert not any(isinstance(order, Arm) for order in w.orders_after(handed_s))
+
+
 # --- landed, by agreement ------------------------------------------------------------------------
 
 
