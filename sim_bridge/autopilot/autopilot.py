@@ -195,6 +195,12 @@ class Autopilot:
         return self.state.actuation
 
     @property
+    def armed_for_s(self) -> float | None:
+        """How long the motors have been armed; `None` while they are not."""
+        since_s = self.state.armed_since_s
+        return self.state.t_s - since_s if self.state.is_armed and since_s is not None else None
+
+    @property
     def is_armed(self) -> bool:
         """Whether the motors are armed."""
         return self.state.is_armed

@@ -87,6 +87,14 @@ def stays_on_the_ground_and_says(words: str) -> Callable[[Any], bool]:
     return check
 
 
+def armed_once_and_left_alone(flown) -> bool:
+    """A person disarmed it: it never took off, and no order to arm came later."""
+    arms = [t_s for t_s, _, number in flown.craft.commands if number == 400]
+    told = "hands off: " in flown.said or "not sent again" in flown.said
+    never_flew = flown.craft.record.took_off_s is None and not flown.craft.autopilot.is_armed
+    return never_flew and told and bool(arms) and arms[-1] - arms[0] < 0.25
+
+
 not_armed = stays_on_the_ground_and_says("arm refused: failed")
 out_of_reach = stays_on_the_ground_and_says("no take-off: ")
 
@@ -253,6 +261,20 @@ CASES = [
         not_armed,
         {"faults": [fault("arming_refused", phase="start")]},
         {},
+    ),
+    *(
+        Case(
+            f"what a person disarms {after_s:g} s after arming is not armed again",
+            armed_once_and_left_alone,
+            {"faults": [fault("arming_undone", phase="start", by_s=after_s)]},
+            {} if after_s == 0.3 else None,
+        )
+        for after_s in (0.3, 1.2)
+    ),
+    Case(
+        "one false disarmed heartbeat and a second of silence lose nothing",
+        delivered_and_home,
+        {"faults": [fault("false_disarmed", phase="outbound", at_s=6.0)]},
     ),
     Case(
         "a customer beyond reach is refused on the ground",

@@ -1,4 +1,4 @@
-"""MAVLink commands to the autopilot: sent, retried until acknowledged, or given up.
+"""MAVLink commands to the autopilot: sent until acknowledged or seen to be obeyed, or given up.
 
 Times are on the autopilot's clock.
 """
@@ -14,10 +14,15 @@ RETRY_S = 1.0
 BUSY_S = 1.0
 TRIES = 4
 
+ANSWER_S = 1.0
+"""How long the last repetition waits for its answer before the order is given up."""
+
 STALE_S = 1.0
 """How long the answers to repetitions may trail the first answer. A busy autopilot works off a
 doubled order in one go, so both COMMAND_ACKs come together (seen on PX4 1.18 at first contact).
 """
+
+NO_ANSWER = "no answer"
 
 RESULT = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
@@ -32,19 +37,27 @@ RESULT = {
 class PendingCommand:
     """One order on its way. `make(attempt)` builds the message.
 
-    It ends with COMMAND_ACK of `command`, or (where the autopilot sends none) when the mission's
-    current item is `until_seq`. `again_s` is how long it waits before it is sent again.
+    It ends with COMMAND_ACK of `command`, or with telemetry that `shows` its effect: an answer may
+    be lost, and PX4 acknowledges no jump. `again_s` is how long it waits before it is sent again,
+    `most_tries` how often it is sent, `answer_s` how long the last one waits.
     """
 
     name: str
     make: Callable[[int], Any]
     command: int | None = None
-    until_seq: int | None = None
+    shows: Callable[[Event], bool] | None = None
     quiet: bool = False
     again_s: float = RETRY_S
+    most_tries: int = TRIES
+    answer_s: float = ANSWER_S
     tries: int = 0
     answers: int = 0
     next_try_s: float = 0.0
+
+    @property
+    def waits_s(self) -> float:
+        """How long to wait after the newest try."""
+        return self.again_s if self.tries < self.most_tries else max(self.again_s, self.answer_s)
 
     @property
     def unanswered(self) -> int:
@@ -112,7 +125,7 @@ class CommandQueue:
             match message.result:
                 case mavlink.MAV_RESULT_ACCEPTED:
                     return self._finish(lane, t_s, None)
-                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if entry.tries < TRIES:
+                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if entry.tries < entry.most_tries:
                     entry.next_try_s = t_s + BUSY_S
                     return []
                 case _:
@@ -120,10 +133,10 @@ class CommandQueue:
                     return self._finish(lane, t_s, reason)
         return []
 
-    def on_current_item(self, seq: int, t_s: float) -> list[Event]:
-        """Take the mission's current item: ends jumps that nobody acknowledges."""
+    def on_telemetry(self, event: Event, t_s: float) -> list[Event]:
+        """Take a telemetry event: ends the order whose effect it shows."""
         for lane, queued in self._lanes.items():
-            if queued and queued[0].until_seq == seq:
+            if queued and queued[0].shows is not None and queued[0].shows(event):
                 return self._finish(lane, t_s, None)
         return []
 
@@ -132,8 +145,8 @@ class CommandQueue:
         events: list[Event] = []
         for lane, queued in list(self._lanes.items()):
             if queued and t_s >= queued[0].next_try_s:
-                if queued[0].tries >= TRIES:
-                    events += self._finish(lane, t_s, "no answer")
+                if queued[0].tries >= queued[0].most_tries:
+                    events += self._finish(lane, t_s, NO_ANSWER)
                 else:
                     self._try(queued[0], t_s)
         return events
@@ -141,7 +154,7 @@ class CommandQueue:
     def _try(self, entry: PendingCommand, t_s: float) -> None:
         self.send(entry.make(entry.tries))
         entry.tries += 1
-        entry.next_try_s = t_s + entry.again_s
+        entry.next_try_s = t_s + entry.waits_s
 
     def _expect_late_answers(self, entry: PendingCommand, t_s: float) -> None:
         """Expect the answers that a finished or forgotten order may still get."""
@@ -183,4 +196,4 @@ class CommandQueue:
             return []
         if reason is None:
             return [OrderAccepted(t_s, entry.name)]
-        return [OrderRefused(t_s, entry.name, reason)]
+        return [OrderRefused(t_s, entry.name, reason, answered=reason != NO_ANSWER)]

@@ -1,8 +1,9 @@
 """One autopilot on a link: finds it, tells PX4 from ArduPilot, turns its messages into events
 and the orders of the pilot into messages.
 
-Only component 1 of the chosen system is believed. Orders wait here for their acknowledgement; an
-acknowledgement is reported but proves nothing: the pilot looks for the effect in telemetry.
+Only component 1 of the chosen system is believed. Orders wait here for their acknowledgement, or
+until telemetry shows their effect. An acknowledgement is reported but proves nothing: the pilot
+looks for the effect in telemetry.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, mavlink
-from companion.adapters.autopilots.commands import CommandQueue, PendingCommand
+from companion.adapters.autopilots.commands import RETRY_S, CommandQueue, PendingCommand
 from companion.adapters.autopilots.mission_transfer import MissionDownload, MissionUpload
 from companion.adapters.autopilots.mission_wire import wire_items
 from companion.adapters.autopilots.parameters import ParameterClient
@@ -38,8 +39,11 @@ from companion.core.mission.events import (
     ClockStepped,
     Event,
     Identified,
+    MissionProgress,
     MissionReadBack,
     MissionUploaded,
+    Mode,
+    ModeNow,
     OrderRefused,
     OtherComputer,
     ParametersSet,
@@ -62,6 +66,17 @@ HEARTBEATS_WITHOUT_TIME = 10
 
 ECHO_S = 1.5
 """When a jump is sent again that only MISSION_CURRENT confirms: PX4 sends that once a second."""
+
+ARM_AGAIN_S = 0.1
+ARM_TRIES = 3
+"""ARM is repeated only faster than a person can disarm (flown: a disarm 0.3 s after arming). Later
+an unanswered ARM may have been obeyed and undone, and nobody arms again what a person disarmed.
+"""
+
+ARM_ANSWER_S = 3.0
+"""How long the answer to the last ARM is waited for: heartbeats, which show its effect, come at
+1 Hz and lag by up to a second.
+"""
 
 VELOCITY_AND_ACCELERATION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
@@ -144,9 +159,8 @@ class AutopilotPort:
         for event in found:
             if isinstance(event, Position) and self._home.lat_deg == 0.0:
                 self._home = Spot(event.lat_deg, event.lon_deg, event.alt_amsl_m)
-        if kind == "MISSION_CURRENT":
-            found += self._commands.on_current_item(message.seq, t_s)
-        return events + found
+        ended = [done for event in found for done in self._commands.on_telemetry(event, t_s)]
+        return events + found + ended
 
     def on_time_answer(self, message: Any) -> None:
         """Take the answer to our own TIMESYNC request: what the autopilot's clock says."""
@@ -311,22 +325,31 @@ class AutopilotPort:
                 self._expected = order.items
                 self._download = MissionDownload(self._send, system, profile.home_items, t_s)
             case SetMode():
-                params = profile.mode_params(order.mode)
-                self._command("mode", f"mode {order.mode.value}", mavlink.MAV_CMD_DO_SET_MODE,
-                              params, t_s, replace=True)  # fmt: skip
+                name = f"mode {order.mode.value}"
+                entry = self._entry(
+                    name, mavlink.MAV_CMD_DO_SET_MODE, profile.mode_params(order.mode)
+                )
+                entry.shows = lambda event: _shows_mode(event, order.mode)
+                self._commands.submit("mode", entry, t_s, replace=True)
             case Arm():
-                self._command("arm", "arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), t_s)
+                entry = self._entry("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+                entry.shows = lambda event: _shows_armed(event, armed=True)
+                entry.again_s, entry.most_tries = ARM_AGAIN_S, ARM_TRIES
+                entry.answer_s = ARM_ANSWER_S
+                self._commands.submit("arm", entry, t_s)
             case Disarm():
-                self._command("arm", "disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), t_s)
+                entry = self._entry("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
+                entry.shows = lambda event: _shows_armed(event, armed=False)
+                self._commands.submit("arm", entry, t_s)
             case JumpTo():
-                seq = order.index + profile.home_items
-                message, command = profile.jump(system, seq)
-                name = f"jump to item {order.index}"
-                entry = PendingCommand(name, lambda _attempt: message, command)
-                if command is None:
-                    entry = PendingCommand(
-                        name, lambda _attempt: message, until_seq=seq, again_s=ECHO_S
-                    )
+                message, command = profile.jump(system, order.index + profile.home_items)
+                entry = PendingCommand(
+                    f"jump to item {order.index}",
+                    lambda _attempt: message,
+                    command,
+                    shows=lambda event: _shows_item(event, order.index),
+                    again_s=ECHO_S if command is None else RETRY_S,
+                )
                 self._commands.submit("jump", entry, t_s, replace=True)
             case SetGroundSpeed():
                 params = (1.0, order.ground_speed_mps, -1.0)
@@ -396,15 +419,19 @@ class AutopilotPort:
         replace: bool = False,
         quiet: bool = False,
     ) -> None:
+        entry = self._entry(name, command, params)
+        entry.quiet = quiet
+        self._commands.submit(lane, entry, t_s, replace=replace)
+
+    def _entry(self, name: str, command: int, params: tuple[float, ...]) -> PendingCommand:
+        """A COMMAND_LONG that is still to be sent."""
         system = self.system_id or 1
         full = (*params, *([0.0] * (7 - len(params))))
 
         def make(attempt: int) -> Any:
             return mavlink.MAVLink_command_long_message(system, AUTOPILOT, command, attempt, *full)
 
-        self._commands.submit(
-            lane, PendingCommand(name, make, command, quiet=quiet), t_s, replace=replace
-        )
+        return PendingCommand(name, make, command)
 
     def _ask_streams(self, profile: AutopilotProfile, system: int, t_s: float) -> None:
         self._refused = []
@@ -466,3 +493,15 @@ class AutopilotPort:
             self._asking_parameters = False
             return [AutopilotParameters(t_s, dict(desk.values))]
         return []
+
+
+def _shows_armed(event: Event, *, armed: bool) -> bool:
+    return isinstance(event, VehicleState) and event.armed is armed
+
+
+def _shows_mode(event: Event, mode: Mode) -> bool:
+    return isinstance(event, VehicleState | ModeNow) and event.mode is mode
+
+
+def _shows_item(event: Event, index: int) -> bool:
+    return isinstance(event, MissionProgress) and event.index == index

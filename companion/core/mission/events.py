@@ -251,10 +251,11 @@ class MissionReadBack(Event):
 
 @dataclass(frozen=True, slots=True)
 class OrderRefused(Event):
-    """The autopilot refused an order, or never answered it."""
+    """The autopilot refused an order, or never answered it: then it may have been obeyed."""
 
     order: str
     reason: str
+    answered: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,10 @@
-"""Jumps that are believed only when telemetry shows them: asked again, then given up."""
+"""Jumps that are believed only when telemetry shows them: asked again, then given up.
 
-from dataclasses import dataclass
+MISSION_CURRENT has no time, and PX4 sends it at 1 Hz: a report that was sent before the order may
+arrive after it. Such a report is not about the order: it neither confirms nor undoes it.
+"""
+
+from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.core.mission.mission_items import DeadMansMission
@@ -9,6 +13,8 @@ CONFIRM_S = 2.5
 TRIES = 3
 TURN_S = 10.0
 AWAY_M = 25.0
+OLDER_S = 1.0
+"""A report overtaken by others arrives up to so late (as `LATE_S` of the adapters' clock)."""
 
 
 class Purpose(Enum):
@@ -24,24 +30,47 @@ class JumpStatus(Enum):
 
     WAITING = "waiting"
     ASK_AGAIN = "ask again"
-    CONFIRMED = "confirmed"
     REFUSED = "refused"
 
 
 @dataclass(slots=True)
 class JumpWatch:
-    """One jump from the order until the vehicle flies it."""
+    """One jump from the order until the vehicle flies it.
+
+    `before`: the items that were reported just before the order, at `began_s`.
+    """
 
     index: int
     purpose: Purpose
     ordered_s: float
+    before: frozenset[int] = frozenset()
     tries: int = 1
     refused: bool = False
+    began_s: float = field(init=False)
 
-    def update(self, mission: DeadMansMission, index: int | None, t_s: float) -> JumpStatus:
-        """Judge by the item that the autopilot says it flies."""
-        if index is not None and self._shows(mission, index):
-            return JumpStatus.CONFIRMED
+    def __post_init__(self) -> None:
+        self.began_s = self.ordered_s
+
+    def confirms(self, mission: DeadMansMission, index: int, arrived_s: float) -> bool:
+        """Tell whether a report of this item, arrived then, shows that the jump was obeyed."""
+        may_be_older = index in self.before and arrived_s - self.began_s <= OLDER_S
+        return not may_be_older and self._shows(mission, index)
+
+    def left_behind(self, mission: DeadMansMission, index: int) -> bool:
+        """Tell whether this item may have been flown before the jump, and not since.
+
+        The way home, too: it follows every outbound waypoint, so the mission may have turned home
+        just before a jump outward reached it.
+        """
+        if index == self.index:
+            return False
+        if self.purpose is not Purpose.ONWARD:
+            return index in self.before
+        onward = mission.part_at(index) is mission.part_at(self.index)
+        return not onward and any(mission.follows(at, index) for at in self.before)
+
+    def wait(self, t_s: float) -> JumpStatus:
+        """No report confirms it so far: wait on, ask again, or give it up."""
         if not self.refused and t_s - self.ordered_s < CONFIRM_S:
             return JumpStatus.WAITING
         if self.tries >= TRIES:

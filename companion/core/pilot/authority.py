@@ -1,6 +1,7 @@
 """Safety rule 1: who has control of the vehicle, judged from the autopilot's heartbeats."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import (
@@ -12,27 +13,35 @@ from companion.core.mission.events import (
     OtherComputer,
     VehicleState,
 )
-from companion.core.pilot.context import FlightContext
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import GROUND_HEIGHT_M, FlightContext
 from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES, Phase, Trigger
+
+FALLING_MPS = 2.0
+"""Faster down than any landing in its last metres (PX4 0.7, ArduCopter 0.5 m/s by default)."""
 
 
 @dataclass(slots=True)
 class Authority:
-    """Knows which mode is ours. `ordered_from` is the mode that we are changing away from."""
+    """Knows which mode is ours. `ordered_from` is the mode that we are changing away from.
+
+    `armed_by_us`: armed in our own phases, as telemetry showed. `disarmed_by_another`: and then
+    disarmed by another hand. `disarmed_in_air`: above the ground, so that it fell.
+    """
 
     ground_mode: str | None = None
     ordered_from: str | None = None
     ordered: Mode | None = None
+    armed_by_us: bool = False
+    disarmed_by_another: bool = False
+    disarmed_in_air: bool = False
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Heartbeats, other computers, and operators who take control or hand it back."""
         state = context.telemetry.state
         match event:
             case VehicleState() | ModeNow() if state is not None:
-                on_ground = context.telemetry.on_ground
-                why = self.intrusion(context.phase, state, on_ground=on_ground)
-                if why is not None:
-                    context.request_transition(Trigger.TAKEN_OVER, why)
+                self._judge(context, state)
             case OtherComputer():
                 _yield_to(context, event)
             case ControlHandedBack():
@@ -42,6 +51,51 @@ class Authority:
                 context.request_transition(Trigger.TAKEN_OVER, f"told so by {event.by}")
             case _:
                 return
+
+    def _judge(self, context: FlightContext, state: VehicleState) -> None:
+        """Let go when this heartbeat shows another hand."""
+        if self._is_foreign_disarm(context, state):
+            self._disarmed(context)
+            return
+        on_ground = context.telemetry.on_ground
+        why = self.intrusion(context.phase, state, on_ground=on_ground)
+        if why is not None:
+            context.request_transition(Trigger.TAKEN_OVER, why)
+
+    def _is_foreign_disarm(self, context: FlightContext, state: VehicleState) -> bool:
+        """Tell whether somebody disarmed what we had armed; at a landing it disarms by itself."""
+        ours = context.phase in (Phase.ARM, *FLIGHT_PHASES)
+        if state.armed:
+            self.armed_by_us = self.armed_by_us or ours
+            return False
+        if self.disarmed_by_another or not self.armed_by_us:
+            return False
+        if context.phase in (Phase.LAND, Phase.LAST_RESORT):
+            return _falls(context)
+        return ours or context.phase is Phase.SUSPENDED
+
+    def _disarmed(self, context: FlightContext) -> None:
+        """Hands off for good: what another hand has disarmed is never armed again by us."""
+        taken_over = context.phase is Phase.SUSPENDED  # and may be landed anywhere
+        against = context.against_standing() if not taken_over or _falls(context) else ""
+        self.disarmed_by_another = True
+        self.disarmed_in_air = bool(against)
+        why = "disarmed in the air" if against else "disarmed by another hand"
+        context.request_transition(Trigger.TAKEN_OVER, why)
+        position = context.telemetry.position
+        if against and position is not None:
+            where = f"{position.lat_deg:.5f} {position.lon_deg:.5f}"
+            context.say(Severity.CRITICAL, f"disarmed in the air, it falls: {where}")
+            context.decide("disarmed_in_air", f"{against}; at {where}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"disarmed_by_another": self.disarmed_by_another}
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint: one that flies was armed by us."""
+        self.armed_by_us = checkpoint.flying
+        self.disarmed_by_another = checkpoint.disarmed_by_another
 
     def begin(self, state: VehicleState | None) -> None:
         """The autopilot is identified: the mode that it stands in is nobody's intrusion."""
@@ -111,6 +165,14 @@ class Authority:
                 self.expect(Mode.MISSION, state)
             self.ground_mode = None
             context.request_transition(Trigger.HANDED_BACK, f"handed back by {by}")
+
+
+def _falls(context: FlightContext) -> bool:
+    """Coming down without its motors, high above every place where it may stand."""
+    position, here = context.telemetry.position, context.here_ned()
+    if position is None or here is None:
+        return False
+    return position.vel_d_mps > FALLING_MPS and context.height_m(here) > GROUND_HEIGHT_M
 
 
 def _yield_to(context: FlightContext, event: OtherComputer) -> None:

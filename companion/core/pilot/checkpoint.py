@@ -15,6 +15,8 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
     for.
 
+    `disarmed_by_another`: what we armed was disarmed by another hand: never armed again.
+
     `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
     authorisation has been used. `settings_before` are autopilot parameters to put back.
     """
@@ -38,6 +40,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     wanted: str | None = None
     asides: bool = False
     drop_begun: bool = False
+    disarmed_by_another: bool = False
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

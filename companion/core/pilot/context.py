@@ -28,7 +28,7 @@ from typing import Protocol
 
 from companion.core.base.geo import Ned
 from companion.core.mission.actions import Action, Decision, PhaseChanged, Say, Severity
-from companion.core.mission.events import AutopilotKind, Mode, VehicleState
+from companion.core.mission.events import AutopilotKind, Ground, Mode, VehicleState
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.estimates import Estimates
@@ -37,6 +37,15 @@ from companion.core.pilot.transitions import OUTWARD_PHASES, Phase, Trigger, nex
 from companion.core.return_budget.budget import Ahead, Assessment
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.airframe import Airframe
+
+GROUND_HEIGHT_M = 5.0
+"""Standing shows at most so much height: a barometer drifts by some metres in a flight. The lowest
+that the mission flies away from the ground is the drop, 6 m by default, and there it says in air.
+"""
+
+STANDING_MPS = 1.0
+"""Standing shows at most so much speed (a receiver at rest some 0.1 to 0.3 m/s); a fall passes it
+in 0.1 s."""
 
 ASSESSMENT_MAX_AGE_S = 2.5
 """An older assessment decides nothing and is not reported."""
@@ -208,6 +217,36 @@ class FlightContext:
         position = self.telemetry.position
         return math.hypot(position.vel_n_mps, position.vel_e_mps) if position is not None else 0.0
 
+    def against_standing(self) -> str:
+        """Say what speaks against standing on the ground; `""` when all that is known agrees.
+
+        Landed-state, height over the places where the mission starts and lands, speed. Where the
+        detector says nothing and no position is known, that is what speaks against it.
+        """
+        detector, here = self.telemetry.landed_state, self.here_ned()
+        if detector not in (None, Ground.ON_GROUND):
+            return f"its detector says {detector.value}"
+        if here is None or self.telemetry.position_troubles():
+            return "" if detector is not None else "no position, and no word of the ground"
+        if self.speed_mps() > STANDING_MPS:
+            return f"it moves at {self.speed_mps():.1f} m/s"
+        if self.height_m(here) > GROUND_HEIGHT_M:
+            return f"it is {self.height_m(here):.0f} m high"
+        return ""
+
+    def speed_mps(self) -> float:
+        """Speed in all three axes by the newest position; 0 without one."""
+        position = self.telemetry.position
+        down_mps = position.vel_d_mps if position is not None else 0.0
+        return math.hypot(self.ground_speed_mps(), down_mps)
+
+    def height_m(self, here: Ned) -> float:
+        """Height above the nearest in height of the places where the mission starts and lands."""
+        assert self.flight_plan is not None
+        plan = self.flight_plan.plan
+        grounds = (0.0, plan.landing_ned_m[2], *(s.ground_ned_m[2] for s in plan.sites))
+        return min((down - here[2] for down in grounds), key=abs)
+
     def fresh_assessment(self) -> Assessment | None:
         """The newest assessment while it is young enough to decide on."""
         seen = self.assessment
@@ -234,6 +273,24 @@ class ModeOrders(Protocol):
     def forget(self) -> None:
         """No order of ours is under way."""
         ...
+
+
+class Disarming(Protocol):
+    """Whether another hand disarmed what we had armed."""
+
+    @property
+    def disarmed_by_another(self) -> bool:
+        """Then this flight never arms again (safety rule 1)."""
+        ...
+
+    @property
+    def disarmed_in_air(self) -> bool:
+        """Then it fell."""
+        ...
+
+
+class ArmedModes(ModeOrders, Disarming, Protocol):
+    """What the ground sequence asks before it arms."""
 
 
 class Airborne(Protocol):

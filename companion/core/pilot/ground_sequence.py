@@ -48,7 +48,7 @@ from companion.core.mission.preflight_checks import (
     settings_wanted,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
+from companion.core.pilot.context import Airborne, ArmedModes, FlightContext
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
     BATTERY_MAX_AGE_S,
@@ -64,6 +64,12 @@ UPLOADS = 6
 """So often an upload is begun: with a fifth of all frames lost three broke off in turn."""
 
 ARM_AGAIN_S = 3.0
+"""After a refusal, and only then: what the autopilot refused it has not armed."""
+
+ARM_SHOWS_S = 5.0
+"""An ARM that was not refused shows within this: the adapter waits 3 s for an answer that was lost,
+the heartbeat that shows it comes at 1 Hz and lags by up to a second."""
+
 ARM_LIMIT_S = 90.0
 WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
@@ -95,6 +101,8 @@ class GroundWork:
     authorised: bool = False
     asked_s: float | None = None
     arm_asked_s: float | None = None
+    arm_open_since_s: float | None = None
+    """When ARM was ordered, until it is refused: it may have been obeyed, seen or not."""
     uploads: int = 0
     values: dict[str, float | None] = field(default_factory=dict)
     settings_before: dict[str, float] = field(default_factory=dict)
@@ -116,7 +124,7 @@ class GroundSequence:
     def __init__(
         self,
         flight: Airborne,
-        modes: ModeOrders,
+        modes: ArmedModes,
         planner: BerPlanner,
         obstacles: dict[str, Any] | None,
         requirements: Requirements,
@@ -229,7 +237,7 @@ class GroundSequence:
             case Authorised():
                 context.do(Answer(self._authorise(context, event.by)))
             case OrderRefused() if context.phase is Phase.ARM:
-                context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
+                self._refused(context, event)
             case StreamsAsked() if event.refused:
                 context.do(Note(f"not granted: {', '.join(event.refused)}"))
             case AutopilotParameters():
@@ -257,12 +265,19 @@ class GroundSequence:
         self._state.requirements = self._requirements(context.autopilot, facts)
         context.do(AskParameters(names_read(self._state.requirements)))
 
+    def _refused(self, context: FlightContext, event: OrderRefused) -> None:
+        """A refused ARM has not armed; one that nobody answered may have."""
+        context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
+        if event.order == "arm" and event.answered:
+            self._state.arm_open_since_s = None
+
     # --- authorisation and refusal ---------------------------------------------------------------
 
     def _authorise(self, context: FlightContext, by: str) -> Reply:
         """Take an operator's authorisation of this mission."""
         checking = context.options.check_only
-        if checking or context.phase not in GROUND_PHASES or self._state.giving_up:
+        over = self._state.giving_up or self._modes.disarmed_by_another
+        if checking or context.phase not in GROUND_PHASES or over:
             return Reply.DENIED
         if context.phase is Phase.ARM:
             return Reply.ACCEPTED
@@ -318,6 +333,9 @@ class GroundSequence:
 
     def _end_when_restored(self, context: FlightContext) -> None:
         state = self._state
+        if context.telemetry.armed:  # nothing is set on a vehicle that may be about to fly
+            context.request_transition(Trigger.TAKEN_OVER, "armed after we gave up")
+            return
         if not state.settings_before or context.t_s - state.giving_up_s > RESTORE_LIMIT_S:
             context.request_transition(Trigger.NOT_POSSIBLE, state.giving_up)
 
@@ -467,6 +485,9 @@ class GroundSequence:
             context.request_transition(Trigger.READ_BACK_DIFFERS, event.differences[0])
 
     def _ready(self, context: FlightContext) -> None:
+        if self._modes.disarmed_by_another:
+            self._give_up(context, "disarmed by another hand before: not armed again")
+            return
         if not context.options.authorise or self._state.authorised:
             return
         findings = [f for f in self._live_findings(context) if f.blocks]
@@ -487,7 +508,11 @@ class GroundSequence:
             context.say(Severity.INFO, f"waiting: {words}")
 
     def _arm(self, context: FlightContext) -> None:
-        """Mission mode first, then arm: no other mode is ever needed (safety rule 2)."""
+        """Mission mode first, then arm: no other mode is ever needed (safety rule 2).
+
+        ARM is ordered again only where the autopilot refused the last one (safety rule 1): one that
+        shows no effect may have armed it, and a person disarmed it between two heartbeats.
+        """
         state, progress = context.telemetry.state, context.telemetry.progress
         if state is None:
             return
@@ -495,6 +520,11 @@ class GroundSequence:
             self._flight.take_off(context.t_s)
             context.decide("take_off", "armed in the mission")
             context.request_transition(Trigger.ARMED)
+            return
+        open_since_s = self._state.arm_open_since_s
+        if open_since_s is not None:
+            if context.since_s(open_since_s) > ARM_SHOWS_S:
+                self._give_up(context, "ARM unanswered: not sent again")
             return
         if context.phase_s > ARM_LIMIT_S:
             self._give_up(context, "the autopilot does not arm")
@@ -512,6 +542,7 @@ class GroundSequence:
         if index not in (None, 0):
             context.do(JumpTo(0))
             return
+        self._state.arm_open_since_s = context.t_s
         context.do(Arm())
 
 

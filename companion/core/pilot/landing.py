@@ -1,4 +1,8 @@
-"""The end: see the vehicle down, give the autopilot its settings back, say how it ended."""
+"""The end: see the vehicle down, give the autopilot its settings back, say how it ended.
+
+Down is what several sources agree on: disarmed, and by landed-state, height and speed on the ground
+(`FlightContext.against_standing`). Nothing is configured before.
+"""
 
 import math
 from dataclasses import dataclass
@@ -9,6 +13,7 @@ from companion.core.mission.events import Ground
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.context import (
     Airborne,
+    Disarming,
     FlightContext,
     GateState,
     Parcel,
@@ -16,6 +21,7 @@ from companion.core.pilot.context import (
     Promise,
     SettingsRestore,
 )
+from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -25,7 +31,15 @@ STILL_S = 15.0
 STILL_MPS = 0.4
 STILL_HEIGHT_M = 1.5
 STILL_ARMED_S = 40.0
-DISARMED_S = 0.9
+DISARMED_S = 1.0
+"""Disarmed for so long: at 1 Hz a false heartbeat has been followed by another."""
+
+DISARMED_ANYWHERE_S = 15.0
+"""Disarmed at every heartbeat for so long it is down, wherever the ground is: without its motors
+it falls from 120 m in 5 s. Needed where it stands on ground of unknown height, or where a detector
+or the position says nothing true any more.
+"""
+
 DISARM_EVERY_S = 5.0
 DISARMS = 3
 HOME_RADIUS_M = 30.0
@@ -35,9 +49,8 @@ RESTORE_LIMIT_S = 4.0
 
 @dataclass(slots=True)
 class LandingState:
-    """How far down it is: since when disarmed or still, and what was ordered."""
+    """How far down it is: since when still, and what was ordered."""
 
-    disarmed_since_s: float | None = None
     still_since_s: float | None = None
     disarm_asked_s: float | None = None
     disarms_asked: int = 0
@@ -56,6 +69,7 @@ class Landing:
         promise: Promise,
         position: PositionWatch,
         settings: SettingsRestore,
+        disarming: Disarming,
     ) -> None:
         self._state = LandingState()
         self._flight = flight
@@ -64,6 +78,7 @@ class Landing:
         self._promise = promise
         self._position = position
         self._settings = settings
+        self._disarming = disarming
 
     def tick(self, context: FlightContext) -> None:
         """See it down: disarmed, or standing still on the ground; never a forced disarm."""
@@ -71,12 +86,8 @@ class Landing:
         if telemetry.state is None:
             return
         if not telemetry.state.armed:
-            if state.disarmed_since_s is None:
-                state.disarmed_since_s = context.t_s
-            if context.since_s(state.disarmed_since_s) >= DISARMED_S:
-                self._landed(context)
+            self._see_disarmed(context)
             return
-        state.disarmed_since_s = None
         if context.phase not in (Phase.LAND, Phase.LAST_RESORT):
             return
         down = telemetry.ground is not None and telemetry.ground.ground is Ground.ON_GROUND
@@ -94,6 +105,16 @@ class Landing:
             context.do(Note("on the ground and still armed: plain disarm"), Disarm())
         if waited_s > STILL_ARMED_S:
             context.say(Severity.WARNING, "landed, still armed: disarm by hand")
+            self._landed(context)
+
+    def _see_disarmed(self, context: FlightContext) -> None:
+        """Disarmed: down when everything else agrees, or after long."""
+        telemetry = context.telemetry
+        if not telemetry.is_fresh(telemetry.state, STATE_MAX_AGE_S):
+            return
+        disarmed_s = context.since_s(telemetry.disarmed_since_s)
+        stands = disarmed_s >= DISARMED_S - 1e-6 and not context.against_standing()
+        if stands or disarmed_s >= DISARMED_ANYWHERE_S or self._state.landed_s is not None:
             self._landed(context)
 
     def conclude(self, context: FlightContext, why: str) -> None:
@@ -121,6 +142,8 @@ class Landing:
     def _at_home(self, context: FlightContext, plan: FlightPlan) -> tuple[bool, str]:
         """Whether it stands where it was promised, and where it is, in words."""
         position = context.telemetry.position
+        if self._disarming.disarmed_in_air:
+            return False, "disarmed in the air"
         if self._position.is_lost:
             return False, f"position lost, {self._position.last_seen()}"
         if position is None:

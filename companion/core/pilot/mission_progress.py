@@ -10,8 +10,8 @@ from typing import Any
 from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
 from companion.core.mission.events import Event, MissionProgress, Mode, OrderRefused
-from companion.core.mission.jump_watch import CourseWatch, JumpStatus, JumpWatch, Purpose
-from companion.core.mission.mission_items import Part
+from companion.core.mission.jump_watch import OLDER_S, CourseWatch, JumpStatus, JumpWatch, Purpose
+from companion.core.mission.mission_items import DeadMansMission, Part
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
     CruiseSpeed,
@@ -46,6 +46,11 @@ class ProgressState:
     index: int | None = None
     leg: int = 0
     jump: JumpWatch | None = None
+    obeyed: JumpWatch | None = None
+    """The newest jump that telemetry has shown, and when."""
+    obeyed_s: float = 0.0
+    reports: tuple[MissionProgress, ...] = ()
+    """Those of the last second."""
     course: CourseWatch | None = None
     foreign_move: ForeignMove | None = None
 
@@ -123,6 +128,7 @@ class MissionFollower:
     def forget_item(self) -> None:
         """Which item is flown has to be found out anew."""
         self._state.index = None
+        self._state.obeyed = None
         self._state.foreign_move = None
 
     def restart_course(self, t_s: float) -> None:
@@ -137,6 +143,8 @@ class MissionFollower:
         match event:
             case MissionProgress():
                 self._follow(context, event)
+                recent = (r for r in self._state.reports if event.t_s - r.t_s <= OLDER_S)
+                self._state.reports = (*recent, event)
             case OrderRefused():
                 self._refused(context, event)
             case _:
@@ -160,15 +168,10 @@ class MissionFollower:
 
     def tick(self, context: FlightContext) -> None:
         """Ask again for a jump that telemetry does not show, or give it up."""
-        jump, flown = self._state.jump, context.flight_plan
-        if jump is None or flown is None:
+        jump = self._state.jump
+        if jump is None:
             return
-        progress = context.telemetry.progress
-        fresh = progress is not None and progress.t_s > jump.ordered_s
-        index = progress.index if progress is not None and fresh else None
-        match jump.update(flown.mission, index, context.t_s):
-            case JumpStatus.CONFIRMED if index is not None:
-                self._confirmed(context, index)
+        match jump.wait(context.t_s):
             case JumpStatus.ASK_AGAIN:
                 context.do(Note(f"jump to item {jump.index} not seen yet: again"))
                 context.do(JumpTo(jump.index))
@@ -231,7 +234,12 @@ class MissionFollower:
     # --- inside ----------------------------------------------------------------------------------
 
     def _jump(self, context: FlightContext, index: int, purpose: Purpose) -> None:
-        self._state.jump = JumpWatch(index, purpose, context.t_s)
+        state = self._state
+        recent = {r.index for r in state.reports if context.t_s - r.t_s <= OLDER_S}
+        before = {at for at in (*recent, state.index) if at is not None}
+        if state.index == index:  # it flies there already: nothing tells it from obedience
+            before.discard(index)
+        state.jump = JumpWatch(index, purpose, context.t_s, frozenset(before))
         context.do(JumpTo(index))
 
     def _follow(self, context: FlightContext, event: MissionProgress) -> None:
@@ -253,10 +261,11 @@ class MissionFollower:
             context.request_transition(Trigger.TAKEN_OVER, why)
             return
         if state.jump is not None:
-            status = state.jump.update(mission, event.index, state.jump.ordered_s)
-            if status is JumpStatus.CONFIRMED:
+            if state.jump.confirms(mission, event.index, event.t_s):
                 self._confirmed(context, event.index)
             return  # else the jump is under way; the tick asks again or gives up
+        if self._may_be_older(mission, event):
+            return  # what is flown is reported again within a second
         if event.index == state.index or context.phase is Phase.LAND:
             state.foreign_move = None
             return
@@ -267,6 +276,13 @@ class MissionFollower:
             return  # judged at the tick: after a silence it moved on by itself
         state.foreign_move = None
         self._at_item(context, event.index)
+
+    def _may_be_older(self, mission: DeadMansMission, event: MissionProgress) -> bool:
+        """Tell whether this report may have been sent before the jump that was just obeyed."""
+        state = self._state
+        if state.obeyed is None or event.index is None or event.t_s - state.obeyed_s > OLDER_S:
+            return False
+        return state.obeyed.left_behind(mission, event.index)
 
     def _at_item(self, context: FlightContext, index: int) -> None:
         """The autopilot flies this item now: the phase follows."""
@@ -341,6 +357,7 @@ class MissionFollower:
         assert flown is not None
         assert state.jump is not None
         jump, state.jump = state.jump, None
+        state.obeyed, state.obeyed_s = jump, context.t_s
         part = flown.mission.part_at(jump.index)
         state.index = jump.index
         self._promise.note_item(context, jump.index)

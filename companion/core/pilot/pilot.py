@@ -168,6 +168,7 @@ class Pilot:
             self._promise,
             self._position,
             self._ground,
+            self._authority,
         )
         self._landing_site = LandingSite(self._promise, self._progress, budget)
         self._traffic = TrafficExchange(self._progress)
@@ -200,6 +201,7 @@ class Pilot:
             self._return_state,
             self._progress,
             self._promise,
+            self._authority,
         )
         self._routes = self._make_routes()
         if checkpoint is not None and not checkpoint.finished:

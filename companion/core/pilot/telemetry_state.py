@@ -29,12 +29,22 @@ PROGRESS_MAX_AGE_S = 3.0
 BATTERY_MAX_AGE_S = 5.0
 AIRSPEED_MAX_AGE_S = 1.0
 WIND_MAX_AGE_S = 2.0
+GROUND_MAX_AGE_S = 1.5
+"""Three of the 2 Hz that both autopilots are asked for."""
+
+DISARMED_WITNESSES = 2
+"""So many heartbeats in a row that say disarmed are believed in flight: one may be wrong."""
+
 THROTTLE_MAX_AGE_S = 1.0
 
 
 @dataclass(slots=True)
 class TelemetryState:
-    """The newest sample of each kind. Late samples never replace newer ones."""
+    """The newest sample of each kind. Late samples never replace newer ones.
+
+    A heartbeat that says disarmed after armed ones is doubt, and `state` stays armed, until the
+    autopilot's landed-state agrees or the next heartbeat says it again.
+    """
 
     t_s: float = 0.0
     state: VehicleState | None = None
@@ -51,13 +61,16 @@ class TelemetryState:
     ground: GroundState | None = None
     readiness: ArmingReadiness | None = None
     _battery_times: dict[str, float] = field(default_factory=dict)
+    disarmed_since_s: float | None = None
+    """When the first of the newest heartbeats came that all say disarmed."""
+    _disarmed_reports: int = 0
 
     def update(self, event: Event) -> None:
         """Take one telemetry event."""
         self.t_s = max(self.t_s, event.t_s)
         match event:
             case VehicleState():
-                self.state = event
+                self._take_heartbeat(event)
             case ModeNow() if self.state is not None:
                 self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
@@ -82,10 +95,26 @@ class TelemetryState:
                 self.progress = event
             case GroundState():
                 self.ground = event
+                self._believe_disarmed()
             case ArmingReadiness():
                 self.readiness = event
             case _:
                 return
+
+    def _take_heartbeat(self, new: VehicleState) -> None:
+        was_armed = self.armed
+        self._disarmed_reports = 0 if new.armed else self._disarmed_reports + 1
+        if self._disarmed_reports <= 1:
+            self.disarmed_since_s = None if new.armed else new.t_s
+        self.state = replace(new, armed=True) if was_armed else new
+        self._believe_disarmed()
+
+    def _believe_disarmed(self) -> None:
+        """Take the newest heartbeat's word for it, where something else says the same."""
+        if self.state is None or self._disarmed_reports == 0:
+            return
+        if self._disarmed_reports >= DISARMED_WITNESSES or self.landed_state is Ground.ON_GROUND:
+            self.state = replace(self.state, armed=False)
 
     def _merged(self, new: Battery) -> Battery:
         """Two messages report one battery; a field stays until it is reported again or too old."""
@@ -119,6 +148,8 @@ class TelemetryState:
         ):  # fmt: skip
             setattr(self, name, None)
         self._battery_times.clear()
+        self._disarmed_reports = 0
+        self.disarmed_since_s = None
         self.t_s = t_s
 
     def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:
@@ -129,6 +160,13 @@ class TelemetryState:
     def armed(self) -> bool:
         """Armed by the last heartbeat."""
         return self.state is not None and self.state.armed
+
+    @property
+    def landed_state(self) -> Ground | None:
+        """What the autopilot's own detector says; `None` where it says nothing (any more)."""
+        ground = self.ground
+        fresh = self.is_fresh(ground, GROUND_MAX_AGE_S)
+        return ground.ground if ground is not None and fresh else None
 
     @property
     def failing(self) -> bool:

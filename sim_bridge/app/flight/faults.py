@@ -93,6 +93,10 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.refused |= JUMPS
         case "arming_refused":
             craft.refused |= ARMING
+        case "arming_undone":
+            craft.disarms_after_s = fault.by_s
+        case "false_disarmed":
+            craft.says_disarmed_once = True
         case "home_moves":
             craft.ask_home(fault.to)
 

@@ -9,6 +9,7 @@ GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
 COMPANION_COMPONENT = 191
 MAV_CMD_MISSION_START = 300
 MAV_CMD_DO_SET_MODE = 176
+MAV_CMD_COMPONENT_ARM_DISARM = 400
 MAV_CMD_DO_SET_HOME = 179
 MAV_RESULT_TEMPORARILY_REJECTED = 1
 HOME_IS_NOW = "home is now "
@@ -71,6 +72,11 @@ class Operator:
     def wants_home(self, lat_deg: float, lon_deg: float) -> None:
         """Ask the companion to land at another stop of the truck, by where its pad is."""
         self._wanted_deg = (lat_deg, lon_deg)
+
+    def disarm(self) -> bytes:
+        """Disarm the vehicle by hand, plainly."""
+        order = command_long(self.vehicle_system, 1, MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        return self._encoder.encode(order)
 
     def mode_change(self, autopilot_kind: str) -> list[bytes]:
         """Order the autopilot to return to launch, behind the companion's back."""

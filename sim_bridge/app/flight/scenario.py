@@ -28,6 +28,8 @@ FaultKind = Literal[
     "clock_jump",
     "jumps_refused",
     "arming_refused",
+    "arming_undone",
+    "false_disarmed",
     "home_moves",
 ]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
@@ -45,7 +47,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     duration_s: float = 0.0
     """How long it lasts; 0: for good."""
     by_s: float = 0.0
-    """How far the clock jumps; back where it is negative."""
+    """How far the clock jumps (back where it is negative); how long after arming a person disarms
+    what was armed, where `arming_undone`."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
     restart: bool = True

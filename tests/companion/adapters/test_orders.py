@@ -26,6 +26,7 @@ from companion.core.mission.actions import (
     AskParameters,
     AskTelemetry,
     Configure,
+    Disarm,
     JumpTo,
     ReadMissionBack,
     Release,
@@ -89,26 +90,66 @@ class Bench:
 
 def test_an_order_is_repeated_until_it_is_acknowledged_and_then_no_more():
     bench = Bench(PX4)
-    bench.port.order(Arm(), 10.0)
+    bench.port.order(Release(), 10.0)
     bench.wait(2.5)
     sent = bench.take()
     assert [m.confirmation for m in sent] == [0, 1, 2]
-    assert {m.command for m in sent} == {mavlink.MAV_CMD_COMPONENT_ARM_DISARM}
-    assert {m.param2 for m in sent} == {0.0}, "never forced"
-    assert bench.ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [
-        ev.OrderAccepted(bench.clock.t_s, "arm")
-    ]
+    assert {m.command for m in sent} == {mavlink.MAV_CMD_DO_GRIPPER}
+    assert bench.ack(mavlink.MAV_CMD_DO_GRIPPER) == [ev.OrderAccepted(bench.clock.t_s, "release")]
     assert bench.wait(10.0) == []
     assert bench.take() == []
 
 
 def test_an_order_that_nobody_answers_is_given_up():
     bench = Bench(PX4)
-    bench.port.order(Arm(), 10.0)
+    bench.port.order(Release(), 10.0)
     (event,) = bench.wait(20.0)
-    assert isinstance(event, ev.OrderRefused)
-    assert event.reason == "no answer"
+    assert event == ev.OrderRefused(event.t_s, "release", "no answer", answered=False)
     assert len(bench.take()) == 4
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_safety_rule_1_an_unanswered_arm_is_repeated_only_faster_than_a_person_disarms(autopilot):
+    # Tried: a person disarmed 0.3 s after arming; one more ARM a second later armed it again.
+    bench = Bench(autopilot)
+    bench.port.order(Arm(), 10.0)
+    bench.wait(0.25)
+    sent = bench.take()
+    assert {m.command for m in sent} == {mavlink.MAV_CMD_COMPONENT_ARM_DISARM}
+    assert {m.param2 for m in sent} == {0.0}, "never forced"
+    (event,) = bench.wait(20.0)
+    assert event == ev.OrderRefused(event.t_s, "arm", "no answer", answered=False)
+    assert event.t_s > 13.0, "an armed heartbeat that lags has come by then"
+    assert bench.take() == []
+
+
+HEARTBEAT = mavlink.MAVLink_heartbeat_message
+EFFECTS = [
+    (PX4, Arm(), HEARTBEAT(2, PX4, 129, 4 << 16 | 4 << 24, 4, 3)),
+    (ARDUPILOT, Arm(), HEARTBEAT(2, ARDUPILOT, 129, 3, 4, 3)),
+    (PX4, Disarm(), HEARTBEAT(2, PX4, 1, 4 << 16 | 4 << 24, 3, 3)),
+    (PX4, SetMode(ev.Mode.MISSION), HEARTBEAT(2, PX4, 1, 4 << 16 | 4 << 24, 3, 3)),
+    (ARDUPILOT, SetMode(ev.Mode.RTL), HEARTBEAT(2, ARDUPILOT, 129, 6, 4, 3)),
+    (ARDUPILOT, JumpTo(4), mavlink.MAVLink_mission_current_message(5, 10, 3, 1)),
+]
+
+
+@pytest.mark.parametrize(("autopilot", "order", "seen"), EFFECTS)
+def test_safety_rule_1_an_order_whose_effect_is_seen_is_not_sent_again(autopilot, order, seen):
+    bench = Bench(autopilot)
+    bench.port.order(order, 10.0)
+    bench.take()
+    assert any(isinstance(event, ev.OrderAccepted) for event in bench.hear(seen))
+    assert bench.wait(10.0) == []
+    assert bench.take() == []
+
+
+def test_an_order_whose_effect_is_not_seen_goes_on_being_sent():
+    bench = Bench(ARDUPILOT)
+    bench.port.order(JumpTo(4), 10.0)
+    bench.hear(mavlink.MAVLink_mission_current_message(4, 10, 3, 1))
+    bench.wait(1.2)
+    assert len(bench.take()) == 2
 
 
 @pytest.mark.parametrize(("result", "reason"), [(2, "denied"), (3, "unsupported"), (4, "failed")])

@@ -123,11 +123,30 @@ def test_an_item_of_the_way_home_shows_no_jump_outward_though_it_follows_one():
     out, home = flight.outbound[1], flight.entry_of_outbound[1]
     assert flight.follows(out, home)
     onward = JumpWatch(out, Purpose.ONWARD, 0.0)
-    assert onward.update(flight, home, 0.1) is JumpStatus.WAITING
-    assert onward.update(flight, out, 0.2) is JumpStatus.CONFIRMED
-    assert onward.update(flight, out + 1, 0.2) is JumpStatus.CONFIRMED
+    assert not onward.confirms(flight, home, 0.1)
+    assert onward.confirms(flight, out, 0.2)
+    assert onward.confirms(flight, out + 1, 0.2)
     back = JumpWatch(home, Purpose.HOME, 0.0)
-    assert back.update(flight, home + 1, 0.1) is JumpStatus.CONFIRMED
+    assert back.confirms(flight, home + 1, 0.1)
+
+
+def test_a_report_that_may_be_older_than_the_jump_says_nothing_of_it():
+    flight = mission()
+    out, home = flight.outbound[1], flight.entry_of_outbound[1]
+    again = JumpWatch(out, Purpose.ONWARD, 10.0, before=frozenset({out, home}))
+    assert not again.confirms(flight, out, 10.4), "overtaken by the one that said: homeward"
+    assert again.confirms(flight, out, 11.2)
+    assert again.left_behind(flight, home)
+    assert not again.left_behind(flight, out)
+    assert JumpWatch(out, Purpose.ONWARD, 10.0).confirms(flight, out, 10.1), "not flown before"
+
+
+def test_a_jump_that_no_report_confirms_is_asked_again_and_then_given_up():
+    jump = JumpWatch(4, Purpose.HOME, 10.0)
+    assert jump.wait(12.4) is JumpStatus.WAITING
+    assert jump.wait(12.5) is JumpStatus.ASK_AGAIN
+    assert jump.wait(15.0) is JumpStatus.ASK_AGAIN
+    assert jump.wait(17.5) is JumpStatus.REFUSED
 
 
 def test_the_spot_of_an_item_without_a_place_is_where_the_mission_flies_next():
