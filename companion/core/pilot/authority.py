@@ -5,6 +5,7 @@ from typing import Any
 
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import (
+    ClockStepped,
     ControlHandedBack,
     ControlTaken,
     Event,
@@ -42,6 +43,8 @@ class Authority:
         match event:
             case VehicleState() | ModeNow() if state is not None:
                 self._judge(context, state)
+            case ClockStepped():
+                self.ground_mode = None  # rebooted: it stands in another mode, by nobody's hand
             case OtherComputer():
                 _yield_to(context, event)
             case ControlHandedBack():

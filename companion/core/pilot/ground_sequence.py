@@ -11,6 +11,7 @@ from companion.core.mission.actions import (
     AskParameters,
     AskTelemetry,
     Configure,
+    DropOrders,
     JumpTo,
     Note,
     ReadMissionBack,
@@ -54,11 +55,14 @@ from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
     STATE_MAX_AGE_S,
 )
-from companion.core.pilot.transitions import GROUND_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import GROUND_PHASES, WAITING_PHASES, Phase, Trigger
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
 ASK_AGAIN_S = 20.0
+STOPPED_S = 3.0
+"""Attitude comes ten times a second; three heartbeats without it are no lull."""
+
 ATTEMPTS = 3
 UPLOADS = 6
 """So often an upload is begun: with a fifth of all frames lost three broke off in turn."""
@@ -216,6 +220,11 @@ class GroundSequence:
         if self._state.giving_up:
             self._end_when_restored(context)
             return
+        if self._has_stopped(context):
+            context.say(Severity.WARNING, "telemetry stopped: asking again")
+            context.do(DropOrders())
+            context.request_transition(Trigger.TELEMETRY_STOPPED, "telemetry stopped")
+            return
         match context.phase:
             case Phase.CONFIGURE:
                 self._wait_telemetry(context)
@@ -341,6 +350,17 @@ class GroundSequence:
 
     # --- phases ----------------------------------------------------------------------------------
 
+    @staticmethod
+    def _has_stopped(context: FlightContext) -> bool:
+        """Heartbeats come, and nothing else that we asked for: the autopilot has rebooted.
+
+        ArduPilot tells no time before it is asked to, so its clock shows no step.
+        """
+        telemetry = context.telemetry
+        alive = telemetry.is_fresh(telemetry.state, STATE_MAX_AGE_S)
+        stopped = not telemetry.is_fresh(telemetry.attitude, STOPPED_S)
+        return context.phase in WAITING_PHASES and alive and stopped
+
     def _wait_telemetry(self, context: FlightContext) -> None:
         telemetry = context.telemetry
         missing = [
@@ -365,8 +385,10 @@ class GroundSequence:
             context.request_transition(Trigger.POSITION_USABLE)
             return
         words = "; ".join(troubles) or "battery unknown"
-        if context.phase_s > ASK_AGAIN_S:
+        if context.since_s(self._state.asked_s) > ASK_AGAIN_S:
+            self._state.asked_s = context.t_s
             context.say_once(Severity.WARNING, words)
+            context.do(AskTelemetry())  # a reboot may have undone what was asked
         if context.phase_s > WAIT_LIMIT_S and context.options.check_only:
             self._give_up(context, words)
 

@@ -220,7 +220,7 @@ class Pilot:
             LinkSilent: (self._resume,),
             LinkBack: (self._resume,),
             ClockLeapt: (self._resume,),
-            ClockStepped: (self._resume,),
+            ClockStepped: (self._authority, self._resume),
             Authorised: (self._ground,),
             StreamsAsked: (self._ground,),
             AutopilotParameters: (self._ground,),

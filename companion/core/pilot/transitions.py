@@ -65,6 +65,7 @@ class Trigger(Enum):
     LULL_OVER = "link back at once"
     LINK_BACK = "link back"
     REBOOTED = "autopilot rebooted"
+    TELEMETRY_STOPPED = "telemetry stopped"
     ABORT = "abort ordered"
 
 
@@ -80,6 +81,9 @@ GROUND_PHASES = (
     Phase.ARM,
 )
 """On the ground, before we armed."""
+
+WAITING_PHASES = GROUND_PHASES[1:-1]
+"""Of those, from the first telemetry on until we arm."""
 
 FLIGHT_PHASES = (
     Phase.CLIMB,
@@ -151,6 +155,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT)},
         **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},
+        **{(phase, t.TELEMETRY_STOPPED): p.CONFIGURE for phase in WAITING_PHASES},
         # picking the flight up again
         (p.RECOGNISE, t.STILL_ON_GROUND): p.CONFIGURE,
         (p.RECOGNISE, t.MISSION_UNKNOWN): p.PASSIVE,
@@ -186,7 +191,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         table[phase, t.ABORT] = p.RETURN
     for phase in GROUND_PHASES:
         table[phase, t.ABORT] = p.GROUNDED
-        table[phase, t.REBOOTED] = p.IDENTIFY
+        table[phase, t.REBOOTED] = p.CONFIGURE
         table[phase, t.LINK_BACK] = p.CONFIGURE
     return table
 

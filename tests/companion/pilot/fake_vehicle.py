@@ -168,6 +168,7 @@ class World:
     values: dict[str, float | None] = field(default_factory=lambda: {"LOW_ACT": 0.0})
     obeys_jumps: bool = True
     gnss: bool = True
+    streams: bool = True
     volts: float | None = 22.0
     mute: set[type] = field(default_factory=set)
     log: list[tuple[float, Action]] = field(default_factory=list)
@@ -187,6 +188,7 @@ class World:
     def obey(self, order: Order) -> None:
         match order:
             case AskTelemetry():
+                self.streams = True
                 self.answers.append(ev.StreamsAsked(self.t_s))
             case AskParameters():
                 self.answers.append(ev.AutopilotParameters(self.t_s, dict(self.values)))
@@ -282,7 +284,13 @@ class World:
         ]
         if round(t * 10) % 5 == 0:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
+        if not self.streams:
+            found = [event for event in found if isinstance(event, ev.VehicleState)]
         return [event for event in found if type(event) not in self.mute]
+
+    def reboot(self, mode: Mode) -> None:
+        """It stands in another mode, and sends nothing that it is not asked for again."""
+        self.mode, self.armed, self.streams, self.answers = mode, False, False, []
 
     def step(self, dt_s: float = 0.1) -> None:
         """One tick of the autopilot's clock."""

@@ -604,6 +604,25 @@ def test_a_rebooted_autopilot_is_read_again_and_no_energy_is_won():
     assert done.outcome == "SUC"
 
 
+GROUND_WORK = [Phase.WAIT_POSITION, Phase.PLAN, Phase.UPLOAD, Phase.READ_BACK, Phase.READY]
+
+
+@pytest.mark.parametrize("phase", GROUND_WORK)
+@pytest.mark.parametrize("clock_tells", [True, False])
+def test_an_autopilot_that_reboots_on_the_ground_is_asked_for_everything_again(phase, clock_tells):
+    w = world(options=PilotOptions(configure=True)).until(phase)
+    back_s = w.t_s
+    w.reboot(Mode.OTHER if clock_tells else w.mode)  # else the mode is a person's
+    if clock_tells:
+        w.tell(ev.ClockStepped(w.t_s, 100.0))
+    w.run(lambda w: w.pilot.phase is Phase.READY and w.t_s > back_s + 1.0)
+    assert {AskTelemetry, UploadMission, ReadMissionBack} <= {
+        type(o) for o in w.orders_after(back_s - 0.01)
+    }
+    w.tell(ev.Authorised(w.t_s, "operator"))
+    assert w.to_the_end().outcome == "SUC"
+
+
 def interrupted(phase: Phase) -> tuple[World, Checkpoint]:
     """A flight whose companion is killed in a phase; its last checkpoint."""
     w = reach(phase)
