@@ -60,6 +60,9 @@ class Tape:
     def send(self, data: bytes) -> None:
         self.sent.append(data)
 
+    def settle(self) -> None:
+        return
+
     def waiting(self) -> int:
         return 0
 

@@ -39,6 +39,9 @@ class MemoryLink:
         """
         return 0
 
+    def settle(self) -> None:
+        """No effect: there is no reader beside us."""
+
     def wake(self) -> None:
         """No effect: nothing blocks here."""
 

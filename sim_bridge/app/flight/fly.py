@@ -262,6 +262,7 @@ def _run(
         is_alive=lambda number: crafts[number].companion.running,
     )
     pacer = Pacer(options.speedup) if options.speedup else None
+    stall_pacer: Pacer | None = None
     for craft in crafts:
         craft.companion.start()
     first = lockstep.await_clients(1, COMPANION_BOOT_LIMIT_S)
@@ -280,25 +281,33 @@ def _run(
             if not craft.finished:
                 craft.advance(STEPS)
         faults.apply(crafts, t_s, lockstep)
-        _await_restarted(crafts, lockstep, t_s)
+        _await_returned(crafts, lockstep, t_s)
         sent_s = wall_s()
         gathered = lockstep.exchange(round(t_s * 1e9))
         progress.exchanged(wall_s() - sent_s)
         _deliver(crafts, gathered.received)
-        if pacer is not None:
-            _deliver(crafts, pacer.wait_until(t_s, endpoints))
+        stall_pacer = _stall_pacer(crafts, stall_pacer)
+        if (pace := pacer or stall_pacer) is not None:
+            _deliver(crafts, pace.wait_until(t_s, endpoints))
         progress.update(crafts, t_s)
         if not progress.goes_on(t_s):
             return
 
 
-def _await_restarted(crafts: list[Craft], lockstep: Lockstep, t_s: float) -> None:
-    """Time stands still while a restarted companion boots, so that runs repeat."""
-    numbers = [index for index, craft in enumerate(crafts) if craft.restarted]
+def _stall_pacer(crafts: list[Craft], before: Pacer | None) -> Pacer | None:
+    """Real time while a companion stands still: its own clock must tell it for how long."""
+    stalled = any(craft.companion.stalled for craft in crafts)
+    return (before or Pacer(1.0)) if stalled else None
+
+
+def _await_returned(crafts: list[Craft], lockstep: Lockstep, t_s: float) -> None:
+    """Time stands still while a restarted companion boots, or a stalled one hears what it missed,
+    so that runs repeat."""
+    numbers = [index for index, craft in enumerate(crafts) if craft.companion_returns]
     if numbers:
         gathered = lockstep.await_clients(round(t_s * 1e9), COMPANION_BOOT_LIMIT_S, only=numbers)
         for number in numbers:
-            crafts[number].restarted = False
+            crafts[number].companion_returns = False
         _deliver(crafts, gathered.received)
 
 

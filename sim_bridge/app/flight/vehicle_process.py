@@ -77,7 +77,8 @@ class Craft:
     commands: list[tuple[float, str, int]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _refusals: list[bytes] = field(default_factory=list)
-    restarted: bool = False
+    companion_returns: bool = False
+    """It was started again, or goes on after a stall: its answer is waited for."""
 
     @property
     def t_s(self) -> float:

@@ -41,6 +41,9 @@ class WireTap:
     def send(self, data: bytes) -> None:
         self.sent.append(data)
 
+    def settle(self) -> None:
+        return
+
     def waiting(self) -> int:
         return len(self.incoming) if self.tells_waiting else 0
 
