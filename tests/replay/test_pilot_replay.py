@@ -88,7 +88,7 @@ class Ears:
             digest=digest_of(path, airframe, wind_process),
             options=PilotOptions(configure=True, authorise=True),
         )  # fmt: skip
-        self.recorder = Recorder(folder)
+        self.recorder = Recorder(folder, at_once=True)
         self.loop = Loop.wire(
             self.tape, MavlinkCodec(datagrams=True), self.recorder, self.pilot,
             system_id=None, silence_limit_s=1e9,

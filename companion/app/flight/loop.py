@@ -89,6 +89,7 @@ class Loop:
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
+    _record_lost: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
     _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
@@ -170,9 +171,9 @@ class Loop:
         known = system is not None
         source = (message.get_srcSystem(), message.get_srcComponent())
         if not known or source[0] == system:
-            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
         if known and self.operator.on_message(message, system, self.clock.t_s):
-            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
         if from_autopilot:
@@ -227,6 +228,7 @@ class Loop:
         t_s = self.clock.t_s
         self._ticked_s = t_s
         self.recorder.heard(self.pilot.telemetry, self.pilot.autopilot, self.autopilot.system_id)
+        self._mind_records()
         if not self.hearing.may_decide():
             self._give([Tick(t_s, late=True)])
         else:
@@ -269,6 +271,13 @@ class Loop:
         """What we could not hear while we stood still is no silence of the link."""
         self._heard_wall_s += self.hearing.turned()
 
+    def _mind_records(self) -> None:
+        """The operator hears once that the flight goes on without its record."""
+        words = self.recorder.new_trouble()
+        if words is not None and not self._record_lost:
+            self._record_lost = True
+            self.carry_out([Say(Severity.WARNING, f"record given up, {words}")])
+
     def _mind_silence(self) -> None:
         silent_s = self.wall_clock_s() - self._heard_wall_s
         if silent_s > SILENT_S and not self._silent and self._system_known:
@@ -305,7 +314,7 @@ class Loop:
                 case _:
                     pass
             if self.on_action is not None:
-                self.on_action(action)
+                self.recorder.show(self.on_action, action)
 
     def _publish_next(self) -> None:
         """One named value a tick: of several at once PX4's log keeps the last (flown)."""
@@ -366,7 +375,7 @@ class Loop:
         staying = [kept for kept in self._outgoing if kept.is_order and self._must_wait]
         if going:
             for kept in going:
-                self.recorder.tlog.write(kept.frame, kept.t_s)
+                self.recorder.stream(kept.frame, kept.t_s)
             self.link.send(b"".join(kept.frame for kept in going))
         self._outgoing = staying
         self._outgoing_bytes = sum(len(kept.frame) for kept in staying)

@@ -124,6 +124,7 @@ class SteppedCompanion:
             airframe=self.airframe,
             mission=folder / MISSION,
             run_dir=folder,
+            record_at_once=True,
             pilot=PilotOptions(configure=True),
         )
         self._run = Run.begin(

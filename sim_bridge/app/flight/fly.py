@@ -123,7 +123,15 @@ def fly(options: FlyOptions, progress: Progress | None = None) -> dict[str, Any]
         crafts: list[Craft] = []
         for index in range(options.vehicles):
             craft = _build_craft(
-                options, flight, wind, mean, index, vehicle_seeds[index], endpoints, run_dir
+                options,
+                flight,
+                wind,
+                mean,
+                index,
+                vehicle_seeds[index],
+                endpoints,
+                run_dir,
+                killed=any(fault.kind == "companion_kill" for fault in faults),
             )
             crafts.append(craft)
             stack.callback(craft.companion.end)
@@ -152,6 +160,8 @@ def _build_craft(
     seed: np.random.SeedSequence,
     endpoints: EndpointSet,
     run_dir: Path,
+    *,
+    killed: bool,
 ) -> Craft:
     gust_seed, sensor_seed, charge_seed = seed.spawn(3)
     charge_frac = _drawn_charge(flight, np.random.default_rng(charge_seed))
@@ -194,6 +204,7 @@ def _build_craft(
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
             *_signed_arguments(options.signing_key),
+            *(["--lockstep"] if killed else []),
         ],
     )
     return Craft(

@@ -169,7 +169,7 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     first = Recorder(tmp_path)
     first.take(DECISION, 12.5)
     first.take(WindReport(13.0, 1.0, 2.0, 0.1, 0.0, 0.1), 13.0)
-    # killed here: no result was written
+    first.settle()  # killed here: no result was written
     second = Recorder(tmp_path, continues=True)
     second.take(Decision(40.0, "recognised", "our mission"), 40.0)
     second.take(Finished("SUC", True, "home"), 50.0)
