@@ -68,6 +68,11 @@ def return_loaded_and_said(flown) -> bool:
     return not flown.row["delivered"] and flown.row["home"] and "release not confirmed" in said
 
 
+def delivered_without_a_record(flown) -> bool:
+    told = flown.said.count("record given up")
+    return delivered_and_home(flown) and flown.craft.companion.exit_code == 0 and told == 1
+
+
 def down_whole_and_said_where(flown) -> bool:
     """It came down by itself, unhurt, with not one order; the operator knows where to look."""
     truth = flown.craft.record
@@ -246,6 +251,12 @@ CASES = [
         "an autopilot that obeys no jump comes home by the mission aboard",
         refused_jumps_bring_it_home,
         {"faults": [fault("jumps_refused", phase="outbound")]},
+        {},
+    ),
+    Case(
+        "a disk that fills up in flight costs the record, not the flight",
+        delivered_without_a_record,
+        {"faults": [fault("disk_full", phase="outbound", at_s=4.0)]},
         {},
     ),
     Case(

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -86,6 +87,19 @@ class CompanionProcess:
         """SIGCONT."""
         self._signal(signal.SIGCONT)
         self.stalled = False
+
+    def fill_disk(self) -> None:
+        """From now on no file of its can grow: each write fails, as on a full disk."""
+        self._limit_files(0)
+
+    def empty_disk(self) -> None:
+        """Its files can grow again."""
+        self._limit_files(resource.RLIM_INFINITY)
+
+    def _limit_files(self, size_bytes: int) -> None:
+        if self.pid is not None:
+            _, most = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
+            resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, most))
 
     def _signal(self, number: signal.Signals) -> None:
         if self._process is not None and self.running:

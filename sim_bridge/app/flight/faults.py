@@ -71,6 +71,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
         case "companion_stall":
             craft.companion.stall()
             lockstep.lose(craft.number - 1)
+        case "disk_full":
+            craft.companion.fill_disk()
         case "autopilot_reboot":
             craft.autopilot.reboot()
         case "gnss_lost":
@@ -110,6 +112,8 @@ def _end(fault: Fault, craft: Craft) -> None:
         case "companion_stall":
             craft.companion.go_on()
             craft.companion_returns = True
+        case "disk_full":
+            craft.companion.empty_disk()
         case "gnss_lost":
             craft.vehicle.sensors.gnss_outage = False
         case "pitot_stuck":

@@ -17,6 +17,7 @@ FaultKind = Literal[
     "link_silent",
     "companion_kill",
     "companion_stall",
+    "disk_full",
     "autopilot_reboot",
     "gnss_lost",
     "pilot_takes_over",
