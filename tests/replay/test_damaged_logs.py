@@ -105,3 +105,14 @@ def test_a_damaged_file_is_replayed_as_far_as_it_goes_or_refused_in_one_line(goo
     if code == 2:
         assert len(output.strip().splitlines()) == 1
         assert str(path) in output
+
+
+def test_a_number_that_cannot_be_what_it_is_called_is_left_out_and_that_is_said(tmp_path):
+    log = DecisionLog(tmp_path / "a.mcap")
+    for k, roll_rad in enumerate([0.1, 1e30, 0.2]):
+        row = {"t_s": float(k), "roll_rad": roll_rad, "pitch_rad": 0.0, "yaw_rad": 0.0}
+        log.write("heard_attitude", row)
+    log.close()
+    flight = open_log(tmp_path / "a.mcap")
+    assert [event.t_s for event in flight.events] == [0.0, 2.0]
+    assert str(flight.findings[0]) == "sample 1: Attitude.roll_rad cannot be; left out"
