@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from datetime import datetime
 
 
 def wall_s() -> float:
@@ -17,6 +18,11 @@ def cpu_s() -> float:
 def epoch_us() -> int:
     """Microseconds since 1970, for file stamps and signatures."""
     return time.time_ns() // 1000
+
+
+def local_time() -> str:
+    """Now in local time to the millisecond, for logs that people read."""
+    return datetime.now().strftime("%Y-%m-%d %H:%M:%S,%f")[:-3]
 
 
 def is_due(last_s: float | None, every_s: float, now_s: float) -> bool:

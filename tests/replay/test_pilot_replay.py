@@ -60,6 +60,9 @@ class Tape:
     def send(self, data: bytes) -> None:
         self.sent.append(data)
 
+    def settle(self) -> None:
+        return
+
     def waiting(self) -> int:
         return 0
 
@@ -85,7 +88,7 @@ class Ears:
             digest=digest_of(path, airframe, wind_process),
             options=PilotOptions(configure=True, authorise=True),
         )  # fmt: skip
-        self.recorder = Recorder(folder)
+        self.recorder = Recorder(folder, at_once=True)
         self.loop = Loop.wire(
             self.tape, MavlinkCodec(datagrams=True), self.recorder, self.pilot,
             system_id=None, silence_limit_s=1e9,

@@ -68,6 +68,11 @@ def return_loaded_and_said(flown) -> bool:
     return not flown.row["delivered"] and flown.row["home"] and "release not confirmed" in said
 
 
+def delivered_without_a_record(flown) -> bool:
+    told = flown.said.count("record given up")
+    return delivered_and_home(flown) and flown.craft.companion.exit_code == 0 and told == 1
+
+
 def down_whole_and_said_where(flown) -> bool:
     """It came down by itself, unhurt, with not one order; the operator knows where to look."""
     truth = flown.craft.record
@@ -257,6 +262,12 @@ CASES = [
         {},
     ),
     Case(
+        "a disk that fills up in flight costs the record, not the flight",
+        delivered_without_a_record,
+        {"faults": [fault("disk_full", phase="outbound", at_s=4.0)]},
+        {},
+    ),
+    Case(
         "an autopilot that will not arm is left alone",
         not_armed,
         {"faults": [fault("arming_refused", phase="start")]},
@@ -299,6 +310,32 @@ TAKEN_OVER = [
 ]
 
 
+def stalled(phase: str, at_s: float, duration_s: float) -> Case:
+    """The computer stands still, and half-way through the pilot takes over."""
+    stall = fault("companion_stall", phase=phase, at_s=at_s, duration_s=duration_s)
+    pilot = fault("pilot_takes_over", phase=phase, at_s=at_s + 0.5 * duration_s)
+    return Case(
+        f"the pilot takes over while the companion stands still for {duration_s:g} s"
+        f" in {phase} after {at_s:g} s",
+        silent_after_pilot,
+        {"faults": [stall, pilot]},
+        hands_off_s=8.0,
+    )
+
+
+STALLED = [
+    stalled(phase, at_s, duration_s)
+    for phase, instants_s in (
+        ("climb", (1.0, 6.0, 14.0)),
+        ("outbound", (1.0, 4.0, 9.0)),
+        ("drop", (0.5, 3.0, 7.0, 12.0)),
+        ("return", (0.5, 5.0)),
+    )
+    for at_s in instants_s
+    for duration_s in (2.0, 6.0, 20.0)
+]
+
+
 CANARIES = [case for case in CASES if case.canary is not None]
 _WORLDS = [case.world for case in CASES] + [case.canary for case in CANARIES]
 _SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
@@ -317,6 +354,16 @@ def test_flight(fly_case, autopilot_kind, case):
 @pytest.mark.parametrize("case", TAKEN_OVER, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight_taken_over(fly_case, autopilot_kind, case):
     flown = _flown_once(fly_case, autopilot_kind, case.world, hands_off_s=case.hands_off_s)
+    assert case.check(flown), _story(flown)
+
+
+@pytest.mark.drawn(keep=2)
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+@pytest.mark.parametrize("case", STALLED, ids=lambda c: c.name.replace(" ", "_"))
+def test_safety_rule_1_nothing_is_commanded_after_a_stall_with_a_take_over_inside(
+    fly_case, autopilot_kind, case
+):
+    flown = fly_case(autopilot_kind, case.world, after_hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
 
 

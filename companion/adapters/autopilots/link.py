@@ -6,6 +6,7 @@ by themselves after a break.
 """
 
 import queue
+import select
 import socket
 import threading
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ POLL_S = 0.2
 RETRY_S = 1.0
 LARGEST_DATAGRAM = 65536
 QUEUE_LIMIT = 20_000
+SETTLE_LIMIT_S = 0.4
+"""Two waits of a reader: the end of the one that it is in, and one on a link that never pauses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +31,17 @@ class Incoming:
 
 
 class Link(Protocol):
-    """Bytes in by `receive`, bytes out by `send`; `datagrams` tells whether frames come whole."""
+    """Bytes in by `receive`, bytes out by `send`; `datagrams` tells whether frames come whole.
+
+    `waiting` counts what was read and not received yet; after `settle` that is all that arrived.
+    """
 
     datagrams: bool
 
     def receive(self, timeout_s: float) -> Incoming | None: ...
     def send(self, data: bytes) -> None: ...
     def waiting(self) -> int: ...
+    def settle(self) -> None: ...
     def wake(self) -> None: ...
     def answer_to(self, peer: Any) -> None: ...
     def close(self) -> None: ...
@@ -46,6 +53,7 @@ class _Reader:
     def __init__(self) -> None:
         self._queue: queue.Queue[Incoming] = queue.Queue(QUEUE_LIMIT)
         self._stop = threading.Event()
+        self._settled = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mavlink-reader", daemon=True)
 
     def start(self) -> None:
@@ -53,7 +61,13 @@ class _Reader:
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            if not self._settled.is_set() and not self._has_more():
+                self._settled.set()
             self._read_once()
+
+    def _has_more(self) -> bool:
+        """Tell whether bytes have arrived that were not read."""
+        raise NotImplementedError
 
     def _read_once(self) -> None:
         raise NotImplementedError
@@ -82,6 +96,18 @@ class _Reader:
     def waiting(self) -> int:
         """How many arrivals have not been received yet."""
         return self._queue.qsize()
+
+    def settle(self) -> None:
+        """Return once the reader has read all that had arrived (or the link never pauses)."""
+        self._settled.clear()
+        self._settled.wait(SETTLE_LIMIT_S)
+
+
+def _is_readable(line: socket.socket | None) -> bool:
+    try:
+        return line is not None and bool(select.select([line], [], [], 0.0)[0])
+    except (OSError, ValueError):  # closed meanwhile
+        return False
 
 
 class UdpLink(_Reader):
@@ -117,6 +143,9 @@ class UdpLink(_Reader):
             return
         if data:
             self._put(Incoming(data, peer))
+
+    def _has_more(self) -> bool:
+        return _is_readable(self._socket)
 
     @property
     def address(self) -> tuple[str, int]:
@@ -171,6 +200,9 @@ class TcpLink(_Reader):
             self._put(Incoming(data))
         else:
             self._drop()
+
+    def _has_more(self) -> bool:
+        return _is_readable(self._socket)
 
     def _connect(self) -> None:
         try:
@@ -245,6 +277,12 @@ class SerialLink(_Reader):
             return
         if data:
             self._put(Incoming(bytes(data)))
+
+    def _has_more(self) -> bool:
+        try:
+            return self._port is not None and self._port.in_waiting > 0
+        except (OSError, TypeError):
+            return False
 
     def _drop(self) -> None:
         port, self._port = self._port, None

@@ -15,8 +15,17 @@ def write_whole(path: Path, content: Any, *, settle: bool = True) -> None:
     `settle` also waits until the folder is on the disk, so that even a power cut right afterwards
     finds the new one; without it that may find the one before.
     """
+    write_text_whole(path, sealed(content), settle=settle)
+
+
+def sealed(content: Any) -> str:
+    """The content as text with its checksum."""
     body = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    text = json.dumps({"crc32": zlib.crc32(body.encode()), "content": body})
+    return json.dumps({"crc32": zlib.crc32(body.encode()), "content": body})
+
+
+def write_text_whole(path: Path, text: str, *, settle: bool = True) -> None:
+    """Replace a file by a text; `settle` as in `write_whole`."""
     fresh = path.with_name(f"{path.name}.new")
     with fresh.open("w") as file:
         file.write(text)

@@ -59,6 +59,9 @@ LIMITS = {
 """Outside, a value is not what its name says: it is taken as unknown."""
 
 KNOWN = ("t_s", *LIMITS)
+LARGEST = 1e20
+"""Time in nanoseconds since 1970 is 1.7e18. The square of what is larger overflows some day."""
+
 UNSEEN_HEIGHT_M = 20.0
 """Height of a log that begins in the air: above what the estimators take for ground effect."""
 
@@ -66,6 +69,8 @@ UNSEEN_HEIGHT_M = 20.0
 def read_csv_log(path: Path) -> RecordedFlight:
     """Read CSV telemetry; LeewayError where there is nothing to begin with."""
     table = _Table.read(path)
+    if len(table.lines) < 2:
+        raise LeewayError(f"{path}: line 2: {len(table.lines)} rows as wide as line 1")
     findings = table.findings
     findings += mend_units(table.columns)
     findings += table.check_limits()
@@ -174,7 +179,7 @@ def _number(cell: str) -> float | None:
         value = float(cell)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    return value if abs(value) <= LARGEST else None  # NaN and infinities too
 
 
 def _missing(rows: Columns) -> list[LogFinding]:

@@ -9,13 +9,17 @@ lacks only its index: readers that stream it, and `mcap recover`, get every mess
 import json
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from companion.core.mission.events import (
@@ -34,6 +38,17 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.telemetry_state import TelemetryState
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+"""What every record begins with: its kind, and the length of what follows."""
+
+CHUNK_LIMIT_BYTES = 1 << 28
+"""Writers make chunks of some megabytes; a damaged size would ask for any memory."""
+
+UNDECODABLE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError)
+"""What damaged bytes raise in `mcap` and under it: UnicodeDecodeError and msgspec's are
+ValueErrors, lz4 raises RuntimeError."""
 
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
@@ -215,15 +230,94 @@ def free_name(path: Path) -> Path:
     return candidate
 
 
+def aside_name(path: Path) -> Path:
+    """Return a free name beside a damaged file (`decisions.mcap.torn-1`)."""
+    number = 1
+    while (candidate := path.with_name(f"{path.name}.torn-{number}")).exists():
+        number += 1
+    return candidate
+
+
+@dataclass(frozen=True, slots=True)
+class LogRows:
+    """(topic, row) of every whole message; `damage` is the first place that is none, in words.
+
+    A file that was merely cut off (a killed companion's) is not damaged.
+    """
+
+    rows: list[tuple[str, dict[str, Any]]]
+    damage: str | None = None
+
+
 def read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (topic, row) of every whole message, of a file that may have been cut off anywhere."""
-    topics: dict[int, str] = {}
-    with path.open("rb") as file:
+    yield from read_log(path).rows
+
+
+def read_log(path: Path) -> LogRows:
+    """Read an MCAP of JSON messages as far as it goes; a damaged message is left out."""
+    raw = path.read_bytes()
+    if not raw.startswith(MAGIC):
+        return LogRows([], "byte 0: not the beginning of an MCAP")
+    rows = _Rows()
+    at = len(MAGIC)
+    while at + RECORD.size <= len(raw):
+        opcode, length = RECORD.unpack_from(raw, at)
+        if not 0 < opcode <= Opcode.DATA_END:
+            rows.damaged(at, "no record begins here")
+            break
+        body = at + RECORD.size
+        if length > len(raw) - body:
+            break  # cut off, or its length is damaged: what follows cannot be found
+        rows.take(at, opcode, raw[body : body + length])
+        at = body + length
+        if opcode == Opcode.FOOTER:
+            break
+    return LogRows(rows.found, rows.damage)
+
+
+class _Rows:
+    """Takes the records of an MCAP in order. A record that cannot be decoded costs only itself."""
+
+    def __init__(self) -> None:
+        self.found: list[tuple[str, dict[str, Any]]] = []
+        self.damage: str | None = None
+        self._topics: dict[int, str] = {}
+
+    def damaged(self, at: int, what: str) -> None:
+        self.damage = self.damage or f"byte {at}: {what}"
+
+    def take(self, at: int, opcode: int, body: bytes) -> None:
+        """Take the record of `body` that begins at byte `at`."""
         try:
-            for record in StreamReader(file).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic.removeprefix("/")
-                elif isinstance(record, Message) and record.channel_id in topics:
-                    yield topics[record.channel_id], json.loads(record.data)
-        except (McapError, struct.error, json.JSONDecodeError):
-            return  # the end of what was written
+            for record in _decoded(opcode, body):
+                self._keep(record)
+        except UNDECODABLE as error:
+            self.damaged(at, f"damaged record ({error})")
+
+    def _keep(self, record: McapRecord) -> None:
+        if isinstance(record, Channel):
+            self._topics[record.id] = record.topic.removeprefix("/")
+        elif isinstance(record, Message) and record.channel_id in self._topics:
+            row = msgspec.json.decode(record.data, type=dict[str, Any])
+            self.found.append((self._topics[record.channel_id], row))
+
+
+def _decoded(opcode: int, body: bytes) -> list[McapRecord]:
+    """The channels and messages of one record's bytes: itself, or a chunk's."""
+    stream = ReadDataStream(BytesIO(body))
+    match opcode:
+        case Opcode.CHANNEL:
+            return [Channel.read(stream)]
+        case Opcode.MESSAGE:
+            return [Message.read(stream, len(body))]
+        case Opcode.CHUNK:
+            chunk = Chunk.read(stream)
+            if chunk.uncompressed_size > CHUNK_LIMIT_BYTES:
+                raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+            try:
+                return breakup_chunk(chunk)
+            except Exception as error:  # each compression library raises its own
+                raise ValueError(repr(error)) from error
+        case _:
+            return []

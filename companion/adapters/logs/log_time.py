@@ -15,6 +15,9 @@ LEAP_S = 2.0
 LATE_S = 1.0
 """Stamps up to this much older than the newest are late rows, not a clock that was set back."""
 
+LONGEST_S = 86_400.0
+"""No delivery drone flies for a day, and no log of one is longer."""
+
 WITNESSES = 3
 """Consecutive stamps that must agree on a jump: one wild stamp moves nothing (as in flight)."""
 
@@ -32,23 +35,33 @@ def running_time(stamps_s: Floats, where: Callable[[int], str]) -> RunningTime:
     """Return the stamps as a time that only grows.
 
     A clock that goes back and stays back is laid on from where it was; a leap ahead is a gap.
+    Stamps a day from the middle one are none.
     """
+    known_s = stamps_s[np.isfinite(stamps_s)]
+    middle_s = float(np.median(known_s)) if known_s.size else 0.0
     steps = np.diff(stamps_s)
     rising = steps[steps > 0.0]
     usual_s = float(np.median(rising)) if rising.size else 0.1
     leap_s = max(LEAP_S, 20.0 * usual_s)
-    if bool(np.isfinite(stamps_s).all() and (steps > 0.0).all() and (steps <= leap_s).all()):
+    near = np.abs(stamps_s - middle_s) <= LONGEST_S  # NaN and infinities are not
+    if bool(near.all() and (steps > 0.0).all() and (steps <= leap_s).all()):
         return RunningTime(stamps_s, np.arange(stamps_s.size), ())
-    return _Watch(stamps_s, usual_s, leap_s, where).run()
+    return _Watch(stamps_s, middle_s, usual_s, leap_s, where).run()
 
 
 class _Watch:
     """Goes through the stamps once."""
 
     def __init__(
-        self, stamps_s: Floats, usual_s: float, leap_s: float, where: Callable[[int], str]
+        self,
+        stamps_s: Floats,
+        middle_s: float,
+        usual_s: float,
+        leap_s: float,
+        where: Callable[[int], str],
     ) -> None:
         self._stamps = stamps_s.tolist()
+        self._middle_s = middle_s
         self._usual_s, self._leap_s, self._where = usual_s, leap_s, where
         self._newest_s: float | None = None
         self._offset_s = 0.0
@@ -70,6 +83,9 @@ class _Watch:
     def _take(self, row: int, stamp_s: float) -> None:
         if stamp_s != stamp_s or stamp_s in (np.inf, -np.inf):
             self._leave_out("no time stamp", row)
+            return
+        if abs(stamp_s - self._middle_s) > LONGEST_S:
+            self._leave_out("time stamp far from its neighbours", row)
             return
         if self._newest_s is None:
             self._accept(row, stamp_s)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.logs.decision_log import KINDS, as_event_fields, read_rows
+from companion.adapters.logs.decision_log import KINDS, as_event_fields, read_log
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event, Identified
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
@@ -17,7 +17,10 @@ def read_mcap_log(path: Path) -> RecordedFlight:
     identified: Identified | None = None
     findings: list[LogFinding] = []
     topics: set[str] = set()
-    for topic, row in read_rows(path):
+    log = read_log(path)
+    if log.damage:
+        findings.append(LogFinding("file", log.damage, "whole messages are used"))
+    for topic, row in log.rows:
         topics.add(topic)
         kind = KINDS.get(topic)
         if kind is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from companion.adapters.logs.csv_log import read_csv_log
 from companion.adapters.logs.dataflash_log import read_dataflash_log
 from companion.adapters.logs.mcap_log import read_mcap_log
+from companion.adapters.logs.sound_events import sound
 from companion.adapters.logs.tlog_log import looks_like_tlog, read_tlog
 from companion.adapters.logs.ulog_log import read_ulog
 from companion.core.base.errors import LeewayError
@@ -28,7 +29,7 @@ def open_log(path: Path) -> RecordedFlight:
         raise LeewayError(f"{path}: {error.strerror}") from error
     if not head:
         raise LeewayError(f"{path}: the file is empty; expected {KINDS}")
-    return _reader(path, head)(path)
+    return sound(_reader(path, head)(path), str(path))
 
 
 def _reader(path: Path, head: bytes) -> Callable[[Path], RecordedFlight]:

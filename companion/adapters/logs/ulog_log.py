@@ -211,10 +211,16 @@ def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
         if stray.size:
             what = f"{data.name}: {stray.size} rows with times out of order"
             findings.append(LogFinding(f"{t_s[stray[0]]:.1f} s", what, "left out"))
-        rows = {name: values[kept] for name, values in rows.items()}
+        rows = {name: _numbers(values[kept]) for name, values in rows.items()}
         rows["t_s"] = t_s[kept]
         found.setdefault(data.name, []).append(rows)
     return found
+
+
+def _numbers(values: NDArray[Any]) -> NDArray[Any]:
+    """The column with its floats as doubles; damaged bytes make signalling NaN, which is NaN."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(float) if values.dtype.kind == "f" else values
 
 
 def _stray(t_s: Floats) -> NDArray[np.intp]:

@@ -1,5 +1,6 @@
 """`companion`: flies a delivery beside an autopilot, checks beforehand that it can, and replays."""
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -152,7 +153,8 @@ def run_command(
         typer.Option(
             "--lockstep",
             hidden=True,
-            help="Accepted and without effect: a flight with a seed repeats without it.",
+            help="For a simulated world that waits for the companion and kills it: the flight"
+            " waits for the disk, so that what is left of the record is the same in every run.",
         ),
     ] = False,
     fleet: Annotated[
@@ -217,6 +219,7 @@ def run_command(
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(pilot, policy=policy)
+    asked = replace(asked, record_at_once=lockstep)
     if fleet is None or vehicle is None:
         raise typer.Exit(fly(asked))
 

@@ -14,6 +14,7 @@ from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, wall_s
+from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.recorder import Recorder
 from companion.core.mission.actions import (
     Action,
@@ -48,16 +49,14 @@ BUNDLE_BYTES = 1400
 
 TEXT_BYTES = 50
 
-BEHIND = 40
-"""Arrivals that wait: with more we are late, and hear them all before we decide and order again.
-An order given at a time that is long past counts its time-outs from there, and finds itself
-disobeyed by telemetry older than itself (flown: PX4 at four times real time on a busy machine).
-"""
 
-BEHIND_LIMIT_S = 0.5
-"""Wall-clock time for which a decision may be put off: a link that always brings more than we can
-hear must not keep us from deciding.
-"""
+@dataclass(frozen=True, slots=True)
+class _Outgoing:
+    """A frame that was packed at core time `t_s`; an order must leave while it is fresh."""
+
+    frame: bytes
+    is_order: bool
+    t_s: float
 
 
 @dataclass(slots=True)
@@ -72,6 +71,7 @@ class Loop:
     silence_limit_s: float
     autopilot: AutopilotPort
     operator: OperatorPort
+    hearing: Hearing
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
@@ -85,13 +85,13 @@ class Loop:
     _synced_ns: int | None = None
     _beat_s: float | None = None
     _beat_wall_s: float | None = None
-    _decided_wall_s: float | None = None
     _to_publish: dict[str, float] = field(default_factory=dict)
     _heard_wall_s: float = 0.0
     _heard_s: float = 0.0
     _silent: bool = False
+    _record_lost: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
-    _outgoing: list[bytes] = field(default_factory=list)
+    _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
 
     @classmethod
@@ -114,6 +114,9 @@ class Loop:
         def send(message: Any) -> None:
             made[0].send(message)
 
+        def order(message: Any) -> None:
+            made[0].send_order(message)
+
         def ask(event: Event) -> Reply:
             return made[0].ask(event)
 
@@ -127,8 +130,9 @@ class Loop:
             pilot=pilot,
             clock=clock,
             silence_limit_s=silence_limit_s,
-            autopilot=AutopilotPort(send, clock, system_id),
+            autopilot=AutopilotPort(order, clock, system_id),
             operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say),
+            hearing=Hearing(link, lambda: made[0].wall_clock_s()),
             wall_clock_s=wall_clock_s,
         )
         made.append(loop)
@@ -144,6 +148,9 @@ class Loop:
         if alone and is_due(self._beat_wall_s, HEARTBEAT_S, self.wall_clock_s()):
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there
         incoming = self.link.receive(WAIT_S)
+        if incoming is not None:
+            self.hearing.heard_one()
+        self._mind_stall()
         self._mind_silence()
         if incoming is not None:
             for message in self.codec.parse(incoming.data):
@@ -164,13 +171,16 @@ class Loop:
         known = system is not None
         source = (message.get_srcSystem(), message.get_srcComponent())
         if not known or source[0] == system:
-            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
         if known and self.operator.on_message(message, system, self.clock.t_s):
-            self.recorder.tlog.write(bytes(message.get_msgbuf()), self.clock.t_s)
+            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
         if from_autopilot:
             self._heard(peer)
+            if message.get_type() == "HEARTBEAT" and self.hearing.heartbeat():
+                text = f"companion stood still for {self.hearing.stood_s:.1f} s"
+                self.carry_out([Say(Severity.WARNING, text)])
         if message.get_type() == "TIMESYNC":
             if from_autopilot and message.tc1 == 0:
                 self._timesync(message)
@@ -214,19 +224,14 @@ class Loop:
         if is_due(self._ticked_s, TICK_S - 0.005, self.clock.t_s):
             self._tick()
 
-    def _is_behind(self) -> bool:
-        """Tell whether to hear more before anything is decided."""
-        late = self.link.waiting() > BEHIND
-        return late and not is_due(self._decided_wall_s, BEHIND_LIMIT_S, self.wall_clock_s())
-
     def _tick(self) -> None:
         t_s = self.clock.t_s
         self._ticked_s = t_s
         self.recorder.heard(self.pilot.telemetry, self.pilot.autopilot, self.autopilot.system_id)
-        if self._is_behind():
+        self._mind_records()
+        if not self.hearing.may_decide():
             self._give([Tick(t_s, late=True)])
         else:
-            self._decided_wall_s = self.wall_clock_s()
             self._publish_next()
             self._give(self.autopilot.tick(t_s))
             if self.port is not None:
@@ -261,6 +266,17 @@ class Loop:
             self.recorder.note(self.clock.t_s, "heard again")
             # The gap is known once the clock has been stamped; a lull shows none.
             self._give([LinkBack(self.clock.t_s, 0.0)])
+
+    def _mind_stall(self) -> None:
+        """What we could not hear while we stood still is no silence of the link."""
+        self._heard_wall_s += self.hearing.turned()
+
+    def _mind_records(self) -> None:
+        """The operator hears once that the flight goes on without its record."""
+        words = self.recorder.new_trouble()
+        if words is not None and not self._record_lost:
+            self._record_lost = True
+            self.carry_out([Say(Severity.WARNING, f"record given up, {words}")])
 
     def _mind_silence(self) -> None:
         silent_s = self.wall_clock_s() - self._heard_wall_s
@@ -298,7 +314,7 @@ class Loop:
                 case _:
                     pass
             if self.on_action is not None:
-                self.on_action(action)
+                self.recorder.show(self.on_action, action)
 
     def _publish_next(self) -> None:
         """One named value a tick: of several at once PX4's log keeps the last (flown)."""
@@ -333,17 +349,41 @@ class Loop:
 
     def send(self, message: Any) -> None:
         """Pack and keep one message; it leaves at the next `flush`."""
+        self._pack(message, is_order=False)
+
+    def send_order(self, message: Any) -> None:
+        """The same for what the autopilot shall do or tell; while we are late it is lost, as on a
+        link, and sent again when that is due and still wanted."""
+        if not self.hearing.is_late:
+            self._pack(message, is_order=True)
+
+    def _pack(self, message: Any, *, is_order: bool) -> None:
         frame = self.codec.pack(message)
-        self.recorder.tlog.write(frame, self.clock.t_s)
         if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
             self.flush()
-        self._outgoing.append(frame)
+        self._outgoing.append(_Outgoing(frame, is_order, self.clock.t_s))
         self._outgoing_bytes += len(frame)
 
     def flush(self) -> None:
         """Let out what was said since the last time, whole frames together: a datagram costs its
-        sender and its reader more than its bytes do."""
-        if self._outgoing:
-            self.link.send(b"".join(self._outgoing))
-            self._outgoing.clear()
-            self._outgoing_bytes = 0
+        sender and its reader more than its bytes do. Orders stay until it is known that they are
+        fresh, and those that are not are lost."""
+        if not self._outgoing:
+            return
+        self._mind_stall()
+        going = [kept for kept in self._outgoing if not kept.is_order or self._is_fresh(kept)]
+        staying = [kept for kept in self._outgoing if kept.is_order and self._must_wait]
+        if going:
+            for kept in going:
+                self.recorder.stream(kept.frame, kept.t_s)
+            self.link.send(b"".join(kept.frame for kept in going))
+        self._outgoing = staying
+        self._outgoing_bytes = sum(len(kept.frame) for kept in staying)
+
+    @property
+    def _must_wait(self) -> bool:
+        """Orders neither leave nor are lost yet: the next tick shows whether they are stale."""
+        return not self.hearing.may_order and not self.hearing.is_late
+
+    def _is_fresh(self, kept: _Outgoing) -> bool:
+        return self.hearing.may_order and self.clock.t_s - kept.t_s <= STALL_S

@@ -1,21 +1,30 @@
-"""Writes a run's folder: text log, decision log, MAVLink stream, checkpoint and result."""
+"""Writes a run's folder: text log, decision log, MAVLink stream, checkpoint and result.
 
+No flight waits for it, and none ends because of it: see `companion.adapters.files.disk`.
+"""
+
+import contextlib
 import json
-import logging
-import os
-from collections.abc import Sequence
+import sys
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.files.checkpoint_file import write_checkpoint
+from companion.adapters.files.atomic_file import sealed, write_text_whole
+from companion.adapters.files.checkpoint_file import NAME as CHECKPOINT
+from companion.adapters.files.disk import Disk, DiskAtOnce, DiskThread
 from companion.adapters.logs.decision_log import (
     IDENTIFIED,
     DecisionLog,
     HeardRows,
+    aside_name,
     free_name,
-    read_rows,
+    read_log,
 )
+from companion.adapters.logs.text_log import TextLog, dated
 from companion.adapters.logs.tlog_writer import Tlog
 from companion.core.mission.actions import (
     Action,
@@ -34,7 +43,9 @@ from companion.core.mission.flight_plan import FlightPlan, plan_row
 from companion.core.mission.preflight_checks import Finding
 from companion.core.pilot.telemetry_state import TelemetryState
 
+TEXT, STREAM, DECISIONS = "companion.log", "stream.tlog", "decisions.mcap"
 RESULT = "result.json"
+SCREEN = "screen"
 FORMAT = "companion-result/1"
 TOPIC = {
     "decisions": "decision",
@@ -50,24 +61,106 @@ class Recorder:
     """Writes as things happen; `write_result` may be called at any end, more than once."""
 
     def __init__(
-        self, run_dir: Path, *, continues: bool = False, keep_checkpoints: bool = True
+        self,
+        run_dir: Path,
+        *,
+        continues: bool = False,
+        keep_checkpoints: bool = True,
+        at_once: bool = False,
     ) -> None:
-        run_dir.mkdir(parents=True, exist_ok=True)
-        self._before = _earlier_rows(run_dir) if continues else {}
+        """`at_once`: the flight waits for the disk, in a world that waits for the flight."""
         self.run_dir = run_dir
         self._keep = keep_checkpoints
-        self._log = logging.getLogger(f"companion.{run_dir}")
-        self._log.setLevel(logging.INFO)
-        self._log.propagate = False
-        self._handler = logging.FileHandler(run_dir / "companion.log", encoding="utf-8")
-        self._handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-        self._log.addHandler(self._handler)
-        self.tlog = Tlog(run_dir / "stream.tlog")
-        self._decisions = DecisionLog(free_name(run_dir / "decisions.mcap"))
+        self._continues = continues
+        self._before: dict[str, list[dict[str, Any]]] = {}
         self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
         self._heard = HeardRows()
         self._autopilot_kind: AutopilotKind | None = None
         self._finished: Finished | None = None
+        self._troubles: deque[str] = deque()
+        self._ends = contextlib.ExitStack()
+        self._text: TextLog | None = None
+        self._stream: Tlog | None = None
+        self._decisions: DecisionLog | None = None
+        self._disk: Disk = (DiskAtOnce if at_once else DiskThread)(self._on_trouble)
+        self._disk.do(TEXT, self._open_text)
+        self._disk.do(STREAM, self._open_stream)
+        self._disk.do(DECISIONS, self._open_decisions)
+
+    # --- on the disk's thread ------------------------------------------------------------------
+
+    def _open_text(self) -> None:
+        self.run_dir.mkdir(parents=True, exist_ok=True)
+        self._text = TextLog(self.run_dir / TEXT)
+        self._ends.callback(self._text.close)
+
+    def _open_stream(self) -> None:
+        self._stream = Tlog(self.run_dir / STREAM)
+        self._ends.callback(self._stream.close)
+
+    def _open_decisions(self) -> None:
+        if self._continues:
+            self._before = self._earlier_rows()
+        self._decisions = DecisionLog(free_name(self.run_dir / DECISIONS))
+        self._ends.callback(self._decisions.close)
+
+    def _earlier_rows(self) -> dict[str, list[dict[str, Any]]]:
+        """Rows of the runs in this folder that were cut off before us, from their decision logs."""
+        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
+        logs = sorted(
+            self.run_dir.glob("decisions*.mcap"), key=lambda path: (len(path.name), path.name)
+        )
+        for path in logs:
+            found = read_log(path)
+            for topic, row in found.rows:
+                for name, own in TOPIC.items():
+                    if topic == own:
+                        rows[name].append(row)
+                if topic == "decision" and row.get("kind") == "finished":  # an earlier flight
+                    rows = {name: [] for name in TOPIC}
+            if found.damage:
+                self._on_trouble(f"{path.name}: {found.damage}: moved aside")
+                path.replace(aside_name(path))
+        return rows
+
+    def _write_row(self, topic: str, row: dict[str, Any]) -> None:
+        assert self._decisions is not None
+        self._decisions.write(topic, row)
+
+    def _write_frame(self, frame: bytes, t_s: float) -> None:
+        assert self._stream is not None
+        self._stream.write(frame, t_s)
+
+    def _write_text(self, line: str) -> None:
+        assert self._text is not None
+        self._text.write(line)
+
+    def _on_trouble(self, words: str) -> None:
+        """Keep it for the operator; the log and the screen hear it where they still can."""
+        self._troubles.append(words)
+        if self._text is not None:
+            with contextlib.suppress(OSError, ValueError):
+                self._text.write(f"record given up: {words}")
+        with contextlib.suppress(OSError, ValueError):
+            print(f"record given up: {words}", file=sys.stderr, flush=True)
+
+    # --- on the flight's -----------------------------------------------------------------------
+
+    def new_trouble(self) -> str | None:
+        """What befell a record since this was asked last."""
+        return self._troubles.popleft() if self._troubles else None
+
+    def stream(self, frame: bytes, t_s: float) -> None:
+        """Record one MAVLink frame that came or went."""
+        self._disk.do(STREAM, lambda: self._write_frame(frame, t_s))
+
+    def show(self, on_action: Callable[[Action], None], action: Action) -> None:
+        """Give an action to who prints it; a screen can be a full disk or a pipe that blocks."""
+        self._disk.do(SCREEN, lambda: on_action(action))
+
+    def settle(self) -> None:
+        """Return once all that was recorded is on the disk."""
+        self._disk.settle()
 
     def heard(
         self, now: TelemetryState, autopilot_kind: AutopilotKind | None, system_id: int | None
@@ -80,9 +173,9 @@ class Recorder:
         ):
             self._autopilot_kind = autopilot_kind
             row = {"t_s": now.t_s, "flavour": autopilot_kind.value, "system_id": system_id}
-            self._decisions.write(IDENTIFIED, row)
+            self._topic(IDENTIFIED, row)
         for topic, row in self._heard.new(now):
-            self._decisions.write(topic, row)
+            self._topic(topic, row)
 
     def take(self, action: Action, t_s: float) -> None:
         """Record one action."""
@@ -114,28 +207,41 @@ class Recorder:
                 self.note(t_s, f"{action.before} -> {action.now} ({action.why})")
             case Say():
                 row = {"t_s": t_s, "severity": int(action.severity), "text": action.text}
-                self._decisions.write("said", row)
+                self._topic("said", row)
                 self.note(t_s, f"says: {action.text}")
             case Note():
                 self.note(t_s, action.text)
             case SaveCheckpoint() if self._keep:
-                write_checkpoint(self.run_dir, action.content, settle=not action.routine)
+                self._checkpoint(action)
             case Finished():
                 self._finished = action
             case _:
                 return
 
+    def _checkpoint(self, action: SaveCheckpoint) -> None:
+        path, text, routine = self.run_dir / CHECKPOINT, sealed(action.content), action.routine
+        self._disk.do(
+            CHECKPOINT,
+            lambda: write_text_whole(path, text, settle=not routine),
+            whole=True,
+            newest_only=routine,
+        )
+
     def note(self, t_s: float, text: str) -> None:
         """Write one line for people."""
-        self._log.info("%9.2f  %s", t_s, text)
+        line = dated(t_s, text)
+        self._disk.do(TEXT, lambda: self._write_text(line))
 
     def trouble(self, t_s: float, error: BaseException) -> None:
         """Write what broke the loop, with its traceback."""
-        self._log.error("%9.2f  broken: %r", t_s, error, exc_info=error)
+        self.note(t_s, f"broken: {error!r}\n{''.join(traceback.format_exception(error))}")
+
+    def _topic(self, topic: str, row: dict[str, Any]) -> None:
+        self._disk.do(DECISIONS, lambda: self._write_row(topic, row))
 
     def _row(self, name: str, row: dict[str, Any]) -> None:
         self._rows[name].append(row)
-        self._decisions.write(TOPIC[name], row)
+        self._topic(TOPIC[name], row)
 
     def write_result(
         self,
@@ -146,7 +252,6 @@ class Recorder:
         findings: Sequence[Finding] = (),
     ) -> None:
         """Write `result.json`, whole or not at all, with the rows of the run that we go on from."""
-        rows = {name: self._before.get(name, []) + rows for name, rows in self._rows.items()}
         done = self._finished
         result = {
             "format": FORMAT,
@@ -158,35 +263,19 @@ class Recorder:
             "phase": phase,
             "findings": [asdict(finding) for finding in findings],
             "plan": None if flown is None else plan_row(flown),
-            **rows,
         }
-        fresh = self.run_dir / f"{RESULT}.new"
-        with fresh.open("w") as file:
-            json.dump(result, file, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(self.run_dir / RESULT)
+        self._disk.do(RESULT, lambda: self._write_result(result), whole=True)
+        self._disk.settle()
+
+    def _write_result(self, result: dict[str, Any]) -> None:
+        rows = {name: self._before.get(name, []) + rows for name, rows in self._rows.items()}
+        text = json.dumps(result | rows, allow_nan=False)
+        write_text_whole(self.run_dir / RESULT, text, settle=False)
 
     def close(self) -> None:
         """End every file."""
-        self.tlog.close()
-        self._decisions.close()
-        self._log.removeHandler(self._handler)
-        self._handler.close()
-
-
-def _earlier_rows(run_dir: Path) -> dict[str, list[dict[str, Any]]]:
-    """Rows of the runs in this folder that were cut off before us, from their decision logs."""
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
-    logs = sorted(run_dir.glob("decisions*.mcap"), key=lambda path: (len(path.name), path.name))
-    for path in logs:
-        for topic, row in read_rows(path):
-            for name, own in TOPIC.items():
-                if topic == own:
-                    rows[name].append(row)
-            if topic == "decision" and row["kind"] == "finished":  # an earlier flight
-                rows = {name: [] for name in TOPIC}
-    return rows
+        self._disk.do("end of the records", self._ends.close)
+        self._disk.close()
 
 
 def _rounded(row: dict[str, Any]) -> dict[str, Any]:

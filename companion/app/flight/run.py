@@ -55,6 +55,8 @@ class RunOptions:
     system_id: int | None = None
     silence_limit_s: float = 300.0
     policy: str | None = None
+    record_at_once: bool = False
+    """The flight waits for the disk: what a killed companion leaves is the same in every run."""
     pilot: PilotOptions = field(default_factory=PilotOptions)
 
 
@@ -122,6 +124,7 @@ class Run:
             options.run_dir,
             continues=continues,
             keep_checkpoints=not options.pilot.check_only,
+            at_once=options.record_at_once,
         )
         codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
         if options.system_id is not None:

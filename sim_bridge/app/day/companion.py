@@ -39,6 +39,9 @@ class MemoryLink:
         """
         return 0
 
+    def settle(self) -> None:
+        """No effect: there is no reader beside us."""
+
     def wake(self) -> None:
         """No effect: nothing blocks here."""
 
@@ -121,6 +124,7 @@ class SteppedCompanion:
             airframe=self.airframe,
             mission=folder / MISSION,
             run_dir=folder,
+            record_at_once=True,
             pilot=PilotOptions(configure=True),
         )
         self._run = Run.begin(

@@ -23,7 +23,7 @@ def killed(*, comes_back: bool) -> Play:
         if comes_back:
             yield from stage.wait(stage.rng.uniform(*BOOT_S))
             craft.companion.start()
-            craft.restarted = True
+            craft.companion_returns = True
 
     return play
 
@@ -41,7 +41,7 @@ def torn(name: str) -> Play:
         path.write_bytes(data[: 2 * len(data) // 3])
         yield from stage.wait(stage.rng.uniform(*BOOT_S))
         craft.companion.start()
-        craft.restarted = True
+        craft.companion_returns = True
 
     return play
 

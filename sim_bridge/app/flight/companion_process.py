@@ -3,6 +3,8 @@
 import contextlib
 import json
 import os
+import resource
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -21,6 +23,7 @@ class CompanionProcess:
     run_dir: Path
     arguments: list[str]
     starts: int = 0
+    stalled: bool = False
     _process: subprocess.Popen[bytes] | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
 
@@ -75,10 +78,38 @@ class CompanionProcess:
             self._process.kill()
             self._process.wait()
 
+    def stall(self) -> None:
+        """SIGSTOP, as a computer that waits for its card or swaps."""
+        self._signal(signal.SIGSTOP)
+        self.stalled = True
+
+    def go_on(self) -> None:
+        """SIGCONT."""
+        self._signal(signal.SIGCONT)
+        self.stalled = False
+
+    def fill_disk(self) -> None:
+        """From now on no file of its can grow: each write fails, as on a full disk."""
+        self._limit_files(0)
+
+    def empty_disk(self) -> None:
+        """Its files can grow again."""
+        self._limit_files(resource.RLIM_INFINITY)
+
+    def _limit_files(self, size_bytes: int) -> None:
+        if self.pid is not None:
+            _, most = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
+            resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, most))
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self._process is not None and self.running:
+            self._process.send_signal(number)
+
     def end(self, grace_s: float = 10.0) -> None:
         """SIGTERM, then SIGKILL after `grace_s`; always leaves no process behind."""
         if self._process is not None and self.running:
             self._process.terminate()
+            self.go_on()
             try:
                 self._process.wait(grace_s)
             except subprocess.TimeoutExpired:

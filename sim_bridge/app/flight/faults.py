@@ -68,6 +68,11 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
         case "companion_kill":
             craft.companion.kill()
             lockstep.lose(craft.number - 1)
+        case "companion_stall":
+            craft.companion.stall()
+            lockstep.lose(craft.number - 1)
+        case "disk_full":
+            craft.companion.fill_disk()
         case "autopilot_reboot":
             craft.autopilot.reboot()
         case "gnss_lost":
@@ -107,7 +112,12 @@ def _end(fault: Fault, craft: Craft) -> None:
     match fault.kind:
         case "companion_kill" if fault.restart:
             craft.companion.start()
-            craft.restarted = True
+            craft.companion_returns = True
+        case "companion_stall":
+            craft.companion.go_on()
+            craft.companion_returns = True
+        case "disk_full":
+            craft.companion.empty_disk()
         case "gnss_lost":
             craft.vehicle.sensors.gnss_outage = False
         case "pitot_stuck":

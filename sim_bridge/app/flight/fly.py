@@ -134,7 +134,15 @@ def fly(
         crafts: list[Craft] = []
         for index in range(options.vehicles):
             craft = _build_craft(
-                options, flight, wind, mean, index, vehicle_seeds[index], endpoints, run_dir
+                options,
+                flight,
+                wind,
+                mean,
+                index,
+                vehicle_seeds[index],
+                endpoints,
+                run_dir,
+                killed=any(fault.kind == "companion_kill" for fault in faults),
             )
             crafts.append(craft)
             stack.callback(craft.companion.end)
@@ -164,6 +172,8 @@ def _build_craft(
     seed: np.random.SeedSequence,
     endpoints: EndpointSet,
     run_dir: Path,
+    *,
+    killed: bool,
 ) -> Craft:
     gust_seed, sensor_seed, charge_seed = seed.spawn(3)
     charge_frac = _drawn_charge(flight, np.random.default_rng(charge_seed))
@@ -206,6 +216,7 @@ def _build_craft(
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
             *_signed_arguments(options.signing_key),
+            *(["--lockstep"] if killed else []),
         ],
     )
     return Craft(
@@ -274,6 +285,7 @@ def _run(
         is_alive=lambda number: crafts[number].companion.running,
     )
     pacer = Pacer(options.speedup) if options.speedup else None
+    stall_pacer: Pacer | None = None
     for craft in crafts:
         craft.companion.start()
     first = lockstep.await_clients(1, COMPANION_BOOT_LIMIT_S)
@@ -293,25 +305,33 @@ def _run(
                 craft.advance(STEPS)
         for script in scripts:
             script.apply(crafts, t_s, lockstep)
-        _await_restarted(crafts, lockstep, t_s)
+        _await_returned(crafts, lockstep, t_s)
         sent_s = wall_s()
         gathered = lockstep.exchange(round(t_s * 1e9))
         progress.exchanged(wall_s() - sent_s)
         _deliver(crafts, gathered.received)
-        if pacer is not None:
-            _deliver(crafts, pacer.wait_until(t_s, endpoints))
+        stall_pacer = _stall_pacer(crafts, stall_pacer)
+        if (pace := pacer or stall_pacer) is not None:
+            _deliver(crafts, pace.wait_until(t_s, endpoints))
         progress.update(crafts, t_s)
         if not progress.goes_on(t_s):
             return
 
 
-def _await_restarted(crafts: list[Craft], lockstep: Lockstep, t_s: float) -> None:
-    """Time stands still while a restarted companion boots, so that runs repeat."""
-    numbers = [index for index, craft in enumerate(crafts) if craft.restarted]
+def _stall_pacer(crafts: list[Craft], before: Pacer | None) -> Pacer | None:
+    """Real time while a companion stands still: its own clock must tell it for how long."""
+    stalled = any(craft.companion.stalled for craft in crafts)
+    return (before or Pacer(1.0)) if stalled else None
+
+
+def _await_returned(crafts: list[Craft], lockstep: Lockstep, t_s: float) -> None:
+    """Time stands still while a restarted companion boots, or a stalled one hears what it missed,
+    so that runs repeat."""
+    numbers = [index for index, craft in enumerate(crafts) if craft.companion_returns]
     if numbers:
         gathered = lockstep.await_clients(round(t_s * 1e9), COMPANION_BOOT_LIMIT_S, only=numbers)
         for number in numbers:
-            crafts[number].restarted = False
+            crafts[number].companion_returns = False
         _deliver(crafts, gathered.received)
 
 

@@ -16,6 +16,8 @@ from sim_bridge.truth.wind_params import WindParams, mean_wind, parse_wind
 FaultKind = Literal[
     "link_silent",
     "companion_kill",
+    "companion_stall",
+    "disk_full",
     "autopilot_reboot",
     "gnss_lost",
     "pilot_takes_over",
@@ -52,7 +54,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
     restart: bool = True
-    """A killed companion is started again after `duration_s`."""
+    """A killed companion is started again after `duration_s`; a stalled one goes on in any case."""
     vehicle: int = 1
     """Which vehicle of the flight, from 1."""
 

@@ -88,11 +88,12 @@ class Craft:
     _decoder: Decoder = field(default_factory=Decoder)
     _refusals: list[bytes] = field(default_factory=list)
     _disarmed_by_person: bool = False
-    restarted: bool = False
     disarms_after_s: float | None = None
     """A person disarms so long after arming, once, and the answer to ARM never arrives."""
     says_disarmed_once: bool = False
     """One wrong heartbeat is due to the companion, and nothing else for a second after it."""
+    companion_returns: bool = False
+    """It was started again, or goes on after a stall: its answer is waited for."""
 
     @property
     def t_s(self) -> float:

@@ -501,3 +501,13 @@ def test_tcp_calls_again_after_the_line_broke():
                 line.close()
         finally:
             link.close()
+
+
+def test_after_settling_all_that_had_arrived_waits_in_the_queue():
+    link = UdpLink("127.0.0.1", 0, listen=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        for _ in range(200):
+            other.sendto(b"x", link.address)
+        link.settle()
+        assert link.waiting() == 200
+    link.close()

@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import random
+import threading
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,8 @@ from companion.app.flight import run as run_module
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import BROKEN, requirements
-from companion.core.mission.actions import Publish
+from companion.core.mission.actions import DropOrders, Publish, SaveCheckpoint, SetMode
+from companion.core.mission.events import LinkSilent, Mode, Tick, VehicleState
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import Phase
@@ -40,6 +43,9 @@ class WireTap:
 
     def send(self, data: bytes) -> None:
         self.sent.append(data)
+
+    def settle(self) -> None:
+        return
 
     def waiting(self) -> int:
         return len(self.incoming) if self.tells_waiting else 0
@@ -213,6 +219,137 @@ def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station):
         station.turn()
     assert len(ticks) == 100
     assert 10 <= sum(not tick.late for tick in ticks) <= 21
+
+
+class Stalled:
+    """A station whose computer stands still at a wall clock of the test's own."""
+
+    def __init__(self, station: Station) -> None:
+        self.station, self.wall_s = station, 100.0
+        station.loop.wall_clock_s = lambda: self.wall_s
+        station.wire.tells_waiting = True
+        station.identify()
+        self.ticks: list[Tick] = []
+        self.told_silent = False
+        station.pilot.handle = self._handle  # type: ignore[method-assign]
+        self.hear(1.0)
+
+    def _handle(self, event: Any) -> list[Any]:
+        """A pilot that lets go in any mode but its own, and orders nothing by itself."""
+        self.told_silent = self.told_silent or isinstance(event, LinkSilent)
+        if isinstance(event, Tick):
+            self.ticks.append(event)
+        if isinstance(event, VehicleState) and event.mode is not Mode.MISSION:
+            return [DropOrders()]
+        return []
+
+    def beat(self, mode: int) -> Any:
+        """A PX4 heartbeat; 4 with 4 is AUTO.MISSION, 3 is POSCTL."""
+        custom = (4 << 16 | 4 << 24) if mode == 4 else mode << 16
+        return mavlink.MAVLink_heartbeat_message(2, 12, 0b10000001, custom, 4, 3)
+
+    def arrive(self, first_s: float, last_s: float, mode: int) -> None:
+        """Telemetry of some seconds arrives, a heartbeat in each."""
+        for k in range(round(10 * first_s), round(10 * last_s)):
+            if k % 10 == 5:
+                self.station.put(self.beat(mode))
+            self.station.put(*self.station.telemetry(100 * k), self.station.sync(0.1 * k))
+
+    def hear(self, t_s: float) -> list[Any]:
+        """The telemetry of one instant, at once; what is said then, but for TIMESYNC."""
+        self.wall_s += 0.1
+        self.station.put(*self.station.telemetry(round(1000 * t_s)), self.station.sync(t_s))
+        return self.commands()
+
+    def commands(self) -> list[Any]:
+        return [m for m in self.station.turn() if m.get_type().startswith(("COMMAND", "MISSION"))]
+
+
+def test_safety_rule_1_after_a_stall_all_that_waited_is_heard_before_anything_is_decided(station):
+    still = Stalled(station)
+    still.wall_s += 6.0
+    still.arrive(1.1, 7.0, mode=4)
+    assert still.commands() == []
+    since = [tick for tick in still.ticks if tick.t_s > 1.05]
+    assert len(since) > 55  # the estimators miss nothing
+    assert all(tick.late for tick in since)
+    still.hear(7.1)
+    assert still.ticks[-1].late  # the newest may have been dropped: no heartbeat came since
+    station.put(still.beat(4))
+    still.hear(7.2)
+    assert not still.ticks[-1].late
+    assert not station.loop.hearing.is_late
+
+
+def test_safety_rule_1_an_order_from_before_a_stall_does_not_leave_before_it_is_examined(station):
+    still = Stalled(station)
+    station.loop.carry_out([SetMode(Mode.MISSION)])
+    still.wall_s += 6.0
+    still.arrive(1.1, 7.0, mode=3)  # a pilot took over meanwhile
+    station.loop.flush()
+    assert still.commands() == []
+    station.put(still.beat(3))
+    assert [still.hear(7.0 + 0.1 * k) for k in range(1, 40)] == [[]] * 39
+
+
+def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(station):
+    still = Stalled(station)
+    station.loop.carry_out([SetMode(Mode.MISSION)])
+    still.wall_s += 6.0
+    still.arrive(1.1, 7.0, mode=4)
+    assert still.commands() == []
+    station.put(still.beat(4))
+    sent = [m for k in range(1, 20) for m in still.hear(7.0 + 0.1 * k)]
+    assert mavlink.MAV_CMD_DO_SET_MODE in {m.command for m in sent}
+
+
+def test_a_stall_during_which_the_vehicles_time_stood_still_changes_nothing(station):
+    # Lockstep on a busy machine: the world waits, and the same seed must give the same decisions.
+    still = Stalled(station)
+    station.loop.carry_out([SetMode(Mode.MISSION)])
+    still.wall_s += 6.0
+    assert len(still.hear(1.1)) == 1
+    assert not still.ticks[-1].late
+
+
+def test_a_stall_of_our_own_is_no_silence_of_the_link(station):
+    still = Stalled(station)
+    still.wall_s += 20.0
+    still.arrive(1.1, 3.0, mode=4)
+    station.loop.step()
+    assert not still.told_silent
+
+
+def test_an_fsync_that_hangs_delays_no_answer(station, monkeypatch):
+    hangs = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: hangs.wait())
+    station.identify()
+    answered = 0
+    for k in range(1, 300):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        station.loop.carry_out([SaveCheckpoint({"k": k}, routine=k % 50 > 0)])
+        answered += sum(m.get_type() == "TIMESYNC" for m in station.turn())
+    assert answered == 299
+    assert not (station.recorder.run_dir / "checkpoint.json").exists()  # the disk still hangs
+    hangs.set()
+    station.recorder.settle()
+    kept = json.loads((station.recorder.run_dir / "checkpoint.json").read_text())
+    assert json.loads(kept["content"]) == {"k": 299}
+
+
+def test_that_a_record_is_given_up_is_said_once(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    station = Station(tmp_path / "file" / "run")
+    station.recorder.settle()
+    station.identify()
+    said = []
+    for k in range(1, 30):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        said += [m.text for m in station.turn() if m.get_type() == "STATUSTEXT"]
+    assert [text for text in said if "record" in text] == [
+        "record given up, companion.log: Not a directory"
+    ]
+    station.recorder.close()
 
 
 def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehicles_system(

@@ -172,7 +172,7 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     first = Recorder(tmp_path)
     first.take(DECISION, 12.5)
     first.take(WindReport(13.0, 1.0, 2.0, 0.1, 0.0, 0.1), 13.0)
-    # killed here: no result was written
+    first.settle()  # killed here: no result was written
     second = Recorder(tmp_path, continues=True)
     second.take(Decision(40.0, "recognised", "our mission"), 40.0)
     second.take(Finished("SUC", True, "home"), 50.0)
@@ -215,6 +215,46 @@ def test_the_stream_opens_in_pymavlinks_log_reader(tmp_path):
     assert times_s[2] - times_s[0] == pytest.approx(2.0, abs=1e-3)
     (stamp,) = struct.unpack_from(">Q", path.read_bytes())
     assert stamp > 1.6e15, "microseconds since 1970"
+
+
+# --- a disk that fails -----------------------------------------------------------------------
+
+
+def test_a_torn_decision_log_is_moved_aside_and_what_was_whole_in_it_is_kept(tmp_path):
+    first = Recorder(tmp_path)
+    for k in range(20):
+        first.take(Decision(float(k), "go", "gate open"), float(k))
+    first.close()
+    path = tmp_path / "decisions.mcap"
+    raw = bytearray(path.read_bytes())
+    row = raw.index(b'{"t_s": 9.0')
+    raw[row : row + 4] = b"\xff\xfe\x00{"
+    path.write_bytes(raw)
+    second = Recorder(tmp_path, continues=True)
+    second.take(Decision(40.0, "recognised", "our mission"), 40.0)
+    second.write_result(delivered=False, flown=None, phase="outbound")
+    second.close()
+    kinds = [d["kind"] for d in json.loads((tmp_path / "result.json").read_text())["decisions"]]
+    assert kinds[-1] == "recognised"
+    assert kinds.count("go") == 19
+    assert (tmp_path / "decisions.mcap.torn-1").read_bytes() == raw
+    assert [row["kind"] for _, row in read_rows(path)] == ["recognised"]
+    assert "moved aside" in str(second.new_trouble())
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_in_a_folder_that_cannot_be_written_records_are_given_up_and_it_is_told(
+    tmp_path, at_once, capsys
+):
+    (tmp_path / "file").write_text("no folder")
+    recorder = Recorder(tmp_path / "file" / "run", at_once=at_once)
+    recorder.take(DECISION, 12.5)
+    recorder.take(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
+    recorder.stream(b"frame", 1.0)
+    recorder.write_result(delivered=True, flown=None, phase="done")
+    recorder.close()
+    assert "companion.log: Not a directory" in str(recorder.new_trouble())
+    assert "record given up: companion.log: Not a directory" in capsys.readouterr().err
 
 
 # --- files ---------------------------------------------------------------------------------------
