@@ -5,6 +5,7 @@ the same check must fail: a check that cannot fail shows nothing.
 """
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -74,6 +75,22 @@ def down_whole_and_said_where(flown) -> bool:
     told = "position lost" in flown.said and "coming down blind, last at 55.4" in flown.said
     down = truth.landed_s is not None and not truth.crashed
     return down and told and not flown.commands_after(flown.fault_s("gnss_lost") + 3.0)
+
+
+def home_set_back_and_reached(flown) -> bool:
+    """Every metre flown as high as planned, by truth; told; and down at the depot."""
+    told = "home moved" in flown.said and "home is where it was again" in flown.said
+    rows = [row for row in flown.craft.record.rows if math.hypot(row[1], row[2]) > 60.0]
+    high = all(-row[3] > 20.0 for row in rows)
+    return told and high and not flown.row["delivered"] and flown.row["home"]
+
+
+def home_by_rtl_below_a_low_home(flown) -> bool:
+    return (
+        "cannot set home back" in flown.said
+        and "last_resort" in flown.kinds
+        and (flown.row["home"] and not flown.craft.record.crashed)
+    )
 
 
 def refused_jumps_bring_it_home(flown) -> bool:
@@ -241,6 +258,33 @@ CASES = [
         "a clock that steps back loses nothing",
         delivered_and_home,
         {"faults": [fault("clock_jump", phase="outbound", at_s=6.0, by_s=-30.0)]},
+    ),
+    Case(
+        "safety rule 3: a home that sinks by 20 m in flight is set back before it leads low",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0)]},
+        {},
+    ),
+    Case(
+        "safety rule 3: a home that rises by 25 m in flight is set back",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=25.0)]},
+    ),
+    Case(
+        "safety rule 3: a home that is set 3 km away in flight is set back",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, north_m=3000.0)]},
+    ),
+    Case(
+        "safety rule 3: a home that another hand keeps low is left by RTL at the present height",
+        home_by_rtl_below_a_low_home,
+        {
+            "faults": [
+                fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0),
+                fault("home_set", phase="outbound", at_s=8.0, up_m=-20.0),
+            ]
+        },
+        {},
     ),
     Case(
         "an autopilot that obeys no jump comes home by the mission aboard",

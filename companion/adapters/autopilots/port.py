@@ -29,6 +29,7 @@ from companion.core.mission.actions import (
     ReadMissionBack,
     Release,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
@@ -332,6 +333,11 @@ class AutopilotPort:
                 params = (1.0, order.ground_speed_mps, -1.0)
                 self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
                               t_s, replace=True)  # fmt: skip
+            case SetHome():
+                entry = PendingCommand(
+                    "set home", _home_setter(system, order), mavlink.MAV_CMD_DO_SET_HOME
+                )
+                self._commands.submit("home", entry, t_s, replace=True)
             case FlyVelocity():
                 self._send(
                     mavlink.MAVLink_set_position_target_local_ned_message(
@@ -466,3 +472,18 @@ class AutopilotPort:
             self._asking_parameters = False
             return [AutopilotParameters(t_s, dict(desk.values))]
         return []
+
+
+def _home_setter(system: int, order: SetHome) -> Callable[[int], Any]:
+    """DO_SET_HOME as COMMAND_INT: a place in the floats of COMMAND_LONG is a metre off."""
+    place = round(order.lat_deg * 1e7), round(order.lon_deg * 1e7), order.alt_amsl_m
+    message = mavlink.MAVLink_command_int_message(
+        system,
+        AUTOPILOT,
+        mavlink.MAV_FRAME_GLOBAL,
+        mavlink.MAV_CMD_DO_SET_HOME,
+        *(0, 0),
+        *(0.0, 0.0, 0.0, 0.0),
+        *place,
+    )
+    return lambda _attempt: message

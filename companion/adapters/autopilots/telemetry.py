@@ -146,14 +146,7 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
             ground = GROUND.get(message.landed_state)
             return [] if ground is None else [GroundState(t_s, ground)]
         case "HOME_POSITION":
-            return [
-                Home(
-                    t_s,
-                    message.latitude * 1e-7,
-                    message.longitude * 1e-7,
-                    message.altitude / 1000.0,
-                )
-            ]
+            return _home(message, t_s)
         case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
             return [EstimatorHealth(t_s, profile.position_ok(message.flags))]
         case "SYSTEM_TIME":
@@ -184,6 +177,13 @@ def _position(message: Any, t_s: float) -> list[Event]:
             message.vz / 100.0,
         )
     ]
+
+
+def _home(message: Any, t_s: float) -> list[Event]:
+    if message.latitude == 0 and message.longitude == 0:
+        return []  # no home yet: ArduCopter without a position sends zeros
+    place = message.latitude * 1e-7, message.longitude * 1e-7
+    return [Home(t_s, *place, message.altitude / 1000.0)]
 
 
 def _gnss_time(message: Any, t_s: float) -> list[Event]:

@@ -85,6 +85,15 @@ class SetGroundSpeed(Order):
 
 
 @dataclass(frozen=True, slots=True)
+class SetHome(Order):
+    """Make this place the autopilot's home again."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Release(Order):
     """Let the parcel go."""
 

@@ -15,6 +15,9 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
     for.
 
+    `took_off_from`: latitude and longitude (deg) of the autopilot's home at take-off, and the AMSL
+    of the ground there.
+
     `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
     authorisation has been used. `settings_before` are autopilot parameters to put back.
     """
@@ -38,6 +41,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     wanted: str | None = None
     asides: bool = False
     drop_begun: bool = False
+    took_off_from: tuple[float, float, float] | None = None
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

@@ -442,6 +442,15 @@ class PositionWatch(Protocol):
         ...
 
 
+class HomeInDoubt(Protocol):
+    """Whether the autopilot's home is not where it was at take-off."""
+
+    @property
+    def in_doubt(self) -> bool:
+        """It has moved, or perhaps: nothing is flown to by heights above it."""
+        ...
+
+
 class SetpointFlight(Protocol):
     """Whether set-points are flown instead of the mission."""
 

@@ -7,7 +7,14 @@ from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import SetGroundSpeed, Severity
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import FlightContext, Jumps, Parcel, ReturnBudget, SetpointFlight
+from companion.core.pilot.context import (
+    FlightContext,
+    HomeInDoubt,
+    Jumps,
+    Parcel,
+    ReturnBudget,
+    SetpointFlight,
+)
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
@@ -179,6 +186,7 @@ class FlightSequence:
         parcel: Parcel,
         drop: DropWork,
         position: Ticking,
+        home: HomeInDoubt,
         landing: Ticking,
         setpoints: SetpointFlight,
     ) -> None:
@@ -190,6 +198,7 @@ class FlightSequence:
         self._parcel = parcel
         self._drop = drop
         self._position = position
+        self._home = home
         self._landing = landing
         self._setpoints = setpoints
         self._turned_again = 0
@@ -228,6 +237,8 @@ class FlightSequence:
         if context.phase is not Phase.CLIMB:
             self._budget.assess(context, ASSESS_S)
         match context.phase:
+            case phase if phase is not Phase.RELEASE and self._home.in_doubt:
+                pass  # no leave and no jump home on heights above a home that has moved
             case Phase.MEASURE:
                 self._measure(context)
             case Phase.OUTBOUND:

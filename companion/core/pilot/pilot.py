@@ -32,6 +32,7 @@ from companion.core.mission.events import (
     ControlTaken,
     Event,
     GnssTime,
+    Home,
     HomeMoved,
     Identified,
     LimitsChanged,
@@ -60,6 +61,7 @@ from companion.core.pilot.desired_velocity import DesiredVelocity
 from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
 from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
+from companion.core.pilot.home_watch import HomeWatch
 from companion.core.pilot.landing import Landing
 from companion.core.pilot.landing_site import LandingSite, PromisedStop
 from companion.core.pilot.mission_progress import MissionFollower
@@ -145,6 +147,9 @@ class Pilot:
         self._progress = MissionFollower(
             self._return_state, self._promise, self._flight_state, self._ground, self._authority
         )
+        self._home_watch = HomeWatch(
+            self._return_state, self._progress, self._flight_state, self._ground
+        )
         budget = BudgetWatch(
             self._progress,
             self._flight_state,
@@ -182,6 +187,7 @@ class Pilot:
             parcel=self._parcel_state,
             drop=self._release,
             position=self._position,
+            home=self._home_watch,
             landing=self._landing,
             setpoints=self._setpoints,
         )
@@ -200,6 +206,7 @@ class Pilot:
             self._return_state,
             self._progress,
             self._promise,
+            self._home_watch,
         )
         self._routes = self._make_routes()
         if checkpoint is not None and not checkpoint.finished:
@@ -229,6 +236,7 @@ class Pilot:
             OrderRefused: (self._ground, self._progress),
             AbortOrdered: (self._decision,),
             LimitsChanged: (self._decision,),
+            Home: (self._home_watch,),
             HomeMoved: (self._landing_site,),
             ReleaseFeedback: (self._release,),
             GnssTime: (self._traffic,),
@@ -284,6 +292,7 @@ class Pilot:
         if context.phase is Phase.RECOGNISE:
             self._resume.tick(context)
         else:
+            self._home_watch.tick(context)
             self._ground.tick(context)
             self._sequence.tick(context)
             self._setpoints.tick(context)

@@ -1,4 +1,9 @@
-"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on."""
+"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on.
+
+Heights have one truth here. An autopilot tells its height above its own home, and that home can be
+moved in flight by anybody. Once the vehicle has taken off, every height is AMSL less the AMSL of
+the ground that it took off from, whatever the autopilot's home is by then.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -50,6 +55,10 @@ class TelemetryState:
     progress: MissionProgress | None = None
     ground: GroundState | None = None
     readiness: ArmingReadiness | None = None
+    ground_amsl_m: float | None = None
+    """The ground that it took off from; `None` before: heights are above the autopilot's home."""
+    home_sunk_m: float = 0.0
+    """By how much the autopilot's home lies below that ground now."""
     _battery_times: dict[str, float] = field(default_factory=dict)
 
     def update(self, event: Event) -> None:
@@ -63,7 +72,7 @@ class TelemetryState:
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
                 self.attitude = event
             case Position() if self.position is None or event.t_s >= self.position.t_s:
-                self.position = event
+                self.position = self._above_ground(event)
             case GnssFix():
                 self.gnss = event
             case EstimatorHealth():
@@ -86,6 +95,22 @@ class TelemetryState:
                 self.readiness = event
             case _:
                 return
+
+    def measure_heights_from(self, ground_amsl_m: float | None) -> None:
+        """Count heights from this ground; `None`: from the autopilot's home."""
+        self.ground_amsl_m = ground_amsl_m
+
+    def _above_ground(self, told: Position) -> Position:
+        """The position with its height above the ground that it took off from.
+
+        Whole centimetres: both altitudes come rounded to the millimetre.
+        """
+        ground_m = self.ground_amsl_m
+        if ground_m is None:
+            self.home_sunk_m = 0.0
+            return told
+        self.home_sunk_m = round(told.height_rel_m - (told.alt_amsl_m - ground_m), 2)
+        return replace(told, height_rel_m=told.height_rel_m - self.home_sunk_m)
 
     def _merged(self, new: Battery) -> Battery:
         """Two messages report one battery; a field stays until it is reported again or too old."""

@@ -95,6 +95,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.refused |= ARMING
         case "home_moves":
             craft.ask_home(fault.to)
+        case "home_set":
+            craft.set_autopilot_home(fault.north_m, fault.up_m)
 
 
 def _end(fault: Fault, craft: Craft) -> None:

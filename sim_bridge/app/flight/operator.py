@@ -72,6 +72,23 @@ class Operator:
         """Ask the companion to land at another stop of the truck, by where its pad is."""
         self._wanted_deg = (lat_deg, lon_deg)
 
+    def autopilot_home(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bytes:
+        """Set the autopilot's own home, behind the companion's back."""
+        order = Message(
+            "COMMAND_INT",
+            target_system=self.vehicle_system,
+            target_component=1,
+            frame=0,  # MAV_FRAME_GLOBAL: AMSL
+            command=MAV_CMD_DO_SET_HOME,
+            current=0,
+            autocontinue=0,
+            **{f"param{i}": 0.0 for i in range(1, 5)},
+            x=round(lat_deg * 1e7),
+            y=round(lon_deg * 1e7),
+            z=alt_amsl_m,
+        )
+        return self._encoder.encode(order)
+
     def mode_change(self, autopilot_kind: str) -> list[bytes]:
         """Order the autopilot to return to launch, behind the companion's back."""
         order = command_long(

@@ -29,6 +29,7 @@ FaultKind = Literal[
     "jumps_refused",
     "arming_refused",
     "home_moves",
+    "home_set",
 ]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
@@ -48,6 +49,10 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """How far the clock jumps; back where it is negative."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
+    up_m: float = 0.0
+    """How far above the depot another ground station sets the autopilot's home."""
+    north_m: float = 0.0
+    """And how far north of it."""
     restart: bool = True
     """A killed companion is started again after `duration_s`."""
     vehicle: int = 1
@@ -57,6 +62,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         check_range("faults.at_s", self.at_s, 0.0, 1e6)
         check_range("faults.duration_s", self.duration_s, 0.0, 1e6)
         check_range("faults.by_s", self.by_s, -1e4, 1e4)
+        check_range("faults.up_m", self.up_m, -500.0, 500.0)
+        check_range("faults.north_m", self.north_m, -1e5, 1e5)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 

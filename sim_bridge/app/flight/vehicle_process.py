@@ -141,6 +141,13 @@ class Craft:
         for frame in self.operator.mode_change(self.autopilot_kind):
             self.autopilot.receive(OPERATOR_LINK, frame)
 
+    def set_autopilot_home(self, north_m: float, up_m: float) -> None:
+        """Another ground station moves the autopilot's own home."""
+        frame = frame_at(self.depot)
+        lat_rad, lon_rad, _ = frame.to_geodetic((north_m, 0.0, 0.0))
+        place = math.degrees(lat_rad), math.degrees(lon_rad), frame.alt_amsl_m + up_m
+        self.autopilot.receive(OPERATOR_LINK, self.operator.autopilot_home(*place))
+
     def receive(self, datagram: bytes) -> None:
         """A datagram from the companion."""
         if not self.link_up:

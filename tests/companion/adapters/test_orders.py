@@ -31,6 +31,7 @@ from companion.core.mission.actions import (
     Release,
     Reply,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
@@ -100,6 +101,22 @@ def test_an_order_is_repeated_until_it_is_acknowledged_and_then_no_more():
     ]
     assert bench.wait(10.0) == []
     assert bench.take() == []
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_home_is_set_to_the_centimetre_by_its_amsl_altitude(autopilot):
+    bench = Bench(autopilot)
+    bench.port.order(SetHome(55.4712345, 8.4567891, 12.34), 10.0)
+    (sent,) = bench.take()
+    assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 179, 0)
+    assert (sent.param1, sent.x, sent.y) == (0.0, 554_712_345, 84_567_891)
+    assert sent.z == pytest.approx(12.34)
+    assert bench.ack(179) == [ev.OrderAccepted(bench.clock.t_s, "set home")]
+
+
+def test_a_home_of_zeros_is_unknown():
+    zeros = mavlink.MAVLink_home_position_message(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    assert Bench(ARDUPILOT).hear(zeros) == []
 
 
 def test_an_order_that_nobody_answers_is_given_up():

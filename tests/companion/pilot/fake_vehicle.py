@@ -30,6 +30,7 @@ from companion.core.mission.actions import (
     Release,
     Say,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
@@ -168,6 +169,11 @@ class World:
     values: dict[str, float | None] = field(default_factory=lambda: {"LOW_ACT": 0.0})
     obeys_jumps: bool = True
     gnss: bool = True
+    home_north: float = 0.0
+    home_up: float = 0.0
+    takes_home: bool = True
+    leg: tuple[int, float] | None = None
+    """The item that is flown, and the height above the depot that it had when it began."""
     volts: float | None = 22.0
     mute: set[type] = field(default_factory=set)
     log: list[tuple[float, Action]] = field(default_factory=list)
@@ -210,13 +216,22 @@ class World:
             case Disarm():
                 self.armed = self.armed and not self.disarms
             case JumpTo() if self.obeys_jumps:
-                self.index, self.waited = order.index, 0.0
+                self.index, self.waited, self.leg = order.index, 0.0, None
+            case SetHome() if self.takes_home:
+                self.home_up = order.alt_amsl_m - DEPOT[2]
+                self.home_north = (order.lat_deg - DEPOT[0]) * M_PER_DEG
             case SetGroundSpeed():
                 self.speed = order.ground_speed_mps
             case Release():
                 self.loaded = self.loaded and not self.gripper_works
             case _:
                 return
+
+    def goal_height(self, item_height: float) -> float:
+        """As both autopilots: an item's height above home counts from when it is begun."""
+        if self.leg is None or self.leg[0] != self.index:
+            self.leg = (self.index, item_height + self.home_up)
+        return self.leg[1]
 
     def fly(self, dt_s: float) -> None:
         """Follow the mission, by itself."""
@@ -243,6 +258,9 @@ class World:
         goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
         if item.kind is ItemKind.TAKEOFF:
             goal_n, goal_e = self.north, self.east
+        goal_up = self.goal_height(item.spot.height_rel_m)
+        if item.kind is ItemKind.LAND:
+            goal_up = item.spot.height_rel_m  # down to the ground, wherever home is
         away = math.dist((goal_n, goal_e), (self.north, self.east))
         step = min(away, self.speed * dt_s, 0.8 * away + 0.05)
         if away > 0.0:
@@ -250,10 +268,10 @@ class World:
             self.velocity = (north / dt_s, east / dt_s, 0.0)
             self.north, self.east = self.north + north, self.east + east
         if item.kind is not ItemKind.LAND or away < 2.0:
-            climb = max(-3.0 * dt_s, min(3.0 * dt_s, item.spot.height_rel_m - self.height))
+            climb = max(-3.0 * dt_s, min(3.0 * dt_s, goal_up - self.height))
             self.height += climb
             self.velocity = (*self.velocity[:2], -climb / dt_s)
-        if away < 2.0 and abs(self.height - item.spot.height_rel_m) < 0.3:
+        if away < 2.0 and abs(self.height - goal_up) < 0.3:
             if item.kind is ItemKind.LAND:
                 self.armed = not self.disarms
                 return
@@ -272,7 +290,7 @@ class World:
                 DEPOT[0] + self.north / M_PER_DEG,
                 DEPOT[1] + self.east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
                 DEPOT[2] + self.height,
-                self.height,
+                self.height - self.home_up,
                 *self.velocity,
             ),
             ev.GnssFix(t, self.gnss),
@@ -282,6 +300,9 @@ class World:
         ]
         if round(t * 10) % 5 == 0:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
+        if round(t * 10) % 20 == 0:
+            north_deg = self.home_north / M_PER_DEG
+            found.append(ev.Home(t, DEPOT[0] + north_deg, DEPOT[1], DEPOT[2] + self.home_up))
         return [event for event in found if type(event) not in self.mute]
 
     def step(self, dt_s: float = 0.1) -> None:
