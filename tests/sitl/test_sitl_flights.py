@@ -93,6 +93,11 @@ def home_by_rtl_below_a_low_home(flown) -> bool:
     )
 
 
+def own_mission_put_back_and_home(flown) -> bool:
+    told = "mission changed by another" in flown.said
+    return told and "mission_restored" in flown.kinds and home_undelivered(flown)
+
+
 def refused_jumps_bring_it_home(flown) -> bool:
     return flown.row["outcome"] == "ABRT" and "is not obeyed" in flown.said
 
@@ -285,6 +290,21 @@ CASES = [
             ]
         },
         {},
+    ),
+    *[
+        Case(
+            f"safety rule 2: a mission that another station uploads in flight ({edit}) is replaced"
+            " by ours, and it comes home",
+            own_mission_put_back_and_home,
+            {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit=edit)]},
+            {} if edit == "drag" else None,
+        )
+        for edit in ("drag", "foreign", "cut", "add")
+    ],
+    Case(
+        "the same mission uploaded again by another station loses nothing",
+        delivered_and_home,
+        {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit="same")]},
     ),
     Case(
         "an autopilot that obeys no jump comes home by the mission aboard",

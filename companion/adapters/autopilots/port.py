@@ -40,6 +40,7 @@ from companion.core.mission.events import (
     Event,
     Identified,
     MissionReadBack,
+    MissionTouched,
     MissionUploaded,
     OrderRefused,
     OtherComputer,
@@ -109,6 +110,7 @@ class AutopilotPort:
         self._upload: MissionUpload | None = None
         self._download: MissionDownload | None = None
         self._expected: tuple[MissionItem, ...] = ()
+        self._first_only = False
         self._asking_parameters = False
         self._configuring = False
         self._refused: list[str] = []
@@ -279,6 +281,9 @@ class AutopilotPort:
                 self._upload.on_message(message, t_s)
             elif mine and self._download is not None:
                 self._download.on_message(message, t_s)
+            elif not mine and _ends_a_write(message):
+                words = f"{message.target_system}/{message.target_component} wrote the mission"
+                return [MissionTouched(t_s, words)]
             return self._transfer_events(t_s)
         return None
 
@@ -310,7 +315,10 @@ class AutopilotPort:
             case ReadMissionBack():
                 self._upload = None
                 self._expected = order.items
-                self._download = MissionDownload(self._send, system, profile.home_items, t_s)
+                self._first_only = order.first_only
+                self._download = MissionDownload(
+                    self._send, system, profile.home_items, t_s, order.pace_s
+                )
             case SetMode():
                 params = profile.mode_params(order.mode)
                 self._command("mode", f"mode {order.mode.value}", mavlink.MAV_CMD_DO_SET_MODE,
@@ -454,9 +462,23 @@ class AutopilotPort:
         if self._download is not None and self._download.done is not None:
             download, self._download = self._download, None
             if download.done:
-                return [MissionReadBack(t_s, (download.done,))]
+                return [MissionReadBack(t_s, (download.done,), complete=False)]
             return [MissionReadBack(t_s, differences(self._expected, download.items))]
-        return []
+        return self._first_difference(t_s)
+
+    def _first_difference(self, t_s: float) -> list[Event]:
+        """End a download whose newest item shows already that the mission is another."""
+        download = self._download
+        if download is None or not self._first_only:
+            return []
+        so_far = download.items
+        at = len(so_far) - 1
+        found = differences(self._expected[at : at + 1], so_far[at:]) if so_far else ()
+        if not found:
+            return []
+        download.cancel()
+        self._download = None
+        return [MissionReadBack(t_s, found)]
 
     def _parameters_events(self, t_s: float) -> list[Event]:
         desk = self._parameters
@@ -487,3 +509,9 @@ def _home_setter(system: int, order: SetHome) -> Callable[[int], Any]:
         *place,
     )
     return lambda _attempt: message
+
+
+def _ends_a_write(message: Any) -> bool:
+    """MISSION_ACK ends an upload or a clearing; a download ends with the station's own."""
+    accepted = message.type == mavlink.MAV_MISSION_ACCEPTED
+    return accepted and message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION

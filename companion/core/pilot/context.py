@@ -451,6 +451,15 @@ class HomeInDoubt(Protocol):
         ...
 
 
+class ListInDoubt(Protocol):
+    """Whether the list aboard is not proven to be ours now."""
+
+    @property
+    def in_doubt(self) -> bool:
+        """It may be another's: no jump, and no promise, rests on it."""
+        ...
+
+
 class SetpointFlight(Protocol):
     """Whether set-points are flown instead of the mission."""
 

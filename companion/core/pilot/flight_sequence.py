@@ -11,6 +11,7 @@ from companion.core.pilot.context import (
     FlightContext,
     HomeInDoubt,
     Jumps,
+    ListInDoubt,
     Parcel,
     ReturnBudget,
     SetpointFlight,
@@ -187,6 +188,7 @@ class FlightSequence:
         drop: DropWork,
         position: Ticking,
         home: HomeInDoubt,
+        aboard: ListInDoubt,
         landing: Ticking,
         setpoints: SetpointFlight,
     ) -> None:
@@ -199,6 +201,7 @@ class FlightSequence:
         self._drop = drop
         self._position = position
         self._home = home
+        self._aboard = aboard
         self._landing = landing
         self._setpoints = setpoints
         self._turned_again = 0
@@ -232,6 +235,9 @@ class FlightSequence:
             return
         if self._progress.foreign_moves(context):
             return  # taken over, or perhaps: the next message tells
+        if self._aboard.in_doubt:
+            self._landing.tick(context)
+            return
         self._drop.observe(context)
         self._progress.tick(context)
         if context.phase is not Phase.CLIMB:

@@ -30,7 +30,9 @@ FaultKind = Literal[
     "arming_refused",
     "home_moves",
     "home_set",
+    "mission_set",
 ]
+MissionEdit = Literal["drag", "foreign", "cut", "add", "same"]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
 
@@ -49,6 +51,11 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """How far the clock jumps; back where it is negative."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
+    edit: MissionEdit = "drag"
+    """What another ground station uploads in flight: the mission with its waypoints 1.5 km to the
+    north, a wholly foreign one of the same length, all but its last three items, three more, or
+    the same.
+    """
     up_m: float = 0.0
     """How far above the depot another ground station sets the autopilot's home."""
     north_m: float = 0.0

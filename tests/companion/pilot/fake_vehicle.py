@@ -161,6 +161,9 @@ class World:
     armed: bool = False
     disarms: bool = True
     items: tuple[MissionItem, ...] = ()
+    mission_id: int | None = None
+    reads: int = 0
+    takes_uploads: bool = True
     index: int = 0
     waited: float = 0.0
     speed: float = 10.0
@@ -202,12 +205,17 @@ class World:
                     ev.ParametersSet(self.t_s),
                     ev.AutopilotParameters(self.t_s, dict(self.values)),
                 ]
+            case UploadMission() if not self.takes_uploads:
+                self.answers.append(ev.MissionUploaded(self.t_s, "error"))
             case UploadMission():
                 self.items = self.rewrite(order.items)
-                self.index = 0
+                self.index = self.index if self.armed else 0
+                self.leg = None
+                self.mission_id = None if self.mission_id is None else self.mission_id + 10
                 self.answers.append(ev.MissionUploaded(self.t_s))
             case ReadMissionBack():
                 found = differences(order.items, self.items)
+                self.reads += 1
                 self.answers.append(ev.MissionReadBack(self.t_s, found))
             case SetMode():
                 self.mode = order.mode
@@ -295,7 +303,7 @@ class World:
             ),
             ev.GnssFix(t, self.gnss),
             ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
-            ev.MissionProgress(t, self.index, len(self.items) or None),
+            ev.MissionProgress(t, self.index, len(self.items) or None, None, self.mission_id),
             ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
         ]
         if round(t * 10) % 5 == 0:
