@@ -299,7 +299,7 @@ CASES = [
             {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit=edit)]},
             {} if edit == "drag" else None,
         )
-        for edit in ("drag", "foreign", "cut", "add")
+        for edit in ("drag", "foreign", "add")
     ],
     Case(
         "the same mission uploaded again by another station loses nothing",
@@ -360,6 +360,15 @@ def test_flight(fly_case, autopilot_kind, case):
 def test_flight_taken_over(fly_case, autopilot_kind, case):
     flown = _flown_once(fly_case, autopilot_kind, case.world, hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
+
+
+def test_safety_rule_2_a_shorter_mission_of_another_station_is_replaced_by_ours_on_ardupilot(
+    fly_case,
+):
+    # PX4 refuses this list, whose jumps lead nowhere, and holds: that is not ours to end yet.
+    fault_table = fault("mission_set", phase="outbound", at_s=3.0, edit="cut")
+    flown = _flown_once(fly_case, "ardupilot", {"faults": [fault_table]})
+    assert own_mission_put_back_and_home(flown), _story(flown)
 
 
 _FLOWN: dict[str, Any] = {}
