@@ -5,6 +5,7 @@ the same check must fail: a check that cannot fail shows nothing.
 """
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -79,6 +80,27 @@ def down_whole_and_said_where(flown) -> bool:
     told = "position lost" in flown.said and "coming down blind, last at 55.4" in flown.said
     down = truth.landed_s is not None and not truth.crashed
     return down and told and not flown.commands_after(flown.fault_s("gnss_lost") + 3.0)
+
+
+def home_set_back_and_reached(flown) -> bool:
+    """Every metre flown as high as planned, by truth; told; and down at the depot."""
+    told = "home moved" in flown.said and "home is where it was again" in flown.said
+    rows = [row for row in flown.craft.record.rows if math.hypot(row[1], row[2]) > 60.0]
+    high = all(-row[3] > 20.0 for row in rows)
+    return told and high and not flown.row["delivered"] and flown.row["home"]
+
+
+def home_by_rtl_below_a_low_home(flown) -> bool:
+    return (
+        "cannot set home back" in flown.said
+        and "last_resort" in flown.kinds
+        and (flown.row["home"] and not flown.craft.record.crashed)
+    )
+
+
+def own_mission_put_back_and_home(flown) -> bool:
+    told = "mission changed by another" in flown.said
+    return told and "mission_restored" in flown.kinds and home_undelivered(flown)
 
 
 def refused_jumps_bring_it_home(flown) -> bool:
@@ -256,6 +278,48 @@ CASES = [
         {"faults": [fault("clock_jump", phase="outbound", at_s=6.0, by_s=-30.0)]},
     ),
     Case(
+        "safety rule 3: a home that sinks by 20 m in flight is set back before it leads low",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0)]},
+        {},
+    ),
+    Case(
+        "safety rule 3: a home that rises by 25 m in flight is set back",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=25.0)]},
+    ),
+    Case(
+        "safety rule 3: a home that is set 3 km away in flight is set back",
+        home_set_back_and_reached,
+        {"faults": [fault("home_set", phase="outbound", at_s=4.0, north_m=3000.0)]},
+    ),
+    Case(
+        "safety rule 3: a home that another hand keeps low is left by RTL at the present height",
+        home_by_rtl_below_a_low_home,
+        {
+            "faults": [
+                fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0),
+                fault("home_set", phase="outbound", at_s=8.0, up_m=-20.0),
+            ]
+        },
+        {},
+    ),
+    *[
+        Case(
+            f"safety rule 2: a mission that another station uploads in flight ({edit}) is replaced"
+            " by ours, and it comes home",
+            own_mission_put_back_and_home,
+            {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit=edit)]},
+            {} if edit == "drag" else None,
+        )
+        for edit in ("drag", "foreign", "add")
+    ],
+    Case(
+        "the same mission uploaded again by another station loses nothing",
+        delivered_and_home,
+        {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit="same")]},
+    ),
+    Case(
         "an autopilot that obeys no jump comes home by the mission aboard",
         refused_jumps_bring_it_home,
         {"faults": [fault("jumps_refused", phase="outbound")]},
@@ -365,6 +429,15 @@ def test_safety_rule_1_nothing_is_commanded_after_a_stall_with_a_take_over_insid
 ):
     flown = fly_case(autopilot_kind, case.world, after_hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
+
+
+def test_safety_rule_2_a_shorter_mission_of_another_station_is_replaced_by_ours_on_ardupilot(
+    fly_case,
+):
+    # PX4 refuses this list, whose jumps lead nowhere, and holds: that is not ours to end yet.
+    fault_table = fault("mission_set", phase="outbound", at_s=3.0, edit="cut")
+    flown = _flown_once(fly_case, "ardupilot", {"faults": [fault_table]})
+    assert own_mission_put_back_and_home(flown), _story(flown)
 
 
 _FLOWN: dict[str, Any] = {}

@@ -101,11 +101,20 @@ class MissionUpload:
 
 
 class MissionDownload:
-    """Asks for every item; `items` is the mission as we number it once `done` is `""`."""
+    """Asks for every item; `items` is the mission as we number it once `done` is `""`.
+
+    `pace_s`: the next item is asked for so long after the last one.
+    """
 
     def __init__(
-        self, send: Callable[[Any], None], target: int, home_items: int, t_s: float
+        self,
+        send: Callable[[Any], None],
+        target: int,
+        home_items: int,
+        t_s: float,
+        pace_s: float = 0.0,
     ) -> None:
+        self._pace_s = pace_s
         self._send = send
         self._target = target
         self._home_items = home_items
@@ -153,16 +162,25 @@ class MissionDownload:
         self._tries = 0
         if len(self._found) == self._count:
             self.done = ""
-            self._send(
-                mavlink.MAVLink_mission_ack_message(
-                    self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_MISSION_ACCEPTED, 0
-                )
-            )
+            self._acknowledge(mavlink.MAV_MISSION_ACCEPTED)
+        elif self._pace_s > 0.0:
+            self._next_try_s = t_s + self._pace_s
         else:
             self._ask(t_s)
 
+    def cancel(self) -> None:
+        """End it early: PX4 takes no other transfer before that."""
+        self._acknowledge(mavlink.MAV_MISSION_OPERATION_CANCELLED)
+
+    def _acknowledge(self, result: int) -> None:
+        self._send(
+            mavlink.MAVLink_mission_ack_message(
+                self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, result, 0
+            )
+        )
+
     def tick(self, t_s: float) -> None:
-        """Ask again after a silence."""
+        """Ask for the next item when it is due, or again after a silence."""
         if self.done is None and t_s >= self._next_try_s:
             if self._tries >= TRIES:
                 self.done = "no answer to the download"

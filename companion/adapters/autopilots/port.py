@@ -30,6 +30,7 @@ from companion.core.mission.actions import (
     ReadMissionBack,
     Release,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
@@ -41,6 +42,7 @@ from companion.core.mission.events import (
     Identified,
     MissionProgress,
     MissionReadBack,
+    MissionTouched,
     MissionUploaded,
     Mode,
     ModeNow,
@@ -123,6 +125,7 @@ class AutopilotPort:
         self._upload: MissionUpload | None = None
         self._download: MissionDownload | None = None
         self._expected: tuple[MissionItem, ...] = ()
+        self._first_only = False
         self._asking_parameters = False
         self._configuring = False
         self._refused: list[str] = []
@@ -292,6 +295,9 @@ class AutopilotPort:
                 self._upload.on_message(message, t_s)
             elif mine and self._download is not None:
                 self._download.on_message(message, t_s)
+            elif not mine and _ends_a_write(message):
+                words = f"{message.target_system}/{message.target_component} wrote the mission"
+                return [MissionTouched(t_s, words)]
             return self._transfer_events(t_s)
         return None
 
@@ -323,7 +329,10 @@ class AutopilotPort:
             case ReadMissionBack():
                 self._upload = None
                 self._expected = order.items
-                self._download = MissionDownload(self._send, system, profile.home_items, t_s)
+                self._first_only = order.first_only
+                self._download = MissionDownload(
+                    self._send, system, profile.home_items, t_s, order.pace_s
+                )
             case SetMode():
                 name = f"mode {order.mode.value}"
                 entry = self._entry(
@@ -355,6 +364,11 @@ class AutopilotPort:
                 params = (1.0, order.ground_speed_mps, -1.0)
                 self._command("speed", "ground speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, params,
                               t_s, replace=True)  # fmt: skip
+            case SetHome():
+                entry = PendingCommand(
+                    "set home", _home_setter(system, order), mavlink.MAV_CMD_DO_SET_HOME
+                )
+                self._commands.submit("home", entry, t_s, replace=True)
             case FlyVelocity():
                 self._send(
                     mavlink.MAVLink_set_position_target_local_ned_message(
@@ -475,9 +489,23 @@ class AutopilotPort:
         if self._download is not None and self._download.done is not None:
             download, self._download = self._download, None
             if download.done:
-                return [MissionReadBack(t_s, (download.done,))]
+                return [MissionReadBack(t_s, (download.done,), complete=False)]
             return [MissionReadBack(t_s, differences(self._expected, download.items))]
-        return []
+        return self._first_difference(t_s)
+
+    def _first_difference(self, t_s: float) -> list[Event]:
+        """End a download whose newest item shows already that the mission is another."""
+        download = self._download
+        if download is None or not self._first_only:
+            return []
+        so_far = download.items
+        at = len(so_far) - 1
+        found = differences(self._expected[at : at + 1], so_far[at:]) if so_far else ()
+        if not found:
+            return []
+        download.cancel()
+        self._download = None
+        return [MissionReadBack(t_s, found)]
 
     def _parameters_events(self, t_s: float) -> list[Event]:
         desk = self._parameters
@@ -505,3 +533,24 @@ def _shows_mode(event: Event, mode: Mode) -> bool:
 
 def _shows_item(event: Event, index: int) -> bool:
     return isinstance(event, MissionProgress) and event.index == index
+
+
+def _home_setter(system: int, order: SetHome) -> Callable[[int], Any]:
+    """DO_SET_HOME as COMMAND_INT: a place in the floats of COMMAND_LONG is a metre off."""
+    place = round(order.lat_deg * 1e7), round(order.lon_deg * 1e7), order.alt_amsl_m
+    message = mavlink.MAVLink_command_int_message(
+        system,
+        AUTOPILOT,
+        mavlink.MAV_FRAME_GLOBAL,
+        mavlink.MAV_CMD_DO_SET_HOME,
+        *(0, 0),
+        *(0.0, 0.0, 0.0, 0.0),
+        *place,
+    )
+    return lambda _attempt: message
+
+
+def _ends_a_write(message: Any) -> bool:
+    """MISSION_ACK ends an upload or a clearing; a download ends with the station's own."""
+    accepted = message.type == mavlink.MAV_MISSION_ACCEPTED
+    return accepted and message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION

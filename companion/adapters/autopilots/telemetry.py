@@ -20,6 +20,7 @@ from companion.core.mission.events import (
     Home,
     ItemReached,
     MissionProgress,
+    MissionTouched,
     Mode,
     ModeNow,
     Position,
@@ -54,6 +55,8 @@ PLAIN_NAMES = {"surface boat": "boat", "ground rover": "rover"}
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 LEAST_UNIX_S = 1.0e9  # 2001: before that a clock counts from its own start
 UNKNOWN_U16 = 65535
+MISSION_CHANGED = "Auto mission changed"
+"""How ArduCopter tells everybody that an item near the one that it flies was rewritten."""
 UNKNOWN_I16 = 32767
 
 
@@ -146,14 +149,7 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
             ground = GROUND.get(message.landed_state)
             return [] if ground is None else [GroundState(t_s, ground)]
         case "HOME_POSITION":
-            return [
-                Home(
-                    t_s,
-                    message.latitude * 1e-7,
-                    message.longitude * 1e-7,
-                    message.altitude / 1000.0,
-                )
-            ]
+            return _home(message, t_s)
         case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
             return [EstimatorHealth(t_s, profile.position_ok(message.flags))]
         case "SYSTEM_TIME":
@@ -162,7 +158,10 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
             return profile.wind(message, values, t_s)
         case "STATUSTEXT":
             text = message.text.strip().replace("\t", " ")
-            return [AutopilotText(t_s, message.severity, text)]
+            events: list[Event] = [AutopilotText(t_s, message.severity, text)]
+            if text.startswith(MISSION_CHANGED):
+                events.append(MissionTouched(t_s, text))
+            return events
         case _:
             return []
 
@@ -184,6 +183,13 @@ def _position(message: Any, t_s: float) -> list[Event]:
             message.vz / 100.0,
         )
     ]
+
+
+def _home(message: Any, t_s: float) -> list[Event]:
+    if message.latitude == 0 and message.longitude == 0:
+        return []  # no home yet: ArduCopter without a position sends zeros
+    place = message.latitude * 1e-7, message.longitude * 1e-7
+    return [Home(t_s, *place, message.altitude / 1000.0)]
 
 
 def _gnss_time(message: Any, t_s: float) -> list[Event]:
@@ -250,4 +256,19 @@ def _progress(message: Any, profile: AutopilotProfile, t_s: float) -> Event:
     total = message.total if 0 < message.total < UNKNOWN_U16 else None
     # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.
     in_mission = {1: True, 2: False}.get(message.mission_mode)
-    return MissionProgress(t_s, index if index >= 0 else None, total, in_mission)
+    return MissionProgress(
+        t_s, index if index >= 0 else None, total, in_mission, _mission_id(message)
+    )
+
+
+def _mission_id(message: Any) -> int | None:
+    """MISSION_CURRENT.mission_id, an extension that is younger than the dialect; 0 is unknown.
+
+    MAVLink common.xml, message 42: seq, total, mission_state and mission_mode are 6 bytes; zeros at
+    the end of a payload are not sent.
+    """
+    frame = bytes(message.get_msgbuf() or b"")
+    if not frame or frame[0] != mavlink.PROTOCOL_MARKER_V2:
+        return None
+    payload = frame[mavlink.HEADER_LEN_V2 : mavlink.HEADER_LEN_V2 + frame[1]]
+    return int.from_bytes(payload[6:10], "little") or None

@@ -48,9 +48,15 @@ class UploadMission(Order):
 
 @dataclass(frozen=True, slots=True)
 class ReadMissionBack(Order):
-    """Download the mission aboard and compare it with this one."""
+    """Download the mission aboard and compare it with this one.
+
+    `pace_s`: so long between two items; 0: as fast as the link is. `first_only`: end at the first
+    item that differs.
+    """
 
     items: tuple[MissionItem, ...]
+    pace_s: float = 0.0
+    first_only: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +88,15 @@ class SetGroundSpeed(Order):
     """Fly legs at this ground speed."""
 
     ground_speed_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetHome(Order):
+    """Make this place the autopilot's home again."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,12 +174,14 @@ class AutopilotWind(Event):
 class MissionProgress(Event):
     """The item that the autopilot flies (`None`: none of ours) and how many items it holds.
 
-    `in_mission`: whether it flies the mission at all, where it tells.
+    `in_mission`: whether it flies the mission at all, where it tells. `mission_id`: a number that
+    changes with the list, where the autopilot sends one (PX4 1.15 and later).
     """
 
     index: int | None
     total: int | None = None
     in_mission: bool | None = None
+    mission_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,9 +246,20 @@ class MissionUploaded(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionReadBack(Event):
-    """What differs between the mission aboard and ours: nothing, or a line for each difference."""
+    """What differs between the mission aboard and ours: nothing, or a line for each difference.
+
+    Not `complete`: it could not be read, and the only line says why.
+    """
 
     differences: tuple[str, ...]
+    complete: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class MissionTouched(Event):
+    """Somebody else wrote to the mission aboard, as was overheard."""
+
+    words: str
 
 
 @dataclass(frozen=True, slots=True)

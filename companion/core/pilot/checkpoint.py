@@ -16,6 +16,8 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     for.
 
     `disarmed_by_another`: what we armed was disarmed by another hand: never armed again.
+    `took_off_from`: latitude and longitude (deg) of the autopilot's home at take-off, and the AMSL
+    of the ground there.
 
     `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
     authorisation has been used. `settings_before` are autopilot parameters to put back.
@@ -41,6 +43,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     asides: bool = False
     drop_begun: bool = False
     disarmed_by_another: bool = False
+    took_off_from: tuple[float, float, float] | None = None
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

@@ -499,6 +499,24 @@ class PositionWatch(Protocol):
         ...
 
 
+class HomeInDoubt(Protocol):
+    """Whether the autopilot's home is not where it was at take-off."""
+
+    @property
+    def in_doubt(self) -> bool:
+        """It has moved, or perhaps: nothing is flown to by heights above it."""
+        ...
+
+
+class ListInDoubt(Protocol):
+    """Whether the list aboard is not proven to be ours now."""
+
+    @property
+    def in_doubt(self) -> bool:
+        """It may be another's: no jump, and no promise, rests on it."""
+        ...
+
+
 class SetpointFlight(Protocol):
     """Whether set-points are flown instead of the mission."""
 

@@ -7,7 +7,15 @@ from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import SetGroundSpeed, Severity
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import FlightContext, Jumps, Parcel, ReturnBudget, SetpointFlight
+from companion.core.pilot.context import (
+    FlightContext,
+    HomeInDoubt,
+    Jumps,
+    ListInDoubt,
+    Parcel,
+    ReturnBudget,
+    SetpointFlight,
+)
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
@@ -179,6 +187,8 @@ class FlightSequence:
         parcel: Parcel,
         drop: DropWork,
         position: Ticking,
+        home: HomeInDoubt,
+        aboard: ListInDoubt,
         landing: Ticking,
         setpoints: SetpointFlight,
     ) -> None:
@@ -190,6 +200,8 @@ class FlightSequence:
         self._parcel = parcel
         self._drop = drop
         self._position = position
+        self._home = home
+        self._aboard = aboard
         self._landing = landing
         self._setpoints = setpoints
         self._turned_again = 0
@@ -223,11 +235,16 @@ class FlightSequence:
             return
         if self._progress.foreign_moves(context):
             return  # taken over, or perhaps: the next message tells
+        if self._aboard.in_doubt:
+            self._landing.tick(context)
+            return
         self._drop.observe(context)
         self._progress.tick(context)
         if context.phase is not Phase.CLIMB:
             self._budget.assess(context, ASSESS_S)
         match context.phase:
+            case phase if phase is not Phase.RELEASE and self._home.in_doubt:
+                pass  # no leave and no jump home on heights above a home that has moved
             case Phase.MEASURE:
                 self._measure(context)
             case Phase.OUTBOUND:

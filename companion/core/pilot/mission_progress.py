@@ -17,6 +17,7 @@ from companion.core.pilot.context import (
     CruiseSpeed,
     FlightContext,
     GateState,
+    ListInDoubt,
     ModeOrders,
     Preflight,
     Promise,
@@ -65,8 +66,10 @@ class MissionFollower:
         speed: CruiseSpeed,
         preflight: Preflight,
         modes: ModeOrders,
+        aboard: ListInDoubt,
     ) -> None:
         self._state = ProgressState()
+        self._aboard = aboard
         self._gate = gate
         self._promise = promise
         self._speed = speed
@@ -256,10 +259,8 @@ class MissionFollower:
         ):
             context.request_transition(Trigger.TAKEN_OVER, "the autopilot left the mission")
             return
-        if event.total is not None and event.total != len(mission.items):
-            why = f"another mission aboard ({event.total} items)"
-            context.request_transition(Trigger.TAKEN_OVER, why)
-            return
+        if self._aboard.in_doubt:
+            return  # its index may be another list's
         if state.jump is not None:
             if state.jump.confirms(mission, event.index, event.t_s):
                 self._confirmed(context, event.index)

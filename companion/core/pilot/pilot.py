@@ -32,6 +32,7 @@ from companion.core.mission.events import (
     ControlTaken,
     Event,
     GnssTime,
+    Home,
     HomeMoved,
     Identified,
     LimitsChanged,
@@ -39,6 +40,7 @@ from companion.core.mission.events import (
     LinkSilent,
     MissionProgress,
     MissionReadBack,
+    MissionTouched,
     MissionUploaded,
     ModeNow,
     NeighbourHeard,
@@ -60,8 +62,10 @@ from companion.core.pilot.desired_velocity import DesiredVelocity
 from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
 from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
+from companion.core.pilot.home_watch import HomeWatch
 from companion.core.pilot.landing import Landing
 from companion.core.pilot.landing_site import LandingSite, PromisedStop
+from companion.core.pilot.mission_aboard import AboardState, MissionAboard
 from companion.core.pilot.mission_progress import MissionFollower
 from companion.core.pilot.parcel_release import ParcelRelease, ParcelState
 from companion.core.pilot.position_loss import PositionLoss
@@ -142,8 +146,17 @@ class Pilot:
         self._ground = GroundSequence(
             self._flight_state, self._authority, BerPlanner(route_energy), obstacles, requirements
         )
+        aboard_state = AboardState()
         self._progress = MissionFollower(
-            self._return_state, self._promise, self._flight_state, self._ground, self._authority
+            self._return_state,
+            self._promise,
+            self._flight_state,
+            self._ground,
+            self._authority,
+            aboard_state,
+        )
+        self._home_watch = HomeWatch(
+            self._return_state, self._progress, self._flight_state, self._ground
         )
         budget = BudgetWatch(
             self._progress,
@@ -159,6 +172,9 @@ class Pilot:
             self._promise,
             self._flight_state,
             self._parcel_state,
+        )
+        self._aboard = MissionAboard(
+            aboard_state, self._return_state, self._progress, self._decision
         )
         self._release = ParcelRelease(self._parcel_state, self._progress, budget)
         self._landing = Landing(
@@ -183,6 +199,8 @@ class Pilot:
             parcel=self._parcel_state,
             drop=self._release,
             position=self._position,
+            home=self._home_watch,
+            aboard=aboard_state,
             landing=self._landing,
             setpoints=self._setpoints,
         )
@@ -202,6 +220,7 @@ class Pilot:
             self._progress,
             self._promise,
             self._authority,
+            self._home_watch,
         )
         self._routes = self._make_routes()
         if checkpoint is not None and not checkpoint.finished:
@@ -225,12 +244,14 @@ class Pilot:
             StreamsAsked: (self._ground,),
             AutopilotParameters: (self._ground,),
             ParametersSet: (self._ground,),
-            MissionUploaded: (self._ground,),
-            MissionReadBack: (self._resume, self._ground),
-            MissionProgress: (self._progress,),
+            MissionUploaded: (self._ground, self._aboard),
+            MissionReadBack: (self._resume, self._ground, self._aboard),
+            MissionTouched: (self._aboard,),
+            MissionProgress: (self._aboard, self._progress),
             OrderRefused: (self._ground, self._progress),
             AbortOrdered: (self._decision,),
             LimitsChanged: (self._decision,),
+            Home: (self._home_watch,),
             HomeMoved: (self._landing_site,),
             ReleaseFeedback: (self._release,),
             GnssTime: (self._traffic,),
@@ -286,6 +307,8 @@ class Pilot:
         if context.phase is Phase.RECOGNISE:
             self._resume.tick(context)
         else:
+            self._home_watch.tick(context)
+            self._aboard.tick(context)
             self._ground.tick(context)
             self._sequence.tick(context)
             self._setpoints.tick(context)

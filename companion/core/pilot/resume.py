@@ -27,7 +27,7 @@ from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
 from companion.core.pilot.estimates import EstimatesSnapshot
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import Phase, Trigger
 
 LULL_S = 3.0
 """A gap of the autopilot's time up to this is a lull; a longer one means reading all again."""
@@ -234,8 +234,6 @@ class Resume:
     def _read_back(self, context: FlightContext, event: MissionReadBack) -> None:
         """Take what the mission aboard was found to be."""
         if context.phase is not Phase.RECOGNISE:
-            if event.differences and context.phase in FLIGHT_PHASES:
-                context.request_transition(Trigger.TAKEN_OVER, "the mission aboard is not ours")
             return
         if not event.differences:
             self._mission_matches = True

@@ -1,4 +1,9 @@
-"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on."""
+"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on.
+
+Heights have one truth here. An autopilot tells its height above its own home, and that home can be
+moved in flight by anybody. Once the vehicle has taken off, every height is AMSL less the AMSL of
+the ground that it took off from, whatever the autopilot's home is by then.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -60,6 +65,10 @@ class TelemetryState:
     progress: MissionProgress | None = None
     ground: GroundState | None = None
     readiness: ArmingReadiness | None = None
+    ground_amsl_m: float | None = None
+    """The ground that it took off from; `None` before: heights are above the autopilot's home."""
+    home_sunk_m: float = 0.0
+    """By how much the autopilot's home lies below that ground now."""
     _battery_times: dict[str, float] = field(default_factory=dict)
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
@@ -76,7 +85,7 @@ class TelemetryState:
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
                 self.attitude = event
             case Position() if self.position is None or event.t_s >= self.position.t_s:
-                self.position = event
+                self.position = self._above_ground(event)
             case GnssFix():
                 self.gnss = event
             case EstimatorHealth():
@@ -115,6 +124,22 @@ class TelemetryState:
             return
         if self._disarmed_reports >= DISARMED_WITNESSES or self.landed_state is Ground.ON_GROUND:
             self.state = replace(self.state, armed=False)
+
+    def measure_heights_from(self, ground_amsl_m: float | None) -> None:
+        """Count heights from this ground; `None`: from the autopilot's home."""
+        self.ground_amsl_m = ground_amsl_m
+
+    def _above_ground(self, told: Position) -> Position:
+        """The position with its height above the ground that it took off from.
+
+        Whole centimetres: both altitudes come rounded to the millimetre.
+        """
+        ground_m = self.ground_amsl_m
+        if ground_m is None:
+            self.home_sunk_m = 0.0
+            return told
+        self.home_sunk_m = round(told.height_rel_m - (told.alt_amsl_m - ground_m), 2)
+        return replace(told, height_rel_m=told.height_rel_m - self.home_sunk_m)
 
     def _merged(self, new: Battery) -> Battery:
         """Two messages report one battery; a field stays until it is reported again or too old."""

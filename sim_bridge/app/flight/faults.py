@@ -104,6 +104,10 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.says_disarmed_once = True
         case "home_moves":
             craft.ask_home(fault.to)
+        case "home_set":
+            craft.set_autopilot_home(fault.north_m, fault.up_m)
+        case "mission_set":
+            craft.upload_by_another(fault.edit)
 
 
 def _end(fault: Fault, craft: Craft) -> None:

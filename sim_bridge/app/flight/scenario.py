@@ -33,7 +33,10 @@ FaultKind = Literal[
     "arming_undone",
     "false_disarmed",
     "home_moves",
+    "home_set",
+    "mission_set",
 ]
+MissionEdit = Literal["drag", "foreign", "cut", "add", "same"]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
 
@@ -53,6 +56,15 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     what was armed, where `arming_undone`."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
+    edit: MissionEdit = "drag"
+    """What another ground station uploads in flight: the mission with its waypoints 1.5 km to the
+    north, a wholly foreign one of the same length, all but its last three items, three more, or
+    the same.
+    """
+    up_m: float = 0.0
+    """How far above the depot another ground station sets the autopilot's home."""
+    north_m: float = 0.0
+    """And how far north of it."""
     restart: bool = True
     """A killed companion is started again after `duration_s`; a stalled one goes on in any case."""
     vehicle: int = 1
@@ -62,6 +74,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         check_range("faults.at_s", self.at_s, 0.0, 1e6)
         check_range("faults.duration_s", self.duration_s, 0.0, 1e6)
         check_range("faults.by_s", self.by_s, -1e4, 1e4)
+        check_range("faults.up_m", self.up_m, -500.0, 500.0)
+        check_range("faults.north_m", self.north_m, -1e5, 1e5)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 

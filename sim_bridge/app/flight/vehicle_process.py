@@ -14,6 +14,7 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.forger import Forger
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.record import TruthRecord
+from sim_bridge.app.flight.uploader import edited
 from sim_bridge.app.link.bad_link import BadLink
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.autopilot.autopilot import Autopilot
@@ -188,6 +189,18 @@ class Craft:
         """Another ground station orders the vehicle home by mode change."""
         for frame in self.operator.mode_change(self.autopilot_kind):
             self.autopilot.receive(OPERATOR_LINK, frame)
+
+    def set_autopilot_home(self, north_m: float, up_m: float) -> None:
+        """Another ground station moves the autopilot's own home."""
+        frame = frame_at(self.depot)
+        lat_rad, lon_rad, _ = frame.to_geodetic((north_m, 0.0, 0.0))
+        place = math.degrees(lat_rad), math.degrees(lon_rad), frame.alt_amsl_m + up_m
+        self.autopilot.receive(OPERATOR_LINK, self.operator.autopilot_home(*place))
+
+    def upload_by_another(self, edit: str) -> None:
+        """Another ground station uploads an edited mission."""
+        items = edited(self.autopilot.store.mission, edit)
+        self.autopilot.receive(OPERATOR_LINK, self.operator.begin_upload(items))
 
     def receive(self, datagram: bytes) -> None:
         """A datagram from the companion."""

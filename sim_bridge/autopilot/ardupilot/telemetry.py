@@ -210,3 +210,7 @@ class ArduPilotTelemetry:
     def mission_total(self, count: int) -> int:
         """Without home; an empty mission has 0."""
         return max(count - 1, 0)
+
+    def mission_id(self) -> int:
+        """It sends none."""
+        return 0

@@ -84,7 +84,8 @@ _DEFINITIONS = """
 41 MISSION_SET_CURRENT
     u8 target_system, u8 target_component, u16 seq
 42 MISSION_CURRENT
-    u16 seq | u16 total, u8 mission_state, u8 mission_mode
+    u16 seq | u16 total, u8 mission_state, u8 mission_mode, u32 mission_id, u32 fence_id,
+    u32 rally_points_id
 43 MISSION_REQUEST_LIST
     u8 target_system, u8 target_component | u8 mission_type
 44 MISSION_COUNT

@@ -77,7 +77,7 @@ class Px4:
             state, radio, self.commander, rc, parts.battery, parts.geofence, self._checks
         )
         self._telemetry = Px4Telemetry(
-            state, self.executor, parts.battery, parts.wind, rc, self._failsafe
+            state, self.executor, parts.battery, parts.wind, rc, self._failsafe, parts.store
         )
         self.streams = self._telemetry.streams
         self._commands = Px4Commands(

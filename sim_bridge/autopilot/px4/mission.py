@@ -5,6 +5,8 @@ src/modules/mavlink/mavlink_mission.cpp.
 """
 
 import math
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim_bridge.autopilot.base.geodesy import Vec3
@@ -47,6 +49,15 @@ class _Speed:
 def mission_total(count: int) -> int:
     """MISSION_CURRENT.total: all items; none at all is 65535."""
     return count or 65535
+
+
+def mission_id(items: Sequence[MissionItem]) -> int:
+    """MISSION_CURRENT.mission_id: a CRC-32 of the stored items, as PX4 1.15 and later send it.
+
+    Opaque to everybody else: what it is made of differs from PX4's (mavlink_mission.cpp,
+    crc32_for_mission_item). 0 without a mission.
+    """
+    return zlib.crc32(repr(list(items)).encode()) if items else 0
 
 
 class Px4Mission:
@@ -288,7 +299,8 @@ class Px4Mission:
     # --- parts --------------------------------------------------------------------------------
 
     def _tell_current(self) -> None:
-        fields = mission_current(self.executor, mission_total(len(self.executor.plan)))
+        total = mission_total(len(self.executor.plan))
+        fields = mission_current(self.executor, total, mission_id(self._store.mission))
         self._radio.send_all("MISSION_CURRENT", **fields)
 
     def _forget_reached(self) -> None:

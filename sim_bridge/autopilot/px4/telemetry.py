@@ -13,8 +13,9 @@ from sim_bridge.autopilot.mavlink.enums import LandedState
 from sim_bridge.autopilot.mavlink.links import LinkState
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mission.executor import MissionExecutor, Phase
+from sim_bridge.autopilot.mission.items import MissionStore
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
-from sim_bridge.autopilot.px4.mission import mission_total
+from sim_bridge.autopilot.px4.mission import mission_id, mission_total
 from sim_bridge.autopilot.px4.mode_numbers import (
     base_mode_of,
     custom_mode_of,
@@ -116,7 +117,9 @@ class Px4Telemetry:
         wind: WindFusion,
         rc: RcInput,
         failsafe: Px4Failsafe,
+        store: MissionStore,
     ) -> None:
+        self._store = store
         self._state = state
         self._executor = executor
         self._battery = battery
@@ -270,3 +273,7 @@ class Px4Telemetry:
     def mission_total(self, count: int) -> int:
         """All items; none at all is 65535."""
         return mission_total(count)
+
+    def mission_id(self) -> int:
+        """Of the stored list."""
+        return mission_id(self._store.mission)

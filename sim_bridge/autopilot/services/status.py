@@ -72,6 +72,10 @@ class OwnFigures(Protocol):
         """MISSION_CURRENT.total for a plan of `count` items."""
         ...
 
+    def mission_id(self) -> int:
+        """MISSION_CURRENT.mission_id; 0: none is sent."""
+        ...
+
 
 def _i16(value: float) -> int:
     return max(-32768, min(32767, round(value)))
@@ -120,8 +124,11 @@ def current_seq(executor: MissionExecutor) -> int:
     return 0 if executor.plan.is_empty else executor.index
 
 
-def mission_current(executor: MissionExecutor, total: int) -> Fields:
-    """MISSION_CURRENT; `total` is the number of items as the autopilot counts them."""
+def mission_current(executor: MissionExecutor, total: int, mission_id: int) -> Fields:
+    """MISSION_CURRENT; `total` is the number of items as the autopilot counts them.
+
+    `mission_id` changes with the stored list; 0 where the autopilot sends none.
+    """
     state = executor.state
     if executor.plan.is_empty:
         state = MissionState.NO_MISSION
@@ -130,6 +137,9 @@ def mission_current(executor: MissionExecutor, total: int) -> Fields:
         "total": total,
         "mission_state": int(state),
         "mission_mode": 1 if executor.is_active else 2,
+        "mission_id": mission_id,
+        "fence_id": 0,
+        "rally_points_id": 0,
     }
 
 
@@ -571,7 +581,7 @@ class CommonTelemetry:
     def mission_current(self) -> Fields:
         """MISSION_CURRENT."""
         total = self._own.mission_total(len(self._executor.plan))
-        return mission_current(self._executor, total)
+        return mission_current(self._executor, total, self._own.mission_id())
 
     def _navigation_target(self) -> Vec3 | None:
         goal = self._state.goal

@@ -3,6 +3,7 @@
 import math
 import struct
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.mission_wire import wire_items
 from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.parameters import (
     ParameterClient,
@@ -32,12 +34,14 @@ from companion.core.mission.actions import (
     Release,
     Reply,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
 from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
 from companion.core.mission.preflight_checks import RouteFacts, judge, names_read, settings_wanted
 from companion.core.pilot.estimates import Limits
+from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 ARDUPILOT, PX4 = 3, 12
 ITEMS = (
@@ -98,6 +102,22 @@ def test_an_order_is_repeated_until_it_is_acknowledged_and_then_no_more():
     assert bench.ack(mavlink.MAV_CMD_DO_GRIPPER) == [ev.OrderAccepted(bench.clock.t_s, "release")]
     assert bench.wait(10.0) == []
     assert bench.take() == []
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_home_is_set_to_the_centimetre_by_its_amsl_altitude(autopilot):
+    bench = Bench(autopilot)
+    bench.port.order(SetHome(55.4712345, 8.4567891, 12.34), 10.0)
+    (sent,) = bench.take()
+    assert (sent.get_type(), sent.command, sent.frame) == ("COMMAND_INT", 179, 0)
+    assert (sent.param1, sent.x, sent.y) == (0.0, 554_712_345, 84_567_891)
+    assert sent.z == pytest.approx(12.34)
+    assert bench.ack(179) == [ev.OrderAccepted(bench.clock.t_s, "set home")]
+
+
+def test_a_home_of_zeros_is_unknown():
+    zeros = mavlink.MAVLink_home_position_message(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    assert Bench(ARDUPILOT).hear(zeros) == []
 
 
 def test_an_order_that_nobody_answers_is_given_up():
@@ -681,3 +701,70 @@ def test_an_unknown_parameter_is_not_answered():
     desk = Desk()
     desk.hear(set_parameter(b"NO_SUCH", 1.0))
     assert desk.sent == []
+
+
+# --- the mission aboard while it flies -----------------------------------------------------------
+
+
+def give(bench: Bench, aboard: tuple[MissionItem, ...]) -> list[ev.Event]:
+    """Answer the download's newest request, if there is one."""
+    asked = [m for m in bench.take() if m.get_type().startswith("MISSION_REQUEST")]
+    if not asked:
+        return []
+    if asked[-1].get_type() == "MISSION_REQUEST_LIST":
+        return bench.hear(mavlink.MAVLink_mission_count_message(1, 191, len(aboard), 0))
+    wire = wire_items(aboard, home_items=0, home=Spot(0.0, 0.0, 0.0), free_yaw=math.nan)
+    seq = asked[-1].seq
+    item = wire[seq]
+    return bench.hear(
+        mavlink.MAVLink_mission_item_int_message(
+            1, 191, seq, item.frame, item.command, 0, 1, *item.params, item.x, item.y, item.z, 0
+        )
+    )
+
+
+def test_a_slow_reading_asks_for_an_item_each_pace_and_not_sooner():
+    bench = Bench(PX4)
+    bench.port.order(ReadMissionBack(ITEMS, pace_s=0.5), 10.0)
+    began_s, found = bench.t_s, []
+    while not found:
+        found = give(bench, ITEMS) + bench.wait(0.1)
+        assert bench.t_s < 30.0
+    assert found[0].differences == ()
+    assert bench.t_s - began_s >= 0.5 * len(ITEMS)
+
+
+def test_a_reading_in_flight_ends_at_the_first_item_that_differs_and_frees_the_autopilot():
+    bench = Bench(PX4)
+    bench.port.order(ReadMissionBack(ITEMS, first_only=True), 10.0)
+    aboard = (ITEMS[0], replace(ITEMS[1], spot=Spot(55.49, 8.45, 40.0)), *ITEMS[2:])
+    found: list[ev.Event] = []
+    for _ in range(3):
+        found += give(bench, aboard)
+    (told,) = found
+    assert "another place aboard" in told.differences[0]
+    last = bench.take()[-1]
+    assert (last.get_type(), last.type) == ("MISSION_ACK", mavlink.MAV_MISSION_OPERATION_CANCELLED)
+
+
+@pytest.mark.parametrize(("result", "kind", "tells"), [(0, 0, True), (1, 0, False), (0, 1, False)])
+def test_an_acknowledged_upload_of_another_station_is_overheard(result, kind, tells):
+    ack = mavlink.MAVLink_mission_ack_message(255, 190, result, kind)
+    found = Bench(PX4).hear(ack)
+    assert [type(event) for event in found] == ([ev.MissionTouched] if tells else [])
+
+
+def test_arducopter_says_that_its_mission_was_changed():
+    text = mavlink.MAVLink_statustext_message(2, b"Auto mission changed, restarted command")
+    kinds = [type(event) for event in Bench(ARDUPILOT).hear(text)]
+    assert kinds == [ev.AutopilotText, ev.MissionTouched]
+
+
+def test_the_missions_id_is_read_behind_what_the_dialect_knows():
+    encoder = Encoder(1, 1)
+    fields = {"seq": 2, "total": 4, "mission_state": 3, "mission_mode": 1}
+    for sent, known in ((0xDEADBEEF, 0xDEADBEEF), (0, None)):
+        frame = encoder.encode(Message("MISSION_CURRENT", **fields, mission_id=sent))
+        bench = Bench(PX4)
+        (told,) = [e for m in bench.codec.parse(frame) for e in bench.port.on_message(m)]
+        assert (told.index, told.total, told.mission_id) == (2, 4, known)

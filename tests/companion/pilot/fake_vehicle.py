@@ -30,6 +30,7 @@ from companion.core.mission.actions import (
     Release,
     Say,
     SetGroundSpeed,
+    SetHome,
     SetMode,
     UploadMission,
 )
@@ -160,6 +161,9 @@ class World:
     armed: bool = False
     disarms: bool = True
     items: tuple[MissionItem, ...] = ()
+    mission_id: int | None = None
+    reads: int = 0
+    takes_uploads: bool = True
     index: int = 0
     waited: float = 0.0
     speed: float = 10.0
@@ -169,6 +173,11 @@ class World:
     obeys_jumps: bool = True
     gnss: bool = True
     streams: bool = True
+    home_north: float = 0.0
+    home_up: float = 0.0
+    takes_home: bool = True
+    leg: tuple[int, float] | None = None
+    """The item that is flown, and the height above the depot that it had when it began."""
     volts: float | None = 22.0
     mute: set[type] = field(default_factory=set)
     log: list[tuple[float, Action]] = field(default_factory=list)
@@ -198,12 +207,17 @@ class World:
                     ev.ParametersSet(self.t_s),
                     ev.AutopilotParameters(self.t_s, dict(self.values)),
                 ]
+            case UploadMission() if not self.takes_uploads:
+                self.answers.append(ev.MissionUploaded(self.t_s, "error"))
             case UploadMission():
                 self.items = self.rewrite(order.items)
-                self.index = 0
+                self.index = self.index if self.armed else 0
+                self.leg = None
+                self.mission_id = None if self.mission_id is None else self.mission_id + 10
                 self.answers.append(ev.MissionUploaded(self.t_s))
             case ReadMissionBack():
                 found = differences(order.items, self.items)
+                self.reads += 1
                 self.answers.append(ev.MissionReadBack(self.t_s, found))
             case SetMode():
                 self.mode = order.mode
@@ -212,13 +226,22 @@ class World:
             case Disarm():
                 self.armed = self.armed and not self.disarms
             case JumpTo() if self.obeys_jumps:
-                self.index, self.waited = order.index, 0.0
+                self.index, self.waited, self.leg = order.index, 0.0, None
+            case SetHome() if self.takes_home:
+                self.home_up = order.alt_amsl_m - DEPOT[2]
+                self.home_north = (order.lat_deg - DEPOT[0]) * M_PER_DEG
             case SetGroundSpeed():
                 self.speed = order.ground_speed_mps
             case Release():
                 self.loaded = self.loaded and not self.gripper_works
             case _:
                 return
+
+    def goal_height(self, item_height: float) -> float:
+        """As both autopilots: an item's height above home counts from when it is begun."""
+        if self.leg is None or self.leg[0] != self.index:
+            self.leg = (self.index, item_height + self.home_up)
+        return self.leg[1]
 
     def fly(self, dt_s: float) -> None:
         """Follow the mission, by itself."""
@@ -245,6 +268,9 @@ class World:
         goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
         if item.kind is ItemKind.TAKEOFF:
             goal_n, goal_e = self.north, self.east
+        goal_up = self.goal_height(item.spot.height_rel_m)
+        if item.kind is ItemKind.LAND:
+            goal_up = item.spot.height_rel_m  # down to the ground, wherever home is
         away = math.dist((goal_n, goal_e), (self.north, self.east))
         step = min(away, self.speed * dt_s, 0.8 * away + 0.05)
         if away > 0.0:
@@ -252,10 +278,10 @@ class World:
             self.velocity = (north / dt_s, east / dt_s, 0.0)
             self.north, self.east = self.north + north, self.east + east
         if item.kind is not ItemKind.LAND or away < 2.0:
-            climb = max(-3.0 * dt_s, min(3.0 * dt_s, item.spot.height_rel_m - self.height))
+            climb = max(-3.0 * dt_s, min(3.0 * dt_s, goal_up - self.height))
             self.height += climb
             self.velocity = (*self.velocity[:2], -climb / dt_s)
-        if away < 2.0 and abs(self.height - item.spot.height_rel_m) < 0.3:
+        if away < 2.0 and abs(self.height - goal_up) < 0.3:
             if item.kind is ItemKind.LAND:
                 self.armed = not self.disarms
                 return
@@ -274,18 +300,21 @@ class World:
                 DEPOT[0] + self.north / M_PER_DEG,
                 DEPOT[1] + self.east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
                 DEPOT[2] + self.height,
-                self.height,
+                self.height - self.home_up,
                 *self.velocity,
             ),
             ev.GnssFix(t, self.gnss),
             ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
-            ev.MissionProgress(t, self.index, len(self.items) or None),
+            ev.MissionProgress(t, self.index, len(self.items) or None, None, self.mission_id),
             ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
         ]
         if round(t * 10) % 5 == 0:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
         if not self.streams:
             found = [event for event in found if isinstance(event, ev.VehicleState)]
+        if round(t * 10) % 20 == 0:
+            north_deg = self.home_north / M_PER_DEG
+            found.append(ev.Home(t, DEPOT[0] + north_deg, DEPOT[1], DEPOT[2] + self.home_up))
         return [event for event in found if type(event) not in self.mute]
 
     def reboot(self, mode: Mode) -> None:

@@ -233,12 +233,6 @@ def test_one_late_message_from_before_our_own_jump_is_no_other_hand():
     assert w.to_the_end().outcome == "SUC"
 
 
-def test_safety_rule_1_another_mission_aboard_takes_over():
-    w = reach(Phase.OUTBOUND)
-    w.tell(ev.MissionProgress(w.t_s, 3, total=5))
-    assert w.pilot.phase is Phase.SUSPENDED
-
-
 def test_safety_rule_1_it_never_disarms_in_the_air():
     w = world()
     w.to_the_end()

@@ -1,0 +1,156 @@
+"""Safety rule 2 in flight: the list aboard stays ours, or nothing rests on it (fake vehicle)."""
+
+from dataclasses import replace
+
+import pytest
+
+from companion.core.mission import events as ev
+from companion.core.mission.actions import JumpTo, ReadMissionBack, SetMode, UploadMission
+from companion.core.mission.events import Mode
+from companion.core.mission.mission_items import MissionItem
+from companion.core.pilot.transitions import Phase
+from tests.companion.pilot.fake_vehicle import World, world
+
+FLOWN = [Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER, Phase.RELEASE, Phase.RETURN]
+ID, OTHER_ID = 7, 8
+
+
+def reach(phase: Phase, mission_id: int | None = ID) -> World:
+    w = world()
+    w.mission_id = mission_id
+    return w.until(phase)
+
+
+def dragged(items: tuple[MissionItem, ...]) -> tuple[MissionItem, ...]:
+    """Every place 1.5 km to the north."""
+    return tuple(
+        i if i.spot is None else replace(i, spot=replace(i.spot, lat_deg=i.spot.lat_deg + 0.0135))
+        for i in items
+    )
+
+
+def edits(w: World) -> dict[str, tuple[MissionItem, ...]]:
+    items = w.items
+    return {
+        "dragged": dragged(items),
+        "shorter": items[:-3],
+        "longer": (*items, *items[-3:]),
+        "reversed": (items[0], *items[:0:-1]),
+    }
+
+
+def put_aboard(w: World, items: tuple[MissionItem, ...]) -> None:
+    w.items, w.leg = items, None
+    w.mission_id = None if w.mission_id is None else OTHER_ID
+
+
+def uploads(w: World, after_s: float) -> list[UploadMission]:
+    return [a for a in w.orders_after(after_s) if isinstance(a, UploadMission)]
+
+
+@pytest.mark.parametrize("phase", FLOWN)
+@pytest.mark.parametrize("edit", ["dragged", "shorter", "longer", "reversed"])
+def test_safety_rule_2_a_list_that_another_hand_uploads_is_replaced_by_ours_and_it_comes_home(
+    phase, edit
+):
+    w = reach(phase)
+    ours, changed_s = w.items, w.t_s
+    put_aboard(w, edits(w)[edit])
+    done = w.to_the_end()
+    assert w.items == ours
+    assert len(uploads(w, changed_s)) == 1
+    assert {"mission_in_doubt", "mission_changed", "mission_restored"} <= set(w.kinds)
+    assert "mission changed by another: restoring ours" in w.said
+    assert done.home
+    assert abs(w.north) < 3.0
+    assert done.delivered is (phase is Phase.RETURN)
+
+
+def test_safety_rule_2_without_an_id_the_slow_reading_finds_a_dragged_item():
+    w = reach(Phase.OUTBOUND, mission_id=None)
+    put_aboard(w, dragged(w.items))
+    w.run(lambda w: "mission_restored" in w.kinds, 60.0)
+    assert w.to_the_end().home
+
+
+def test_safety_rule_2_no_jump_and_no_promise_rests_on_a_list_in_doubt():
+    w = reach(Phase.OUTBOUND)
+    w.takes_uploads = False
+    changed_s = w.t_s
+    put_aboard(w, dragged(w.items))
+    for _ in range(100):
+        w.step()
+    assert not [a for a in w.orders_after(changed_s) if isinstance(a, JumpTo)]
+    assert w.pilot.fresh_assessment is None
+
+
+def test_safety_rule_2_where_our_list_cannot_be_put_back_rtl_brings_it_home():
+    w = reach(Phase.OUTBOUND)
+    w.takes_uploads = False
+    put_aboard(w, dragged(w.items))
+    w.until(Phase.LAST_RESORT)
+    assert w.mode is Mode.RTL
+    assert "our mission cannot be put back" in w.said
+
+
+def test_safety_rule_2_a_list_that_is_changed_again_is_not_fought_over():
+    w = reach(Phase.OUTBOUND)
+    changed_s = w.t_s
+    put_aboard(w, dragged(w.items))
+    w.run(lambda w: "mission_restored" in w.kinds, 60.0)
+    put_aboard(w, dragged(w.items))
+    w.mission_id = 9
+    w.until(Phase.LAST_RESORT)
+    assert len(uploads(w, changed_s)) == 1
+    assert SetMode(Mode.RTL) in w.orders_after(changed_s)
+
+
+def test_what_is_overheard_is_read_at_once_and_costs_nothing_when_the_list_is_ours():
+    w = reach(Phase.OUTBOUND)
+    w.tell(ev.MissionTouched(w.t_s, "255/190 wrote the mission"))
+    done = w.to_the_end()
+    assert (done.outcome, done.delivered) == ("SUC", True)
+    assert {"mission_in_doubt", "mission_proven"} <= set(w.kinds)
+
+
+def test_one_message_with_another_total_is_read_and_not_believed():
+    w = reach(Phase.OUTBOUND)
+    w.tell(ev.MissionProgress(w.t_s, 3, total=5))
+    assert w.to_the_end().outcome == "SUC"
+
+
+def test_a_list_that_is_written_to_while_it_is_read_is_read_again():
+    w = reach(Phase.OUTBOUND)
+    w.tell(ev.MissionTouched(w.t_s, "another"))
+    w.tell(ev.MissionTouched(w.t_s, "another"))
+    read = w.reads
+    w.step()
+    w.step()
+    assert w.reads == read + 1
+    assert w.kinds.count("mission_proven") == 1
+
+
+def test_where_an_id_is_told_nothing_is_read_in_flight():
+    w = reach(Phase.CLIMB)
+    read = w.reads
+    w.to_the_end()
+    assert w.reads == read
+
+
+def test_where_none_is_told_it_is_read_slowly_again_and_again():
+    w = reach(Phase.CLIMB, mission_id=None)
+    began_s = w.t_s
+    w.until(Phase.LAND)
+    asked = [a for a in w.orders_after(began_s) if isinstance(a, ReadMissionBack)]
+    assert len(asked) >= 2
+    assert all(order.pace_s > 0.0 for order in asked)
+
+
+def test_safety_rule_1_while_another_hand_has_the_vehicle_nothing_is_put_aboard():
+    w = reach(Phase.OUTBOUND)
+    w.tell(ev.ControlTaken(w.t_s, "255/190"))
+    taken_s = w.t_s
+    put_aboard(w, dragged(w.items))
+    for _ in range(100):
+        w.step()
+    assert w.orders_after(taken_s) == []
