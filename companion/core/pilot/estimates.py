@@ -84,6 +84,8 @@ class Estimates:
         self._battery_s: float | None = None
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
+        self.draw_change = ""
+        """In words, at the tick at which the draw was found changed for good."""
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -93,6 +95,7 @@ class Estimates:
     def observe(self, now: TelemetryState, autopilot_kind: AutopilotKind) -> tuple[str, ...]:
         """Take the telemetry at a tick; returns new warnings, in words."""
         t_s = now.t_s
+        self.draw_change = ""
         if self._battery_due(t_s):
             self._battery_s = t_s
             self._observe_battery(now, autopilot_kind, t_s)
@@ -126,7 +129,7 @@ class Estimates:
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
-            self._scale.observe(BATTERY_EVERY_S, battery.voltage_v * current_a, modelled_w)
+            self._compare_power(battery.voltage_v * current_a, modelled_w, now.current_age_s)
         self._ledger.observe(
             BatteryObservation(
                 t_s=t_s,
@@ -150,6 +153,11 @@ class Estimates:
                 modelled_power_w=modelled_w,
             )
         )
+
+    def _compare_power(self, measured_w: float, modelled_w: float, age_s: float) -> None:
+        if self._scale.observe(BATTERY_EVERY_S, measured_w, modelled_w, age_s):
+            error = self._scale.error()
+            self.draw_change = f"draw {error.scale:.1f} +- {error.std:.1f} times the model's"
 
     def _is_steady(self, now: TelemetryState) -> bool:
         """In the air, above the ground's turbulence, with a valid wind estimate."""

@@ -1,5 +1,6 @@
 """The newest telemetry of the vehicle, its age, and whether it is good enough to act on."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 from companion.core.mission.events import (
@@ -109,6 +110,12 @@ class TelemetryState:
                 value = getattr(self.battery, name)
             fields[name] = value
         return Battery(new.t_s, **fields)
+
+    @property
+    def current_age_s(self) -> float:
+        """How long ago the battery last told its current; infinite where it never did."""
+        told_s = self._battery_times.get("current_a")
+        return math.inf if told_s is None else self.t_s - told_s
 
     def forget(self) -> None:
         """Drop every sample: the autopilot rebooted."""

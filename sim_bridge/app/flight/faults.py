@@ -95,6 +95,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.refused |= ARMING
         case "home_moves":
             craft.ask_home(fault.to)
+        case "draw_rises":
+            craft.vehicle.draw_factor = fault.times
 
 
 def _end(fault: Fault, craft: Craft) -> None:
@@ -118,5 +120,7 @@ def _end(fault: Fault, craft: Craft) -> None:
             craft.refused -= JUMPS
         case "arming_refused":
             craft.refused -= ARMING
+        case "draw_rises":
+            craft.vehicle.draw_factor = 1.0
         case _:
             return

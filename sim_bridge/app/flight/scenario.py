@@ -29,6 +29,7 @@ FaultKind = Literal[
     "jumps_refused",
     "arming_refused",
     "home_moves",
+    "draw_rises",
 ]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
@@ -46,6 +47,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """How long it lasts; 0: for good."""
     by_s: float = 0.0
     """How far the clock jumps; back where it is negative."""
+    times: float = 1.0
+    """`draw_rises`: so many times the power for the same flight."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
     restart: bool = True
@@ -57,6 +60,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         check_range("faults.at_s", self.at_s, 0.0, 1e6)
         check_range("faults.duration_s", self.duration_s, 0.0, 1e6)
         check_range("faults.by_s", self.by_s, -1e4, 1e4)
+        check_range("faults.times", self.times, 0.1, 10.0)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 
