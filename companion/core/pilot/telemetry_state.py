@@ -51,6 +51,8 @@ class TelemetryState:
     progress: MissionProgress | None = None
     ground: GroundState | None = None
     readiness: ArmingReadiness | None = None
+    batteries: dict[int | None, Battery] = field(default_factory=dict)
+    """The newest battery message of each pack, and of the whole vehicle (`None`)."""
     _battery_times: dict[str, float] = field(default_factory=dict)
 
     def update(self, event: Event) -> None:
@@ -72,7 +74,9 @@ class TelemetryState:
             case Home():
                 self.home = event
             case Battery():
-                self.battery = self._merged(event)
+                self.batteries[event.pack] = event
+                if event.pack in (None, 0):
+                    self.battery = self._merged(event)
             case Throttle():
                 self.throttle = event
             case Airspeed():
@@ -89,7 +93,7 @@ class TelemetryState:
                 return
 
     def _merged(self, new: Battery) -> Battery:
-        """Two messages report one battery; a field stays until it is reported again or too old."""
+        """Two messages report the first battery; a field stays until told again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
             "voltage_v",
@@ -109,7 +113,7 @@ class TelemetryState:
             ):
                 value = getattr(self.battery, name)
             fields[name] = value
-        return Battery(new.t_s, **fields)
+        return Battery(new.t_s, **fields, pack=None)
 
     @property
     def current_age_s(self) -> float:
@@ -126,6 +130,7 @@ class TelemetryState:
         ):  # fmt: skip
             setattr(self, name, None)
         self._battery_times.clear()
+        self.batteries.clear()
         self.t_s = t_s
 
     def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:

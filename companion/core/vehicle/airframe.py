@@ -302,8 +302,8 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             raise LeewayError(
                 f"mass.empty_kg = {self.mass.empty_kg:g} with mass.max_payload_kg ="
                 f" {self.mass.max_payload_kg:g}: needs {needed_n:.0f} N of thrust at"
-                f" {self.speeds.max_tilt_deg:g} degrees, expected at most {available_n:.0f} N, which"
-                f" rotors by power_rotor give at Mach 0.6 at the tips"
+                f" {self.speeds.max_tilt_deg:g} degrees, expected at most {available_n:.0f} N,"
+                f" which rotors by power_rotor give at Mach 0.6 at the tips"
             )
 
     def _check_hover_power(self) -> None:
