@@ -42,8 +42,9 @@ class AttitudeCommand(Protocol):
 class Vehicle:
     """A vehicle that stands on the ground until it is flown. Time starts at 0.
 
-    Faults to set: `release_fails` (the gripper is stuck), those of `sensors`, and
-    `fail_motors()`. Losing the battery or hitting the ground hard stops the motors for good.
+    Faults to set: `release_fails` (the gripper is stuck), `draw_factor` (ice, a worn motor: so many
+    times the power for the same flight), those of `sensors`, and `fail_motors()`. Losing the
+    battery or hitting the ground hard stops the motors for good.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Vehicle:
         self._motors_failed = False
         self._crashed = False
         self.release_fails = False
+        self.draw_factor = 1.0
 
     @property
     def battery(self) -> Battery:
@@ -237,7 +239,7 @@ class Vehicle:
     def _draw_power(self, dt_s: float) -> None:
         body = self._body
         power_w = self._rotors.electric_w(body.thrust_n, body.airspeed_mps, body.useful_w)
-        self._battery.step(power_w, dt_s)
+        self._battery.step(self.draw_factor * power_w, dt_s)
         if self._battery.cut_off:
             self._motors_failed = True
 

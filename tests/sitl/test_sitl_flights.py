@@ -35,6 +35,10 @@ def gate_closed_and_home(flown) -> bool:
     return bool(closed) and flown.row["home"] and flown.row["margin_wh"] >= 0.0
 
 
+def draw_told_and_home(flown) -> bool:
+    return "times the model's" in flown.said and gate_closed_and_home(flown)
+
+
 def wind_known(flown) -> bool:
     rmse, nees = flown.row["wind_rmse_mps"], flown.row["wind_nees"]
     return rmse is not None and rmse < 1.0 and nees < 6.0
@@ -174,6 +178,14 @@ GROWING = {
     },
 }
 
+# Far, with energy to spare for the vehicle as its file describes it. 1.7 times that draw ends it
+# under the reserve unless the way home begins at once.
+DRAW_RISES = {
+    "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
+    "vehicle": {"charge_frac": 0.5},
+    "faults": [fault("draw_rises", phase="outbound", at_s=4.0, times=1.7)],
+}
+
 CASES = [
     Case("a parcel is delivered and the vehicle comes home", delivered_and_home, {}, LOW),
     Case(
@@ -181,6 +193,13 @@ CASES = [
         gate_closed_and_home,
         GROWING,
         GROWING,
+        canary_gate=False,
+    ),
+    Case(
+        "safety rule 4: a draw that rises in flight closes the gate, and it lands with its reserve",
+        draw_told_and_home,
+        DRAW_RISES,
+        DRAW_RISES,
         canary_gate=False,
     ),
     Case(

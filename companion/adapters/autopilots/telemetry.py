@@ -54,6 +54,8 @@ MULTIROTORS = (
 PLAIN_NAMES = {"surface boat": "boat", "ground rover": "rover"}
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 LEAST_UNIX_S = 1.0e9  # 2001: before that a clock counts from its own start
+OTHER_PACKS = (mavlink.MAV_BATTERY_FUNCTION_AVIONICS, mavlink.MAV_BATTERY_FUNCTION_PAYLOAD)
+"""Packs that no motor draws from."""
 UNKNOWN_U16 = 65535
 MISSION_CHANGED = "Auto mission changed"
 """How ArduCopter tells everybody that an item near the one that it flies was rewritten."""
@@ -137,7 +139,7 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
         case "SYS_STATUS":
             return _system_status(message, t_s)
         case "BATTERY_STATUS":
-            return _battery(message, t_s) if message.id == 0 else []
+            return _battery(message, t_s)
         case "VFR_HUD":
             return _hud(message, profile, values, t_s)
         case "MISSION_CURRENT":
@@ -218,6 +220,8 @@ def _system_status(message: Any, t_s: float) -> list[Event]:
 
 
 def _battery(message: Any, t_s: float) -> list[Event]:
+    if message.battery_function in OTHER_PACKS:
+        return []
     # Voltages of the cells: 65535 is "no such cell"; a value of 65534 continues in the next.
     cells = [mv for mv in message.voltages if mv < UNKNOWN_U16]
     voltage_v = sum(cells) / 1000.0 if cells and sum(cells) > 0 else None
@@ -237,6 +241,7 @@ def _battery(message: Any, t_s: float) -> list[Event]:
             temperature_c=(
                 message.temperature / 100.0 if message.temperature != UNKNOWN_I16 else None
             ),
+            pack=message.id,
         )
     ]
 

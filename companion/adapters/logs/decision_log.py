@@ -124,6 +124,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "consumed_j": MAYBE,
         "remaining_frac": MAYBE,
         "temperature_c": MAYBE,
+        "pack": {"type": ["integer", "null"]},
     },
     "heard_throttle": {"t_s": NUMBER, "throttle_frac": NUMBER},
     "heard_airspeed": {"t_s": NUMBER, "forward_mps": NUMBER, "is_magnitude": FLAG},
@@ -166,17 +167,26 @@ class HeardRows:
     """Tells what is new in the situation since the last time, as rows for the decision log."""
 
     def __init__(self) -> None:
-        self._last: dict[str, Event] = {}
+        self._last: dict[tuple[str, int | None], Event] = {}
 
     def new(self, now: TelemetryState) -> list[tuple[str, dict[str, Any]]]:
         """Return (topic, row) of every sample that came since the last call."""
         rows: list[tuple[str, dict[str, Any]]] = []
         for name, (topic, _) in HEARD.items():
-            sample: Event | None = getattr(now, name)
-            if sample is not None and sample is not self._last.get(name):
-                self._last[name] = sample
-                rows.append((topic, msgspec.to_builtins(sample)))
+            for sample in _samples(now, name):
+                key = name, sample.pack if isinstance(sample, Battery) else None
+                if sample is not self._last.get(key):
+                    self._last[key] = sample
+                    rows.append((topic, msgspec.to_builtins(sample)))
         return rows
+
+
+def _samples(now: TelemetryState, name: str) -> list[Event]:
+    """The newest of this part of the situation: of batteries, one message of each source."""
+    if name == "battery":
+        return list(now.batteries.values())
+    sample: Event | None = getattr(now, name)
+    return [] if sample is None else [sample]
 
 
 class DecisionLog:

@@ -133,7 +133,10 @@ class Home(Event):
 
 @dataclass(frozen=True, slots=True)
 class Battery(Event):
-    """What the battery monitor knows; each field `None` where it knows nothing."""
+    """What the battery monitor knows; each field `None` where it knows nothing.
+
+    `pack`: whose (BATTERY_STATUS.id); `None` for what speaks of the whole vehicle (SYS_STATUS).
+    """
 
     voltage_v: float | None = None
     current_a: float | None = None
@@ -141,6 +144,7 @@ class Battery(Event):
     consumed_j: float | None = None
     remaining_frac: float | None = None
     temperature_c: float | None = None
+    pack: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

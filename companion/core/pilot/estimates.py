@@ -1,16 +1,17 @@
 """Estimates of wind and energy, and the gate's answer from them; updated at every tick."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from companion.core.base.geo import Ned
-from companion.core.mission.events import AutopilotKind, AutopilotWind
+from companion.core.mission.events import AutopilotKind, AutopilotWind, Battery
 from companion.core.mission.flight_file import Flight
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
     ATTITUDE_MAX_AGE_S,
     BATTERY_MAX_AGE_S,
     POSITION_MAX_AGE_S,
+    THROTTLE_MAX_AGE_S,
     WIND_MAX_AGE_S,
     TelemetryState,
 )
@@ -29,6 +30,13 @@ from companion.core.wind.process import WindProcessParams
 BATTERY_EVERY_S = 0.2
 STEADY_HEIGHT_M = 10.0
 """Above this height measured power is compared with the model's."""
+
+IDLE_THRUST = 0.15
+"""Thrust command with which no multirotor hovers (it takes 0.3 to 0.6); PX4 keeps 0.12
+(MPC_THR_MIN) until it detects the landing, ArduCopter less."""
+
+IDLE_POWER_FRAC = 0.5
+"""Of the empty vehicle's hover: the best speed of a multirotor takes about 0.8 of it."""
 
 HURRY_EVERY_S = 20.0
 """How often the fastest airspeed is searched for, where the operator asks for it."""
@@ -82,8 +90,11 @@ class Estimates:
         self._gate_params: GateParams | None = None
         self.wind: WindBelief | None = None
         self._battery_s: float | None = None
+        self._heard: dict[int | None, Battery] = {}
         self._left_out: set[str] = set()
         self._warned: set[str] = set()
+        self.draw_change = ""
+        """In words, at the tick at which the draw was found changed for good."""
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -93,6 +104,7 @@ class Estimates:
     def observe(self, now: TelemetryState, autopilot_kind: AutopilotKind) -> tuple[str, ...]:
         """Take the telemetry at a tick; returns new warnings, in words."""
         t_s = now.t_s
+        self.draw_change = ""
         if self._battery_due(t_s):
             self._battery_s = t_s
             self._observe_battery(now, autopilot_kind, t_s)
@@ -126,30 +138,27 @@ class Estimates:
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
-            self._scale.observe(BATTERY_EVERY_S, battery.voltage_v * current_a, modelled_w)
-        self._ledger.observe(
-            BatteryObservation(
-                t_s=t_s,
-                at_rest=now.state is not None and not now.armed and not now.airborne,
-                voltage_v=battery.voltage_v if battery else None,
-                current_a=current_a,
-                consumed_mah=(
-                    battery.consumed_ah * 1000.0
-                    if battery and battery.consumed_ah is not None
-                    else None
-                ),
-                consumed_wh=(
-                    battery.consumed_j / 3600.0
-                    if battery and battery.consumed_j is not None
-                    else None
-                ),
-                remaining_frac=battery.remaining_frac if battery else None,
-                # PX4's SIH counts a percentage down by time and knows no current.
-                remaining_is_timer=autopilot_kind is AutopilotKind.PX4 and current_a is None,
-                temperature_c=battery.temperature_c if battery else None,
-                modelled_power_w=modelled_w,
-            )
+            self._compare_power(battery.voltage_v * current_a, modelled_w, now.current_age_s)
+        seen = BatteryObservation(
+            t_s=t_s,
+            at_rest=now.state is not None and not now.armed and not now.airborne,
+            voltage_v=battery.voltage_v if battery else None,
+            current_a=current_a,
+            # PX4's SIH counts a percentage down by time and knows no current.
+            remaining_is_timer=autopilot_kind is AutopilotKind.PX4 and current_a is None,
+            temperature_c=battery.temperature_c if battery else None,
+            modelled_power_w=modelled_w,
         )
+        told = [new for new in now.batteries.values() if new is not self._heard.get(new.pack)]
+        self._heard.update({new.pack: new for new in told})
+        # The first of several takes the time; the others tell their counters at the same instant.
+        for one in [_told_by(seen, new) for new in told] or [seen]:
+            self._ledger.observe(one)
+
+    def _compare_power(self, measured_w: float, modelled_w: float, age_s: float) -> None:
+        if self._scale.observe(BATTERY_EVERY_S, measured_w, modelled_w, age_s):
+            error = self._scale.error()
+            self.draw_change = f"draw {error.scale:.1f} +- {error.std:.1f} times the model's"
 
     def _is_steady(self, now: TelemetryState) -> bool:
         """In the air, above the ground's turbulence, with a valid wind estimate."""
@@ -160,7 +169,9 @@ class Estimates:
     def _modelled_power_w(self, now: TelemetryState) -> float | None:
         if not now.armed:
             return None
-        if now.on_ground or not now.is_fresh(now.position, POSITION_MAX_AGE_S):
+        if now.on_ground or self._idles(now):
+            return self._airframe.power_rotor.avionics_w
+        if not now.is_fresh(now.position, POSITION_MAX_AGE_S):
             return self.route_energy.hover_power_w(self.payload_kg)
         position = now.position
         assert position is not None
@@ -169,6 +180,19 @@ class Estimates:
             wind_n, wind_e = (float(x) for x in self.wind.mean_to_ne_mps)
         airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
         return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
+
+    def _idles(self, now: TelemetryState) -> bool:
+        """Armed with motors that carry nothing, though no landing was detected.
+
+        Two witnesses that share no sensor: the thrust command, and the current drawn.
+        """
+        battery, throttle = now.battery, now.throttle
+        if battery is None or throttle is None or now.current_age_s > BATTERY_MAX_AGE_S:
+            return False
+        if not now.is_fresh(throttle, THROTTLE_MAX_AGE_S) or throttle.throttle_frac > IDLE_THRUST:
+            return False
+        drawn_w = (battery.voltage_v or 0.0) * (battery.current_a or 0.0)
+        return 0.0 < drawn_w < IDLE_POWER_FRAC * self.route_energy.hover_power_w(0.0)
 
     def _observe_wind(self, now: TelemetryState, t_s: float) -> tuple[str, ...]:
         position = now.position if now.is_fresh(now.position, POSITION_MAX_AGE_S) else None
@@ -302,6 +326,18 @@ class Estimates:
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
         self._accepted_loss = kept.accepted_loss
+
+
+def _told_by(seen: BatteryObservation, message: Battery) -> BatteryObservation:
+    """The same instant with the counters and the percentage of one message."""
+    ah, joule = message.consumed_ah, message.consumed_j
+    return replace(
+        seen,
+        consumed_mah=None if ah is None else ah * 1000.0,
+        consumed_wh=None if joule is None else joule / 3600.0,
+        remaining_frac=message.remaining_frac,
+        source="vehicle" if message.pack is None else f"pack {message.pack}",
+    )
 
 
 def _as_good(faster: Assessment, seen: Assessment, max_loss: float) -> bool:

@@ -55,6 +55,7 @@ class LandingState:
     disarm_asked_s: float | None = None
     disarms_asked: int = 0
     landed_s: float | None = None
+    energy_touched_down: EnergyBelief | None = None
     energy_landed: EnergyBelief | None = None
 
 
@@ -92,10 +93,11 @@ class Landing:
             return
         down = telemetry.ground is not None and telemetry.ground.ground is Ground.ON_GROUND
         if not (down or self._stands_still(context)):
-            state.still_since_s = None
+            state.still_since_s = state.energy_touched_down = None
             return
         if state.still_since_s is None:
             state.still_since_s = context.t_s
+            state.energy_touched_down = context.estimates.energy
         waited_s = context.since_s(state.still_since_s)
         if waited_s < (LANDED_AFTER_S if down else STILL_S):
             return
@@ -190,8 +192,8 @@ class Landing:
         state = self._state
         if state.landed_s is None:
             state.landed_s = context.t_s
-            # Before our own settings change the percentage.
-            state.energy_landed = context.estimates.energy
+            # At touch-down: what idles on the ground is no part of the flight.
+            state.energy_landed = state.energy_touched_down or context.estimates.energy
             context.decide("landed", "on the ground")
             if self._settings.settings_before:
                 self._put_settings_back(context)

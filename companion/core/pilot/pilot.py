@@ -302,6 +302,8 @@ class Pilot:
             return
         for words in context.estimates.observe(context.telemetry, context.autopilot):
             context.do(Note(words))
+        if context.estimates.draw_change:
+            context.say(Severity.WARNING, context.estimates.draw_change)
         if late:
             return
         if context.phase is Phase.RECOGNISE:

@@ -5,6 +5,7 @@ moved in flight by anybody. Once the vehicle has taken off, every height is AMSL
 the ground that it took off from, whatever the autopilot's home is by then.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 from companion.core.mission.events import (
@@ -69,6 +70,8 @@ class TelemetryState:
     """The ground that it took off from; `None` before: heights are above the autopilot's home."""
     home_sunk_m: float = 0.0
     """By how much the autopilot's home lies below that ground now."""
+    batteries: dict[int | None, Battery] = field(default_factory=dict)
+    """The newest battery message of each pack, and of the whole vehicle (`None`)."""
     _battery_times: dict[str, float] = field(default_factory=dict)
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
@@ -93,7 +96,9 @@ class TelemetryState:
             case Home():
                 self.home = event
             case Battery():
-                self.battery = self._merged(event)
+                self.batteries[event.pack] = event
+                if event.pack in (None, 0):
+                    self.battery = self._merged(event)
             case Throttle():
                 self.throttle = event
             case Airspeed():
@@ -142,7 +147,7 @@ class TelemetryState:
         return replace(told, height_rel_m=told.height_rel_m - self.home_sunk_m)
 
     def _merged(self, new: Battery) -> Battery:
-        """Two messages report one battery; a field stays until it is reported again or too old."""
+        """Two messages report the first battery; a field stays until told again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
             "voltage_v",
@@ -162,7 +167,13 @@ class TelemetryState:
             ):
                 value = getattr(self.battery, name)
             fields[name] = value
-        return Battery(new.t_s, **fields)
+        return Battery(new.t_s, **fields, pack=None)
+
+    @property
+    def current_age_s(self) -> float:
+        """How long ago the battery last told its current; infinite where it never did."""
+        told_s = self._battery_times.get("current_a")
+        return math.inf if told_s is None else self.t_s - told_s
 
     def forget(self) -> None:
         """Drop every sample: the autopilot rebooted."""
@@ -175,6 +186,7 @@ class TelemetryState:
         self._battery_times.clear()
         self._disarmed_reports = 0
         self.disarmed_since_s = None
+        self.batteries.clear()
         self.t_s = t_s
 
     def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:

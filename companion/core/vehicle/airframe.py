@@ -16,6 +16,12 @@ from companion.core.base.errors import LeewayError, check_range
 MULTIROTOR = "multirotor"
 """The kind of vehicle that the models in this room describe, in the words of the log readers."""
 
+_GRAVITY_MPS2 = 9.80665
+_SEA_LEVEL_KGPM3 = 1.225
+_MOST_TIP_MPS = 204.0
+"""Mach 0.6 at sea level: beyond it a propeller's tips meet compressibility (Leishman, 7.9), and no
+delivery multirotor is geared to turn that fast."""
+
 LOW_ABOVE_CUTOFF_V = 0.05
 """A cell's voltage at the autopilot's low-battery action, above the cut-off."""
 
@@ -244,6 +250,14 @@ class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Loaded voltage of the pack at which an autopilot should act by itself."""
         return self.cells * (self.cutoff_cell_v + LOW_ABOVE_CUTOFF_V)
 
+    @property
+    def most_power_w(self) -> float:
+        """What a full pack gives at its cut-off voltage; infinite without resistance."""
+        cutoff_v, full_v = self.cells * self.cutoff_cell_v, self.cells * self.ocv_cell_v[-1]
+        if self.resistance_ohm == 0.0:
+            return math.inf
+        return cutoff_v * max(full_v - cutoff_v, 0.0) / self.resistance_ohm
+
     def usable_wh(self, draw_w: float, temperature_c: float, health_frac: float) -> float:
         """What a full pack gives at this draw until cut-off, Wh."""
         loss = self.usable_loss_per_w * max(draw_w - self.usable_at_w, 0.0)
@@ -272,6 +286,39 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """The multirotor power model."""
     battery: BatteryPack
     """The pack."""
+
+    def __post_init__(self) -> None:
+        self._check_thrust()
+        self._check_hover_power()
+
+    def _check_thrust(self) -> None:
+        """Rotors of this size must carry all of it, leant as far as the autopilot commands."""
+        heaviest_kg = self.mass_kg(self.mass.max_payload_kg)
+        needed_n = heaviest_kg * _GRAVITY_MPS2 / math.cos(self.speeds.max_tilt_rad)
+        rotor = self.power_rotor
+        disc_kgpm = _SEA_LEVEL_KGPM3 * rotor.disc_area_m2
+        available_n = rotor.thrust_coefficient * disc_kgpm * _MOST_TIP_MPS**2
+        if needed_n > available_n:
+            raise LeewayError(
+                f"mass.empty_kg = {self.mass.empty_kg:g} with mass.max_payload_kg ="
+                f" {self.mass.max_payload_kg:g}: needs {needed_n:.0f} N of thrust at"
+                f" {self.speeds.max_tilt_deg:g} degrees, expected at most {available_n:.0f} N,"
+                f" which rotors by power_rotor give at Mach 0.6 at the tips"
+            )
+
+    def _check_hover_power(self) -> None:
+        """A full pack must carry the hover without a parcel above its cut-off voltage."""
+        rotor, battery = self.power_rotor, self.battery
+        weight_n = self.mass.empty_kg * _GRAVITY_MPS2
+        # Momentum theory's least power for this thrust (Leishman, 2.2): no vehicle needs less.
+        ideal_w = weight_n * math.sqrt(weight_n / (2.0 * _SEA_LEVEL_KGPM3 * rotor.disc_area_m2))
+        needed_w = rotor.induced_factor * ideal_w / rotor.drive_efficiency
+        if needed_w > battery.most_power_w:
+            raise LeewayError(
+                f"mass.empty_kg = {self.mass.empty_kg:g}: needs at least {needed_w:.0f} W to hover,"
+                f" expected at most {battery.most_power_w:.0f} W, which a full pack by battery"
+                f" gives above its cut-off"
+            )
 
     def mass_kg(self, payload_kg: float) -> float:
         """Flying mass with this parcel."""

@@ -1,8 +1,9 @@
-"""Usable energy left, from whatever the autopilot measures (safety rule 4). It only ever falls.
+"""Usable energy left, from what the autopilot measures (safety rule 4): in flight it falls only.
 
 It starts from the resting voltage. Each source (current counter, percentage, power model) tells
-what was consumed since; the one that tells most is believed. Energies are in Wh, as on battery
-labels.
+what was consumed since; the one that tells most is believed, as far as physics allows: what falls
+faster than the vehicle can draw is doubt, a wider standard deviation, until the fall is believable.
+Energies are in Wh, as on battery labels.
 """
 
 import math
@@ -12,8 +13,10 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe, BatteryPack
+from companion.core.vehicle.battery_gauge import Gauge
+from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
 
-SNAPSHOT_FORMAT = "energy-ledger/1"
+SNAPSHOT_FORMAT = "energy-ledger/2"
 
 _GAP_S = 5.0  # longer silences are filled with the larger of the last and the modelled power
 _COUNTER_STD_FRAC = 0.03  # error of current sensors and counters, of what was consumed
@@ -23,7 +26,10 @@ _JUDGE_COUNTERS_WH = 2.0  # modelled consumption from which counters are judged
 _DISAGREE_FRAC = 0.10  # of the usable energy, between sources, for a warning
 _LOADED_CELL_STD_V = 0.035  # of a resting voltage reckoned from a loaded one (sag, diffusion)
 _LOADED_SMOOTHING_S = 30.0
-_FLICKER_FRAC = 0.03
+_DRAW_TIMES = 2.0  # of the model's greatest power: what a vehicle with ice or a dying motor drew
+_UNCONFIRMED_FRAC = 0.03  # of the usable energy: the most that one unconfirmed reading widens by
+_WHOLE_FRAC = 0.02  # sources that come in whole per cents fall by so much at once, now and then
+_NOTHING_KNOWN_FRAC = 1.0 / math.sqrt(12.0)  # anything from empty to full: no std is wider
 _CEILING_SIGMAS = 2.5
 _CEILING_SAG_FRAC = 1.75  # sag that is granted, of what the resistance says: cold, age, diffusion
 _PLAUSIBLE_CELL_V = (2.6, 4.6)
@@ -50,6 +56,8 @@ class BatteryObservation:
     remaining_is_timer: bool = False
     temperature_c: float | None = None
     modelled_power_w: float | None = None
+    source: str = "battery"
+    """Which message, of which pack, counters and percentage are from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,18 +92,14 @@ class _Counts:
     rest_samples: int = 0
     loaded_cell_v: float | None = None
     current_wh: float | None = None
-    autopilot_wh: float | None = None
-    charge_wh: float | None = None
     modelled_wh: float = 0.0
     unmeasured_wh: float = 0.0
     last_power_w: float | None = None
     last_voltage_v: float | None = None
-    last_consumed_wh: float | None = None
-    last_consumed_mah: float | None = None
-    remaining_frac: float | None = None
-    lowest_remaining_frac: float | None = None
+    gauges: dict[str, Gauge] = field(default_factory=dict)
     left_wh: float | None = None
     left_std_wh: float = 0.0
+    slack_wh: float = 0.0
     source: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -120,6 +124,7 @@ class EnergyLedger:
         self._temperature_c = temperature_c
         self._stated = charge_frac_stated
         self._counts = _Counts()
+        self._most_w = most_power_w(airframe)
         self._size()
 
     def observe(self, observation: BatteryObservation) -> None:
@@ -129,15 +134,18 @@ class EnergyLedger:
         if not math.isfinite(observation.t_s):
             raise ValueError(f"observation time {observation.t_s}")
         seen = _finite(observation)
-        if not counts.started:
+        begun = counts.started or not seen.at_rest
+        self._hear_gauge(seen, begun)
+        # Several sources may tell at one instant: it is one sample of the resting voltage.
+        if not counts.started and seen.t_s != previous_s:
             self._take_start(seen)
-            counts.started = not seen.at_rest
-        self._count_counters(seen)
-        if previous_s is not None and seen.t_s > previous_s:
-            self._integrate(seen, seen.t_s - previous_s)
+            counts.started = begun
+        dt_s = 0.0 if previous_s is None else max(seen.t_s - previous_s, 0.0)
+        if dt_s > 0.0:
+            self._integrate(seen, dt_s)
         if previous_s is None or seen.t_s > previous_s:
             counts.t_s = seen.t_s
-        self._settle(seen)
+        self._settle(seen, dt_s)
 
     def belief(self) -> EnergyBelief | None:
         """Energy left, or None while nothing at all is known."""
@@ -209,8 +217,8 @@ class EnergyLedger:
             rest_v = seen.voltage_v + (seen.current_a or 0.0) * self._battery.resistance_ohm
             std_v = _LOADED_CELL_STD_V * self._battery.cells
             return *self._charge(rest_v, std_v), "loaded voltage"
-        if seen.remaining_frac is not None and not seen.remaining_is_timer:
-            return seen.remaining_frac, 0.05, "autopilot's percentage"
+        if (told_frac := self._least_percentage()) is not None:
+            return told_frac, 0.05, "autopilot's percentage"
         if self._stated is not None:
             return self._stated, 0.05, "charge as stated"
         return _UNKNOWN_CHARGE_FRAC, _UNKNOWN_CHARGE_STD_FRAC, "nothing known of the battery"
@@ -233,46 +241,34 @@ class EnergyLedger:
 
     # -- counting ------------------------------------------------------------------------------
 
-    def _count_counters(self, seen: BatteryObservation) -> None:
-        """Consumption by the autopilot's counters; one that falls has been reset by a reboot."""
-        counts = self._counts
+    def _hear_gauge(self, seen: BatteryObservation, begun: bool) -> None:
+        """Counters and percentage of one source; of no other."""
+        counts, most_w = self._counts, self._most_w
+        gauge = counts.gauges.setdefault(seen.source, Gauge())
         if seen.consumed_wh is not None:
-            step = _counter_step(counts.last_consumed_wh, seen.consumed_wh, counts.started)
-            if counts.autopilot_wh is not None or seen.consumed_wh > 0.0:
-                counts.autopilot_wh = (counts.autopilot_wh or 0.0) + step
-            counts.last_consumed_wh = seen.consumed_wh
-        voltage_v = seen.voltage_v if self._plausible(seen.voltage_v) else counts.last_voltage_v
-        if voltage_v is None:
-            voltage_v = self._battery.cells * self._battery.ocv_cell_v[-1]
+            gauge.energy.hear(seen.t_s, seen.consumed_wh, 1.0, most_w, begun)
         if seen.consumed_mah is not None:
-            step = _counter_step(counts.last_consumed_mah, seen.consumed_mah, counts.started)
-            if counts.charge_wh is not None or seen.consumed_mah > 0.0:
-                counts.charge_wh = (counts.charge_wh or 0.0) + step * voltage_v / 1000.0
-            counts.last_consumed_mah = seen.consumed_mah
+            unit_wh = self._voltage_v(seen) / 1000.0
+            gauge.charge.hear(seen.t_s, seen.consumed_mah, unit_wh, most_w, begun)
         if seen.remaining_frac is not None and not seen.remaining_is_timer:
-            self._count_percentage(seen.remaining_frac)
+            full_wh, told = counts.usable_full_wh, seen.remaining_frac
+            if gauge.percentage.hear(seen.t_s, told, full_wh, most_w, begun):
+                counts.left_wh = None  # nothing was used yet: what was believed was wrong
 
-    def _count_percentage(self, now_frac: float) -> None:
-        """A percentage that jumps up has been reset: from then on only its falling counts.
-
-        Small rises are flicker: one message's percentage differs from another's by 1.
-        """
-        counts = self._counts
-        lowest = counts.lowest_remaining_frac
-        if counts.remaining_frac is None or lowest is None:
-            counts.remaining_frac = counts.lowest_remaining_frac = now_frac
-        elif now_frac > lowest + _FLICKER_FRAC:
-            counts.lowest_remaining_frac = now_frac
-        elif now_frac < lowest:
-            counts.remaining_frac = max(counts.remaining_frac - (lowest - now_frac), 0.0)
-            counts.lowest_remaining_frac = now_frac
+    def _voltage_v(self, seen: BatteryObservation) -> float:
+        """The voltage to price a charge by: the newest that fits the pack."""
+        voltage_v = seen.voltage_v if self._plausible(seen.voltage_v) else None
+        voltage_v = voltage_v or self._counts.last_voltage_v
+        return voltage_v or self._battery.cells * self._battery.ocv_cell_v[-1]
 
     def _integrate(self, seen: BatteryObservation, dt_s: float) -> None:
         counts = self._counts
         power_w = None
         if self._plausible(seen.voltage_v) and seen.voltage_v and _positive(seen.current_a):
-            power_w = seen.voltage_v * (seen.current_a or 0.0)
-        flown_w = 0.0 if seen.at_rest else (seen.modelled_power_w or self._draw_w)
+            drawn_w = seen.voltage_v * (seen.current_a or 0.0)
+            power_w = drawn_w if drawn_w <= self._most_w else None
+        modelled_w = seen.modelled_power_w
+        flown_w = 0.0 if seen.at_rest else self._draw_w if modelled_w is None else modelled_w
         if dt_s > _GAP_S and counts.started:
             believed = power_w if power_w is not None else 0.0
             power_now_w = max(believed, counts.last_power_w or 0.0)
@@ -304,7 +300,7 @@ class EnergyLedger:
 
     # -- the belief ----------------------------------------------------------------------------
 
-    def _settle(self, seen: BatteryObservation) -> None:
+    def _settle(self, seen: BatteryObservation, dt_s: float) -> None:
         counts = self._counts
         start = counts.start_wh
         if start is None:
@@ -316,10 +312,31 @@ class EnergyLedger:
             left, source = ceiling, "loaded voltage"
             warnings.append(f"voltage under load allows no more than {ceiling:.0f} Wh")
         left = max(left, 0.0)
+        possible = self._least_possible_wh(dt_s)
+        if counts.left_wh is not None:
+            counts.slack_wh = max(counts.slack_wh - (counts.left_wh - max(left, possible)), 0.0)
+        doubt = max(0.5 * (possible - left), self._unconfirmed_wh())
+        left = max(left, possible)
         if counts.left_wh is None or left <= counts.left_wh:
             counts.left_wh, counts.source = left, source
-        counts.left_std_wh = std
+        widest_wh = _NOTHING_KNOWN_FRAC * counts.usable_full_wh
+        counts.left_std_wh = min(math.hypot(std, doubt), widest_wh)
         counts.warnings = warnings
+
+    def _least_possible_wh(self, dt_s: float) -> float:
+        """What is left at least, had it drawn the most that it can and not what was counted."""
+        counts = self._counts
+        if counts.left_wh is None or not counts.started:
+            return 0.0
+        most_wh = self._most_w * dt_s / 3600.0
+        whole_wh = _WHOLE_FRAC * counts.usable_full_wh
+        counts.slack_wh = max(min(counts.slack_wh + most_wh, whole_wh), most_wh)
+        return max(counts.left_wh - counts.slack_wh, 0.0)
+
+    def _unconfirmed_wh(self) -> float:
+        """How far a reading that is not believed yet widens the belief (one sigma)."""
+        doubted = max((g.percentage.doubt_frac for g in self._counts.gauges.values()), default=0.0)
+        return min(0.5 * doubted, _UNCONFIRMED_FRAC) * self._counts.usable_full_wh
 
     def _lowest(self, start_wh: float) -> tuple[float, float, str]:
         """(left, standard deviation, source) by the source that leaves least."""
@@ -329,18 +346,36 @@ class EnergyLedger:
         frac = _MODEL_STD_FRAC if source == "power model" else _COUNTER_STD_FRAC
         std = math.hypot(counts.start_std_wh, frac * used[source])
         left, name = start_wh - used[source], f"{counts.start_source} less {source}"
-        if counts.remaining_frac is not None:
-            by_percentage = counts.remaining_frac * counts.usable_full_wh
-            if by_percentage < left:
-                left, name = by_percentage, "autopilot's percentage"
+        by_percentage = self._by_percentage_wh()
+        if by_percentage is not None and by_percentage < left:
+            left, name = by_percentage, "autopilot's percentage"
         return left, std, name
+
+    def _by_percentage_wh(self) -> float | None:
+        least = self._least_percentage()
+        return None if least is None else least * self._counts.usable_full_wh
+
+    def _least_percentage(self) -> float | None:
+        """Of the pack, or the message, that tells least."""
+        told = [g.percentage.left_frac for g in self._counts.gauges.values()]
+        return min((frac for frac in told if frac is not None), default=None)
+
+    def _most_counted_wh(self) -> tuple[float | None, float | None]:
+        """(energy counters, charge counters): the one that counted most of each."""
+        energy = [g.energy.counted_wh for g in self._counts.gauges.values()]
+        charge = [g.charge.counted_wh for g in self._counts.gauges.values()]
+        return (
+            max((wh for wh in energy if wh is not None), default=None),
+            max((wh for wh in charge if wh is not None), default=None),
+        )
 
     def _consumed(self) -> dict[str, float]:
         counts = self._counts
+        energy_wh, charge_wh = self._most_counted_wh()
         heard = {
             "voltage x current": counts.current_wh,
-            "autopilot's energy counter": counts.autopilot_wh,
-            "autopilot's charge counter": counts.charge_wh,
+            "autopilot's energy counter": energy_wh,
+            "autopilot's charge counter": charge_wh,
         }
         used = {name: wh for name, wh in heard.items() if wh is not None}
         if counts.current_wh is not None:
@@ -378,8 +413,9 @@ class EnergyLedger:
             why = "counts less than the power model" if len(used) > 1 else "measures no consumption"
             warnings.append(f"the autopilot {why}: energy by the power model")
         lefts = {name: start_wh - wh for name, wh in used.items()}
-        if counts.remaining_frac is not None:
-            lefts["autopilot's percentage"] = counts.remaining_frac * counts.usable_full_wh
+        by_percentage = self._by_percentage_wh()
+        if by_percentage is not None:
+            lefts["autopilot's percentage"] = by_percentage
         low, high = min(lefts, key=lambda n: lefts[n]), max(lefts, key=lambda n: lefts[n])
         if lefts[high] - lefts[low] > _DISAGREE_FRAC * counts.usable_full_wh:
             warnings.append(
@@ -396,11 +432,12 @@ def cutoff_charge_frac(battery: BatteryPack, draw_w: float) -> float:
     return min(battery.charge_frac_at_rest(loaded_v + sag_v), 0.9)
 
 
-def _counter_step(before: float | None, now: float, started: bool) -> float:
-    """What a counter adds. Before the start it only sets the mark; after a reset, all it shows."""
-    if before is None or not started:
-        return 0.0
-    return now - before if now >= before else now
+def most_power_w(airframe: Airframe) -> float:
+    """The most that this vehicle can draw, in trouble: loaded, climbing at its top airspeed."""
+    mass_kg = airframe.mass_kg(airframe.mass.max_payload_kg)
+    top_mps = max_airspeed_mps(airframe, mass_kg)
+    climb_mps = airframe.speeds.climb_mps
+    return _DRAW_TIMES * float(multirotor_power_w(airframe, mass_kg, top_mps, climb_mps))
 
 
 def _positive(value: float | None) -> bool:
@@ -427,4 +464,5 @@ def _finite(seen: BatteryObservation) -> BatteryObservation:
         remaining_is_timer=seen.remaining_is_timer,
         temperature_c=celsius if cold else None,
         modelled_power_w=known(seen.modelled_power_w),
+        source=seen.source,
     )

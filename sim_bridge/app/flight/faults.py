@@ -108,6 +108,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.set_autopilot_home(fault.north_m, fault.up_m)
         case "mission_set":
             craft.upload_by_another(fault.edit)
+        case "draw_rises":
+            craft.vehicle.draw_factor = fault.times
 
 
 def _end(fault: Fault, craft: Craft) -> None:
@@ -136,5 +138,7 @@ def _end(fault: Fault, craft: Craft) -> None:
             craft.refused -= JUMPS
         case "arming_refused":
             craft.refused -= ARMING
+        case "draw_rises":
+            craft.vehicle.draw_factor = 1.0
         case _:
             return

@@ -35,6 +35,7 @@ FaultKind = Literal[
     "home_moves",
     "home_set",
     "mission_set",
+    "draw_rises",
 ]
 MissionEdit = Literal["drag", "foreign", "cut", "add", "same"]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
@@ -54,6 +55,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     by_s: float = 0.0
     """How far the clock jumps (back where it is negative); how long after arming a person disarms
     what was armed, where `arming_undone`."""
+    times: float = 1.0
+    """`draw_rises`: so many times the power for the same flight."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
     edit: MissionEdit = "drag"
@@ -76,6 +79,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         check_range("faults.by_s", self.by_s, -1e4, 1e4)
         check_range("faults.up_m", self.up_m, -500.0, 500.0)
         check_range("faults.north_m", self.north_m, -1e5, 1e5)
+        check_range("faults.times", self.times, 0.1, 10.0)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 

@@ -90,6 +90,7 @@ class ScriptedJudge:
     t_s: float = 0.0
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
+    draw_change: str = ""
 
     @property
     def energy(self) -> EnergyBelief | None:

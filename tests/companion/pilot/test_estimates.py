@@ -222,3 +222,57 @@ def judgement_of(ahead: Ahead, voltage_v: float, airspeed_mps: float | None) -> 
     seen = judge.assess(ahead if airspeed_mps is None else hurried(ahead, airspeed_mps))
     assert seen is not None
     return seen
+
+
+def armed(t_s: float, now: TelemetryState, *events: ev.Event) -> TelemetryState:
+    now.update(ev.VehicleState(t_s, ev.Mode.LAND, "LAND", armed=True))
+    for event in (*events, ev.Position(t_s, 55.0, 8.0, 12.0, 0.2, 0.0, 0.0, 0.0), ev.Tick(t_s)):
+        now.update(event)
+    return now
+
+
+def counted_on_the_ground(throttle_frac: float, *, landed: bool) -> float:
+    """Wh that a minute takes of an armed vehicle that tells 40 W, then nothing of its battery."""
+    judge = judgement()
+    now = standing(1.0, ev.Battery(1.0, voltage_v=25.6, current_a=0.5))
+    judge.observe(now, ev.AutopilotKind.ARDUPILOT)
+    state = ev.GroundState(2.0, ev.Ground.ON_GROUND if landed else ev.Ground.IN_AIR)
+    for k in range(600):
+        t_s = 2.0 + 0.1 * k
+        told = (ev.Battery(t_s, voltage_v=25.6, current_a=1.6), ev.Throttle(t_s, throttle_frac))
+        judge.observe(armed(t_s, now, state, *told), ev.AutopilotKind.ARDUPILOT)
+    assert judge.energy is not None
+    return judge.energy.used_wh
+
+
+@pytest.mark.parametrize(("throttle_frac", "landed"), [(0.0, False), (0.4, True)])
+def test_safety_rule_4_no_hover_power_is_counted_on_the_ground(throttle_frac, landed):
+    # 41 W for a minute are 0.7 Wh; hover power would be 8.
+    assert counted_on_the_ground(throttle_frac, landed=landed) < 1.0
+
+
+def test_safety_rule_4_a_current_that_fails_in_a_hover_is_no_idling():
+    assert counted_on_the_ground(0.4, landed=False) > 4.0
+
+
+def test_another_packs_message_is_no_word_on_the_first_pack():
+    now = TelemetryState()
+    now.update(ev.Battery(1.0, voltage_v=22.0, remaining_frac=0.6, pack=0))
+    now.update(ev.Battery(1.5, voltage_v=24.0, remaining_frac=0.8, pack=1))
+    assert now.battery is not None
+    assert (now.battery.voltage_v, now.battery.remaining_frac) == (22.0, 0.6)
+    assert now.batteries[1].remaining_frac == 0.8
+
+
+def test_two_packs_some_points_apart_ground_nothing():
+    judge = judgement()
+    now = standing(1.0, ev.Battery(1.0, voltage_v=25.6, current_a=0.5))
+    left = []
+    for k in range(40):
+        t_s = 1.5 + 0.5 * k
+        one = ev.Battery(t_s, voltage_v=25.6, current_a=0.5, remaining_frac=0.95, pack=0)
+        other = ev.Battery(t_s, remaining_frac=0.90, pack=1)
+        judge.observe(standing(t_s, one, other, now=now), ev.AutopilotKind.ARDUPILOT)
+        assert judge.energy is not None
+        left.append(judge.energy.mean_wh / judge.energy.usable_full_wh)
+    assert left[-1] == left[0] == pytest.approx(0.90)

@@ -68,6 +68,23 @@ def test_a_number_out_of_range_is_refused_by_key(section: str, key: str, value: 
         airframe_from_dict(broken)
 
 
+def test_ten_times_the_mass_on_the_same_rotors_is_refused_with_thrust_needed_and_given() -> None:
+    heavy = table("m100")
+    heavy["mass"]["empty_kg"] = 36.5
+    # (36.5 + 1) kg * 9.80665 / cos 35 deg = 449 N; 0.0087 * 1.225 * 4 pi 0.165^2 * 204^2 = 152 N.
+    words = r"heavy\.toml: mass\.empty_kg = 36\.5 .*needs 449 N .*expected at most 152 N"
+    with pytest.raises(LeewayError, match=words):
+        airframe_from_dict(heavy, "heavy.toml")
+
+
+def test_a_pack_that_cannot_carry_the_hover_is_refused_with_both_powers() -> None:
+    weak = table("m100")
+    weak["battery"]["resistance_ohm"] = 1.0
+    # 19.8 V * (26.1 - 19.8) V / 1 ohm = 125 W; 1.396 / 0.892 of momentum theory's 234 W = 366 W.
+    with pytest.raises(LeewayError, match=r"at least 366 W to hover, expected at most 125 W"):
+        airframe_from_dict(weak)
+
+
 def test_drag_that_is_nothing_at_all_is_refused() -> None:
     broken = table("m100")
     broken["drag"]["linear_right_n_per_mps"] = 0.0
