@@ -36,9 +36,9 @@ from companion.core.mission.events import (
     LimitsChanged,
     NeighbourHeard,
 )
+from companion.core.pilot.neighbours.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.core.pilot.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe

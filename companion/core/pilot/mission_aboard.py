@@ -77,7 +77,7 @@ class AboardState:
         return self.doubted_s is not None
 
 
-class WayHome(Protocol):
+class TurnBack(Protocol):
     """The return decision."""
 
     def gate(self, context: FlightContext) -> bool:
@@ -89,7 +89,7 @@ class MissionAboard:
     """Proves the list aboard, and puts ours back once."""
 
     def __init__(
-        self, state: AboardState, gate: GateState, jumps: Jumps, decision: WayHome
+        self, state: AboardState, gate: GateState, jumps: Jumps, decision: TurnBack
     ) -> None:
         self._state = state
         self._gate = gate

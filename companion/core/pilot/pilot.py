@@ -58,7 +58,6 @@ from companion.core.mission.preflight_checks import Finding
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import FlightContext, PilotOptions
-from companion.core.pilot.desired_velocity import DesiredVelocity
 from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
 from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
@@ -67,13 +66,14 @@ from companion.core.pilot.landing import Landing
 from companion.core.pilot.landing_site import LandingSite, PromisedStop
 from companion.core.pilot.mission_aboard import AboardState, MissionAboard
 from companion.core.pilot.mission_progress import MissionFollower
+from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
+from companion.core.pilot.neighbours.setpoint_takeover import SetpointTakeover
+from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
 from companion.core.pilot.parcel_release import ParcelRelease, ParcelState
 from companion.core.pilot.position_loss import PositionLoss
 from companion.core.pilot.resume import Resume
 from companion.core.pilot.return_decision import BudgetWatch, ReturnDecision, ReturnState
-from companion.core.pilot.setpoint_takeover import SetpointTakeover
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.core.pilot.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,

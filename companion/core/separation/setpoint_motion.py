@@ -1,7 +1,7 @@
 """How one vehicle moves under velocity set-points: shared parameters, desired velocity, motion.
 
 Pure geometry in local NED. When the companion takes over is decided by
-`companion.core.pilot.setpoint_takeover`.
+`companion.core.pilot.neighbours.setpoint_takeover`.
 """
 
 import math

@@ -296,9 +296,9 @@ def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(sta
     still = Stalled(station)
     station.loop.carry_out([SetMode(Mode.MISSION)])
     still.wall_s += 6.0
-    still.arrive(1.1, 7.0, mode=4)
+    still.arrive(1.1, 7.0, mode=3)
     assert still.commands() == []
-    station.put(still.beat(4))
+    station.put(still.beat(3))
     sent = [m for k in range(1, 20) for m in still.hear(7.0 + 0.1 * k)]
     assert mavlink.MAV_CMD_DO_SET_MODE in {m.command for m in sent}
 

@@ -609,7 +609,7 @@ def test_an_autopilot_that_reboots_on_the_ground_is_asked_for_everything_again(p
     w.reboot(Mode.OTHER if clock_tells else w.mode)  # else the mode is a person's
     if clock_tells:
         w.tell(ev.ClockStepped(w.t_s, 100.0))
-    w.run(lambda w: w.pilot.phase is Phase.READY and w.t_s > back_s + 1.0)
+    w.run(lambda w: w.pilot.phase is Phase.READY and w.t_s > back_s + 5.0)
     assert {AskTelemetry, UploadMission, ReadMissionBack} <= {
         type(o) for o in w.orders_after(back_s - 0.01)
     }

@@ -15,9 +15,9 @@ from companion.core.mission.events import AutopilotKind, Mode
 from companion.core.mission.mission_items import ItemKind, Part
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.context import FlightContext, PilotOptions
-from companion.core.pilot.desired_velocity import DesiredVelocity
-from companion.core.pilot.setpoint_takeover import SetpointTakeover
-from companion.core.pilot.traffic_exchange import TrafficExchange
+from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
+from companion.core.pilot.neighbours.setpoint_takeover import SetpointTakeover
+from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.setpoint_motion import FLEET, backing_off
 from companion.core.separation.track import Track

@@ -18,7 +18,7 @@ from companion.core.mission.actions import Action, FlyVelocity, JumpTo, SetMode,
 from companion.core.mission.events import AutopilotKind, MissionProgress, Mode
 from companion.core.mission.flight_plan import DODGE_M, DODGES
 from companion.core.pilot.context import FlightContext, ItemProgress, ModeOrders
-from companion.core.pilot.desired_velocity import (
+from companion.core.pilot.neighbours.desired_velocity import (
     ASK_AGAIN_S,
     LEG_PHASES,
     LOWEST_M,
