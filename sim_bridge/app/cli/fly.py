@@ -39,7 +39,7 @@ def fly(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            help="A flight/1 TOML file, or a name in params/flights: default, recorded, truck_stop."
+            help="A flight/1 TOML file, or a name in params/flights: default, faults, recorded, truck_stop."
             " Default: default, or recorded with --wind-log."
         ),
     ] = None,
