@@ -11,7 +11,7 @@ from sim_bridge.main import app
 from sim_bridge.research.campaign.campaign import PLANNERS
 from sim_bridge.research.cli.main import OLD_SPELLINGS
 
-IN_FRONT = {"fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research"}
+IN_FRONT = {"faults", "fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research"}
 BEFORE = {
     "bench", "bench-dispatch", "campaign", "table1", "table2", "lambda-sweep", "energy-speed",
     "speed-to-fly", "towns", "frontier", "planner-bench", "estimator-bench", "paths-bench", "paths",
@@ -69,7 +69,8 @@ def test_the_campaigns_help_names_every_planner() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "names"), [("fly", "default, recorded, truck_stop"), ("day", "harbour, town")]
+    ("command", "names"),
+    [("fly", "default, faults, recorded, truck_stop"), ("day", "harbour, town")],
 )
 def test_an_unknown_flight_or_day_is_answered_with_the_names(command: str, names: str) -> None:
     done = subprocess.run(

@@ -39,8 +39,8 @@ def fly(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            help="A flight/1 TOML file, or a name in params/flights: default, recorded, truck_stop."
-            " Default: default, or recorded with --wind-log."
+            help="A flight/1 TOML file, or a name in params/flights: default, faults, recorded,"
+            " truck_stop. Default: default, or recorded with --wind-log."
         ),
     ] = None,
     autopilot: Annotated[

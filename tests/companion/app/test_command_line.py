@@ -49,7 +49,7 @@ def test_a_path_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_unknown_name_is_answered_with_the_names() -> None:
-    with pytest.raises(LeewayError, match=r"^defualt: .*default, recorded, truck_stop; .*path$"):
+    with pytest.raises(LeewayError, match=r"^defualt: .*default, faults, recorded, .*path$"):
         flight_path("defualt")
 
 
@@ -58,4 +58,4 @@ def test_an_unknown_flight_is_one_line_and_exit_code_2(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--link", "tcp:127.0.0.1:9", "--mission", "nowhere"])
     assert done.exit_code == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "default, recorded, truck_stop" in done.stderr
+    assert "default, faults, recorded, truck_stop" in done.stderr
