@@ -18,7 +18,13 @@ from companion.app.flight import run as run_module
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import BROKEN, requirements
-from companion.core.mission.actions import DropOrders, Publish, SaveCheckpoint, SetMode
+from companion.core.mission.actions import (
+    DropOrders,
+    Publish,
+    SaveCheckpoint,
+    SetGroundSpeed,
+    SetMode,
+)
 from companion.core.mission.events import LinkSilent, Mode, Tick, VehicleState
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
@@ -294,13 +300,13 @@ def test_safety_rule_1_an_order_from_before_a_stall_does_not_leave_before_it_is_
 
 def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(station):
     still = Stalled(station)
-    station.loop.carry_out([SetMode(Mode.MISSION)])
+    station.loop.carry_out([SetGroundSpeed(8.0)])
     still.wall_s += 6.0
-    still.arrive(1.1, 7.0, mode=3)
+    still.arrive(1.1, 7.0, mode=4)
     assert still.commands() == []
-    station.put(still.beat(3))
+    station.put(still.beat(4))
     sent = [m for k in range(1, 20) for m in still.hear(7.0 + 0.1 * k)]
-    assert mavlink.MAV_CMD_DO_SET_MODE in {m.command for m in sent}
+    assert mavlink.MAV_CMD_DO_CHANGE_SPEED in {m.command for m in sent}
 
 
 def test_a_stall_during_which_the_vehicles_time_stood_still_changes_nothing(station):
