@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import Ask, FlownFault, comes_home, raises_nothing
+from sim_bridge.app.faults.verdict import Ask, FlownFault, comes_home, fault_began, raises_nothing
 
 PHASES = ("ready", "climb", "outbound", "drop", "return", "land")
 """Where in a flight a fault begins; the names of the command line and of the results."""
@@ -36,6 +36,6 @@ class FaultCase:
     ends_after_s: float | None = None
 
     def wrong(self, flown: FlownFault) -> list[str]:
-        """What does not hold of a flight; nobody may raise an exception in any."""
-        found = [ask(flown) for ask in (*self.asks, raises_nothing)]
+        """What does not hold. In any flight the fault has begun, and nobody raises an exception."""
+        found = [ask(flown) for ask in (fault_began, *self.asks, raises_nothing)]
         return [words for words in found if words]

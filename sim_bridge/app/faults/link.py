@@ -17,7 +17,7 @@ TIME = "TIMESYNC"  # what simulated time stands still for: not the link's
 
 
 def lossy(stage: Stage) -> Iterator[None]:
-    """Of all messages, both ways, 30 % are lost and 30 % doubled; 30 % come 0.1 to 0.4 s late."""
+    """Of all messages, both ways, 30 % are lost and 30 % doubled; attitude is late at times."""
     yield from stage.reached()
     rng, tap = stage.rng, stage.tap
 
@@ -57,7 +57,7 @@ CASES = (
         50,
         "lossy-link",
         GROUP,
-        "30 % of all messages are lost, 30 % doubled, some late",
+        "30 % of all messages are lost, 30 % doubled; attitude is late at times",
         lossy,
         SAFE,
         FLYING,

@@ -1,7 +1,6 @@
 """Flies the rows of the suite and judges them: one flight each, side by side."""
 
 import contextlib
-import multiprocessing
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from sim_bridge.app.faults.catalogue import CATALOGUE
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
-from sim_bridge.app.flight.stopping import begin_worker
+from sim_bridge.app.flight.stopping import worker_pool
 
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
@@ -88,15 +87,8 @@ def _run(todo: Sequence[FaultTask], jobs: int) -> Iterator[tuple[int, FaultRow]]
     if jobs == 1 or len(todo) <= 1:
         yield from map(_fly_numbered, enumerate(todo))
         return
-    pool = multiprocessing.get_context("spawn").Pool(min(jobs, len(todo)), begin_worker)
-    try:
+    with worker_pool(min(jobs, len(todo))) as pool:
         yield from pool.imap_unordered(_fly_numbered, list(enumerate(todo)))
-        pool.close()
-    except BaseException:
-        pool.terminate()
-        raise
-    finally:
-        pool.join()
 
 
 def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:

@@ -5,7 +5,6 @@ What is flown is on disk at once, so a series that was stopped goes on where it 
 
 import hashlib
 import json
-import multiprocessing
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -22,7 +21,7 @@ from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.flight.fly import FlyOptions, fly
 from sim_bridge.app.flight.report import slim_table
-from sim_bridge.app.flight.stopping import begin_worker
+from sim_bridge.app.flight.stopping import worker_pool
 
 PROGRAM = Path(__file__).parents[3]
 NOT_SETTINGS = {"autopilot", "seed", "gate", "run_root", "picture", "lockstep_limit_s"}
@@ -128,20 +127,11 @@ def run_series(flights: list[FlyOptions], file: SeriesFile, jobs: int) -> list[R
     Whatever stops it, Ctrl-C and SIGTERM too, ends the workers, and each of those its companion.
     """
     left = [options for options in flights if not file.has(options)]
-    context = multiprocessing.get_context("spawn")
-    pool = context.Pool(min(jobs, max(len(left), 1)), begin_worker)
-    try:
-        with Bar(transient=True) as bar:
-            task = bar.add_task(f"{len(left)} flights", total=len(left))
-            for index, rows in _flown(pool, left):
-                file.add(left[index], rows)
-                bar.advance(task)
-        pool.close()
-    except BaseException:
-        pool.terminate()
-        raise
-    finally:
-        pool.join()
+    with worker_pool(min(jobs, max(len(left), 1))) as pool, Bar(transient=True) as bar:
+        task = bar.add_task(f"{len(left)} flights", total=len(left))
+        for index, rows in _flown(pool, left):
+            file.add(left[index], rows)
+            bar.advance(task)
     return file.rows_of(flights)
 
 

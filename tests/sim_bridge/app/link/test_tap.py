@@ -42,7 +42,9 @@ def test_a_changed_message_comes_from_the_same_sender_with_one_field_changed(aut
 
 
 def test_a_lost_message_is_gone_and_its_neighbours_are_not(autopilot):
-    lose = lambda message: [] if message.msg_name == "HEARTBEAT" else None  # noqa: E731
+    def lose(message: Message) -> list[Message] | None:
+        return [] if message.msg_name == "HEARTBEAT" else None
+
     frames = [autopilot.encode(heartbeat()), autopilot.encode(Message("MISSION_CURRENT", seq=3))]
     assert Tap(to_companion=lose).down(frames, 0.0) == frames[1:]
     assert Tap(to_autopilot=lose).up(b"".join(frames)) == frames[1]
