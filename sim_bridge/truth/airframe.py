@@ -37,6 +37,7 @@ class Airframe:
         "airspeed_mps",
         "down_m",
         "down_mps",
+        "drag_factor",
         "east_m",
         "east_mps",
         "forward_airspeed_mps",
@@ -67,9 +68,17 @@ class Airframe:
         self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
         self.thrust_n = self.airspeed_mps = self.forward_airspeed_mps = self.useful_w = 0.0
+        self.drag_factor = 1.0
 
-    def lean(self, roll_sp: float, pitch_sp: float, yaw_sp: float, dt_s: float) -> None:
-        """Follow an attitude set-point in rad for `dt_s`."""
+    def lean(
+        self,
+        roll_sp: float,
+        pitch_sp: float,
+        yaw_sp: float,
+        dt_s: float,
+        yaw_spin_rps: float | None = None,
+    ) -> None:
+        """Follow an attitude set-point in rad for `dt_s`; in a spin its yaw is not followed."""
         tilt = math.hypot(roll_sp, pitch_sp)
         if tilt > self._max_tilt:
             roll_sp *= self._max_tilt / tilt
@@ -84,7 +93,10 @@ class Airframe:
         wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
         self.pitchspeed_rps += share * (wanted - self.pitchspeed_rps)
         limit = self._max_yaw_rate
-        wanted = gain * wrap_pi(yaw_sp - self.yaw_rad)
+        if yaw_spin_rps is not None:
+            wanted = yaw_spin_rps
+        else:
+            wanted = gain * wrap_pi(yaw_sp - self.yaw_rad)
         wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
         self.yawspeed_rps += share * (wanted - self.yawspeed_rps)
         self.roll_rad += self.rollspeed_rps * dt_s
@@ -134,9 +146,10 @@ class Airframe:
         airspeed = math.sqrt(u * u + v * v + w * w)
         drag = self._drag
         rotor = math.sqrt(thrust_n / self._reference_thrust_n) if thrust_n > 0.0 else 0.0
+        rotor *= self.drag_factor
         rotor_x = -rotor * drag.rotor_forward_nspm * u
         rotor_y = -rotor * drag.rotor_sideways_nspm * v
-        pressure = -0.5 * density_kgpm3 * airspeed
+        pressure = -0.5 * density_kgpm3 * airspeed * self.drag_factor
         force_x = rotor_x + pressure * (drag.parasite_forward_m2 + parcel_area_m2) * u
         force_y = rotor_y + pressure * (drag.parasite_sideways_m2 + parcel_area_m2) * v
         force_z = -thrust_n + pressure * drag.parasite_vertical_m2 * w

@@ -137,6 +137,11 @@ class Battery:
         if self.charge_frac <= 0.0 or self._under_voltage_s > self._params.cutoff_delay_s:
             self.cut_off = True
 
+    def lose_cell(self) -> None:
+        """A cell is shorted: the pack gives its voltage no more, and is cut off a cell lower."""
+        self._cells -= 1
+        self._cutoff_v = self._cells * self._params.cutoff_cell_v
+
     def loaded_v(self, charge_frac: float, draw_w: float) -> float:
         """Settled terminal voltage at a charge under a constant draw; 0 if it cannot deliver it."""
         open_v = self._cells * open_circuit_cell_v(charge_frac, self._full_cell_v)

@@ -43,7 +43,8 @@ class Vehicle:
     """A vehicle that stands on the ground until it is flown. Time starts at 0.
 
     Faults to set: `release_fails` (the gripper is stuck), `draw_factor` (ice, a worn motor: so many
-    times the power for the same flight), those of `sensors`, and `fail_motors()`. Losing the
+    times the power for the same flight), `drag_factor` (ice, a torn hood), `yaw_spin_rps` (it turns
+    whatever the autopilot asks), those of `sensors` and `battery`, and `fail_motors()`. Losing the
     battery or hitting the ground hard stops the motors for good.
     """
 
@@ -105,6 +106,16 @@ class Vehicle:
         self._crashed = False
         self.release_fails = False
         self.draw_factor = 1.0
+        self.yaw_spin_rps: float | None = None
+
+    @property
+    def drag_factor(self) -> float:
+        """So many times the drag of a clean airframe."""
+        return self._body.drag_factor
+
+    @drag_factor.setter
+    def drag_factor(self, times: float) -> None:
+        self._body.drag_factor = times
 
     @property
     def battery(self) -> Battery:
@@ -192,6 +203,7 @@ class Vehicle:
                 actuation.pitch_rad - self.sensors.pitch_bias_rad,
                 actuation.yaw_rad - self.sensors.heading_bias_rad,
                 dt_s,
+                self.yaw_spin_rps,
             )
         elif not self._touching:
             body.tumble(dt_s)

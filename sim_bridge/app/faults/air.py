@@ -18,6 +18,7 @@ FRONT_S = 10.0
 
 JUMP_M = 30.0
 DRIFT_MPS = 0.3
+SPIN_RPS = math.radians(90.0)
 HEADING_RAD = math.radians(30.0)
 TILTED = ("roll", "pitch")
 FLYING = ("climb", "outbound", "drop", "return")
@@ -95,6 +96,26 @@ def compass_off(stage: Stage) -> Iterator[None]:
     stage.craft.vehicle.sensors.heading_bias_rad += stage.rng.choice([-1.0, 1.0]) * HEADING_RAD
 
 
+def yaw_spin(stage: Stage) -> Iterator[None]:
+    """It turns about itself for twenty seconds, whatever the autopilot asks."""
+    yield from stage.reached()
+    vehicle = stage.craft.vehicle
+    vehicle.yaw_spin_rps = SPIN_RPS * stage.rng.choice([-1.0, 1.0])
+    yield from stage.wait(20.0)
+    vehicle.yaw_spin_rps = None
+
+
+def icing(stage: Stage) -> Iterator[None]:
+    """Ice: within a minute drag grows to 1.5 times and the draw to 1.4 times, and they stay."""
+    yield from stage.reached()
+    vehicle = stage.craft.vehicle
+    steps = round(60.0 / STEP_S)
+    for step in range(1, steps + 1):
+        vehicle.drag_factor = 1.0 + 0.5 * step / steps
+        vehicle.draw_factor = 1.0 + 0.4 * step / steps
+        yield
+
+
 def wind(**more: float) -> dict[str, object]:
     """The suite's steady wind with some of it changed."""
     steady = {"kind": "steady", "speed_mps": 5.0, "from_deg": 70.0, "turbulence": "dryden"}
@@ -137,6 +158,7 @@ CASES = (
         "ready",
         **wind(profile_exponent=0.4),
     ),
+    row(34, "yaw-spin", "it turns about itself for twenty seconds", yaw_spin, *FLYING),
     row(35, "gnss-jump", "positions lie 30 m off for twenty seconds", gnss_jumps, *FLYING),
     row(36, "gnss-drift", "positions drift off by 6 m in twenty seconds", gnss_drifts, *FLYING),
     row(
@@ -148,4 +170,5 @@ CASES = (
         "drop",
     ),
     row(38, "compass-off", "the compass is 30 degrees off", compass_off, *FLYING),
+    row(39, "icing", "ice: drag grows to 1.5 times, the draw to 1.4 times", icing, *FLYING),
 )

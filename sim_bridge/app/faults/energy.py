@@ -4,13 +4,21 @@ from collections.abc import Iterator
 
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
+from sim_bridge.app.faults.verdict import (
+    comes_home,
+    delivers,
+    promises_nothing_false,
+    tells,
+)
 from sim_bridge.app.link.tap import as_it_is, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
 BATTERY = "BATTERY_STATUS"
 LATE_S = 4.0
 WILD_MAH = 4_000_000
+TOLD_S = 10.0
+"""A change of draw by more than a half is told within."""
+
 FLYING = ("climb", "outbound", "drop", "return")
 
 
@@ -85,10 +93,68 @@ def parcel_sticks(stage: Stage) -> Iterator[None]:
     yield
 
 
+def draw_rises(times: float) -> Play:
+    """The same flight draws so many times the power from now on: ice, a worn motor, a sail."""
+
+    def play(stage: Stage) -> Iterator[None]:
+        yield from stage.reached()
+        stage.craft.vehicle.draw_factor = times
+
+    return play
+
+
+def cell_lost(stage: Stage) -> Iterator[None]:
+    """One cell of the pack is shorted: a sixth of the voltage, and of the energy, is gone."""
+    yield from stage.reached()
+    stage.craft.vehicle.battery.lose_cell()
+
+
+def nothing(stage: Stage) -> Iterator[None]:
+    """The pack itself is the fault."""
+    stage.begin()
+    yield
+
+
 SAFE = (comes_home, promises_nothing_false)
 PLAIN = (*SAFE, delivers)
 GROUP = "energy"
 CASES = (
+    FaultCase(
+        21,
+        "draw-1.25",
+        GROUP,
+        "the draw rises to 1.25 times",
+        draw_rises(1.25),
+        SAFE,
+        FLYING,
+    ),
+    FaultCase(
+        22,
+        "draw-1.7",
+        GROUP,
+        "the draw rises to 1.7 times",
+        draw_rises(1.7),
+        (*SAFE, tells("draw", within_s=TOLD_S)),
+        FLYING,
+    ),
+    FaultCase(
+        23,
+        "draw-2",
+        GROUP,
+        "the draw rises to 2 times",
+        draw_rises(2.0),
+        (*SAFE, tells("draw", within_s=TOLD_S)),
+        FLYING,
+    ),
+    FaultCase(
+        24,
+        "cell-lost",
+        GROUP,
+        "one cell of the pack is shorted",
+        cell_lost,
+        SAFE,
+        FLYING,
+    ),
     FaultCase(
         25,
         "packs-5-apart",
@@ -151,6 +217,26 @@ CASES = (
         once(battery_remaining=100),
         PLAIN,
         FLYING,
+    ),
+    FaultCase(
+        28,
+        "pack-cold",
+        GROUP,
+        "a pack at -10 degrees C that nobody has stated",
+        nothing,
+        SAFE,
+        ("ready",),
+        flight={"vehicle": {"temperature_c": -10.0}},
+    ),
+    FaultCase(
+        29,
+        "pack-aged",
+        GROUP,
+        "a pack with 80 % of its capacity that nobody has stated",
+        nothing,
+        SAFE,
+        ("ready",),
+        flight={"vehicle": {"battery_health_frac": 0.8}},
     ),
     FaultCase(
         30,

@@ -8,6 +8,7 @@ from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing
 
 FLYING = ("climb", "outbound", "drop", "return")
 BOOT_S = (1.0, 8.0)
+SLOW_S = 20.0
 GROUND_S = 22.0
 """From power-up the suite's flight stands so long on its pad."""
 
@@ -54,9 +55,110 @@ def rebooted(stage: Stage) -> Iterator[None]:
         stage.craft.autopilot.reboot()
 
 
+def disk_full(stage: Stage) -> Iterator[None]:
+    """No file of the companion's can grow any more."""
+    yield from stage.reached()
+    stage.craft.companion.fill_disk()
+
+
+def folder_gone(stage: Stage) -> Iterator[None]:
+    """The folder of its record can be written no more, as when the card is pulled or goes bad."""
+    yield from stage.reached()
+    folder = stage.craft.run_dir
+    away = folder.with_name(folder.name + ".away")
+    folder.rename(away)
+    folder.touch()  # a file in its place: nothing can be made below it, not by root either
+    try:
+        yield from stage.until(lambda: False)
+    finally:
+        folder.unlink()
+        away.rename(folder)
+
+
+def from_the_start(stage: Stage) -> Iterator[None]:
+    """The computer itself is the fault."""
+    stage.begin()
+    yield
+
+
+def slow_fsync(delay_s: float) -> str:
+    """Each fsync of the companion's takes so long, in real time."""
+    return f"""\
+import os, time
+def slow(fd, fsync=os.fsync):
+    time.sleep({delay_s})
+    fsync(fd)
+os.fsync = slow
+"""
+
+
+def slow_computer(stage: Stage) -> Iterator[None]:
+    """For twenty seconds the companion gets a tenth of the computer."""
+    yield from stage.reached()
+    craft, lockstep = stage.craft, stage.lockstep
+    until_s = stage.t_s + SLOW_S
+    while stage.t_s < until_s:
+        if craft.companion.running:
+            craft.companion.stall()
+            lockstep.lose(craft.number - 1)
+        yield from stage.wait(0.9)
+        if craft.companion.running:
+            craft.companion.go_on()
+            craft.companion_returns = True
+        yield
+
+
 SAFE = (comes_home, promises_nothing_false)
 GROUP = "host"
 CASES = (
+    FaultCase(
+        40,
+        "disk-full",
+        GROUP,
+        "the disk is full",
+        disk_full,
+        (*SAFE, delivers),
+        ("ready", *FLYING),
+    ),
+    FaultCase(
+        41,
+        "folder-gone",
+        GROUP,
+        "the folder of its record can be written no more",
+        folder_gone,
+        (*SAFE, delivers),
+        ("ready", *FLYING),
+    ),
+    FaultCase(
+        42,
+        "fsync-0.5-s",
+        GROUP,
+        "the disk takes 0.5 s to sync",
+        from_the_start,
+        (*SAFE, delivers),
+        ("ready",),
+        before_companion=slow_fsync(0.5),
+    ),
+    FaultCase(
+        42,
+        "fsync-3-s",
+        GROUP,
+        "the disk takes 3 s to sync",
+        from_the_start,
+        (*SAFE, delivers),
+        ("ready",),
+        before_companion=slow_fsync(3.0),
+    ),
+    FaultCase(
+        42,
+        "fsync-10-s",
+        GROUP,
+        "the disk takes 10 s to sync",
+        from_the_start,
+        (*SAFE, delivers),
+        ("ready",),
+        before_companion=slow_fsync(10.0),
+    ),
     FaultCase(
         43,
         "torn-checkpoint",
@@ -83,6 +185,15 @@ CASES = (
         rebooted,
         (*SAFE, delivers),
         ("ready",),
+    ),
+    FaultCase(
+        47,
+        "slow-computer",
+        GROUP,
+        "for twenty seconds the companion gets a tenth of the computer",
+        slow_computer,
+        SAFE,
+        FLYING,
     ),
     FaultCase(
         49,

@@ -8,9 +8,12 @@ from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
 from sim_bridge.app.link.bad_link import BadLink
+from sim_bridge.app.link.tap import Radio
 from sim_bridge.autopilot.mavlink.codec import Message
 
 SHARE = 0.3
+RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
+RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
 FOR_EVER_S = 1e9
 FLYING = ("climb", "outbound", "drop", "return")
 TIME = "TIMESYNC"  # what simulated time stands still for: not the link's
@@ -41,6 +44,12 @@ def silent(duration_s: float) -> Play:
         stage.craft.link_silent_until_s = stage.craft.t_s + duration_s
 
     return play
+
+
+def slow_radio(stage: Stage) -> Iterator[None]:
+    """A radio of 57,600 baud lies between autopilot and companion; what does not fit is lost."""
+    yield from stage.reached()
+    stage.tap.radio = Radio(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
 
 
 def strangers(stage: Stage) -> Iterator[None]:
@@ -105,6 +114,15 @@ CASES = (
         "garbage, torn frames, other systems and fields without meaning",
         strangers,
         (*SAFE, delivers),
+        ("ready", *FLYING),
+    ),
+    FaultCase(
+        55,
+        "slow-radio",
+        GROUP,
+        "the companion hears the autopilot through a radio of 57,600 baud",
+        slow_radio,
+        SAFE,
         ("ready", *FLYING),
     ),
 )

@@ -1,6 +1,6 @@
 """What a fault's play has to do with: one vehicle, the time, draws, and who took over when."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -91,3 +91,8 @@ class Performance:
         self.stage.t_s = t_s
         if self._steps is not None and next(self._steps, self) is self:
             self._steps = None  # the play is over
+
+    def end(self) -> None:
+        """The flight is over: the play puts back what it has to."""
+        if isinstance(self._steps, Generator):
+            self._steps.close()

@@ -22,6 +22,8 @@ class CompanionProcess:
 
     run_dir: Path
     arguments: list[str]
+    before: str = ""
+    """Python that the process runs before its `main`."""
     starts: int = 0
     stalled: bool = False
     _process: subprocess.Popen[bytes] | None = None
@@ -37,7 +39,7 @@ class CompanionProcess:
             [
                 sys.executable,
                 "-c",
-                entry(ENTRY),
+                entry(f"{self.before}\n{ENTRY}"),
                 "run",
                 *self.arguments,
                 "--run-dir",

@@ -50,6 +50,9 @@ class FaultPlan:
                 pending.ends_s = None
                 _end(pending.fault, craft)
 
+    def end(self) -> None:
+        """Nothing of a flight file's faults outlasts the run."""
+
     @staticmethod
     def _due(pending: _Pending, craft: Craft, t_s: float) -> bool:
         if pending.fault.phase is None:

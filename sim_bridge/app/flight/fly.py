@@ -68,7 +68,8 @@ class FlyOptions:
 
     `believed` is the airframe that the companion is told, a name or a file; None: the true one's.
     With `signing_key` (a file of 32 bytes) the companion's link is signed; the companion is then
-    authorised on its command line, since the operator's own frames are not.
+    authorised on its command line, since the operator's own frames are not. `before_companion` is
+    Python that its process runs before its `main`: a slow disk, a computer without memory.
     """
 
     flight_file: Path
@@ -83,6 +84,7 @@ class FlyOptions:
     lockstep_limit_s: float = 20.0
     believed: str | None = None
     signing_key: Path | None = None
+    before_companion: str = ""
 
 
 @dataclass(slots=True)
@@ -110,6 +112,10 @@ class Script(Protocol):
 
     def apply(self, crafts: list[Craft], t_s: float, lockstep: Lockstep) -> None:
         """Called ten times a simulated second, after physics and before the companions answer."""
+        ...
+
+    def end(self) -> None:
+        """The run is over: put back what must not outlast it."""
         ...
 
 
@@ -147,11 +153,13 @@ def fly(
             crafts.append(craft)
             stack.callback(craft.companion.end)
         plan = FaultPlan(faults)
+        scripts = [plan] if script is None else [plan, script]
         with saved_on_interrupt(run_dir):
-            scripts = [plan] if script is None else [plan, script]
             _run(options, crafts, endpoints, scripts, progress)
         for craft in crafts:
             craft.companion.end()
+        for each in scripts:
+            each.end()
     rows = [_conclude(options, craft, airframe) for craft in crafts]
     progress.ended(crafts, plan)
     result = {"flights": rows}
@@ -218,6 +226,7 @@ def _build_craft(
             *_signed_arguments(options.signing_key),
             *(["--lockstep"] if killed else []),
         ],
+        before=options.before_companion,
     )
     return Craft(
         number=number,

@@ -3,6 +3,7 @@
 The vehicle is healthy and the companion is healthy; what lies between them is not.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -10,6 +11,33 @@ from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 Change = Callable[[Message], list[Message] | None]
 """What becomes of one message: None leaves its frame as it is, an empty list loses it."""
+
+
+@dataclass(slots=True)
+class Radio:
+    """A serial line: so many bytes a second, a short buffer, and what does not fit is lost."""
+
+    bytes_per_s: float
+    buffer_bytes: int
+    _waiting: deque[bytes] = field(default_factory=deque)
+    _credit_bytes: float = 0.0
+    _at_s: float | None = None
+
+    def carried(self, frames: list[bytes], t_s: float) -> list[bytes]:
+        """What comes out at `t_s`, after these frames have gone in."""
+        before_s, self._at_s = self._at_s, t_s
+        if self._waiting and before_s is not None:  # an idle line saves nothing up
+            self._credit_bytes += self.bytes_per_s * (t_s - before_s)
+        else:
+            self._credit_bytes = 0.0
+        out: list[bytes] = []
+        while self._waiting and len(self._waiting[0]) <= self._credit_bytes:
+            out.append(self._waiting.popleft())
+            self._credit_bytes -= len(out[-1])
+        for frame in frames:
+            if sum(map(len, self._waiting)) + len(frame) <= self.buffer_bytes:
+                self._waiting.append(frame)
+        return out
 
 
 def as_it_is(message: Message) -> list[Message] | None:
@@ -23,13 +51,15 @@ class Tap:
     """Between one vehicle and its companion. Both directions pass message by message.
 
     `to_companion` and `to_autopilot` change what passes; `hold_back_s` of a message's name delays
-    it to the companion. `added` frames reach the companion at the next exchange.
+    it to the companion. `added` frames reach the companion at the next exchange. `radio` is a slow
+    link to the companion.
     """
 
     to_companion: Change = as_it_is
     to_autopilot: Change = as_it_is
     hold_back_s: dict[str, float] = field(default_factory=dict)
     added: list[bytes] = field(default_factory=list)
+    radio: Radio | None = None
     _late: list[tuple[float, bytes]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
@@ -40,7 +70,7 @@ class Tap:
         self._late = [(at_s, frame) for at_s, frame in self._late if at_s > t_s]
         passed = due + [out for frame in frames for out in self._pass(frame, t_s)]
         passed, self.added = passed + self.added, []
-        return passed
+        return passed if self.radio is None else self.radio.carried(passed, t_s)
 
     def _pass(self, frame: bytes, t_s: float) -> list[bytes]:
         messages = self._decoder.feed(frame)

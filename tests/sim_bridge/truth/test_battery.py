@@ -136,3 +136,13 @@ def test_a_draw_beyond_the_packs_power_collapses_it() -> None:
     for _ in range(120):
         battery.step(1e5, 0.01)
     assert battery.cut_off
+
+
+def test_a_shorted_cell_takes_its_share_of_voltage_and_energy_and_no_more() -> None:
+    whole, hurt = Battery(PACK), Battery(PACK)
+    hurt.lose_cell()
+    left = (PACK.cells - 1) / PACK.cells
+    assert hurt.loaded_v(0.8, 0.0) == pytest.approx(left * whole.loaded_v(0.8, 0.0))
+    hurt.step(100.0, 1.0)
+    assert not hurt.cut_off
+    assert 0.75 * left < hurt.usable_wh(300.0) / whole.usable_wh(300.0) < left

@@ -161,3 +161,26 @@ def test_hot_and_high_takes_more_power() -> None:
     """Momentum theory: induced power goes with density to the -1/2."""
     low, high = _vehicle(), _vehicle(depot_alt_amsl_m=3000.0, temperature_c=20.0)
     assert high.reference_draw_w > 1.1 * low.reference_draw_w
+
+
+def test_a_spin_turns_it_whatever_the_autopilot_asks() -> None:
+    vehicle = _vehicle()
+    _fly(vehicle, 2.0, 1.2)
+    vehicle.yaw_spin_rps = 1.0
+    before = vehicle.truth.yaw_rad
+    _fly(vehicle, 2.0, 1.0)
+    assert vehicle.truth.yaw_rad - before == pytest.approx(2.0, abs=0.2)
+    vehicle.yaw_spin_rps = None
+    _fly(vehicle, 4.0, 1.0)
+    assert vehicle.truth.yaw_rad == pytest.approx(0.0, abs=0.05)
+
+
+def test_ice_lets_the_same_wind_push_twice_as_hard() -> None:
+    def pushed_mps(times: float) -> float:
+        vehicle = _vehicle(8.0, from_deg=180.0)
+        vehicle.drag_factor = times
+        _fly(vehicle, 0.3, 1.5)
+        north, _, _ = vehicle.truth.vel_ned_mps
+        return north
+
+    assert pushed_mps(2.0) == pytest.approx(2.0 * pushed_mps(1.0), rel=0.1)
