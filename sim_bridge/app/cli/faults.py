@@ -14,9 +14,12 @@ ALL = "all"
 
 @app.command()
 def faults(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Faults by name or number; without one, all.")
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the faults and fly nothing.")] = False,
     only: Annotated[
-        list[str] | None, typer.Option(help="A fault, by name or number; once for each.")
+        list[str] | None, typer.Option(help="The same: --only NAME ..., or once for each.")
     ] = None,
     autopilot: Annotated[str, typer.Option(help="px4, ardupilot or all.")] = ALL,
     phase: Annotated[
@@ -30,7 +33,7 @@ def faults(
 ) -> None:
     """Inject one fault into each of many short flights, and judge by truth what came of it.
 
-    Example: sim-bridge faults --only 7 --only packs-5-apart --seeds 1:5 --json faults.json
+    Example: sim-bridge faults --only 7 packs-5-apart --seeds 1:5 --json faults.json
 
     A fault begins in the phase that is named, at a moment drawn by seed. A row holds where the
     vehicle is home with its reserve (or what else the fault leaves to be asked), nothing is
@@ -45,7 +48,7 @@ def faults(
     from sim_bridge.app.faults.catalogue import chosen
 
     console = Console()
-    cases = chosen(only or [])
+    cases = chosen([*(only or []), *(names or [])])
     if show:
         for line in report.listing(cases):
             typer.echo(line)
@@ -68,6 +71,7 @@ def faults(
 
         ordered = runner.run_all(todo, jobs, flown)
     console.print(report.summary(ordered))
+    console.print(report.promises(ordered))
     if json_out is not None:
         report.write(json_out, ordered)
     if not all(row.held for row in ordered):

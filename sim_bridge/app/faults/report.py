@@ -5,12 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.runner import FaultRow
 from sim_bridge.app.flight.report import slim_table
+
+SURE = 0.99
+"""What counts as a promise."""
 
 
 def result(rows: Sequence[FaultRow]) -> dict[str, Any]:
@@ -40,6 +44,27 @@ def summary(rows: Sequence[FaultRow]) -> Table:
         whys = dict.fromkeys(row.why for row in group if not row.held)
         held = f"{sum(row.held for row in group)} of {len(group)}"
         table.add_row(name, held, "; ".join(whys))
+    return table
+
+
+def promises(rows: Sequence[FaultRow]) -> Table:
+    """By group: what P(home) was worth at the last decision to go on outward.
+
+    The mean of what was said beside the share that came home, their mean square difference (Brier
+    score), and of flights that were promised 0.99 how many came home.
+    """
+    columns = ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home")
+    title = "P(home) at the last decision to go on, by group"
+    table = slim_table(title, ("group", "left"), *((name, "right") for name in columns))
+    said = [row for row in rows if row.p_home_last_go is not None]
+    for group in dict.fromkeys(row.group for row in said):
+        pairs = [(row.p_home_last_go or 0.0, row.home) for row in said if row.group == group]
+        p_home, home = np.asarray(pairs, float).T
+        sure = home[p_home >= SURE]
+        kept = f"{round(sure.sum())} of {sure.size}"
+        brier = np.mean((p_home - home) ** 2)
+        shares = (f"{p_home.mean():.3f}", f"{home.mean():.3f}", f"{brier:.4f}")
+        table.add_row(group, str(len(pairs)), *shares, kept)
     return table
 
 

@@ -1,0 +1,52 @@
+"""What the suite prints and writes of its rows."""
+
+import json
+
+from rich.console import Console
+
+from sim_bridge.app.faults.report import promises, result, write
+from sim_bridge.app.faults.runner import FaultRow
+
+
+def row(group: str = "energy", *, promised: float | None = 0.999, home: bool = True) -> FaultRow:
+    return FaultRow(
+        fault="draw-2",
+        group=group,
+        autopilot="px4",
+        phase="drop",
+        seed=1,
+        outcome="SUC" if home else "DEL",
+        home=home,
+        delivered=True,
+        margin_wh=1.0,
+        p_home_last_go=promised,
+        commands_after_takeover=0,
+        exceptions=0,
+        said=["gate open: going"],
+        held=home,
+        why="" if home else "not home",
+    )
+
+
+def printed(table) -> list[list[str]]:
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(table)
+    return [line.split() for line in capture.get().splitlines()]
+
+
+def test_promises_are_held_against_what_came_home_group_by_group():
+    rows = [row(), row(promised=0.9), row(home=False), row("link"), row("host", promised=None)]
+    lines = printed(promises(rows))
+    assert ["energy", "3", "0.966", "0.667", "0.3360", "1", "of", "2"] in lines
+    assert ["link", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
+    assert not any(line[:1] == ["host"] for line in lines)
+
+
+def test_the_file_holds_every_row_and_the_count(tmp_path):
+    path = tmp_path / "faults.json"
+    write(path, [row(), row(home=False)])
+    read = json.loads(path.read_text())
+    assert (read["held"], read["of"]) == (1, 2)
+    assert read["rows"][1]["why"] == "not home"
+    assert result([]) == {"rows": [], "held": 0, "of": 0}
