@@ -99,7 +99,7 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
     served = stood(autopilot_kind)
     before = settings(served)
     row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), configure=True)
-    assert row["outcome"] == "SUC"
+    assert row["outcome"] == "SUC", row
     assert row["judged_by"] == "companion"
     assert row["autopilot"] == autopilot_kind.value
     truth = served.truth
@@ -142,7 +142,7 @@ def test_with_here_the_site_lies_about_the_vehicle(tmp_path):
     link = "udpout:127.0.0.1:PORT"
     file = flight_file(tmp_path)
     row = fly(served, "udpin::0", link, tmp_path, file, configure=True, here=True)
-    assert row["outcome"] == "SUC"
+    assert row["outcome"] == "SUC", row
     assert not served.truth.parcel_aboard
     assert away_m(served) < 12.0
     ends = [d["reason"] for d in row["decisions"] if d["kind"] == "planned"]

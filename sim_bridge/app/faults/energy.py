@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import (
+    FlownFault,
     comes_home,
     delivers,
     promises_nothing_false,
@@ -16,8 +17,9 @@ from sim_bridge.autopilot.mavlink.codec import Message
 BATTERY = "BATTERY_STATUS"
 LATE_S = 4.0
 WILD_MAH = 4_000_000
-TOLD_S = 10.0
-"""A change of draw by more than a half is told within."""
+LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
+"""A change of draw by more than a half is told within: in level flight, and where a climb or a
+descent of up to 15 s, whose power no model knows so well, hides it."""
 
 FLYING = ("climb", "outbound", "drop", "return")
 
@@ -25,13 +27,16 @@ FLYING = ("climb", "outbound", "drop", "return")
 def packs_apart(points: int) -> Play:
     """A second pack is reported in turns with the first, so many points lower."""
 
-    def change(message: Message) -> list[Message] | None:
-        if message.msg_name != BATTERY:
-            return None
-        lower = max(message.battery_remaining - points, 0)
-        return [message, with_fields(message, id=1, battery_remaining=lower)]
-
     def play(stage: Stage) -> Iterator[None]:
+        def change(message: Message) -> list[Message] | None:
+            if message.msg_name != BATTERY:
+                return None
+            whole = round(100.0 * stage.craft.vehicle.battery.charge_frac)
+            return [
+                with_fields(message, battery_remaining=whole),
+                with_fields(message, id=1, battery_remaining=max(whole - points, 0)),
+            ]
+
         stage.tap.to_companion = change
         stage.begin()
         yield
@@ -103,6 +108,12 @@ def draw_rises(times: float) -> Play:
     return play
 
 
+def tells_draw(flown: FlownFault) -> str | None:
+    """The operator hears that the draw has changed, in time."""
+    limit_s = LEVEL_TOLD_S if flown.stage.phase == "outbound" else TOLD_S
+    return tells("draw", within_s=limit_s)(flown)
+
+
 def cell_lost(stage: Stage) -> Iterator[None]:
     """One cell of the pack is shorted: a sixth of the voltage, and of the energy, is gone."""
     yield from stage.reached()
@@ -134,7 +145,7 @@ CASES = (
         GROUP,
         "the draw rises to 1.7 times",
         draw_rises(1.7),
-        (*SAFE, tells("draw", within_s=TOLD_S)),
+        (*SAFE, tells_draw),
         FLYING,
     ),
     FaultCase(
@@ -143,7 +154,7 @@ CASES = (
         GROUP,
         "the draw rises to 2 times",
         draw_rises(2.0),
-        (*SAFE, tells("draw", within_s=TOLD_S)),
+        (*SAFE, tells_draw),
         FLYING,
     ),
     FaultCase(
