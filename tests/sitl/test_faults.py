@@ -16,7 +16,84 @@ pytestmark = pytest.mark.sitl
 OPEN: dict[str, str] = {}
 """Rows that do not hold yet, and why: docs/explanation/limits.md says so too."""
 
-GUARDS: dict[str, tuple[str, str]] = {}
+
+def without(module: str, name: str, value: str) -> str:
+    """A patch of the companion's process: this name of this module does nothing but this."""
+    return f"import {module} as guarded; guarded.{name} = lambda *given, **named: {value}"
+
+
+NO_DISK_GUARD = """\
+import companion.adapters.files.disk as guarded
+class Unguarded:
+    def __init__(self, on_trouble, **named): pass
+    def do(self, record, deed, **named): deed()
+    def settle(self): pass
+    def close(self): pass
+guarded.DiskThread = guarded.DiskAtOnce = Unguarded
+"""
+
+GUARDS: dict[str, tuple[str, str]] = {
+    "arm-ack-lost": (
+        "ready",
+        without("companion.core.pilot.authority", "Authority._is_foreign_disarm", "False"),
+    ),
+    "kill-switch": (
+        "outbound",
+        without("companion.core.pilot.authority", "Authority.on_event", "None"),
+    ),
+    "acks-lost": (
+        "outbound",
+        without("companion.core.pilot.authority", "Authority.on_event", "None"),
+    ),
+    "false-disarmed": (
+        "outbound",
+        without("companion.core.pilot.authority", "Authority._is_foreign_disarm", "False")
+        + "\nimport companion.core.pilot.landing as landing; landing.DISARMED_S = 0.0\n"
+        + without("companion.core.pilot.context", "FlightContext.against_standing", "''"),
+    ),
+    "same-length-edit": (
+        "outbound",
+        without("companion.core.pilot.mission_aboard", "MissionAboard._doubt", "None"),
+    ),
+    "foreign-upload": (
+        "return",
+        without("companion.core.pilot.mission_aboard", "MissionAboard._doubt", "None"),
+    ),
+    "home-down-20": (
+        "outbound",
+        without("companion.core.pilot.home_watch", "HomeWatch._watch", "None"),
+    ),
+    "draw-2": (
+        "outbound",
+        without("companion.core.vehicle.draw_change", "DrawChange.observe", "None"),
+    ),
+    "counter-wild": (
+        "outbound",
+        without("companion.core.vehicle.battery_gauge", "_reach_wh", "1e9")
+        + "\n"
+        + without("companion.core.vehicle.energy_ledger", "EnergyLedger._least_possible_wh", "0.0"),
+    ),
+    "percentage-0-once": (
+        "outbound",
+        without("companion.core.vehicle.battery_gauge", "_reach_wh", "1e9")
+        + "\n"
+        + without("companion.core.vehicle.energy_ledger", "EnergyLedger._least_possible_wh", "0.0"),
+    ),
+    "disk-full": ("outbound", NO_DISK_GUARD),
+    "reboot-on-the-ground": (
+        "ready",
+        without("companion.core.pilot.ground_sequence", "GroundSequence._has_stopped", "False")
+        + "\n"
+        + "import companion.core.pilot.authority as authority\n"
+        "from companion.core.mission.events import ClockStepped\n"
+        "authority.ClockStepped = type('Never', (), {})",
+    ),
+    "parcel-sticks": (
+        "drop",
+        "import companion.core.pilot.parcel_release as guarded\n"
+        "guarded.ReleaseWatch.evidence = lambda self, t_s: 'the gripper says so'",
+    ),
+}
 """By row: the phase, and the patch that takes its guard out."""
 
 ROWS = [

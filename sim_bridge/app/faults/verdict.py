@@ -73,6 +73,14 @@ def delivers(flown: FlownFault) -> str | None:
     return None if flown.row["delivered"] else "not delivered"
 
 
+def claims_no_delivery(flown: FlownFault) -> str | None:
+    """It does not say that it delivered what truly stayed aboard."""
+    if flown.row["delivered"]:
+        return None
+    claimed = any(text.startswith("delivered") for text in flown.said)
+    return "said to be delivered, and aboard" if claimed else None
+
+
 def fault_began(flown: FlownFault) -> str | None:
     """A flight that ended before its fault shows nothing."""
     return None if flown.stage.began_s is not None else "the fault never began"

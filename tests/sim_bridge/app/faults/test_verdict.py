@@ -6,6 +6,7 @@ import pytest
 
 from sim_bridge.app.faults.verdict import (
     FlownFault,
+    claims_no_delivery,
     comes_home,
     delivers,
     fault_began,
@@ -39,6 +40,7 @@ LOST = {"home": False, "outcome": "DEL", "margin_wh": -2.0}
 BAD = {
     comes_home: LOST,
     delivers: {"delivered": False},
+    claims_no_delivery: {"delivered": False, "said": [(60.0, "delivered: so says the gripper")]},
     fault_began: {"began_s": None},
     hands_off: {"commands": [(60.1, "COMMAND_LONG", 400)]},
     stays_disarmed: {"armed": True},
