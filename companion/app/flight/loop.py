@@ -5,11 +5,12 @@ is a tick: everything before it has been received, the outputs leave, and it is 
 Without them, telemetry ticks about ten times a second.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
@@ -48,6 +49,9 @@ BUNDLE_BYTES = 1400
 """An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
 
 TEXT_BYTES = 50
+
+ECHO_FRAMES = 200
+"""Frames of ours that are known again when they come back: some seconds of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +95,7 @@ class Loop:
     _silent: bool = False
     _record_lost: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
+    _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
     _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
 
@@ -170,6 +175,8 @@ class Loop:
         system = self.autopilot.system_id
         known = system is not None
         source = (message.get_srcSystem(), message.get_srcComponent())
+        if source[1] == COMPONENT and bytes(message.get_msgbuf()) in self._said:
+            return  # the wiring echoes: it is nobody else
         if not known or source[0] == system:
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
         if known and self.operator.on_message(message, system, self.clock.t_s):
@@ -341,7 +348,7 @@ class Loop:
                 mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
                 mavlink.MAV_AUTOPILOT_INVALID,
                 flags,
-                0,
+                (self.pilot.flies_since_ms or 0) & 0xFFFFFFFF,
                 state,
                 3,
             )
@@ -359,6 +366,7 @@ class Loop:
 
     def _pack(self, message: Any, *, is_order: bool) -> None:
         frame = self.codec.pack(message)
+        self._said.append(frame)
         if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
             self.flush()
         self._outgoing.append(_Outgoing(frame, is_order, self.clock.t_s))

@@ -352,12 +352,26 @@ class NeighbourHeard(Event):
     track: Track
 
 
+CLAIM = "LW_SINCE"
+"""The named value by which two companions tell which of them flies, in seconds."""
+
+CLAIM_STEP_S = 0.1
+"""Told in a 32-bit float, such a step stays exact for nine days."""
+
+
 @dataclass(frozen=True, slots=True)
 class OtherComputer(Event):
-    """Another onboard computer (component 191) speaks on this system."""
+    """Another onboard computer speaks on this system: a companion, or one that says it flies.
+
+    `flies`: it says so. `since_ms`: on the autopilot's clock, from when on it has flown this
+    flight; None where it does not say.
+    """
 
     active: bool
     booting: bool = False
+    component: int = 191
+    flies: bool = False
+    since_ms: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

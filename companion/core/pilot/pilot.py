@@ -21,6 +21,7 @@ from companion.core.mission.actions import (
     WindReport,
 )
 from companion.core.mission.events import (
+    CLAIM,
     AbortOrdered,
     Authorised,
     AutopilotKind,
@@ -319,6 +320,7 @@ class Pilot:
     def enter_phase(self, left: Phase, why: str) -> None:
         """Do what the new phase starts with; the context calls it at every transition."""
         context = self._context
+        self._authority.entered(context)
         match context.phase:
             case Phase.SUSPENDED:
                 self._authority.forget()
@@ -365,6 +367,9 @@ class Pilot:
         context = self._context
         wind, energy = context.estimates.wind, context.estimates.energy
         seen, values = context.fresh_assessment(), dict[str, float]()
+        claim_s = self._authority.claim_s(context.phase)
+        if claim_s is not None:
+            values[CLAIM] = claim_s
         if wind is not None and wind.valid:
             values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
         if energy is not None:
@@ -417,6 +422,11 @@ class Pilot:
     def phase(self) -> Phase:
         """The phase of the mission."""
         return self._context.phase
+
+    @property
+    def flies_since_ms(self) -> int | None:
+        """From when on this process has flown this flight, on the autopilot's clock."""
+        return self._authority.flies_since_ms
 
     @property
     def telemetry(self) -> TelemetryState:

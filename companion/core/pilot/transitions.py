@@ -177,8 +177,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         early = phase is p.IDENTIFY
         table[phase, t.TAKEN_OVER] = phase if (over or passive or early) else p.SUSPENDED
         table[phase, t.HANDED_BACK] = p.RECOGNISE if phase is p.SUSPENDED else phase
-        yields = early or phase in GROUND_PHASES or phase is p.RECOGNISE or phase is p.SUSPENDED
-        table[phase, t.OTHER_COMPUTER] = p.PASSIVE if yields else phase
+        table[phase, t.OTHER_COMPUTER] = phase if over else p.PASSIVE
         stays = over or passive or waiting or early
         table[phase, t.LINK_SILENT] = phase if stays else p.LINK_LOST
         table[phase, t.LULL_OVER] = BEFORE if phase is p.LINK_LOST else phase

@@ -112,7 +112,11 @@ def fly_fault(task: FaultTask) -> FaultRow:
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)
-    (row,) = fly(options, ending, performance)["flights"]
+    try:
+        (row,) = fly(options, ending, performance)["flights"]
+    finally:
+        if performance.stage is not None:
+            performance.stage.ends.close()
     assert performance.stage is not None
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
 

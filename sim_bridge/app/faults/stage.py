@@ -1,5 +1,6 @@
 """What a fault's play has to do with: one vehicle, the time, draws, and who took over when."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -30,6 +31,8 @@ class Stage:
     began_s: float | None = None
     took_over_s: float | None = None
     notes: list[str] = field(default_factory=list)
+    ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    """What a play opened, to be closed after the flight."""
 
     def wait(self, duration_s: float) -> Iterator[None]:
         """Let simulated time pass."""

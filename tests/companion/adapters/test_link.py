@@ -180,6 +180,25 @@ def test_another_component_191_is_another_computer():
     assert events == [ev.OtherComputer(0.0, active=False)]
 
 
+def test_an_onboard_computer_of_another_component_counts_only_when_it_says_that_it_flies():
+    made, _, codec = port()
+    other = sender(1, 192)
+    camera = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    assert hear(made, codec, frame(other, camera)) == []
+    flying = mavlink.MAVLink_heartbeat_message(18, 8, 4, 61_500, 4, 3)
+    told = ev.OtherComputer(0.0, active=True, component=192, flies=True, since_ms=61_500)
+    assert hear(made, codec, frame(other, flying)) == [told]
+
+
+@pytest.mark.parametrize("since_s", [0.0, 61.5, 700_000.1])
+def test_a_companions_named_value_tells_since_when_it_flies(since_s):
+    made, _, codec = port()
+    claim = mavlink.MAVLink_named_value_float_message(5, b"LW_SINCE", since_s)
+    since_ms = round(since_s * 1000.0) or None
+    told = ev.OtherComputer(0.0, active=True, flies=since_s > 0.0, since_ms=since_ms)
+    assert hear(made, codec, frame(sender(1, 191), claim)) == [told]
+
+
 # --- what is said --------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Incoming
+from companion.adapters.files.folder_lock import FolderLock
 from companion.adapters.files.params import digest_of, read_airframe, read_flight, read_wind_process
 from companion.app.flight import run as run_module
 from companion.app.flight.loop import Loop
@@ -126,6 +127,28 @@ def station(tmp_path):
     made = Station(tmp_path)
     yield made
     made.recorder.close()
+
+
+def claims(station: Station) -> list[Any]:
+    """What a second companion says: the same frames as ours would be, by another hand."""
+    said = [mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)]
+    return [bytes(m.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=191))) for m in said]
+
+
+def test_our_own_frames_that_the_wiring_echoes_are_nobody_else(station):
+    station.identify()
+    station.put(*station.telemetry(3500), station.sync(3.5))
+    while station.wire.incoming:
+        station.loop.step()
+    own = list(station.wire.sent)
+    phase = station.pilot.phase
+    assert phase is not Phase.IDENTIFY
+    station.wire.incoming.extend(own)
+    station.turn()
+    assert station.pilot.phase is phase
+    station.wire.incoming.extend(claims(station))
+    station.turn()
+    assert station.pilot.phase is Phase.PASSIVE
 
 
 def test_before_it_knows_the_vehicle_it_answers_timesync_and_gives_no_order(station):
@@ -448,7 +471,9 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
     station.pilot.handle = broken  # type: ignore[method-assign]
     station.put(*station.telemetry(1000), station.sync(1.0))
     assert (
-        run_module.fly_to_the_end(run_module.Run(station.loop, station.recorder, station.pilot))
+        run_module.fly_to_the_end(
+            run_module.Run(station.loop, station.recorder, station.pilot, FolderLock(None))
+        )
         == BROKEN
     )
     log = (tmp_path / "companion.log").read_text()
