@@ -176,7 +176,8 @@ class AutopilotWind(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress(Event):
-    """The item that the autopilot flies (`None`: none of ours) and how many items it holds.
+    """The item that the autopilot flies (`None`: none of ours) and how many items it holds (0: no
+    mission aboard).
 
     `in_mission`: whether it flies the mission at all, where it tells. `mission_id`: a number that
     changes with the list, where the autopilot sends one (PX4 1.15 and later).

@@ -81,6 +81,7 @@ from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     Phase,
 )
+from companion.core.pilot.unanswered_hold import UnansweredHold
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner
@@ -205,6 +206,9 @@ class Pilot:
             landing=self._landing,
             setpoints=self._setpoints,
         )
+        self._unanswered = UnansweredHold(
+            aboard_state, self._authority, self._ground, self._home_watch
+        )
         self._resume = Resume(
             self._flight_state,
             self._ground,
@@ -232,11 +236,11 @@ class Pilot:
     def _make_routes(self) -> Mapping[type[Event], tuple[Controller, ...]]:
         """Which controllers take which event, in which order."""
         return {
-            VehicleState: (self._authority,),
-            ModeNow: (self._authority,),
+            VehicleState: (self._authority, self._unanswered),
+            ModeNow: (self._authority, self._unanswered),
             OtherComputer: (self._authority,),
             ControlHandedBack: (self._authority,),
-            ControlTaken: (self._authority,),
+            ControlTaken: (self._authority, self._unanswered),
             LinkSilent: (self._resume,),
             LinkBack: (self._resume,),
             ClockLeapt: (self._resume,),
@@ -247,8 +251,8 @@ class Pilot:
             ParametersSet: (self._ground,),
             MissionUploaded: (self._ground, self._aboard),
             MissionReadBack: (self._resume, self._ground, self._aboard),
-            MissionTouched: (self._aboard,),
-            MissionProgress: (self._aboard, self._progress),
+            MissionTouched: (self._aboard, self._unanswered),
+            MissionProgress: (self._aboard, self._unanswered, self._progress),
             OrderRefused: (self._ground, self._progress),
             AbortOrdered: (self._decision,),
             LimitsChanged: (self._decision,),
@@ -315,6 +319,7 @@ class Pilot:
             self._ground.tick(context)
             self._sequence.tick(context)
             self._setpoints.tick(context)
+            self._unanswered.tick(context)
         self._report()
 
     def enter_phase(self, left: Phase, why: str) -> None:

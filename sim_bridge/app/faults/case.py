@@ -20,8 +20,9 @@ Play = Callable[[Stage], Iterator[None]]
 class FaultCase:
     """One row. `asks` are judged by truth; each returns what is wrong, or None.
 
-    `flight` changes the flight file, table by table. `ends_after_s`: the flight is ended so long
-    after a person has taken over, where nobody is expected to come home.
+    `flight` changes the flight file, table by table; `arguments` are more of the companion's.
+    `ends_after_s`: the flight is ended so long after a person has taken over, where nobody is
+    expected to come home.
     """
 
     number: int
@@ -33,6 +34,7 @@ class FaultCase:
     phases: tuple[str, ...] = ("outbound",)
     autopilots: tuple[str, ...] = BOTH
     flight: dict[str, Any] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
     ends_after_s: float | None = None
 
     def wrong(self, flown: FlownFault) -> list[str]:

@@ -83,6 +83,8 @@ class FlyOptions:
     lockstep_limit_s: float = 20.0
     believed: str | None = None
     signing_key: Path | None = None
+    companion_arguments: tuple[str, ...] = ()
+    """More of `companion run`, as its operator would choose them."""
 
 
 @dataclass(slots=True)
@@ -217,6 +219,7 @@ def _build_craft(
             "--configure",
             *_signed_arguments(options.signing_key),
             *(["--lockstep"] if killed else []),
+            *options.companion_arguments,
         ],
     )
     return Craft(

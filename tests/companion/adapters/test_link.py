@@ -329,7 +329,7 @@ def test_px4_tells_its_mode_between_heartbeats_by_current_mode():
 
 
 @pytest.mark.parametrize(("autopilot", "seq", "total", "index", "count"), [
-    (3, 5, 40, 4, 40), (3, 0, 0, None, None), (12, 5, 40, 5, 40), (12, 0, 65535, 0, None),
+    (3, 5, 40, 4, 40), (3, 0, 0, None, None), (12, 5, 40, 5, 40), (12, 0, 65535, 0, 0),
 ])  # fmt: skip
 def test_mission_items_are_counted_as_ours_and_an_empty_mission_is_unknown(
     autopilot, seq, total, index, count
