@@ -14,7 +14,7 @@ from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCod
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.clock import AutopilotClock, is_due, wall_s
+from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.recorder import Recorder
 from companion.core.mission.actions import (
@@ -49,6 +49,9 @@ BUNDLE_BYTES = 1400
 """An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
 
 TEXT_BYTES = 50
+
+CLOCKS_APART_S = 3.0
+"""All signed frames are refused for so long (three heartbeats): no late one among good ones."""
 
 ECHO_FRAMES = 200
 """Frames of ours that are known again when they come back: some seconds of them."""
@@ -94,6 +97,8 @@ class Loop:
     _heard_s: float = 0.0
     _silent: bool = False
     _record_lost: bool = False
+    _refused_wall_s: float | None = None
+    _clocks_told: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
     _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
     _outgoing: list[_Outgoing] = field(default_factory=list)
@@ -157,6 +162,7 @@ class Loop:
             self.hearing.heard_one()
         self._mind_stall()
         self._mind_silence()
+        self._mind_signing()
         if incoming is not None:
             for message in self.codec.parse(incoming.data):
                 self._message(message, incoming.peer)
@@ -292,6 +298,26 @@ class Loop:
             self._give([LinkSilent(self.clock.t_s)])
         if silent_s > self.silence_limit_s:
             self.lost = True
+
+    def _mind_signing(self) -> None:
+        """Nothing that is rightly signed is accepted: the operator hears which clock says what."""
+        apart_us = self.codec.clocks_apart_us
+        if apart_us is None:
+            self._refused_wall_s = None
+            return
+        now_s = self.wall_clock_s()
+        self._refused_wall_s = now_s if self._refused_wall_s is None else self._refused_wall_s
+        if self._clocks_told or now_s - self._refused_wall_s < CLOCKS_APART_S:
+            return
+        self._clocks_told = True
+        behind_s = (apart_us[1] - apart_us[0]) / 1e6
+        words = (
+            f"signing: autopilot's clock {behind_s:.0f} s behind ours",
+            f"autopilot: {utc_words(apart_us[0])}",
+            f"this computer: {utc_words(apart_us[1])}",
+            "set the clock that is wrong, then start again",
+        )
+        self.carry_out([Say(Severity.CRITICAL, text) for text in words])
 
     # --- out -----------------------------------------------------------------------------------
 
