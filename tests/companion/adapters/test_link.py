@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import os
 import random
 import socket
 import struct
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.adapters.autopilots import link as link_module
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.autopilots.link import TcpLink, UdpLink, open_link
 from companion.adapters.autopilots.port import AutopilotPort
@@ -530,3 +532,36 @@ def test_after_settling_all_that_had_arrived_waits_in_the_queue():
         link.settle()
         assert link.waiting() == 200
     link.close()
+
+
+# --- a port that another client holds ------------------------------------------------------------
+
+
+def test_a_udp_port_that_another_client_holds_is_told_with_what_to_do():
+    first = UdpLink("127.0.0.1", 0, listen=True)
+    try:
+        with pytest.raises(LeewayError, match=r"another client listens there.*--out"):
+            open_link(f"udpin:127.0.0.1:{first.address[1]}")
+    finally:
+        first.close()
+
+
+def test_a_tcp_port_that_nobody_answers_is_told_with_what_to_do(monkeypatch):
+    monkeypatch.setattr(link_module, "FIRST_CALL_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(LeewayError, match=r"another client holds.*5762.*--out"):
+        open_link(f"tcp:127.0.0.1:{port}")
+
+
+def test_a_serial_port_that_another_companion_holds_is_told_with_what_to_do():
+    master, slave = os.openpty()
+    url = f"serial:{os.ttyname(slave)}:57600"
+    first = open_link(url)
+    try:
+        with pytest.raises(LeewayError, match=r"another program holds it.*--out"):
+            open_link(url)
+    finally:
+        first.close()
+        os.close(slave)
+        os.close(master)
