@@ -16,7 +16,13 @@ pytestmark = pytest.mark.sitl
 OPEN: dict[str, str] = {}
 """Rows that do not hold yet, and why: docs/explanation/limits.md says so too."""
 
-GUARDS: dict[str, tuple[str, str]] = {}
+AUTHORITY = "from companion.core.pilot.authority import Authority"
+HOLD = "from companion.core.pilot.unanswered_hold import UnansweredHold"
+GUARDS: dict[str, tuple[str, str]] = {
+    "second-takes-over": ("outbound", f"{AUTHORITY}\nAuthority._is_theirs = lambda *_: False"),
+    "payload-computer-flies": ("return", f"{AUTHORITY}\nAuthority._is_theirs = lambda *_: False"),
+    "mission-cleared": ("return", f"{HOLD}\nUnansweredHold.tick = lambda *_: None"),
+}
 """By row: the phase, and the patch that takes its guard out."""
 
 ROWS = [
