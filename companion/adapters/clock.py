@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 
 
 def wall_s() -> float:
@@ -23,6 +23,11 @@ def epoch_us() -> int:
 def local_time() -> str:
     """Now in local time to the millisecond, for logs that people read."""
     return datetime.now().strftime("%Y-%m-%d %H:%M:%S,%f")[:-3]
+
+
+def utc_words(since_epoch_us: int) -> str:
+    """A time in words: 2026-11-23 06:30:05Z."""
+    return datetime.fromtimestamp(since_epoch_us / 1e6, UTC).strftime("%Y-%m-%d %H:%M:%SZ")
 
 
 def is_due(last_s: float | None, every_s: float, now_s: float) -> bool:

@@ -32,23 +32,31 @@ class Unguarded:
 guarded.DiskThread = guarded.DiskAtOnce = Unguarded
 """
 
+AUTHORITY = "companion.core.pilot.authority"
+HOLD = "companion.core.pilot.unanswered_hold"
+
+BLIND = f"""\
+{without(AUTHORITY, "Authority.on_event", "None")}
+import dataclasses, companion.core.pilot.mission_progress as progress
+follow = progress.MissionFollower._follow
+def unwary(self, context, event):
+    return follow(self, context, dataclasses.replace(event, in_mission=None))
+progress.MissionFollower._follow = unwary
+"""
+"""Neither the mode nor the mission's state show anybody's hand."""
+
 GUARDS: dict[str, tuple[str, str]] = {
     "arm-ack-lost": (
         "ready",
-        without("companion.core.pilot.authority", "Authority._is_foreign_disarm", "False"),
+        without(AUTHORITY, "Authority._is_foreign_disarm", "False"),
     ),
-    "kill-switch": (
-        "outbound",
-        without("companion.core.pilot.authority", "Authority.on_event", "None"),
-    ),
-    "acks-lost": (
-        "outbound",
-        without("companion.core.pilot.authority", "Authority.on_event", "None"),
-    ),
+    "kill-switch": ("outbound", BLIND),
+    "acks-lost": ("outbound", BLIND),
     "false-disarmed": (
         "outbound",
-        without("companion.core.pilot.authority", "Authority._is_foreign_disarm", "False")
-        + "\nimport companion.core.pilot.landing as landing; landing.DISARMED_S = 0.0\n"
+        without(AUTHORITY, "Authority._is_foreign_disarm", "False")
+        + "\nimport companion.core.pilot.landing as landing; landing.DISARMED_S = 0.0"
+        + "\nimport companion.core.pilot.telemetry_state as said; said.DISARMED_WITNESSES = 1\n"
         + without("companion.core.pilot.context", "FlightContext.against_standing", "''"),
     ),
     "same-length-edit": (
@@ -93,6 +101,9 @@ GUARDS: dict[str, tuple[str, str]] = {
         "import companion.core.pilot.parcel_release as guarded\n"
         "guarded.ReleaseWatch.evidence = lambda self, t_s: 'the gripper says so'",
     ),
+    "second-takes-over": ("outbound", without(AUTHORITY, "Authority._is_theirs", "False")),
+    "payload-computer-flies": ("return", without(AUTHORITY, "Authority._is_theirs", "False")),
+    "mission-cleared": ("return", without(HOLD, "UnansweredHold.tick", "None")),
 }
 """By row: the phase, and the patch that takes its guard out."""
 

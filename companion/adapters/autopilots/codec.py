@@ -70,14 +70,26 @@ mavlink.mavlink_map.setdefault(CurrentMode.id, CurrentMode)
 
 
 class _Codec(mavlink.MAVLink):
-    """pymavlink's codec, with its replay memory fed only by signatures that were right."""
+    """pymavlink's codec, with its replay memory fed only by signatures that were right.
+
+    `refused_stamp`: the newest time of rightly signed frames that were refused as too old, while
+    none is accepted.
+    """
+
+    refused_stamp: int | None = None
 
     def check_signature(self, msgbuf: Any, srcSystem: int, srcComponent: int) -> bool:
         key = self.signing.secret_key or b""
         right = hashlib.sha256(bytes(key) + bytes(msgbuf[:-6])).digest()[:6]
         if not hmac.compare_digest(right, bytes(msgbuf[-6:])):
             return False
-        return super().check_signature(msgbuf, srcSystem, srcComponent)
+        if super().check_signature(msgbuf, srcSystem, srcComponent):
+            self.refused_stamp = None
+            return True
+        stamp = int.from_bytes(bytes(msgbuf[-12:-6]), "little")
+        if (msgbuf[-13], srcSystem, srcComponent) not in self.signing.stream_timestamps:
+            self.refused_stamp = max(stamp, self.refused_stamp or 0)
+        return False
 
 
 class MavlinkCodec:
@@ -98,6 +110,17 @@ class MavlinkCodec:
     def signed(self) -> bool:
         """True when a key is in use."""
         return self.mav.signing.secret_key is not None
+
+    @property
+    def clocks_apart_us(self) -> tuple[int, int] | None:
+        """Two times since 1970, too far apart: of signed frames that we must refuse, and ours.
+
+        A frame of a new stream is refused when it is over a minute older than our signing clock.
+        """
+        if self.mav.refused_stamp is None:
+            return None
+        theirs, ours = self.mav.refused_stamp, self.mav.signing.timestamp
+        return theirs * 10 + SIGNING_EPOCH_US, ours * 10 + SIGNING_EPOCH_US
 
     def be_system(self, system_id: int) -> None:
         """Speak as a component of this system."""

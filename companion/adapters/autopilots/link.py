@@ -5,6 +5,7 @@ Whole datagrams (UDP) or whatever arrived (TCP, serial) enter the queue. TCP and
 by themselves after a break.
 """
 
+import errno
 import queue
 import select
 import socket
@@ -12,10 +13,16 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from companion.adapters.clock import wall_s
 from companion.core.base.errors import LeewayError
 
 POLL_S = 0.2
 RETRY_S = 1.0
+FIRST_CALL_S = 3.0
+"""How long the first call of a TCP server is tried: one that starts beside us is up by then, and
+with the last try the operator hears within 5 s.
+"""
+
 LARGEST_DATAGRAM = 65536
 QUEUE_LIMIT = 20_000
 SETTLE_LIMIT_S = 0.4
@@ -110,6 +117,17 @@ def _is_readable(line: socket.socket | None) -> bool:
         return False
 
 
+def _udp_trouble(host: str, port: int, error: OSError) -> str:
+    """What is wrong with a UDP port, and what to do where another client holds it."""
+    words = f"link udp {host}:{port}: {error.strerror or error}"
+    if error.errno != errno.EADDRINUSE:
+        return words
+    return (
+        f"{words}: another client listens there (a ground station?). Give us a port of our own,"
+        f" such as udpin:{host}:14551, and send to it as well (MAVProxy: --out 127.0.0.1:14551)"
+    )
+
+
 class UdpLink(_Reader):
     """UDP, listening or calling. A listener answers to the peer that it was told to answer."""
 
@@ -128,7 +146,7 @@ class UdpLink(_Reader):
                 self._peer = (socket.gethostbyname(host), port)
         except OSError as error:
             self._socket.close()
-            raise LeewayError(f"link udp {host}:{port}: {error}") from error
+            raise LeewayError(_udp_trouble(host, port, error)) from error
         self._socket.settimeout(POLL_S)
         self._fixed_peer = not listen
         self.start()
@@ -183,7 +201,24 @@ class TcpLink(_Reader):
         self._address = (host, port)
         self._socket: socket.socket | None = None
         self._lock = threading.Lock()
+        self._call_first()
         self.start()
+
+    def _call_first(self) -> None:
+        """The first call must be answered; a line that breaks later is called again for ever.
+
+        Raises: LeewayError with what to do.
+        """
+        until_s = wall_s() + FIRST_CALL_S
+        while self._socket is None:
+            self._connect()
+            if self._socket is None and wall_s() > until_s:
+                host, port = self._address
+                raise LeewayError(
+                    f"link tcp {host}:{port}: nobody answers, or another client holds the port."
+                    " One port serves one client: take a free one (ArduPilot's simulator: 5762),"
+                    " or let that client pass it on (MAVProxy: --out 127.0.0.1:14551)"
+                )
 
     def _read_once(self) -> None:
         line = self._socket
@@ -254,14 +289,19 @@ class SerialLink(_Reader):
         self._port: Any = None
         self._open()
         if self._port is None:
-            raise LeewayError(f"link serial:{device}:{baud}: cannot open the device")
+            raise LeewayError(
+                f"link serial:{device}:{baud}: cannot open the device, or another program holds it"
+                " (close that, or let it pass the link on: MAVProxy --out 127.0.0.1:14551)"
+            )
         self.start()
 
     def _open(self) -> None:
         import serial  # pyserial: only a serial link needs it
 
         try:
-            self._port = serial.Serial(self._device, self._baud, timeout=POLL_S, write_timeout=1.0)
+            self._port = serial.Serial(
+                self._device, self._baud, timeout=POLL_S, write_timeout=1.0, exclusive=True
+            )
         except (OSError, ValueError):  # SerialException is an OSError
             self._port = None
 

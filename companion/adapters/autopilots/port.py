@@ -35,6 +35,8 @@ from companion.core.mission.actions import (
     UploadMission,
 )
 from companion.core.mission.events import (
+    CLAIM,
+    CLAIM_STEP_S,
     AutopilotParameters,
     ClockLeapt,
     ClockStepped,
@@ -140,13 +142,13 @@ class AutopilotPort:
         kind = message.get_type()
         if self.profile is None:
             self._note_stamp(message, system, component)
-            return self._identify(message, system, component) if kind == "HEARTBEAT" else []
+            if component != AUTOPILOT and self._wanted_system in (None, system):
+                return self._other_computer(message, component)
+            return self._identify(message, system) if kind == "HEARTBEAT" else []
         if system != self.system_id:
             return []
-        if component == COMPONENT:
-            return [self._other_computer(message)] if kind == "HEARTBEAT" else []
         if component != AUTOPILOT:
-            return []
+            return self._other_computer(message, component)
         if kind == "HEARTBEAT":
             if message.type in NOT_VEHICLES:
                 return []
@@ -207,10 +209,8 @@ class AutopilotPort:
             first_s, _ = self._stamps.get(system, (stamp_s, stamp_s))
             self._stamps[system] = (min(first_s, stamp_s), stamp_s)
 
-    def _identify(self, message: Any, system: int, component: int) -> list[Event]:
+    def _identify(self, message: Any, system: int) -> list[Event]:
         """Count heartbeats until one system is trusted to be our vehicle."""
-        if component == COMPONENT and self._wanted_system in (None, system):
-            return [self._other_computer(message)]
         profile = PROFILES.get(message.autopilot)
         if profile is None or not self.may_be_ours(message):
             return []
@@ -244,13 +244,39 @@ class AutopilotPort:
             self._clock.synchronise(self._times[system])
         return self._clock.known or heartbeats >= HEARTBEATS_WITHOUT_TIME
 
-    def _other_computer(self, message: Any) -> Event:
+    def _other_computer(self, message: Any, component: int) -> list[Event]:
+        """What a computer beside us says of itself: its heartbeat, or the named value.
+
+        ArduPilot passes no heartbeat on to a link where the same component was heard: to us, none
+        of a second companion. Named values it does.
+        """
+        match message.get_type():
+            case "HEARTBEAT":
+                return self._heartbeat_beside(message, component)
+            case "NAMED_VALUE_FLOAT" if message.name == CLAIM and 0.0 <= message.value < 1e7:
+                since_ms = round(message.value / CLAIM_STEP_S) * round(1000.0 * CLAIM_STEP_S)
+                told = {"flies": since_ms > 0, "since_ms": since_ms or None}
+                return [OtherComputer(self._clock.t_s, active=True, component=component, **told)]
+            case _:
+                return []
+
+    def _heartbeat_beside(self, message: Any, component: int) -> list[Event]:
+        """Of a companion, or of whoever says that it flies; any other computer is harmless."""
+        flies = bool(message.base_mode & mavlink.MAV_MODE_FLAG_AUTO_ENABLED)
+        onboard = message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        if component != COMPONENT and not (onboard and flies):
+            return []
         status = message.system_status
-        return OtherComputer(
-            self._clock.t_s,
-            active=status not in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT),
-            booting=status == mavlink.MAV_STATE_BOOT,
-        )
+        return [
+            OtherComputer(
+                self._clock.t_s,
+                active=status not in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT),
+                booting=status == mavlink.MAV_STATE_BOOT,
+                component=component,
+                flies=flies,
+                since_ms=message.custom_mode or None,
+            )
+        ]
 
     def _time(self, message: Any) -> tuple[list[Event], float | None]:
         stamp_s = boot_s(message)

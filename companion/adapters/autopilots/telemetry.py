@@ -258,7 +258,7 @@ def _hud(message: Any, profile: AutopilotProfile, values: Values, t_s: float) ->
 def _progress(message: Any, profile: AutopilotProfile, t_s: float) -> Event:
     index = message.seq - profile.home_items
     # `total` is a MAVLink 2 extension: 0 from those that do not send it, 65535 for no mission.
-    total = message.total if 0 < message.total < UNKNOWN_U16 else None
+    total = {0: None, UNKNOWN_U16: 0}.get(message.total, message.total)
     # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.
     in_mission = {1: True, 2: False}.get(message.mission_mode)
     return MissionProgress(

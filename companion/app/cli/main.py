@@ -113,6 +113,14 @@ class GateSwitch(StrEnum):
     OFF = "off"
 
 
+class HoldChoice(StrEnum):
+    """What becomes of a HOLD that nobody asked for and nobody answers."""
+
+    ALARM = "alarm"
+    RETURN = "return"
+    LAND = "land"
+
+
 @app.command(name="run", epilog=EXIT_CODES)
 def run_command(
     link: LinkUrl,
@@ -147,6 +155,17 @@ def run_command(
     gate: Annotated[
         GateSwitch, typer.Option(help="off: never turns back; for comparison only.")
     ] = GateSwitch.ON,
+    unanswered_hold: Annotated[
+        HoldChoice,
+        typer.Option(
+            help="Where the autopilot holds because its mission was cleared, and nobody answers"
+            " the alarms: only go on with them, return to launch, or land"
+            " (docs/explanation/safety-rules.md, rule 1)."
+        ),
+    ] = HoldChoice.ALARM,
+    unanswered_after: Annotated[
+        float, typer.Option(min=10.0, help="So many seconds after the first alarm.")
+    ] = 30.0,
     silence_limit: SilenceLimit = 300.0,
     lockstep: Annotated[
         bool,
@@ -206,10 +225,12 @@ def run_command(
         raise LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
 
     from companion.app.cli.flying import CommandLine, fly, fly_in_fleet
-    from companion.core.pilot.context import PilotOptions
+    from companion.core.pilot.context import PilotOptions, Unanswered
 
     pilot = PilotOptions(
         gate_on=gate is GateSwitch.ON,
+        unanswered_hold=Unanswered(unanswered_hold.value),
+        unanswered_hold_s=unanswered_after,
         configure=configure,
         authorise=authorise,
         here=here,

@@ -5,15 +5,16 @@ is a tick: everything before it has been received, the outputs leave, and it is 
 Without them, telemetry ticks about ten times a second.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort
 from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.clock import AutopilotClock, is_due, wall_s
+from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.recorder import Recorder
 from companion.core.mission.actions import (
@@ -48,6 +49,12 @@ BUNDLE_BYTES = 1400
 """An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
 
 TEXT_BYTES = 50
+
+CLOCKS_APART_S = 3.0
+"""All signed frames are refused for so long (three heartbeats): no late one among good ones."""
+
+ECHO_FRAMES = 200
+"""Frames of ours that are known again when they come back: some seconds of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +97,10 @@ class Loop:
     _heard_s: float = 0.0
     _silent: bool = False
     _record_lost: bool = False
+    _refused_wall_s: float | None = None
+    _clocks_told: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
+    _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
     _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
 
@@ -152,6 +162,7 @@ class Loop:
             self.hearing.heard_one()
         self._mind_stall()
         self._mind_silence()
+        self._mind_signing()
         if incoming is not None:
             for message in self.codec.parse(incoming.data):
                 self._message(message, incoming.peer)
@@ -170,6 +181,8 @@ class Loop:
         system = self.autopilot.system_id
         known = system is not None
         source = (message.get_srcSystem(), message.get_srcComponent())
+        if source[1] == COMPONENT and bytes(message.get_msgbuf()) in self._said:
+            return  # the wiring echoes: it is nobody else
         if not known or source[0] == system:
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
         if known and self.operator.on_message(message, system, self.clock.t_s):
@@ -286,6 +299,26 @@ class Loop:
         if silent_s > self.silence_limit_s:
             self.lost = True
 
+    def _mind_signing(self) -> None:
+        """Nothing that is rightly signed is accepted: the operator hears which clock says what."""
+        apart_us = self.codec.clocks_apart_us
+        if apart_us is None:
+            self._refused_wall_s = None
+            return
+        now_s = self.wall_clock_s()
+        self._refused_wall_s = now_s if self._refused_wall_s is None else self._refused_wall_s
+        if self._clocks_told or now_s - self._refused_wall_s < CLOCKS_APART_S:
+            return
+        self._clocks_told = True
+        behind_s = (apart_us[1] - apart_us[0]) / 1e6
+        words = (
+            f"signing: autopilot's clock {behind_s:.0f} s behind ours",
+            f"autopilot: {utc_words(apart_us[0])}",
+            f"this computer: {utc_words(apart_us[1])}",
+            "set the clock that is wrong, then start again",
+        )
+        self.carry_out([Say(Severity.CRITICAL, text) for text in words])
+
     # --- out -----------------------------------------------------------------------------------
 
     def carry_out(self, actions: list[Action]) -> None:
@@ -341,7 +374,7 @@ class Loop:
                 mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
                 mavlink.MAV_AUTOPILOT_INVALID,
                 flags,
-                0,
+                (self.pilot.flies_since_ms or 0) & 0xFFFFFFFF,
                 state,
                 3,
             )
@@ -359,6 +392,7 @@ class Loop:
 
     def _pack(self, message: Any, *, is_order: bool) -> None:
         frame = self.codec.pack(message)
+        self._said.append(frame)
         if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
             self.flush()
         self._outgoing.append(_Outgoing(frame, is_order, self.clock.t_s))

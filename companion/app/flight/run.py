@@ -13,6 +13,7 @@ from companion.adapters.autopilots.link import Link, open_link
 from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.clock import wall_s
 from companion.adapters.files.checkpoint_file import read_checkpoint
+from companion.adapters.files.folder_lock import FolderLock
 from companion.adapters.files.params import (
     digest_of,
     read_airframe,
@@ -83,6 +84,7 @@ class Run:
     loop: Loop
     recorder: Recorder
     pilot: Pilot
+    lock: FolderLock
 
     @classmethod
     def begin(
@@ -118,7 +120,12 @@ class Run:
             checkpoint=kept,
             policy=flying_policy(options.policy) if options.policy is not None else None,
         )
-        link = open_link(options.link)
+        lock = FolderLock.take(options.run_dir)
+        try:
+            link = open_link(options.link)
+        except LeewayError:
+            lock.release()
+            raise
         continues = kept is not None and not kept.finished
         recorder = Recorder(
             options.run_dir,
@@ -150,7 +157,7 @@ class Run:
             recorder.note(pilot.telemetry.t_s, "GATE OFF: never turns back, for comparison only")
         if kept is not None and continues:
             recorder.note(pilot.telemetry.t_s, f"going on from a checkpoint in phase {kept.phase}")
-        return cls(loop, recorder, pilot)
+        return cls(loop, recorder, pilot, lock)
 
     def step(self) -> int | None:
         """Handle what one wait brings; the exit code once the mission is over or the link lost."""
@@ -175,6 +182,7 @@ class Run:
         )
         loop.link.close()
         recorder.close()
+        self.lock.release()
 
 
 def requirements(autopilot_kind: AutopilotKind, facts: RouteFacts) -> tuple[Requirement, ...]:

@@ -176,7 +176,8 @@ class AutopilotWind(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress(Event):
-    """The item that the autopilot flies (`None`: none of ours) and how many items it holds.
+    """The item that the autopilot flies (`None`: none of ours) and how many items it holds (0: no
+    mission aboard).
 
     `in_mission`: whether it flies the mission at all, where it tells. `mission_id`: a number that
     changes with the list, where the autopilot sends one (PX4 1.15 and later).
@@ -352,12 +353,26 @@ class NeighbourHeard(Event):
     track: Track
 
 
+CLAIM = "LW_SINCE"
+"""The named value by which two companions tell which of them flies, in seconds."""
+
+CLAIM_STEP_S = 0.1
+"""Told in a 32-bit float, such a step stays exact for nine days."""
+
+
 @dataclass(frozen=True, slots=True)
 class OtherComputer(Event):
-    """Another onboard computer (component 191) speaks on this system."""
+    """Another onboard computer speaks on this system: a companion, or one that says it flies.
+
+    `flies`: it says so. `since_ms`: on the autopilot's clock, from when on it has flown this
+    flight; None where it does not say.
+    """
 
     active: bool
     booting: bool = False
+    component: int = 191
+    flies: bool = False
+    since_ms: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,17 @@
-"""Safety rule 1: who has control of the vehicle, judged from the autopilot's heartbeats."""
+"""Safety rule 1: who has control of the vehicle, judged from heartbeats.
+
+The autopilot's tell of another hand. Those of another onboard computer tell which of two flies,
+when a companion that stood still wakes beside its replacement: the one that began to fly last. The
+other was not to be heard then, and what it knows is old. Each compares what both say aloud, so both
+decide the same, alone.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import (
+    CLAIM_STEP_S,
     ClockStepped,
     ControlHandedBack,
     ControlTaken,
@@ -16,7 +23,17 @@ from companion.core.mission.events import (
 )
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import GROUND_HEIGHT_M, FlightContext
-from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import (
+    COMMANDING_PHASES,
+    END_PHASES,
+    FLIGHT_PHASES,
+    GROUND_PHASES,
+    Phase,
+    Trigger,
+)
+
+COMPANION = 191
+"""Our own component on the vehicle's system (MAV_COMP_ID_ONBOARD_COMPUTER)."""
 
 FALLING_MPS = 2.0
 """Faster down than any landing in its last metres (PX4 0.7, ArduCopter 0.5 m/s by default)."""
@@ -36,6 +53,8 @@ class Authority:
     armed_by_us: bool = False
     disarmed_by_another: bool = False
     disarmed_in_air: bool = False
+    flies_since_ms: int | None = None
+    """From when on this process has flown this flight, on the autopilot's clock; said aloud."""
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Heartbeats, other computers, and operators who take control or hand it back."""
@@ -46,7 +65,7 @@ class Authority:
             case ClockStepped():
                 self.ground_mode = None  # rebooted: it stands in another mode, by nobody's hand
             case OtherComputer():
-                _yield_to(context, event)
+                self._yield_to(context, event)
             case ControlHandedBack():
                 self._take_back(context, event.by)
             case ControlTaken():
@@ -54,6 +73,41 @@ class Authority:
                 context.request_transition(Trigger.TAKEN_OVER, f"told so by {event.by}")
             case _:
                 return
+
+    def entered(self, context: FlightContext) -> None:
+        """A phase begins. A later hand-back or silence changes nothing: who began last flies."""
+        if self.flies_since_ms is None and context.phase in FLIGHT_PHASES:
+            self.flies_since_ms = max(1, round(context.t_s / CLAIM_STEP_S)) * round(
+                1000.0 * CLAIM_STEP_S
+            )
+
+    def _yield_to(self, context: FlightContext, other: OtherComputer) -> None:
+        """Hands off for good where another onboard computer flies, or is here before us."""
+        if self._is_theirs(context.phase, other):
+            words = f"another onboard computer (component {other.component})"
+            context.request_transition(Trigger.OTHER_COMPUTER, words)
+        elif other.flies and context.phase in COMMANDING_PHASES:
+            context.say_once(Severity.WARNING, "another onboard computer: this one flies on")
+
+    def _is_theirs(self, phase: Phase, other: OtherComputer) -> bool:
+        """Tell whether the flight is the other's."""
+        if self.flies_since_ms is not None:
+            claims = other.flies or other.since_ms is not None
+            return other.active and claims and self._flies_instead(other, self.flies_since_ms)
+        return other.active or (other.booting and phase is Phase.IDENTIFY)
+
+    @staticmethod
+    def _flies_instead(other: OtherComputer, ours_ms: int) -> bool:
+        """The later flies. Where that does not tell: the lower component, and of equals neither."""
+        if other.since_ms in (None, ours_ms):
+            return other.component <= COMPANION
+        return other.since_ms is not None and other.since_ms > ours_ms
+
+    def claim_s(self, phase: Phase) -> float | None:
+        """What we say aloud: since when we fly, 0 before; None where the flight is not ours."""
+        if phase in (Phase.IDENTIFY, Phase.PASSIVE, *END_PHASES):
+            return None
+        return (self.flies_since_ms or 0) / 1000.0
 
     def _judge(self, context: FlightContext, state: VehicleState) -> None:
         """Let go when this heartbeat shows another hand."""
@@ -176,13 +230,3 @@ def _falls(context: FlightContext) -> bool:
     if position is None or here is None:
         return False
     return position.vel_d_mps > FALLING_MPS and context.height_m(here) > GROUND_HEIGHT_M
-
-
-def _yield_to(context: FlightContext, event: OtherComputer) -> None:
-    if context.phase is Phase.PASSIVE:
-        return
-    if event.active or (event.booting and context.phase is Phase.IDENTIFY):
-        words = "another onboard computer is on this system"
-        context.request_transition(Trigger.OTHER_COMPUTER, words)
-        if context.phase is not Phase.PASSIVE:
-            context.say_once(Severity.WARNING, "another onboard computer on this system")

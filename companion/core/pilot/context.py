@@ -24,6 +24,7 @@ on.
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
 from companion.core.base.geo import Ned
@@ -51,6 +52,18 @@ ASSESSMENT_MAX_AGE_S = 2.5
 """An older assessment decides nothing and is not reported."""
 
 
+class Unanswered(Enum):
+    """What becomes of a HOLD that nobody asked for and nobody answers, by the operator's choice."""
+
+    ALARM = "alarm"
+    RETURN = "return"
+    LAND = "land"
+
+
+UNANSWERED_HOLD_S = 30.0
+"""Three alarms, ten seconds apart: a person who looks up at the second can still take over."""
+
+
 @dataclass(frozen=True, slots=True)
 class PilotOptions:
     """How this run is to be flown. `authorise` counts once and never after a restart.
@@ -69,6 +82,8 @@ class PilotOptions:
     keep_apart: bool = False
     name: str = ""
     separation_filter: bool = True
+    unanswered_hold: Unanswered = Unanswered.ALARM
+    unanswered_hold_s: float = UNANSWERED_HOLD_S
 
 
 class PhaseObserver(Protocol):

@@ -218,7 +218,7 @@ class FlightSequence:
                 self._drop.begin(context)
             case Phase.RETURN | Phase.DIVERT if left is Phase.RELEASE:
                 self._drop.end(context)
-            case Phase.LAST_RESORT:
+            case Phase.LAST_RESORT if left is not Phase.SUSPENDED:
                 self._progress.last_resort(context)
             case _:
                 return

@@ -70,6 +70,8 @@ class AboardState:
     touched: bool = False
     """Written to since the reading began that is under way."""
     restored: bool = False
+    foreign_s: float | None = None
+    """When telemetry last told of another list than ours, or of none; also after hands off."""
 
     @property
     def in_doubt(self) -> bool:
@@ -137,6 +139,7 @@ class MissionAboard:
     def _told(self, context: FlightContext, event: MissionProgress, ours: int) -> None:
         """Its number of items and its id, which is ours from the read-back before take-off on."""
         state = self._state
+        self._note_foreign(context, event, ours)
         if context.phase in (Phase.UPLOAD, Phase.READ_BACK):
             state.mission_id = None
         elif context.phase in FLOWN_PHASES and event.total not in (None, ours):
@@ -145,6 +148,12 @@ class MissionAboard:
             state.mission_id = event.mission_id
         elif event.mission_id not in (None, state.mission_id):
             self._doubt(context, "the mission aboard was changed")
+
+    def _note_foreign(self, context: FlightContext, event: MissionProgress, ours: int) -> None:
+        state = self._state
+        by_id = state.mission_id is not None and event.mission_id not in (None, state.mission_id)
+        if by_id or event.total not in (None, ours):
+            state.foreign_s = context.t_s
 
     def _doubt(self, context: FlightContext, words: str) -> None:
         """Nothing rests on the list until it was read."""

@@ -9,7 +9,13 @@ from typing import Any
 
 from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
-from companion.core.mission.events import Event, MissionProgress, Mode, OrderRefused
+from companion.core.mission.events import (
+    Event,
+    MissionProgress,
+    Mode,
+    OrderRefused,
+    VehicleState,
+)
 from companion.core.mission.jump_watch import OLDER_S, CourseWatch, JumpStatus, JumpWatch, Purpose
 from companion.core.mission.mission_items import DeadMansMission, Part
 from companion.core.pilot.checkpoint import Checkpoint
@@ -265,6 +271,8 @@ class MissionFollower:
             if state.jump.confirms(mission, event.index, event.t_s):
                 self._confirmed(context, event.index)
             return  # else the jump is under way; the tick asks again or gives up
+        if context.phase is Phase.LAST_RESORT and not _is_flown(vehicle):
+            return  # RTL or a landing needs no item
         if self._may_be_older(mission, event):
             return  # what is flown is reported again within a second
         if event.index == state.index or context.phase is Phase.LAND:
@@ -420,3 +428,7 @@ class MissionFollower:
         north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
         closing = position.vel_n_mps * north + position.vel_e_mps * east
         return course.disobeys(context.t_s, away_m, closing)
+
+
+def _is_flown(state: VehicleState | None) -> bool:
+    return state is None or state.mode is Mode.MISSION

@@ -21,6 +21,7 @@ from companion.core.mission.actions import (
     WindReport,
 )
 from companion.core.mission.events import (
+    CLAIM,
     AbortOrdered,
     Authorised,
     AutopilotKind,
@@ -80,6 +81,7 @@ from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     Phase,
 )
+from companion.core.pilot.unanswered_hold import UnansweredHold
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner
@@ -204,6 +206,9 @@ class Pilot:
             landing=self._landing,
             setpoints=self._setpoints,
         )
+        self._unanswered = UnansweredHold(
+            aboard_state, self._authority, self._ground, self._home_watch
+        )
         self._resume = Resume(
             self._flight_state,
             self._ground,
@@ -231,11 +236,11 @@ class Pilot:
     def _make_routes(self) -> Mapping[type[Event], tuple[Controller, ...]]:
         """Which controllers take which event, in which order."""
         return {
-            VehicleState: (self._authority,),
-            ModeNow: (self._authority,),
+            VehicleState: (self._authority, self._unanswered),
+            ModeNow: (self._authority, self._unanswered),
             OtherComputer: (self._authority,),
             ControlHandedBack: (self._authority,),
-            ControlTaken: (self._authority,),
+            ControlTaken: (self._authority, self._unanswered),
             LinkSilent: (self._resume,),
             LinkBack: (self._resume,),
             ClockLeapt: (self._resume,),
@@ -246,8 +251,8 @@ class Pilot:
             ParametersSet: (self._ground,),
             MissionUploaded: (self._ground, self._aboard),
             MissionReadBack: (self._resume, self._ground, self._aboard),
-            MissionTouched: (self._aboard,),
-            MissionProgress: (self._aboard, self._progress),
+            MissionTouched: (self._aboard, self._unanswered),
+            MissionProgress: (self._aboard, self._unanswered, self._progress),
             OrderRefused: (self._ground, self._progress),
             AbortOrdered: (self._decision,),
             LimitsChanged: (self._decision,),
@@ -314,11 +319,13 @@ class Pilot:
             self._ground.tick(context)
             self._sequence.tick(context)
             self._setpoints.tick(context)
+            self._unanswered.tick(context)
         self._report()
 
     def enter_phase(self, left: Phase, why: str) -> None:
         """Do what the new phase starts with; the context calls it at every transition."""
         context = self._context
+        self._authority.entered(context)
         match context.phase:
             case Phase.SUSPENDED:
                 self._authority.forget()
@@ -365,6 +372,9 @@ class Pilot:
         context = self._context
         wind, energy = context.estimates.wind, context.estimates.energy
         seen, values = context.fresh_assessment(), dict[str, float]()
+        claim_s = self._authority.claim_s(context.phase)
+        if claim_s is not None:
+            values[CLAIM] = claim_s
         if wind is not None and wind.valid:
             values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
         if energy is not None:
@@ -417,6 +427,11 @@ class Pilot:
     def phase(self) -> Phase:
         """The phase of the mission."""
         return self._context.phase
+
+    @property
+    def flies_since_ms(self) -> int | None:
+        """From when on this process has flown this flight, on the autopilot's clock."""
+        return self._authority.flies_since_ms
 
     @property
     def telemetry(self) -> TelemetryState:

@@ -57,6 +57,7 @@ class Trigger(Enum):
     AIRBORNE_AT_START = "airborne at start"
     MISSION_UNKNOWN = "mission not ours"
     STILL_ON_GROUND = "still on the ground"
+    UNANSWERED = "hold that nobody answers"
     # What may happen in any phase:
     TAKEN_OVER = "mode not ours"
     HANDED_BACK = "control handed back"
@@ -153,6 +154,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.RETURN, t.GO): p.OUTBOUND,
         (p.RETURN, t.CUSTOMER_REACHED): p.DELIVER,
         **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT)},
+        (p.SUSPENDED, t.UNANSWERED): p.LAST_RESORT,
         **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},
         **{(phase, t.TELEMETRY_STOPPED): p.CONFIGURE for phase in WAITING_PHASES},
@@ -177,8 +179,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         early = phase is p.IDENTIFY
         table[phase, t.TAKEN_OVER] = phase if (over or passive or early) else p.SUSPENDED
         table[phase, t.HANDED_BACK] = p.RECOGNISE if phase is p.SUSPENDED else phase
-        yields = early or phase in GROUND_PHASES or phase is p.RECOGNISE or phase is p.SUSPENDED
-        table[phase, t.OTHER_COMPUTER] = p.PASSIVE if yields else phase
+        table[phase, t.OTHER_COMPUTER] = phase if over else p.PASSIVE
         stays = over or passive or waiting or early
         table[phase, t.LINK_SILENT] = phase if stays else p.LINK_LOST
         table[phase, t.LULL_OVER] = BEFORE if phase is p.LINK_LOST else phase

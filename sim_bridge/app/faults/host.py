@@ -67,12 +67,9 @@ def folder_gone(stage: Stage) -> Iterator[None]:
     folder = stage.craft.run_dir
     away = folder.with_name(folder.name + ".away")
     folder.rename(away)
+    stage.ends.callback(away.rename, folder)
     folder.touch()  # a file in its place: nothing can be made below it, not by root either
-    try:
-        yield from stage.until(lambda: False)
-    finally:
-        folder.unlink()
-        away.rename(folder)
+    stage.ends.callback(folder.unlink)
 
 
 def from_the_start(stage: Stage) -> Iterator[None]:

@@ -82,6 +82,9 @@ def progress_late(stage: Stage) -> Iterator[None]:
 
 SAFE = (comes_home, promises_nothing_false)
 GROUP = "mission and home"
+
+RETURNS = ("--unanswered-hold=return",)
+"""Chosen before the flight: PX4 holds on a mission that it cannot fly, and nobody answers."""
 CASES = (
     FaultCase(
         10,
@@ -109,6 +112,7 @@ CASES = (
         shorter,
         (*SAFE, tells("mission")),
         FLYING,
+        arguments=RETURNS,
     ),
     FaultCase(
         12,
@@ -127,6 +131,7 @@ CASES = (
         cleared,
         (*SAFE, tells("mission")),
         FLYING,
+        arguments=RETURNS,
     ),
     FaultCase(
         14,

@@ -5,7 +5,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.flight.operator import MAV_CMD_DO_SET_HOME, command_long
+from sim_bridge.app.flight.operator import (
+    COMPANION_COMPONENT,
+    MAV_CMD_DO_SET_HOME,
+    command_long,
+)
 from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mission.items import MissionItem
@@ -21,16 +25,19 @@ METRES_PER_DEG = 111_195.0
 
 @dataclass(slots=True)
 class Station:
-    """A second ground station on a link of its own."""
+    """A second ground station, or whoever else speaks to the autopilot, on a link of its own."""
 
     stage: Stage
+    sender: tuple[int, int] = (SYSTEM, COMPONENT)
+    kind: LinkKind = LinkKind.GCS
     heard: list[Message] = field(default_factory=list)
-    _encoder: Encoder = field(default_factory=lambda: Encoder(SYSTEM, COMPONENT))
+    _encoder: Encoder = field(init=False)
     _decoder: Decoder = field(default_factory=Decoder)
 
     def __post_init__(self) -> None:
         craft = self.stage.craft
-        craft.autopilot.add_link(LINK, LinkKind.GCS)
+        self._encoder = Encoder(*self.sender)
+        craft.autopilot.add_link(LINK, self.kind)
         craft.others[LINK] = self._hear
 
     def _hear(self, t_s: float, frame: bytes) -> None:
@@ -44,6 +51,11 @@ class Station:
     def order(self, command: int, *params: float) -> None:
         """COMMAND_LONG to the autopilot."""
         self.send(command_long(self.stage.craft.number, 1, command, *params))
+
+    def order_companion(self, command: int, *params: float) -> None:
+        """COMMAND_LONG to the companion."""
+        number = self.stage.craft.number
+        self.send(command_long(number, COMPANION_COMPONENT, command, *params))
 
     def disarm(self, *, by_force: bool = False) -> None:
         """Disarm; by force also in the air."""

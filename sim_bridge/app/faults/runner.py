@@ -110,6 +110,7 @@ def fly_fault(task: FaultTask) -> FaultRow:
         run_root=folder,
         picture=False,
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
+        companion_arguments=case.arguments,
         before_companion=case.before_companion,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)

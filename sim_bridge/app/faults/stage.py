@@ -1,6 +1,7 @@
 """What a fault's play has to do with: one vehicle, the time, draws, and who took over when."""
 
-from collections.abc import Callable, Generator, Iterator
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +31,8 @@ class Stage:
     began_s: float | None = None
     took_over_s: float | None = None
     notes: list[str] = field(default_factory=list)
+    ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    """What a play opened, to be closed after the flight."""
 
     def wait(self, duration_s: float) -> Iterator[None]:
         """Let simulated time pass."""
@@ -93,6 +96,6 @@ class Performance:
             self._steps = None  # the play is over
 
     def end(self) -> None:
-        """The flight is over: the play puts back what it has to."""
-        if isinstance(self._steps, Generator):
-            self._steps.close()
+        """The flight is over: what the play began is ended, what it took away is put back."""
+        if self.stage is not None:
+            self.stage.ends.close()

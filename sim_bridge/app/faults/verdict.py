@@ -116,6 +116,15 @@ def tells(*words: str, within_s: float | None = None) -> Ask:
     return ask
 
 
+def notes(what: str) -> Ask:
+    """The play itself has seen it."""
+
+    def ask(flown: FlownFault) -> str | None:
+        return None if what in flown.stage.notes else f"not seen: {what}"
+
+    return ask
+
+
 def promises_nothing_false(flown: FlownFault) -> str | None:
     """It did not go on with a promise of 0.99 that it then broke."""
     promised = flown.p_home_last_go

@@ -85,6 +85,8 @@ class FlyOptions:
     believed: str | None = None
     signing_key: Path | None = None
     before_companion: str = ""
+    companion_arguments: tuple[str, ...] = ()
+    """More of `companion run`, as its operator would choose them."""
 
 
 @dataclass(slots=True)
@@ -154,12 +156,12 @@ def fly(
             stack.callback(craft.companion.end)
         plan = FaultPlan(faults)
         scripts = [plan] if script is None else [plan, script]
+        for each in scripts:
+            stack.callback(each.end)
         with saved_on_interrupt(run_dir):
             _run(options, crafts, endpoints, scripts, progress)
         for craft in crafts:
             craft.companion.end()
-        for each in scripts:
-            each.end()
     rows = [_conclude(options, craft, airframe) for craft in crafts]
     progress.ended(crafts, plan)
     result = {"flights": rows}
@@ -225,6 +227,7 @@ def _build_craft(
             "--configure",
             *_signed_arguments(options.signing_key),
             *(["--lockstep"] if killed else []),
+            *options.companion_arguments,
         ],
         before=options.before_companion,
     )

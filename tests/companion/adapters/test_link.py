@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import os
 import random
 import socket
 import struct
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.adapters.autopilots import link as link_module
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
 from companion.adapters.autopilots.link import TcpLink, UdpLink, open_link
 from companion.adapters.autopilots.port import AutopilotPort
@@ -180,6 +182,25 @@ def test_another_component_191_is_another_computer():
     assert events == [ev.OtherComputer(0.0, active=False)]
 
 
+def test_an_onboard_computer_of_another_component_counts_only_when_it_says_that_it_flies():
+    made, _, codec = port()
+    other = sender(1, 192)
+    camera = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    assert hear(made, codec, frame(other, camera)) == []
+    flying = mavlink.MAVLink_heartbeat_message(18, 8, 4, 61_500, 4, 3)
+    told = ev.OtherComputer(0.0, active=True, component=192, flies=True, since_ms=61_500)
+    assert hear(made, codec, frame(other, flying)) == [told]
+
+
+@pytest.mark.parametrize("since_s", [0.0, 61.5, 700_000.1])
+def test_a_companions_named_value_tells_since_when_it_flies(since_s):
+    made, _, codec = port()
+    claim = mavlink.MAVLink_named_value_float_message(5, b"LW_SINCE", since_s)
+    since_ms = round(since_s * 1000.0) or None
+    told = ev.OtherComputer(0.0, active=True, flies=since_s > 0.0, since_ms=since_ms)
+    assert hear(made, codec, frame(sender(1, 191), claim)) == [told]
+
+
 # --- what is said --------------------------------------------------------------------------------
 
 
@@ -310,7 +331,7 @@ def test_px4_tells_its_mode_between_heartbeats_by_current_mode():
 
 
 @pytest.mark.parametrize(("autopilot", "seq", "total", "index", "count"), [
-    (3, 5, 40, 4, 40), (3, 0, 0, None, None), (12, 5, 40, 5, 40), (12, 0, 65535, 0, None),
+    (3, 5, 40, 4, 40), (3, 0, 0, None, None), (12, 5, 40, 5, 40), (12, 0, 65535, 0, 0),
 ])  # fmt: skip
 def test_mission_items_are_counted_as_ours_and_an_empty_mission_is_unknown(
     autopilot, seq, total, index, count
@@ -511,3 +532,36 @@ def test_after_settling_all_that_had_arrived_waits_in_the_queue():
         link.settle()
         assert link.waiting() == 200
     link.close()
+
+
+# --- a port that another client holds ------------------------------------------------------------
+
+
+def test_a_udp_port_that_another_client_holds_is_told_with_what_to_do():
+    first = UdpLink("127.0.0.1", 0, listen=True)
+    try:
+        with pytest.raises(LeewayError, match=r"another client listens there.*--out"):
+            open_link(f"udpin:127.0.0.1:{first.address[1]}")
+    finally:
+        first.close()
+
+
+def test_a_tcp_port_that_nobody_answers_is_told_with_what_to_do(monkeypatch):
+    monkeypatch.setattr(link_module, "FIRST_CALL_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(LeewayError, match=r"another client holds.*5762.*--out"):
+        open_link(f"tcp:127.0.0.1:{port}")
+
+
+def test_a_serial_port_that_another_companion_holds_is_told_with_what_to_do():
+    master, slave = os.openpty()
+    url = f"serial:{os.ttyname(slave)}:57600"
+    first = open_link(url)
+    try:
+        with pytest.raises(LeewayError, match=r"another program holds it.*--out"):
+            open_link(url)
+    finally:
+        first.close()
+        os.close(slave)
+        os.close(master)

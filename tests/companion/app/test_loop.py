@@ -13,6 +13,7 @@ import pytest
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Incoming
+from companion.adapters.files.folder_lock import FolderLock
 from companion.adapters.files.params import digest_of, read_airframe, read_flight, read_wind_process
 from companion.app.flight import run as run_module
 from companion.app.flight.loop import Loop
@@ -126,6 +127,74 @@ def station(tmp_path):
     made = Station(tmp_path)
     yield made
     made.recorder.close()
+
+
+KEY = bytes(range(32))
+
+
+def signed_loop(folder: Path, autopilot_off_s: float) -> tuple[Station, list[float]]:
+    """A loop with a key, an autopilot whose clock is off, and the wall clock."""
+    made, wall = Station(folder), [0.0]
+    made.loop.codec = MavlinkCodec(datagrams=True, signing_key=KEY)
+    made.loop.wall_clock_s = lambda: wall[0]
+    made.mav.signing.secret_key, made.mav.signing.sign_outgoing = KEY, True
+    off = round(autopilot_off_s * 1e5)
+    made.mav.signing.timestamp = made.loop.codec.mav.signing.timestamp + off
+    return made, wall
+
+
+def beats(station: Station, wall: list[float], seconds: int) -> list[str]:
+    """Heartbeats at 1 Hz; what the operator was told."""
+    said: list[str] = []
+    for _ in range(seconds):
+        station.put(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
+        said += [m.text for m in station.turn() if m.get_type() == "STATUSTEXT"]
+        wall[0] += 1.0
+    return said
+
+
+def test_signed_frames_that_our_clock_refuses_are_told_within_five_seconds_with_both_times(
+    tmp_path,
+):
+    made, wall = signed_loop(tmp_path, -3600.0)
+    said = beats(made, wall, 5)
+    assert "signing: autopilot's clock 3600 s behind ours" in said
+    assert any(text.startswith("autopilot: 20") for text in said)
+    assert any(text.startswith("this computer: 20") for text in said)
+    assert said[-1] == "set the clock that is wrong, then start again"
+    assert beats(made, wall, 30) == []
+    made.recorder.close()
+
+
+@pytest.mark.parametrize("off_s", [0.0, -30.0, 3600.0])
+def test_signed_frames_of_a_clock_that_agrees_or_is_ahead_are_heard(tmp_path, off_s):
+    made, wall = signed_loop(tmp_path, off_s)
+    said = beats(made, wall, 12)
+    assert made.loop.autopilot.system_id == 1
+    assert not any("signing:" in text for text in said)
+    made.recorder.close()
+
+
+def claims(station: Station) -> list[Any]:
+    """What a second companion says: the same frames as ours would be, by another hand."""
+    said = [mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)]
+    return [bytes(m.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=191))) for m in said]
+
+
+def test_our_own_frames_that_the_wiring_echoes_are_nobody_else(station):
+    station.identify()
+    station.put(*station.telemetry(3500), station.sync(3.5))
+    while station.wire.incoming:
+        station.loop.step()
+    own = list(station.wire.sent)
+    phase = station.pilot.phase
+    assert phase is not Phase.IDENTIFY
+    station.wire.incoming.extend(own)
+    station.turn()
+    assert station.pilot.phase is phase
+    station.wire.incoming.extend(claims(station))
+    station.turn()
+    assert station.pilot.phase is Phase.PASSIVE
 
 
 def test_before_it_knows_the_vehicle_it_answers_timesync_and_gives_no_order(station):
@@ -448,7 +517,9 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
     station.pilot.handle = broken  # type: ignore[method-assign]
     station.put(*station.telemetry(1000), station.sync(1.0))
     assert (
-        run_module.fly_to_the_end(run_module.Run(station.loop, station.recorder, station.pilot))
+        run_module.fly_to_the_end(
+            run_module.Run(station.loop, station.recorder, station.pilot, FolderLock(None))
+        )
         == BROKEN
     )
     log = (tmp_path / "companion.log").read_text()

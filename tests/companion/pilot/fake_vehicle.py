@@ -306,7 +306,7 @@ class World:
             ),
             ev.GnssFix(t, self.gnss),
             ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
-            ev.MissionProgress(t, self.index, len(self.items) or None, None, self.mission_id),
+            ev.MissionProgress(t, self.index, len(self.items), None, self.mission_id),
             ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
         ]
         if round(t * 10) % 5 == 0:

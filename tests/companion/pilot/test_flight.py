@@ -214,6 +214,57 @@ def test_safety_rule_1_in_flight_the_one_that_flies_goes_on_when_another_wakes()
     assert w.pilot.phase is Phase.OUTBOUND
 
 
+def other(w: World, *, since_ms: int | None, component: int = 191, flies: bool = True) -> None:
+    w.tell(
+        ev.OtherComputer(w.t_s, active=True, component=component, flies=flies, since_ms=since_ms)
+    )
+
+
+@pytest.mark.parametrize("phase", [Phase.OUTBOUND, Phase.RELEASE, Phase.RETURN, Phase.LAND])
+def test_safety_rule_1_of_two_computers_in_flight_the_one_that_began_last_flies(phase):
+    w = reach(phase)
+    since_ms = w.pilot.flies_since_ms
+    other(w, since_ms=since_ms - 1)
+    assert w.pilot.phase is phase
+    assert "this one flies on" in w.said
+    other(w, since_ms=since_ms + 1)
+    assert w.pilot.phase is Phase.PASSIVE
+    before = w.t_s
+    for _ in range(100):
+        w.step()
+    assert w.orders_after(before) == []
+    assert w.said.count("passive: another onboard computer") == 1
+
+
+def test_safety_rule_1_both_of_two_computers_decide_the_same_alone():
+    pair = [reach(Phase.CLIMB), reach(Phase.RETURN)]
+    pair[1].pilot._authority.flies_since_ms += 5000
+    claims = [w.pilot.flies_since_ms for w in pair]
+    for w, claim in zip(pair, reversed(claims), strict=True):
+        other(w, since_ms=claim)
+    assert [w.pilot.phase for w in pair] == [Phase.PASSIVE, Phase.RETURN]
+
+
+def test_safety_rule_1_who_flies_and_says_no_time_is_told_apart_by_component():
+    for component, phase in ((190, Phase.PASSIVE), (191, Phase.PASSIVE), (192, Phase.OUTBOUND)):
+        w = reach(Phase.OUTBOUND)
+        other(w, since_ms=None, component=component)
+        assert w.pilot.phase is phase
+
+
+def test_safety_rule_1_of_two_computers_that_nothing_tells_apart_neither_flies():
+    w = reach(Phase.OUTBOUND)
+    other(w, since_ms=w.pilot.flies_since_ms)
+    assert w.pilot.phase is Phase.PASSIVE
+
+
+def test_safety_rule_1_on_the_ground_a_computer_that_flies_makes_us_passive_by_any_component():
+    w = world(options=PilotOptions(configure=True))
+    w.until(Phase.READY)
+    other(w, since_ms=5, component=192)
+    assert w.pilot.phase is Phase.PASSIVE
+
+
 def test_safety_rule_1_somebody_else_who_moves_the_mission_takes_over():
     w = reach(Phase.OUTBOUND)
     w.index = w.pilot.flight_plan.mission.deliver

@@ -35,7 +35,7 @@ def test_safety_rule_1_another_hand_suspends_every_phase_that_commands(phase):
     assert Phase.LINK_LOST not in COMMANDING_PHASES
 
 
-def test_safety_rule_1_only_a_hand_back_or_the_landing_leaves_suspended_for_the_flight():
+def test_safety_rule_1_only_a_hand_back_the_landing_or_an_unanswered_hold_leaves_suspended():
     left = {
         trigger: next_phase(Phase.SUSPENDED, trigger)
         for trigger in Trigger
@@ -44,6 +44,7 @@ def test_safety_rule_1_only_a_hand_back_or_the_landing_leaves_suspended_for_the_
     assert left == {
         Trigger.HANDED_BACK: Phase.RECOGNISE,
         Trigger.LANDED: Phase.DONE,
+        Trigger.UNANSWERED: Phase.LAST_RESORT,
         Trigger.OTHER_COMPUTER: Phase.PASSIVE,
     }
 

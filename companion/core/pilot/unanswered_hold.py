@@ -1,0 +1,160 @@
+"""The one exception of safety rule 1: a HOLD that the autopilot entered by itself, unanswered.
+
+PX4 whose mission is cleared or replaced by one that it cannot fly stays in HOLD until it is empty.
+No pilot asked for that. All the same we let go, as at any mode change: somebody was at the mission,
+and may be at the sticks. Alarms follow at once. Where the operator chose a landing or a return
+before the flight, that is ordered once the stated time has passed without an answer.
+
+An answer is another mode, a disarm, or an order to us to keep off or to go on. Who writes to the
+mission meanwhile is at work: the time begins anew.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from companion.core.mission.actions import SetMode, Severity
+from companion.core.mission.events import (
+    ControlTaken,
+    Event,
+    MissionProgress,
+    MissionTouched,
+    Mode,
+    ModeNow,
+    VehicleState,
+)
+from companion.core.pilot.context import (
+    FlightContext,
+    HomeInDoubt,
+    ModeOrders,
+    Preflight,
+    Unanswered,
+)
+from companion.core.pilot.transitions import Phase, Trigger
+
+DIRECTLY_S = 2.0
+"""A HOLD and the change of the list that it follows on are both told at 1 Hz: so far apart."""
+
+ALARM_EVERY_S = 10.0
+"""Often enough to be looked at, seldom enough that other words are read between."""
+
+LAST_WORDS_S = 0.5
+"""The last half second counts as over: nobody reads an alarm of "in 0 s"."""
+
+MODES = {Unanswered.RETURN: Mode.RTL, Unanswered.LAND: Mode.LAND}
+WORDS = {Mode.RTL: "RTL", Mode.LAND: "landing"}
+
+
+class ForeignList(Protocol):
+    """The list aboard, as telemetry tells."""
+
+    @property
+    def foreign_s(self) -> float | None:
+        """When it was last told to be another than ours, or none."""
+        ...
+
+
+@dataclass(slots=True)
+class HoldState:
+    """The HOLD that is watched. `since_s`: from when on an answer is waited for."""
+
+    mode: Mode | None = None
+    held_s: float | None = None
+    """When HOLD followed on the mission, without another mode between."""
+    by_itself: bool = False
+    """The list had changed just then: no pilot's."""
+    since_s: float | None = None
+    alarm_s: float | None = None
+    told: tuple[int | None, int | None] | None = None
+    """Length and id of the list aboard."""
+    answered: bool = False
+
+
+class UnansweredHold:
+    """Alarms, and orders what the operator chose for this."""
+
+    def __init__(
+        self, aboard: ForeignList, modes: ModeOrders, preflight: Preflight, home: HomeInDoubt
+    ) -> None:
+        self._state = HoldState()
+        self._aboard = aboard
+        self._modes = modes
+        self._preflight = preflight
+        self._home = home
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Modes, and signs that somebody is there."""
+        state = self._state
+        match event:
+            case VehicleState() | ModeNow():
+                self._mode(context, event.mode)
+            case ControlTaken():
+                state.answered = True
+            case MissionTouched():
+                self._at_work(context)
+            case MissionProgress():
+                told = event.total, event.mission_id
+                if state.told not in (None, told):
+                    self._at_work(context)
+                state.told = told
+            case _:
+                return
+
+    def tick(self, context: FlightContext) -> None:
+        """Alarm while nobody answers; then the operator's choice."""
+        state = self._state
+        self._find_cause(context)
+        if not self._is_unanswered(context):
+            state.since_s = state.alarm_s = None
+            return
+        if state.since_s is None:
+            state.since_s = context.t_s
+            context.decide("unanswered_hold", "HOLD follows directly on a changed mission")
+        mode, left_s = self._chosen(context), self._left_s(context)
+        if mode is not None and left_s < LAST_WORDS_S:
+            self._act(context, mode)
+        elif context.since_s(state.alarm_s) >= ALARM_EVERY_S - 1e-6:
+            state.alarm_s = context.t_s
+            ends = "nobody flies it" if mode is None else f"{WORDS[mode]} in {left_s:.0f} s"
+            context.say(Severity.CRITICAL, f"mission changed, on HOLD: {ends}")
+
+    def _mode(self, context: FlightContext, mode: Mode) -> None:
+        state = self._state
+        if mode is not Mode.HOLD:
+            state.held_s, state.by_itself, state.answered = None, False, False
+        elif state.mode is Mode.MISSION:
+            state.held_s = context.t_s
+        state.mode = mode
+
+    def _at_work(self, context: FlightContext) -> None:
+        if self._state.since_s is not None:
+            self._state.since_s = context.t_s
+
+    def _find_cause(self, context: FlightContext) -> None:
+        """A list of ours that is put back meanwhile changes nothing: the autopilot holds."""
+        directly = context.since_s(self._state.held_s) <= DIRECTLY_S
+        if directly and context.since_s(self._aboard.foreign_s) <= DIRECTLY_S:
+            self._state.by_itself = True
+
+    def _is_unanswered(self, context: FlightContext) -> bool:
+        """Tell whether nobody flies it, and nobody has said a word."""
+        state = self._state
+        ours = context.phase is Phase.SUSPENDED and not context.telemetry.on_ground
+        return ours and state.by_itself and not state.answered
+
+    def _chosen(self, context: FlightContext) -> Mode | None:
+        """The operator's choice, where it is safe: RTL only over every obstacle, to our home."""
+        mode = MODES.get(context.options.unanswered_hold)
+        safe = self._preflight.rtl_is_safe and not self._home.in_doubt
+        return None if mode is Mode.RTL and not safe else mode
+
+    def _left_s(self, context: FlightContext) -> float:
+        return context.options.unanswered_hold_s - context.since_s(self._state.since_s)
+
+    def _act(self, context: FlightContext, mode: Mode) -> None:
+        """What the operator chose; from then on any other mode is a take-over again."""
+        words = f"nobody answered: {WORDS[mode]}, as chosen before the flight"
+        context.say(Severity.CRITICAL, f"nobody answered: {WORDS[mode]}")
+        context.decide("last_resort", words)
+        context.request_transition(Trigger.UNANSWERED, words)
+        self._modes.expect(mode, context.telemetry.state)
+        context.do(SetMode(mode))

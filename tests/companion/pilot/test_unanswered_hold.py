@@ -1,0 +1,132 @@
+"""A HOLD that follows on a cleared mission: alarms, and what the operator chose for it."""
+
+import pytest
+
+from companion.core.mission import events as ev
+from companion.core.mission.actions import Say, SetMode, Severity
+from companion.core.mission.events import Mode
+from companion.core.pilot.context import PilotOptions, Unanswered
+from companion.core.pilot.transitions import Phase
+from tests.companion.pilot.fake_vehicle import World, world
+
+RETURN = PilotOptions(configure=True, authorise=True, unanswered_hold=Unanswered.RETURN)
+LAND = PilotOptions(configure=True, authorise=True, unanswered_hold=Unanswered.LAND)
+FLOWN = [Phase.CLIMB, Phase.OUTBOUND, Phase.RELEASE, Phase.RETURN]
+WAIT_S = 30.0
+
+
+def cleared(phase: Phase, options: PilotOptions | None = None) -> World:
+    """Somebody clears the mission, and the vehicle holds."""
+    w = world(options=options)
+    w.until(phase)
+    w.takes_uploads = False
+    w.items, w.index = (), 0
+    w.mode = Mode.HOLD
+    return w.until(Phase.SUSPENDED)
+
+
+def let(w: World, duration_s: float) -> World:
+    for _ in range(round(duration_s * 10)):
+        w.step()
+    return w
+
+
+def alarms(w: World) -> list[float]:
+    words = "mission changed, on HOLD"
+    return [t for t, a in w.log if isinstance(a, Say) and words in a.text]
+
+
+def modes(w: World) -> list[Mode]:
+    """Ordered in flight: the first brought it into its mission."""
+    return [a.mode for _, a in w.log if isinstance(a, SetMode)][1:]
+
+
+@pytest.mark.parametrize("phase", FLOWN)
+def test_safety_rule_1_without_a_choice_it_alarms_again_and_again_and_orders_nothing(phase):
+    w = cleared(phase)
+    held_s = w.t_s
+    let(w, 60.0)
+    assert alarms(w)[0] <= held_s + 0.2
+    gaps = [b - a for a, b in zip(alarms(w), alarms(w)[1:], strict=False)]
+    assert gaps == pytest.approx([10.0] * len(gaps), abs=0.15)
+    assert len(gaps) == 6
+    said = [a for _, a in w.log if isinstance(a, Say) and "on HOLD" in a.text]
+    assert {a.severity for a in said} == {Severity.CRITICAL}
+    assert all(len(a.text.encode()) <= 50 for a in said)
+    assert w.orders_after(held_s) == []
+
+
+@pytest.mark.parametrize("phase", FLOWN)
+@pytest.mark.parametrize(("options", "mode"), [(RETURN, Mode.RTL), (LAND, Mode.LAND)])
+def test_safety_rule_1_unanswered_it_orders_once_what_the_operator_chose(phase, options, mode):
+    w = cleared(phase, options)
+    held_s = w.t_s
+    let(w, WAIT_S - 1.0)
+    assert w.orders_after(held_s) == []
+    let(w, 2.0)
+    assert modes(w) == [mode]
+    assert w.pilot.phase is Phase.LAST_RESORT
+    assert "last_resort" in w.kinds
+
+
+def test_an_empty_list_in_a_return_that_needs_none_is_no_other_hand():
+    w = let(cleared(Phase.OUTBOUND, RETURN), WAIT_S + 20.0)
+    assert w.pilot.phase is Phase.LAST_RESORT
+
+
+def test_safety_rule_1_a_take_over_after_that_order_is_hands_off_again():
+    w = let(cleared(Phase.OUTBOUND, RETURN), WAIT_S + 2.0)
+    w.mode = Mode.OTHER
+    let(w, 1.0)
+    taken_s = w.t_s
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert let(w, 60.0).orders_after(taken_s) == []
+
+
+def takes_another_mode(w: World) -> None:
+    w.mode = Mode.OTHER
+    let(w, 1.0)
+    w.mode = Mode.HOLD
+
+
+def says_hands_off(w: World) -> None:
+    w.tell(ev.ControlTaken(w.t_s, "255/190"))
+
+
+@pytest.mark.parametrize("answer", [takes_another_mode, says_hands_off])
+def test_safety_rule_1_who_answers_keeps_the_vehicle(answer):
+    w = let(cleared(Phase.OUTBOUND, RETURN), 5.0)
+    answer(w)
+    heard = len(alarms(w))
+    let(w, 90.0)
+    assert modes(w) == []
+    assert len(alarms(w)) == heard
+
+
+def test_safety_rule_1_who_writes_to_the_mission_meanwhile_is_given_the_time_anew():
+    w = let(cleared(Phase.OUTBOUND, RETURN), WAIT_S - 5.0)
+    w.tell(ev.MissionTouched(w.t_s, "254/190 wrote the mission"))
+    let(w, WAIT_S - 1.0)
+    assert modes(w) == []
+    let(w, 2.0)
+    assert modes(w) == [Mode.RTL]
+
+
+def test_safety_rule_1_a_pilots_hold_is_a_take_over_whatever_was_chosen():
+    w = world(options=RETURN)
+    w.until(Phase.OUTBOUND)
+    w.mode = Mode.HOLD
+    w.until(Phase.SUSPENDED)
+    let(w, 3.0)
+    w.items = ()  # cleared later: to stop there was what the pilot wanted
+    let(w, 90.0)
+    assert alarms(w) == []
+    assert modes(w) == []
+
+
+def test_safety_rule_3_no_return_is_ordered_to_a_home_that_moved():
+    w = cleared(Phase.OUTBOUND, RETURN)
+    w.home_up = 40.0  # and it is not set back while hands are off
+    let(w, WAIT_S + 10.0)
+    assert modes(w) == []
+    assert "nobody flies it" in w.said
