@@ -104,7 +104,7 @@ def fly_fault(task: FaultTask) -> FaultRow:
     draws = np.random.default_rng([task.seed, case.number])
     performance = Performance(case.play, task.phase, draws)
     options = FlyOptions(
-        flight_file=_write_flight(case, folder),
+        flight_file=write_flight(case.flight, folder),
         autopilot=task.autopilot,
         seed=task.seed,
         run_root=folder,
@@ -117,10 +117,11 @@ def fly_fault(task: FaultTask) -> FaultRow:
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
 
 
-def _write_flight(case: FaultCase, folder: Path) -> Path:
+def write_flight(changes: dict[str, Any], folder: Path) -> Path:
+    """Write the suite's flight with some of its tables changed; returns its file."""
     table = tomllib.loads((params_dir() / "flights" / FLIGHT).read_text())
     path = folder / "flight.toml"
-    path.write_bytes(msgspec.toml.encode(_merged(table, case.flight)))
+    path.write_bytes(msgspec.toml.encode(_merged(table, changes)))
     return path
 
 
