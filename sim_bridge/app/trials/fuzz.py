@@ -21,7 +21,7 @@ from sim_bridge.app.faults.runner import write_flight
 from sim_bridge.app.faults.verdict import TRACEBACK
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
-from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.app.flight.vehicle_process import MISSION_CUSTOM_MODE, Craft
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.app.trials.lies import DEEDS, Liar
 from sim_bridge.app.trials.trial import TrialRow
@@ -138,7 +138,7 @@ class Witness:
             self.craft = crafts[0]
             self.craft.tap = Tap(to_companion=self.liar.change, to_autopilot=self._hear)
         over_s = math.inf if self.case.ends_s is None else self.case.ends_s
-        self.liar.t_s, self.liar.active = t_s, self.case.begins_s <= t_s < over_s
+        self.liar.active = self.case.begins_s <= t_s < over_s
         self.unanswered |= self.craft.companion.running and not lockstep.live
         self._take_over(self.craft, t_s)
 
@@ -148,10 +148,14 @@ class Witness:
             if self._is_due(craft, t_s):
                 craft.pilot_takes_over()
                 self.took_over_s = t_s
+                self.liar.passed_mode = None
             return
-        beat_s = self.liar.passed_s.get("HEARTBEAT")
-        if self.knows_s is None and beat_s is not None and beat_s > self.took_over_s:
-            self.knows_s = beat_s + TOLD_PILOT_S
+        if self.knows_s is None and self.liar.passed_mode not in (None, self._mission(craft)):
+            self.knows_s = t_s + TOLD_PILOT_S
+
+    @staticmethod
+    def _mission(craft: Craft) -> int:
+        return MISSION_CUSTOM_MODE[craft.autopilot_kind]
 
     def _is_due(self, craft: Craft, t_s: float) -> bool:
         after_s, record = self.case.takes_over_after_s, craft.record

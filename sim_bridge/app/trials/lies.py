@@ -107,17 +107,17 @@ DEEDS = (*FIELD_DEEDS, *WHOLE_DEEDS)
 class Liar:
     """Changes a share of the autopilot's messages; `names` empty: of whatever name.
 
-    `passed_s` is when each name last passed unchanged. The same generator tells the same lies.
+    `passed_mode` is the mode in the last heartbeat that passed unchanged. The same generator tells
+    the same lies.
     """
 
     rng: np.random.Generator
     share: float
     deeds: tuple[str, ...]
     names: tuple[str, ...] = ()
-    t_s: float = 0.0
     active: bool = False
     told: int = 0
-    passed_s: dict[str, float] = field(default_factory=dict)
+    passed_mode: int | None = None
     _before: dict[str, list[Message]] = field(default_factory=dict)
 
     def change(self, message: Message) -> list[Message] | None:
@@ -129,7 +129,8 @@ class Liar:
         del kept[:-REMEMBERED]
         meant = self.active and (not self.names or message.msg_name in self.names)
         if not meant or self.rng.random() >= self.share:
-            self.passed_s[message.msg_name] = self.t_s
+            if message.msg_name == "HEARTBEAT":
+                self.passed_mode = message.custom_mode
             return None
         self.told += 1
         return self._lie(message)
