@@ -6,7 +6,7 @@ Under arbitrary lies the vehicle need not come home. What must hold all the same
 import math
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,9 @@ LIED_ABOUT = ("HEARTBEAT", "CURRENT_MODE", "ATTITUDE", "GLOBAL_POSITION_INT", "G
 """What the companion listens to (docs/reference/mavlink.md)."""
 
 MODE = ("HEARTBEAT", "CURRENT_MODE")
+DOWN, LET_GO, TIME, NEVER_LEFT = "down", "let go", "time", "never left"
+"""How a flight ended: it landed or fell, or was ended by us because nothing more was to be seen."""
+
 ARM_DISARM = 400
 HANDS_OFF = "hands off"
 ROUNDING_WH = 2e-5
@@ -124,7 +127,7 @@ class Witness:
     knows_s: float | None = None
     """From then on it can know that a person has taken over: a true heartbeat has said so."""
     unanswered: bool = False
-    words: list[str] = field(default_factory=list)
+    ended: str = DOWN
 
     @classmethod
     def of(cls, case: FuzzCase) -> "Witness":
@@ -163,19 +166,19 @@ class Witness:
         return after_s is not None and flies and t_s >= self.case.begins_s + after_s
 
     def _hear(self, message: Message) -> list[Message] | None:
-        craft = self.craft
-        if message.msg_name == "STATUSTEXT" and craft is not None:
-            self.words.append(message.text)
-            if message.text.startswith(HANDS_OFF) and self.hands_off_s is None:
-                self.hands_off_s = craft.t_s
+        lets_go = message.msg_name == "STATUSTEXT" and message.text.startswith(HANDS_OFF)
+        if lets_go and self.hands_off_s is None and self.craft is not None:
+            self.hands_off_s = self.craft.t_s
         return None
 
     def goes_on(self, t_s: float) -> bool:
         """False once there is nothing more to see."""
         if self.hands_off_s is not None and t_s > self.hands_off_s + WATCHED_S:
-            return False
-        left = self.craft is not None and self.craft.record.took_off_s is not None
-        return t_s < LIMIT_S and (left or t_s < NEVER_LEFT_S)
+            self.ended = LET_GO
+        elif t_s >= NEVER_LEFT_S and self.craft is not None:
+            left = self.craft.record.took_off_s is not None
+            self.ended = TIME if left and t_s >= LIMIT_S else DOWN if left else NEVER_LEFT
+        return self.ended == DOWN
 
 
 @dataclass(slots=True, kw_only=True)
@@ -274,6 +277,17 @@ def _shown(command: tuple[float, str, int]) -> str:
     return f"{name} {number or ''} at {t_s:.1f} s".replace("  ", " ")
 
 
+@dataclass(frozen=True, slots=True)
+class FuzzFlyer:
+    """Flies cases, each in a folder of its own under `run_root`."""
+
+    run_root: Path
+
+    def __call__(self, case: FuzzCase) -> list[TrialRow]:
+        """Fly one."""
+        return [attempt(case, self.run_root)]
+
+
 def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
     """Fly one case and judge it; of a flight that held, no folder is left."""
     folder = run_root / case.name
@@ -293,9 +307,10 @@ def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
     wrong = _wrong(Fuzzed(witness, craft, _printed(craft), _logged(craft)))
     if not wrong:
         shutil.rmtree(folder)
+    ended = witness.ended
     told = {
-        "outcome": row["outcome"],
-        "home": row["home"],
+        "ended": ended,
+        "home": row["home"] if ended == DOWN else None,
         "hands_off_s": witness.hands_off_s,
         "took_over_s": witness.took_over_s,
         "lies": witness.liar.told,

@@ -11,7 +11,8 @@ import resource
 import signal
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -213,21 +214,23 @@ class ReadingChild:
     def __exit__(self, *exc_info: object) -> None:
         self.end()
 
-    def read(self, path: Path) -> Answer:
-        """Have a log read."""
+    def begin(self, path: Path) -> None:
+        """Have a log read; its `answer` is to be asked for before the next."""
         if self._process is None or self._read >= FRESH_AFTER:
             self._start()
-        pipe, process = self._pipe, self._process
-        assert process is not None
         self._read += 1
+        self._pipe.send(path)
+
+    def answer(self) -> Answer:
+        """What came of it."""
+        assert self._process is not None
         try:
-            pipe.send(path)
-            if pipe.poll(PATIENCE_S):
-                return pipe.recv()
+            if self._pipe.poll(PATIENCE_S):
+                return self._pipe.recv()
             why = f"no answer within {PATIENCE_S:g} s"
         except (EOFError, ConnectionError):
-            process.join(PATIENCE_S)
-            why = f"the reader's process ended with {process.exitcode}"
+            self._process.join(PATIENCE_S)
+            why = f"the reader's process ended with {self._process.exitcode}"
         self.end()
         return Answer(why, 0.0, 0.0)
 
@@ -250,21 +253,32 @@ class ReadingChild:
         self._process = self._pipe = None
 
 
-def attempts(
-    cases: Iterator[LogCase], folder: Path, keep: Callable[[TrialRow, bytes], None]
-) -> Iterator[TrialRow]:
-    """Damage, read and judge; `keep` is given the damaged bytes of what did not hold."""
+def attempts(cases: Iterable[LogCase], folder: Path, jobs: int = 1) -> Iterator[TrialRow]:
+    """Damage, read and judge, some side by side; in their order.
+
+    Of a log that was not taken well its damaged file stays in `folder`, under the case's name.
+    """
     samples = {kind: path.read_bytes() for kind, path in write_samples(folder).items()}
-    with ReadingChild() as child:
+    with contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(ReadingChild()) for _ in range(jobs)]
+        busy: deque[tuple[ReadingChild, LogCase, Path]] = deque()
         for case in cases:
-            raw = damaged(case.kind, samples[case.kind], case.edits)
-            path = folder / f"damaged.{SUFFIX[case.kind]}"
-            path.write_bytes(raw)
-            answer = child.read(path)
-            told = {"cpu_s": round(answer.cpu_s, 2), "grown_mb": round(answer.grown_mb, 1)}
-            row = TrialRow(
-                name=case.name, held=not answer.why, why=answer.why, told=told, case=case
-            )
-            if not row.held:
-                keep(row, raw)
-            yield row
+            if not idle:
+                done = busy.popleft()
+                yield _row(*done)
+                idle.append(done[0])
+            path = folder / f"{case.name}.{SUFFIX[case.kind]}"
+            path.write_bytes(damaged(case.kind, samples[case.kind], case.edits))
+            child = idle.pop()
+            child.begin(path)
+            busy.append((child, case, path))
+        for waited_for in busy:
+            yield _row(*waited_for)
+
+
+def _row(child: ReadingChild, case: LogCase, path: Path) -> TrialRow:
+    answer = child.answer()
+    if not answer.why:
+        path.unlink()
+    told = {"cpu_s": round(answer.cpu_s, 2), "grown_mb": round(answer.grown_mb, 1)}
+    return TrialRow(name=case.name, held=not answer.why, why=answer.why, told=told, case=case)

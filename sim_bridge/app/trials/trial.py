@@ -38,19 +38,21 @@ class Bounds:
 
 
 def tried(
-    todo: Iterable[Case], attempt: Callable[[Case], TrialRow], bounds: Bounds
+    todo: Iterable[Case], attempt: Callable[[Case], list[TrialRow]], bounds: Bounds
 ) -> Iterator[TrialRow]:
     """Try cases side by side, in their order, until all are tried or the time is up."""
-    end_s = None if bounds.minutes is None else wall_s() + 60.0 * bounds.minutes
-    left = _until(todo, end_s)
+    left = in_time(todo, bounds)
     if bounds.jobs == 1:
-        yield from map(attempt, left)
+        for case in left:
+            yield from attempt(case)
         return
     with worker_pool(bounds.jobs) as pool:
         yield from _side_by_side(pool, left, attempt, bounds.jobs)
 
 
-def _until(todo: Iterable[Case], end_s: float | None) -> Iterator[Case]:
+def in_time(todo: Iterable[Case], bounds: Bounds) -> Iterator[Case]:
+    """These cases, until the time is up."""
+    end_s = None if bounds.minutes is None else wall_s() + 60.0 * bounds.minutes
     for case in todo:
         if end_s is not None and wall_s() >= end_s:
             return
@@ -58,15 +60,15 @@ def _until(todo: Iterable[Case], end_s: float | None) -> Iterator[Case]:
 
 
 def _side_by_side(
-    pool: Pool, left: Iterator[Case], attempt: Callable[[Case], TrialRow], jobs: int
+    pool: Pool, left: Iterator[Case], attempt: Callable[[Case], list[TrialRow]], jobs: int
 ) -> Iterator[TrialRow]:
-    under_way: deque[AsyncResult[TrialRow]] = deque()
+    under_way: deque[AsyncResult[list[TrialRow]]] = deque()
     for case in left:
         under_way.append(pool.apply_async(attempt, (case,)))
         if len(under_way) > jobs:  # one more than workers, so that none waits for us
-            yield under_way.popleft().get()
+            yield from under_way.popleft().get()
     while under_way:
-        yield under_way.popleft().get()
+        yield from under_way.popleft().get()
 
 
 def write_case(folder: Path, row: TrialRow) -> Path:
