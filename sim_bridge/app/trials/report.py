@@ -15,6 +15,8 @@ COUNTED = ("ended", "home", "phase", "then")
 """Of what rows tell: counted at the end."""
 
 HIGHEST = ("cpu_s", "grown_mb")
+TOLD = ("flights", "memory_mb", "growth_mb", "slope_mb_per_h", "files", "threads",
+        "disk_mb_per_flight")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,7 @@ class TrialReport:
             values = [row.told[key] for row in rows if key in row.told]
             if values:
                 lines.append(f"  {key}: at most {max(values)}")
+        lines += [f"  {key}: {rows[0].told[key]}" for key in TOLD if rows and key in rows[0].told]
         for line in lines:
             console.print(line, highlight=False, markup=False)
 

@@ -34,8 +34,8 @@ from sim_bridge.app.trials.fuzz import FLIGHT
 from sim_bridge.app.trials.trial import TrialRow
 
 STALLS_S = (2.0, 6.0, 20.0)
-FIRST_S = 5.0
-"""Before that no companion knows its vehicle."""
+FIRST_S = {"px4": 12.0, "ardupilot": 42.0}
+"""Without a position nobody flies, and a pilot's switch changes nothing (measured, seed 1)."""
 
 LAST_S = {"px4": 112.0, "ardupilot": 160.0}
 """Down and disarmed (measured, seed 1); later instants of a longer flight are not looked at."""
@@ -56,6 +56,9 @@ OVERHEAD_BYTES = 768
 """The kernel's own, of each datagram (sizeof(struct sk_buff) and its shared info, rounded)."""
 
 AT_ONCE = 1_000_000
+SWITCHED_WITHIN_S = 0.3
+"""ArduCopter waits 0.2 s before it believes a switch."""
+
 SHARED_BY = 40
 """Stalls of one flight: flying up to them takes a fifth of their time, and as many are lost with a
 process that is stopped."""
@@ -156,6 +159,8 @@ class StallWorld:
         self.exit_code: int | None = None
         self.took_over_s: float | None = None
         self.had_effect = False
+        self.in_flight = False
+        self._mode_before = self.craft.autopilot.mode
         self._takes_over_s = math.inf
         self._readings_left: int | None = None
         self._stall_s = 0.0
@@ -197,14 +202,19 @@ class StallWorld:
 
     def _world_step(self) -> None:
         self.t_s = round(self.t_s + STEP_S, 6)
-        before = self.craft.autopilot.mode
         if self.t_s >= self._takes_over_s and self.took_over_s is None:
-            self.craft.pilot_takes_over()
-            self.took_over_s = self.t_s
+            self._take_over()
         self.craft.advance(STEPS)
-        if self.took_over_s is not None and self.woke_s is None:
-            self.had_effect |= self.craft.autopilot.mode is not before
+        took_over_s = self.took_over_s
+        if took_over_s is not None and self.t_s <= took_over_s + SWITCHED_WITHIN_S:
+            self.had_effect |= self.craft.autopilot.mode is not self._mode_before
         self.link.arrive(self.craft.ask(round(self.t_s * 1e9)))
+
+    def _take_over(self) -> None:
+        self._mode_before = self.craft.autopilot.mode
+        self.craft.pilot_takes_over()
+        self.took_over_s = self.t_s
+        self.in_flight = self.craft.record.landed_s is None
 
     def step(self, heard_per_step: int = AT_ONCE) -> None:
         """One exchange of 0.1 s."""
@@ -340,9 +350,9 @@ def _watch(world: StallWorld, case: StallCase) -> None:
 
 
 def _late_commands(world: StallWorld) -> list[tuple[float, str, int]]:
-    """What was commanded once the companion could know; nothing where the switch changed nothing,
-    as on a vehicle that stands disarmed."""
-    if world.took_over_s is None or not world.had_effect:
+    """What was commanded once the companion could know. Nothing where the switch changed nothing,
+    or after landing: then settings are put back, whatever mode it stands in."""
+    if world.took_over_s is None or not (world.had_effect and world.in_flight):
         return []
     known_s = world.took_over_s + TOLD_PILOT_S
     return [command for command in world.craft.commands if command[0] > known_s]
@@ -353,7 +363,7 @@ def every_case(seed: int, autopilots: Sequence[str]) -> list[StallCase]:
     return [
         drawn(seed, autopilot, at_s, stall_s)
         for autopilot in autopilots
-        for at_s in np.arange(FIRST_S, LAST_S[autopilot], 1.0).tolist()
+        for at_s in np.arange(FIRST_S[autopilot], LAST_S[autopilot], 1.0).tolist()
         for stall_s in STALLS_S
     ]
 
