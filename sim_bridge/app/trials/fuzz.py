@@ -17,7 +17,7 @@ from companion.adapters.logs.decision_log import read_log
 from companion.core.base.errors import LeewayError
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.app.faults.authority import TOLD_PILOT_S
-from sim_bridge.app.faults.runner import write_flight
+from sim_bridge.app.faults.runner import printed_and_logged, write_flight
 from sim_bridge.app.faults.verdict import TRACEBACK
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
@@ -58,7 +58,10 @@ DOWN, LET_GO, TIME, NEVER_LEFT = "down", "let go", "time", "never left"
 
 ARM_DISARM = 400
 HANDS_OFF = "hands off"
+GIVEN_UP = "record given up"
 ROUNDING_WH = 2e-5
+PROMISES = ("p_home", "p_home_now", "p_success")
+TOLD_PROMISES = ("LW_PHOME", "LW_PHNOW", "LW_PSUCC")
 BROKEN, USAGE = 1, 2
 AIRBORNE = COLUMNS.index("airborne")
 
@@ -127,6 +130,7 @@ class Witness:
     knows_s: float | None = None
     """From then on it can know that a person has taken over: a true heartbeat has said so."""
     unanswered: bool = False
+    wrong_promise: str | None = None
     ended: str = DOWN
 
     @classmethod
@@ -166,6 +170,9 @@ class Witness:
         return after_s is not None and flies and t_s >= self.case.begins_s + after_s
 
     def _hear(self, message: Message) -> list[Message] | None:
+        told = message.msg_name == "NAMED_VALUE_FLOAT" and message.name in TOLD_PROMISES
+        if told and not 0.0 <= message.value <= 1.0:  # NaN too
+            self.wrong_promise = f"told {message.name} = {message.value}"
         lets_go = message.msg_name == "STATUSTEXT" and message.text.startswith(HANDS_OFF)
         if lets_go and self.hands_off_s is None and self.craft is not None:
             self.hands_off_s = self.craft.t_s
@@ -212,6 +219,12 @@ def raises_nothing(flown: Fuzzed) -> str | None:
     return f"exit code {code}" if crashed else None
 
 
+def keeps_its_record(flown: Fuzzed) -> str | None:
+    """No record is given up: the disk is sound, and every number can be written."""
+    given_up = [line for line in flown.printed.splitlines() if GIVEN_UP in line]
+    return given_up[0].strip()[:160] if given_up else None
+
+
 def answers_always(flown: Fuzzed) -> str | None:
     """It never stands still."""
     return "no answer within a minute" if flown.witness.unanswered else None
@@ -253,17 +266,20 @@ def configures_nothing_in_the_air(flown: Fuzzed) -> str | None:
 
 
 def promises_are_probabilities(flown: Fuzzed) -> str | None:
-    """Each P is within 0 and 1."""
+    """Each P that it told or recorded is within 0 and 1; a NaN is recorded as nothing."""
+    if flown.witness.wrong_promise is not None:
+        return flown.witness.wrong_promise
     for topic, row in flown.rows:
-        for key in ("p_home", "p_home_now", "p_success", "p_home_unattended"):
-            value = row.get(key)
-            if value is not None and not 0.0 <= value <= 1.0:  # NaN too
+        for key in PROMISES:
+            value, needed = row.get(key), topic == "assessment"
+            if (value is None and needed) or (value is not None and not 0.0 <= value <= 1.0):
                 return f"{topic}: {key} = {value}"
     return None
 
 
 ASKS: tuple[Ask, ...] = (
     raises_nothing,
+    keeps_its_record,
     answers_always,
     energy_never_rises,
     lets_go,
@@ -304,10 +320,10 @@ def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
     (row,) = fly(options, _Ending(witness=witness), witness)["flights"]
     craft = witness.craft
     assert craft is not None
-    wrong = _wrong(Fuzzed(witness, craft, _printed(craft), _logged(craft)))
+    wrong = _wrong(Fuzzed(witness, craft, printed_and_logged(craft.run_dir), _logged(craft)))
     if not wrong:
         shutil.rmtree(folder)
-    ended = witness.ended
+    ended = NEVER_LEFT if craft.record.took_off_s is None else witness.ended
     told = {
         "ended": ended,
         "home": row["home"] if ended == DOWN else None,
@@ -322,11 +338,6 @@ def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
 
 def _wrong(flown: Fuzzed) -> list[str]:
     return [words for words in (ask(flown) for ask in ASKS) if words]
-
-
-def _printed(craft: Craft) -> str:
-    paths = (craft.run_dir / name for name in ("companion.out", "companion.log"))
-    return "\n".join(path.read_text(errors="replace") for path in paths if path.exists())
 
 
 def _logged(craft: Craft) -> list[tuple[str, dict[str, Any]]]:
