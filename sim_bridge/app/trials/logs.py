@@ -133,7 +133,7 @@ def _wrong_words(words: str, path: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ReadingAnswer:
     """What a child says of one log."""
 
     why: str
@@ -181,7 +181,7 @@ def _serve(pipe: Connection) -> None:
             why = why or _wrong_prints(printed)
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             cpu_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime - begun_s
-            pipe.send(Answer(why, cpu_s, _peak_mb() - before_mb))
+            pipe.send(ReadingAnswer(why, cpu_s, _peak_mb() - before_mb))
 
 
 def _too_long(number: int, frame: FrameType | None) -> None:
@@ -221,7 +221,7 @@ class ReadingChild:
         self._read += 1
         self._pipe.send(path)
 
-    def answer(self) -> Answer:
+    def answer(self) -> ReadingAnswer:
         """What came of it."""
         assert self._process is not None
         try:
@@ -232,7 +232,7 @@ class ReadingChild:
             self._process.join(PATIENCE_S)
             why = f"the reader's process ended with {self._process.exitcode}"
         self.end()
-        return Answer(why, 0.0, 0.0)
+        return ReadingAnswer(why, 0.0, 0.0)
 
     def _start(self) -> None:
         self.end()

@@ -81,7 +81,7 @@ class SoakCase(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class SoakSample:
     """What the process holds at a simulated time; `flights` are over, `stands_by` between them."""
 
     t_s: float
@@ -160,7 +160,7 @@ class Soak:
     companion: CompanionProcess
     desk: SoakDesk
     flight_file: Path
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[SoakSample] = field(default_factory=list)
     ends: list[str] = field(default_factory=list)
     t_s: float = 0.0
     _craft: Craft | None = None
@@ -246,7 +246,7 @@ class Soak:
         process = Path("/proc") / str(pid)
         pages = int((process / "statm").read_text().split()[1])
         self.samples.append(
-            Sample(
+            SoakSample(
                 t_s=self.t_s,
                 memory_mb=pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
                 files=len(list((process / "fd").iterdir())),
@@ -320,12 +320,12 @@ def _flown_table(path: Path) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key != "wind"}
 
 
-def settled(samples: list[Sample]) -> list[Sample]:
+def settled(samples: list[SoakSample]) -> list[SoakSample]:
     """At standby, after the warm-up."""
     return [one for one in samples if one.stands_by and one.flights >= WARM_FLIGHTS]
 
 
-def figures(samples: list[Sample], hours: float) -> dict[str, Any]:
+def figures(samples: list[SoakSample], hours: float) -> dict[str, Any]:
     """What was measured, rounded for people."""
     calm = settled(samples)
     if len(calm) < 2:
@@ -343,13 +343,13 @@ def figures(samples: list[Sample], hours: float) -> dict[str, Any]:
     }
 
 
-def slope_per_h(samples: list[Sample]) -> float:
+def slope_per_h(samples: list[SoakSample]) -> float:
     """Of memory, in MB, by least squares."""
     times_h = np.array([one.t_s for one in samples]) / 3600.0
     return float(np.polyfit(times_h, [one.memory_mb for one in samples], 1)[0])
 
 
-def wrong(samples: list[Sample], hours: float) -> str:
+def wrong(samples: list[SoakSample], hours: float) -> str:
     """What is out of bounds; empty where nothing is."""
     calm = settled(samples)
     if len(calm) < 2:

@@ -6,7 +6,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.app.trials import fuzz, logs, stall
 from sim_bridge.app.trials.damage import DEEDS, Edit, damaged
 from sim_bridge.app.trials.logs import SUFFIX, write_samples
-from sim_bridge.app.trials.soak import Sample, wrong
+from sim_bridge.app.trials.soak import SoakSample, wrong
 from sim_bridge.app.trials.trial import Bounds, TrialRow, in_time, read_case, tried, write_case
 
 
@@ -61,8 +61,8 @@ def test_each_deed_damages_a_log_of_each_format(tmp_path, kind, deed):
     assert damaged(kind, b"", (Edit(deed, 0.5, 64, 3),)) is not None
 
 
-def sample(t_s: float, memory_mb: float, *, files: int = 20, threads: int = 9) -> Sample:
-    return Sample(t_s, memory_mb, files, threads, 1.0, flights=3, stands_by=True)
+def sample(t_s: float, memory_mb: float, *, files: int = 20, threads: int = 9) -> SoakSample:
+    return SoakSample(t_s, memory_mb, files, threads, 1.0, flights=3, stands_by=True)
 
 
 def test_a_process_that_holds_what_it_held_is_within_bounds():
