@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night lint bench wheel-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint bench wheel-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -28,12 +28,26 @@ sample: $(VENV)/.test
 	@$(BIN)/python -m pytest $(WORKERS) -m "not night" --draw-seed $(DRAW) $(PYTEST_ARGS)
 
 # Coverage doubles the tests' CPU time on Python 3.11 (measured: 22 to 25 s, 52 s with it), so it is
-# a report of the night. The long harnesses are named, not run: each takes minutes to hours.
-night: $(VENV)/.night lint  ## all tests with a coverage report; names the harnesses that take longer
-	@$(BIN)/python -m pytest $(WORKERS) --cov --cov-report=term $(PYTEST_ARGS)
+# a report of the night. A test that fails keeps no trial from its night.
+night: $(VENV)/.night lint  ## all tests with a coverage report, then the long trials: some hours
+	@failed=0; \
+	$(BIN)/python -m pytest $(WORKERS) --cov --cov-report=term $(PYTEST_ARGS) || failed=1; \
+	$(MAKE) --no-print-directory trials || failed=1; \
+	exit $$failed
 	@echo "longer still, by hand, each with --help: sim-bridge series, day, cross;"
 	@echo "sim-bridge research: campaign, table1, table2, towns, frontier, promise, avoid-table; its"
 	@echo "bench: flight, dispatch, planner, estimator, paths, avoid"
+
+# Another seed each day; SEED=N tries an earlier day's again. What broke: logs/trials/cases.
+SEED := $(shell date +%Y%j)
+TRIAL := $(BIN)/sim-bridge trials
+trials: $(VENV)/.sim  ## lies on the wire, stalls, damaged logs, twelve hours of flights; SEED=N again
+	@failed=0; \
+	$(TRIAL) fuzz --count 500 --seed $(SEED) --json logs/trials/fuzz.json || failed=1; \
+	$(TRIAL) stall --seed $(SEED) --json logs/trials/stall.json || failed=1; \
+	$(TRIAL) logs --minutes 60 --seed $(SEED) --json logs/trials/logs.json || failed=1; \
+	$(TRIAL) soak --seed $(SEED) --json logs/trials/soak.json || failed=1; \
+	exit $$failed
 
 lint: $(VENV)/.test
 	@$(BIN)/ruff format --check .

@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.adapters.errors import EndpointError
-from sim_bridge.app.cli import conform, cross, day, faults, fly, fly_plan, serve
+from sim_bridge.app.cli import conform, cross, day, faults, fly, fly_plan, serve, trials
 from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE, stop_by_signal
 from sim_bridge.research.cli import main as research
 from sim_bridge.truth.errors import TruthError
@@ -65,6 +65,7 @@ def options(
 
 for part in (fly, day, faults, cross, serve, conform, fly_plan):
     app.registered_commands += part.app.registered_commands
+app.registered_groups += trials.group.registered_groups
 app.add_typer(research.app, name="research")
 
 

@@ -116,3 +116,17 @@ def test_a_number_that_cannot_be_what_it_is_called_is_left_out_and_that_is_said(
     flight = open_log(tmp_path / "a.mcap")
     assert [event.t_s for event in flight.events] == [0.0, 2.0]
     assert str(flight.findings[0]) == "sample 1: Attitude.roll_rad cannot be; left out"
+
+
+@pytest.mark.parametrize("field", [b"vx", b"q"])
+def test_a_ulog_topic_whose_definition_lost_a_field_is_left_out_and_that_is_said(
+    make, world, tmp_path, field
+):
+    path = make.ulog(tmp_path / "a.ulg", world.rows(world.t_s < 20.0))
+    name = {b"q": b"vehicle_attitude", b"vx": b"vehicle_local_position"}[field]
+    raw = path.read_bytes()
+    at = raw.index(b" " + field, raw.index(name + b":")) + 1
+    path.write_bytes(raw[:at] + b"?" + raw[at + 1 :])
+    flight = open_log(path)
+    assert flight.events
+    assert any("no field" in found.what for found in flight.findings)

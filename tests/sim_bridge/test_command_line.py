@@ -11,7 +11,9 @@ from sim_bridge.main import app
 from sim_bridge.research.campaign.campaign import PLANNERS
 from sim_bridge.research.cli.main import OLD_SPELLINGS
 
-IN_FRONT = {"faults", "fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research"}
+IN_FRONT = {
+    "faults", "trials", "fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research",
+}  # fmt: skip
 BEFORE = {
     "bench", "bench-dispatch", "campaign", "table1", "table2", "lambda-sweep", "energy-speed",
     "speed-to-fly", "towns", "frontier", "planner-bench", "estimator-bench", "paths-bench", "paths",
@@ -51,7 +53,9 @@ def test_an_unknown_command_is_refused_without_a_hint() -> None:
     assert "is now" not in done.stderr
 
 
-@pytest.mark.parametrize("asked", ["--help", "--version", "fly --help", "research --help"])
+@pytest.mark.parametrize(
+    "asked", ["--help", "--version", "fly --help", "trials --help", "research --help"]
+)
 def test_help_loads_nothing_that_flies(asked: str) -> None:
     code = (
         "import sys\n"

@@ -3,11 +3,14 @@
 import contextlib
 import io
 import math
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.clock import AutopilotClock
+from companion.adapters.logs.dataflash_filter import whole_messages
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
     Airspeed,
@@ -65,8 +68,12 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
     said = io.StringIO()
     reader = _Reader()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            _run(path, reader)
+        with (
+            contextlib.redirect_stderr(said),
+            contextlib.redirect_stdout(said),
+            _without_damage(path, reader.findings) as sound,
+        ):
+            _run(sound, reader)
     except Exception as error:
         if not reader.events:
             raise LeewayError(f"{path}: DFReader cannot read this file: {error!r}") from error
@@ -85,6 +92,22 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
         vehicle=reader.vehicle,
         firmware=reader.firmware,
     )
+
+
+@contextlib.contextmanager
+def _without_damage(path: Path, findings: list[LogFinding]) -> Iterator[Path]:
+    """The log itself, or a copy of its whole messages, for DFReader opens files only."""
+    whole = whole_messages(path.read_bytes())
+    if whole.data is None:
+        yield path
+        return
+    if whole.places:
+        where = f"{whole.left_out} bytes in {whole.places} places are no whole message"
+        findings.append(LogFinding(f"byte {whole.first_at}", where, "left out"))
+    with tempfile.NamedTemporaryFile(suffix=".bin") as copy:
+        copy.write(whole.data)
+        copy.flush()
+        yield Path(copy.name)
 
 
 def _run(path: Path, reader: "_Reader") -> None:

@@ -106,17 +106,13 @@ def read_ulog(path: Path) -> RecordedFlight:
     vehicle = vehicle_kind(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(
         values.get("CA_AIRFRAME", -1)
     )
-    events: list[Event] = []
-    for rows in topics.get("vehicle_attitude", [])[:1]:
-        events += _attitudes(rows)
-    events += _positions(topics, findings)
-    for name, take in _TAKERS.items():
-        for rows in topics.get(name, [])[:1]:
-            events += take(rows)
+    takers = dict(_TAKERS)
     if values.get("EKF2_DRAG_CTRL") or vehicle not in (MULTIROTOR, None):
-        for name in ("wind", "wind_estimate"):
-            for rows in topics.get(name, [])[:1]:
-                events += _winds(rows)
+        takers |= {"wind": _winds, "wind_estimate": _winds}
+    events = _first(topics, "vehicle_attitude", _attitudes, findings)
+    events += _taken("position", lambda: _positions(topics, findings), findings)
+    for name, take in takers.items():
+        events += _first(topics, name, take, findings)
     events.sort(key=lambda event: event.t_s)
     if not events:
         raise LeewayError(f"{path}: none of {', '.join(TOPICS[:5])} in this ULog")
@@ -128,6 +124,26 @@ def read_ulog(path: Path) -> RecordedFlight:
         vehicle=vehicle,
         firmware=_firmware(log),
     )
+
+
+def _first(
+    topics: dict[str, list[Rows]],
+    name: str,
+    take: Callable[[Rows], list[Event]],
+    findings: list[LogFinding],
+) -> list[Event]:
+    """What a topic's first instance tells."""
+    instances = topics.get(name, [])
+    return _taken(name, lambda: take(instances[0]), findings) if instances else []
+
+
+def _taken(name: str, take: Callable[[], list[Event]], findings: list[LogFinding]) -> list[Event]:
+    """What a topic tells: nothing where its definition is damaged, so that it lacks a field."""
+    try:
+        return take()
+    except KeyError as missing:
+        findings.append(LogFinding("log", f"{name}: no field {missing}", "left out"))
+        return []
 
 
 class _Bounded(io.BytesIO):
@@ -205,6 +221,9 @@ def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
     found: dict[str, list[Rows]] = {}
     for data in log.data_list:
         rows: Rows = dict(data.data)
+        if "timestamp" not in rows:
+            findings.append(LogFinding("log", f"{data.name}: no field 'timestamp'", "left out"))
+            continue
         t_s = rows["timestamp"].astype(float) / 1e6
         kept = _rising(t_s, log.start_timestamp / 1e6, LEAST_STEP_S.get(data.name, 0.0))
         stray = _stray(t_s)

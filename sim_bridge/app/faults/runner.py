@@ -1,6 +1,5 @@
 """Flies the rows of the suite and judges them: one flight each, side by side."""
 
-import contextlib
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ import msgspec
 import numpy as np
 
 from companion.adapters.files.params import params_dir
+from companion.app.flight.recorder import TEXT
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.catalogue import CATALOGUE
 from sim_bridge.app.faults.stage import Performance
@@ -20,6 +20,7 @@ from sim_bridge.app.flight.stopping import worker_pool
 
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
+OUTPUT = "companion.out"
 
 
 class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,7 +105,7 @@ def fly_fault(task: FaultTask) -> FaultRow:
     draws = np.random.default_rng([task.seed, case.number])
     performance = Performance(case.play, task.phase, draws)
     options = FlyOptions(
-        flight_file=_write_flight(case, folder),
+        flight_file=write_flight(case.flight, folder),
         autopilot=task.autopilot,
         seed=task.seed,
         run_root=folder,
@@ -119,10 +120,11 @@ def fly_fault(task: FaultTask) -> FaultRow:
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
 
 
-def _write_flight(case: FaultCase, folder: Path) -> Path:
+def write_flight(changes: dict[str, Any], folder: Path) -> Path:
+    """Write the suite's flight with some of its tables changed; returns its file."""
     table = tomllib.loads((params_dir() / "flights" / FLIGHT).read_text())
     path = folder / "flight.toml"
-    path.write_bytes(msgspec.toml.encode(_merged(table, case.flight)))
+    path.write_bytes(msgspec.toml.encode(_merged(table, changes)))
     return path
 
 
@@ -140,10 +142,13 @@ def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def _words(performance: Performance) -> str:
     assert performance.stage is not None
-    path = performance.stage.craft.run_dir / "companion.out"
-    with contextlib.suppress(OSError):
-        return path.read_text(errors="replace")
-    return ""
+    return printed_and_logged(performance.stage.craft.run_dir)
+
+
+def printed_and_logged(run_dir: Path) -> str:
+    """All that a companion printed, and its log: an exception in its loop stands only there."""
+    paths = (run_dir / name for name in (OUTPUT, TEXT))
+    return "\n".join(path.read_text(errors="replace") for path in paths if path.exists())
 
 
 @dataclass(slots=True, kw_only=True)

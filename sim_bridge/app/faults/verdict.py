@@ -16,7 +16,7 @@ class FlownFault:
     row: dict[str, Any]
     stage: Stage
     words: str
-    """All that the companion printed."""
+    """All that the companion printed and logged."""
 
     @property
     def said(self) -> list[str]:
@@ -47,7 +47,7 @@ class FlownFault:
 
     @property
     def exceptions(self) -> int:
-        """Tracebacks in what the companion printed."""
+        """Tracebacks in what the companion printed and logged."""
         return self.words.count(TRACEBACK)
 
 

@@ -141,14 +141,15 @@ def fly(
         endpoints = stack.enter_context(EndpointSet(["udpin:127.0.0.1:0"] * options.vehicles))
         crafts: list[Craft] = []
         for index in range(options.vehicles):
-            craft = _build_craft(
+            port = endpoints.urls[index].rsplit(":", 1)[1]
+            craft = build_craft(
                 options,
                 flight,
                 wind,
                 mean,
                 index,
                 vehicle_seeds[index],
-                endpoints,
+                f"udpout:127.0.0.1:{port}",
                 run_dir,
                 killed=any(fault.kind == "companion_kill" for fault in faults),
             )
@@ -173,18 +174,19 @@ def _autopilot_kind_of(options: FlyOptions, index: int) -> str:
     return AUTOPILOTS[index % 2] if options.autopilot == "mixed" else options.autopilot
 
 
-def _build_craft(
+def build_craft(
     options: FlyOptions,
     flight: Flight,
     wind: Any,
     mean: Any,
     index: int,
     seed: np.random.SeedSequence,
-    endpoints: EndpointSet,
+    link: str,
     run_dir: Path,
     *,
-    killed: bool,
+    killed: bool = False,
 ) -> Craft:
+    """Build one vehicle of a run; its companion, not started yet, will call on `link`."""
     gust_seed, sensor_seed, charge_seed = seed.spawn(3)
     charge_frac = _drawn_charge(flight, np.random.default_rng(charge_seed))
     autopilot_kind = _autopilot_kind_of(options, index)
@@ -216,11 +218,10 @@ def _build_craft(
     )
     autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD, signing=_signer(options.signing_key))
     autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
-    port = endpoints.urls[index].rsplit(":", 1)[1]
     companion = CompanionProcess(
         run_dir=own_dir,
         arguments=[
-            f"--link=udpout:127.0.0.1:{port}",
+            f"--link={link}",
             f"--airframe={options.believed or flight.vehicle.airframe}",
             f"--mission={mission_file}",
             f"--gate={'on' if options.gate else 'off'}",

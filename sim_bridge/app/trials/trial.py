@@ -1,0 +1,106 @@
+"""A long trial: cases drawn from a seed, tried side by side, bounded in count and in time.
+
+What does not hold is written out as a case that can be tried again.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.pool import AsyncResult, Pool
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.flight.stopping import worker_pool
+
+Case = TypeVar("Case", bound=msgspec.Struct)
+
+
+class TrialRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One case that was tried: whether all held, why not, and what it came to."""
+
+    name: str
+    held: bool
+    why: str
+    told: dict[str, Any]
+    case: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """How long a trial may go on: no case begins after `minutes`."""
+
+    jobs: int
+    minutes: float | None
+
+
+def tried(
+    todo: Iterable[Case], attempt: Callable[[Case], list[TrialRow]], bounds: Bounds
+) -> Iterator[TrialRow]:
+    """Try cases side by side, in their order, until all are tried or the time is up."""
+    left = in_time(todo, bounds)
+    if bounds.jobs == 1:
+        for case in left:
+            yield from attempt(case)
+        return
+    with worker_pool(bounds.jobs) as pool:
+        yield from _side_by_side(pool, left, attempt, bounds.jobs)
+
+
+def in_time(todo: Iterable[Case], bounds: Bounds) -> Iterator[Case]:
+    """These cases, until the time is up."""
+    end_s = None if bounds.minutes is None else wall_s() + 60.0 * bounds.minutes
+    for case in todo:
+        if end_s is not None and wall_s() >= end_s:
+            return
+        yield case
+
+
+def _side_by_side(
+    pool: Pool, left: Iterator[Case], attempt: Callable[[Case], list[TrialRow]], jobs: int
+) -> Iterator[TrialRow]:
+    under_way: deque[AsyncResult[list[TrialRow]]] = deque()
+    for case in left:
+        under_way.append(pool.apply_async(attempt, (case,)))
+        if len(under_way) > jobs:  # one more than workers, so that none waits for us
+            yield from under_way.popleft().get()
+    while under_way:
+        yield from under_way.popleft().get()
+
+
+def write_case(folder: Path, row: TrialRow) -> Path:
+    """Write a case that did not hold, to be tried again; returns its file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{row.name}.json"
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(row.case)) + b"\n")
+    return path
+
+
+def read_case(path: Path, kind: type[Case]) -> Case:
+    """Read a case back.
+
+    Raises: LeewayError for a file that is none.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except msgspec.DecodeError as error:
+        raise LeewayError(f"{path}: not a case of this trial: {error}") from error
+
+
+def result(trial: str, seed: int, rows: Sequence[TrialRow]) -> dict[str, Any]:
+    """What `--json` writes."""
+    held = sum(row.held for row in rows)
+    return {"trial": trial, "seed": seed, "rows": list(rows), "held": held, "of": len(rows)}
+
+
+def write_result(path: Path, trial: str, seed: int, rows: Sequence[TrialRow]) -> None:
+    """Write the result, whole or not at all."""
+    fresh = path.with_name(path.name + ".new")
+    text = msgspec.json.format(msgspec.json.encode(result(trial, seed, rows)))
+    fresh.write_bytes(text + b"\n")
+    fresh.replace(path)

@@ -1,0 +1,85 @@
+"""A trial's bounds and its cases: nothing new after the time is up, a case reads back as it was."""
+
+import pytest
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.app.trials import fuzz, logs, stall
+from sim_bridge.app.trials.damage import DEEDS, Edit, damaged
+from sim_bridge.app.trials.logs import SUFFIX, write_samples
+from sim_bridge.app.trials.soak import SoakSample, wrong
+from sim_bridge.app.trials.trial import Bounds, TrialRow, in_time, read_case, tried, write_case
+
+
+def row(case) -> TrialRow:
+    return TrialRow(name=case.name, held=False, why="broke", told={}, case=case)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [fuzz.drawn(3, 4), logs.drawn(3, 4), stall.drawn(3, "px4", 30.0, 6.0)],
+    ids=["fuzz", "logs", "stall"],
+)
+def test_a_case_that_was_written_out_is_read_back_the_same(tmp_path, case):
+    assert read_case(write_case(tmp_path, row(case)), type(case)) == case
+
+
+def test_a_file_that_is_no_case_is_refused_by_its_name(tmp_path):
+    (tmp_path / "a.json").write_text('{"seed": 1}')
+    with pytest.raises(LeewayError, match=r"a\.json: not a case"):
+        read_case(tmp_path / "a.json", fuzz.FuzzCase)
+
+
+def test_the_same_seed_draws_the_same_cases_and_another_seed_others():
+    assert fuzz.drawn(1, 7) == fuzz.drawn(1, 7) != fuzz.drawn(2, 7)
+    assert logs.drawn(1, 7) == logs.drawn(1, 7) != logs.drawn(2, 7)
+
+
+def test_nothing_begins_after_the_time_is_up():
+    cases = [fuzz.drawn(1, number) for number in range(5)]
+    assert len(list(in_time(cases, Bounds(jobs=1, minutes=None)))) == 5
+    assert not list(in_time(cases, Bounds(jobs=1, minutes=0.0)))
+    assert len(list(tried(cases, lambda case: [row(case)], Bounds(1, None)))) == 5
+
+
+def test_stalls_of_one_vehicle_share_flights_in_the_order_of_their_instants():
+    cases = stall.some_cases(1, ("px4", "ardupilot"), 50)
+    flights = list(stall.flights(cases))
+    assert sorted(case.name for flight in flights for case in flight.cases) == sorted(
+        case.name for case in cases
+    )
+    for flight in flights:
+        assert [case.at_s for case in flight.cases] == sorted(case.at_s for case in flight.cases)
+        assert {case.autopilot for case in flight.cases} == {flight.autopilot}
+
+
+@pytest.mark.parametrize("deed", DEEDS)
+@pytest.mark.parametrize("kind", SUFFIX)
+def test_each_deed_damages_a_log_of_each_format(tmp_path, kind, deed):
+    raw = write_samples(tmp_path)[kind].read_bytes()
+    for at in (0.0, 0.4, 0.999):
+        assert damaged(kind, raw, (Edit(deed, at, 64, 3),)) != raw
+    assert damaged(kind, b"", (Edit(deed, 0.5, 64, 3),)) is not None
+
+
+def sample(t_s: float, memory_mb: float, *, files: int = 20, threads: int = 9) -> SoakSample:
+    return SoakSample(t_s, memory_mb, files, threads, 1.0, flights=3, stands_by=True)
+
+
+def test_a_process_that_holds_what_it_held_is_within_bounds():
+    assert not wrong([sample(0.0, 100.0), sample(3.0 * 3600.0, 100.5)], 3.0)
+
+
+@pytest.mark.parametrize(
+    ("last", "hours", "words"),
+    [
+        (sample(600.0, 115.0), 0.2, "memory grew"),
+        (sample(3.0 * 3600.0, 109.0), 3.0, r"3\.00 MB/h"),
+        (sample(600.0, 260.0), 0.2, "260 MB of memory"),
+        (sample(600.0, 100.0, files=25), 0.2, "25 open files"),
+        (sample(600.0, 100.0, threads=10), 0.2, "10 threads"),
+    ],
+)
+def test_a_process_that_grows_is_not(last, hours, words):
+    import re
+
+    assert re.search(words, wrong([sample(0.0, 100.0), last], hours))
