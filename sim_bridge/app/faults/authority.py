@@ -293,7 +293,7 @@ CASES = (
         GROUP,
         "one false heartbeat says disarmed, and a second of silence follows",
         false_disarmed,
-        (comes_home,),
+        (comes_home, delivers),
         FLYING,
     ),
     FaultCase(
