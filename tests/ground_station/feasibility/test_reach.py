@@ -4,6 +4,7 @@ import pytest
 
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_file import Mission
+from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
 from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach
@@ -17,7 +18,7 @@ def m100() -> Airframe:
 
 def a_reach(m100: Airframe, charge: float = 1.0, **wind: float) -> Reach:
     drone = Drone(id="d1", airframe="m100", charge_frac=charge)
-    return Reach(drone, m100, Mission(), Forecast(**wind))
+    return Reach(drone, m100, Mission(), Forecast(**wind), RouteEnergy(m100))
 
 
 def at(north_m: float, east_m: float = 0.0) -> Ned:
