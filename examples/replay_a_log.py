@@ -17,6 +17,7 @@ from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight, Site, Vehicle
 from companion.core.replay.flight_replay import ReplayTerms, replay
 from companion.core.replay.summary import wind_summary
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 
 WIND_TO_NE_MPS = (-3.0, 4.0)  # where the air moves to
@@ -32,8 +33,8 @@ def row_at(t_s: float, airframe: Airframe) -> list[float]:
     accel_n, accel_e = -rate * east, rate * north
     mass_kg = airframe.mass_kg(payload_kg=0.0)
     air_n, air_e = north - WIND_TO_NE_MPS[0], east - WIND_TO_NE_MPS[1]
-    linear_n, linear_e = airframe.drag_linear_n_per_mps(mass_kg)
-    square_n, square_e = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    linear_n, linear_e = airframe.drag_linear_n_per_mps(mass_kg, REFERENCE_DENSITY_KGPM3)
+    square_n, square_e = airframe.drag_quadratic_n_per_mps2(mass_kg, REFERENCE_DENSITY_KGPM3)
     speed = math.hypot(air_n, air_e)
     thrust_n = accel_n + (linear_n + square_n * speed) * air_n / mass_kg
     thrust_e = accel_e + (linear_e + square_e * speed) * air_e / mass_kg

@@ -9,13 +9,23 @@ in it. Level flight against wind therefore needs tilt, and limited tilt limits a
 
 import math
 
-from sim_bridge.truth.atmosphere import GRAVITY_MPS2
+from sim_bridge.truth.atmosphere import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
 from sim_bridge.truth.params import AirframeTruth
 
 
 def wrap_pi(angle_rad: float) -> float:
     """The same angle within -pi to pi."""
     return math.remainder(angle_rad, math.tau)
+
+
+def rotor_flow(thrust_ratio: float, density_kgpm3: float) -> float:
+    """Growth of rotor drag with thrust, over that at reference, and with density.
+
+    A blade's drag in the plane goes with density and tip speed (Martin and Salaun 2010, "The true
+    role of accelerometer feedback in quadrotor control"), tip speed with the root of thrust over
+    density: so rotor drag goes with the root of both.
+    """
+    return math.sqrt(thrust_ratio * density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3)
 
 
 class Airframe:
@@ -145,7 +155,7 @@ class Airframe:
         w = air_n * dn + air_e * de + air_d * dd
         airspeed = math.sqrt(u * u + v * v + w * w)
         drag = self._drag
-        rotor = math.sqrt(thrust_n / self._reference_thrust_n) if thrust_n > 0.0 else 0.0
+        rotor = rotor_flow(max(thrust_n, 0.0) / self._reference_thrust_n, density_kgpm3)
         rotor *= self.drag_factor
         rotor_x = -rotor * drag.rotor_forward_nspm * u
         rotor_y = -rotor * drag.rotor_sideways_nspm * v

@@ -71,7 +71,9 @@ class RotorParams(_Table, frozen=True):
 
 
 class DragParams(_Table, frozen=True):
-    """Drag by body axis: that of rotors is linear in speed (at empty hover), the rest square."""
+    """Drag by body axis: that of rotors is linear in speed, stated for an empty hover at sea level
+    (ISA), the rest square.
+    """
 
     rotor_forward_nspm: float
     """Rotor drag for each m/s along body forward."""
@@ -205,6 +207,10 @@ class SensorParams(_Table, frozen=True):
     """Its correlation time."""
     baro_noise_m: float
     """Error of the barometric height that is new each time."""
+    board_warmth_c: float
+    """The barometer's own thermometer over the air, of a board that is powered."""
+    board_warmth_std_c: float
+    """From vehicle to vehicle."""
     pitot_scale_error_frac: float
     """Error of the dynamic pressure, of itself."""
     pitot_bias_pa: float
@@ -240,6 +246,8 @@ class SensorParams(_Table, frozen=True):
             "baro_drift_m": (0.0, 50.0),
             "baro_drift_time_s": (1.0, 1e5),
             "baro_noise_m": (0.0, 5.0),
+            "board_warmth_c": (0.0, 60.0),
+            "board_warmth_std_c": (0.0, 20.0),
             "pitot_scale_error_frac": (0.0, 0.5),
             "pitot_bias_pa": (0.0, 50.0),
             "pitot_noise_pa": (0.0, 50.0),

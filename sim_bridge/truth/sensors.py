@@ -10,6 +10,7 @@ from collections import deque
 import numpy as np
 
 from sim_bridge.truth.airframe import Airframe, wrap_pi
+from sim_bridge.truth.atmosphere import air_pressure_pa
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.noise import GaussianStream, WanderingBias
 from sim_bridge.truth.params import SensorParams
@@ -28,6 +29,7 @@ class SensorSuite:
         *,
         depot_alt_amsl_m: float = 0.0,
         density_kgpm3: float = 1.225,
+        air_temperature_c: float = 15.0,
         pitot: bool = False,
         voltage_sensor: bool = True,
         current_sensor: bool = True,
@@ -53,6 +55,9 @@ class SensorSuite:
             )
         ]
         self._baro_drift = WanderingBias(params.baro_drift_m, params.baro_drift_time_s, gauss)
+        # Of a generator of its own: what the others draw stays as it was.
+        warmth_c = params.board_warmth_c + params.board_warmth_std_c * rng.spawn(1)[0].normal()
+        self.board_temperature_c = air_temperature_c + warmth_c
         self._accel_bias = [params.accel_bias_mps2 * gauss() for _ in range(3)]
         self._pitot_gain = (1.0 + params.pitot_scale_error_frac * gauss()) ** 2
         self._pitot_bias_pa = params.pitot_bias_pa * gauss()
@@ -67,6 +72,7 @@ class SensorSuite:
         self._next_slow_s: float | None = None
         self._fix: tuple[Vec3, Vec3] | None = None
         self._airspeed_mps: float | None = 0.0 if pitot else None
+        self._pressure_pa = air_pressure_pa(depot_alt_amsl_m)
         self._voltage_v: float | None = None
         self._current_a: float | None = None
         self.gnss_outage = False
@@ -131,15 +137,19 @@ class SensorSuite:
             self._voltage_v,
             self._current_a,
             battery.temperature_c,
+            self._pressure_pa,
+            self.board_temperature_c,
             touching_ground,
             parcel_aboard,
         )
 
     def _read_slow(self, body: Airframe, battery: Battery) -> None:
-        """Sensors polled at 10 Hz: pitot, voltage, current; and a step of every bias."""
+        """Sensors polled at 10 Hz: pressures, voltage, current; and a step of every bias."""
         p, gauss = self._p, self._gauss
         for bias in (self._roll_bias, self._pitch_bias, self._baro_drift):
             bias.step(_SLOW_PERIOD_S)
+        height_m = self._baro_drift.value - body.down_m
+        self._pressure_pa = air_pressure_pa(self._depot_alt_amsl_m + height_m)
         if self._voltage_sensor and not self.voltage_failed:
             self._voltage_v = battery.voltage_v * self._voltage_gain + p.voltage_noise_v * gauss()
         else:

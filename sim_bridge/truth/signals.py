@@ -32,6 +32,8 @@ class SensorReadings:
     (10 Hz, late by the receiver's latency, held over an outage). `accel_frd_mps2` is the
     specific force in body axes (forward, right, down). `airspeed_mps` is a pitot on the forward
     axis, `None` without one; `voltage_v` and `current_a` are `None` where there is no sensor.
+    `temperature_c` is the pack's; `board_temperature_c` is what the barometer's own thermometer
+    reads, which is warmer than the air.
     """
 
     t_s: float
@@ -50,6 +52,8 @@ class SensorReadings:
     voltage_v: float | None
     current_a: float | None
     temperature_c: float
+    air_pressure_pa: float
+    board_temperature_c: float
     touching_ground: bool
     parcel_aboard: bool
 

@@ -6,11 +6,10 @@ Fast enough to integrate a whole mission, for a planner with perfect knowledge a
 import math
 from dataclasses import dataclass
 
-from sim_bridge.truth.atmosphere import GRAVITY_MPS2
+from sim_bridge.truth.airframe import rotor_flow
+from sim_bridge.truth.atmosphere import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.rotor_power import RotorSet
-
-SEA_LEVEL_DENSITY_KGPM3 = 1.225  # ISO 2533
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +52,8 @@ class SteadyFlight:
         tilt, thrust_n = 0.0, weight_n
         forward = down = rotor_n = 0.0
         for _ in range(200):
-            rotor_k = drag.rotor_forward_nspm * math.sqrt(thrust_n / self._reference_thrust_n)
+            flow = rotor_flow(thrust_n / self._reference_thrust_n, self._density)
+            rotor_k = drag.rotor_forward_nspm * flow
             sin_t, cos_t = math.sin(tilt), math.cos(tilt)
             forward = airspeed_mps * cos_t - climb_mps * sin_t
             down = -airspeed_mps * sin_t - climb_mps * cos_t

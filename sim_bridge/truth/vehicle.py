@@ -58,6 +58,7 @@ class Vehicle:
         payload_kg: float = 0.0,
         charge_frac: float = 1.0,
         temperature_c: float = 20.0,
+        air_temperature_c: float | None = None,
         battery_health_frac: float = 1.0,
         depot_alt_amsl_m: float = 0.0,
         start_ne_m: tuple[float, float] = (0.0, 0.0),
@@ -66,7 +67,10 @@ class Vehicle:
         voltage_sensor: bool = True,
         current_sensor: bool = True,
     ) -> None:
-        """`start_ne_m` is about the depot; `rng` drives the sensors (the wind has its own)."""
+        """`start_ne_m` is about the depot; `rng` drives the sensors (the wind has its own).
+
+        `temperature_c` is the pack's, and the air's unless `air_temperature_c` says otherwise.
+        """
         if not 0.0 <= payload_kg <= params.max_payload_kg:
             raise TruthError(
                 f"payload_kg = {payload_kg:g}: expected 0 to {params.max_payload_kg:g} for"
@@ -75,7 +79,8 @@ class Vehicle:
         self._params = params
         self._wind = wind
         self._terrain = terrain or PlaneTerrain()
-        self._density = air_density_kgpm3(depot_alt_amsl_m, temperature_c)
+        air_c = temperature_c if air_temperature_c is None else air_temperature_c
+        self._density = air_density_kgpm3(depot_alt_amsl_m, air_c)
         self._body = Airframe(params)
         self._body.north_m, self._body.east_m = start_ne_m
         self._body.down_m = -self._terrain.up_m(*start_ne_m)
@@ -92,6 +97,7 @@ class Vehicle:
             rng,
             depot_alt_amsl_m=depot_alt_amsl_m,
             density_kgpm3=self._density,
+            air_temperature_c=air_c,
             pitot=pitot,
             voltage_sensor=voltage_sensor,
             current_sensor=current_sensor,
@@ -126,6 +132,11 @@ class Vehicle:
     def wind_field(self) -> WindField:
         """The wind that this vehicle meets, for a planner with perfect knowledge."""
         return self._wind
+
+    @property
+    def density_kgpm3(self) -> float:
+        """Of the air that it flies in."""
+        return self._density
 
     @property
     def reference_draw_w(self) -> float:

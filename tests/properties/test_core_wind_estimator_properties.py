@@ -66,7 +66,7 @@ def test_on_one_heading_for_ever_it_does_not_diverge(seed: int, course: float, t
     estimator = WindEstimator(M100)
     wind = rng.normal(0.0, 4.0, 2)
     vel = 8.0 * np.array([math.cos(course), math.sin(course)])
-    linear, _ = M100.drag_linear_n_per_mps(M100.mass.empty_kg)
+    linear, _ = M100.drag_linear_n_per_mps(M100.mass.empty_kg, 1.225)
     quadratic = M100.drag.quadratic_forward_n_per_mps2
     for k in range(1500):
         air = vel - wind - 0.5 * rng.standard_normal(2)

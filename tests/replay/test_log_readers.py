@@ -13,6 +13,7 @@ from companion.adapters.logs.decision_log import HEARD, DecisionLog, HeardRows
 from companion.adapters.logs.open_log import open_log
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import (
+    AirPressure,
     Airspeed,
     Attitude,
     AutopilotKind,
@@ -100,6 +101,7 @@ def test_what_the_companion_heard_is_read_back_from_our_mcap_as_it_was(tmp_path)
         Battery(1.1, voltage_v=22.5, current_a=None, remaining_frac=0.8),
         Airspeed(1.1, 12.5),
         AutopilotWind(1.2, -4.0, 3.0, None),
+        AirPressure(1.2, 70_109.0, 55.0),
         Throttle(1.2, 0.41),
         Attitude(1.2, 0.2, -0.05, 3.0),
     ]

@@ -30,7 +30,10 @@ def leaning(t_s, yaw_rad, ground_ne_mps, wind_ne_mps):
     air_n, air_e = np.subtract(ground_ne_mps, wind_ne_mps)
     forward, right = cos * air_n + sin * air_e, cos * air_e - sin * air_n
     speed = math.hypot(forward, right)
-    k, q = M100.drag_linear_n_per_mps(MASS_KG), M100.drag_quadratic_n_per_mps2(MASS_KG)
+    k, q = (
+        M100.drag_linear_n_per_mps(MASS_KG, 1.225),
+        M100.drag_quadratic_n_per_mps2(MASS_KG, 1.225),
+    )
     drag_f = (k[0] + q[0] * speed) * forward / MASS_KG
     drag_r = (k[1] + q[1] * speed) * right / MASS_KG
     pitch = -math.atan(drag_f / GRAVITY_MPS2)

@@ -17,6 +17,7 @@ from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.adapters.logs.open_log import open_log
 from companion.app.cli.main import app
 from companion.core.base.place import Place
+from companion.core.mission.events import AirPressure, Position
 from companion.core.mission.flight_file import Flight, Site, Vehicle
 from companion.core.replay.flight_replay import ReplayTerms, replay
 from companion.core.replay.summary import wind_score, wind_summary
@@ -105,6 +106,17 @@ def test_a_square_near_home_with_a_full_battery_is_never_turned_back(make, world
     assert "turn_back" not in kinds
     assert kinds[0] == "take_off"
     assert kinds[-1] == "landed"
+
+
+def test_a_replay_settles_the_air_at_take_off_by_what_the_log_tells(make, world, tmp_path):
+    log = open_log(make.csv(tmp_path / "h.csv", make.csv_columns(world)))
+    high = [replace(e, alt_amsl_m=3000.0) if isinstance(e, Position) else e for e in log.events]
+    told = (AirPressure(log.start_s, 70_109.0, 55.0), *high)
+    measured = replace(log, events=told, position_measured=True)
+    notes = replay(measured, terms()).notes
+    assert [words for _, words in notes if words.startswith("air ")] == [
+        "air 0.780 kg/m3: 701 hPa, 40 C (barometer, its board 15 C warmer)"
+    ]
 
 
 # --- what a log lacks ---------------------------------------------------------------------------

@@ -186,7 +186,10 @@ DRAW_RISES = {
     "faults": [fault("draw_rises", phase="outbound", at_s=4.0, times=1.7)],
 }
 
+HOT_AND_HIGH = {"site": {"depot": {"alt_amsl_m": 3000.0}}, "vehicle": {"temperature_c": 40.0}}
+
 CASES = [
+    Case("in air of 0.78 kg/m3, which nobody states, the wind is known", wind_known, HOT_AND_HIGH),
     Case("a parcel is delivered and the vehicle comes home", delivered_and_home, {}, LOW),
     Case(
         "a growing headwind closes the gate, and the vehicle lands with its reserve",

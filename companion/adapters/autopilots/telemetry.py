@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 from companion.adapters.autopilots.codec import mavlink
 from companion.core.mission.events import (
+    AirPressure,
     Airspeed,
     ArmingReadiness,
     Attitude,
@@ -142,6 +143,8 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
             return _battery(message, t_s)
         case "VFR_HUD":
             return _hud(message, profile, values, t_s)
+        case "SCALED_PRESSURE":
+            return _pressure(message, t_s)
         case "MISSION_CURRENT":
             return [_progress(message, profile, t_s)]
         case "MISSION_ITEM_REACHED":
@@ -185,6 +188,14 @@ def _position(message: Any, t_s: float) -> list[Event]:
             message.vz / 100.0,
         )
     ]
+
+
+def _pressure(message: Any, t_s: float) -> list[Event]:
+    """hPa and hundredths of a degree, in the messages of both autopilots; no pressure is 0."""
+    pressure_pa = 100.0 * message.press_abs
+    if not (math.isfinite(pressure_pa) and pressure_pa > 0.0):
+        return []
+    return [AirPressure(t_s, pressure_pa, message.temperature / 100.0)]
 
 
 def _home(message: Any, t_s: float) -> list[Event]:

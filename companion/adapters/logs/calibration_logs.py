@@ -10,7 +10,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.calibration.records import FlightRecord
 from companion.core.mission.events import Attitude, Battery, Position
 from companion.core.replay.recorded_flight import RecordedFlight, first_position
-from companion.core.vehicle.power import air_density_kgpm3
+from companion.core.vehicle.air import standard_air
 
 _COLUMNS = 9
 
@@ -58,7 +58,7 @@ def as_record(
         voltage_v=values[:, 7],
         current_a=values[:, 8],
         payload_kg=np.full(len(values), payload_kg),
-        density_kgpm3=air_density_kgpm3(alt_m, temperature_c),
+        density_kgpm3=standard_air(alt_m, temperature_c).density_kgpm3,
     )
 
 

@@ -23,6 +23,7 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from companion.core.mission.events import (
+    AirPressure,
     Airspeed,
     Attitude,
     AutopilotWind,
@@ -128,6 +129,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     },
     "heard_throttle": {"t_s": NUMBER, "throttle_frac": NUMBER},
     "heard_airspeed": {"t_s": NUMBER, "forward_mps": NUMBER, "is_magnitude": FLAG},
+    "heard_pressure": {"t_s": NUMBER, "pressure_pa": NUMBER, "board_temperature_c": MAYBE},
     "heard_wind": {"t_s": NUMBER, "to_n_mps": NUMBER, "to_e_mps": NUMBER, "std_mps": MAYBE},
     "heard_progress": {
         "t_s": NUMBER,
@@ -147,6 +149,7 @@ HEARD: dict[str, tuple[str, type[Event]]] = {
     "battery": ("heard_battery", Battery),
     "throttle": ("heard_throttle", Throttle),
     "airspeed": ("heard_airspeed", Airspeed),
+    "pressure": ("heard_pressure", AirPressure),
     "wind": ("heard_wind", AutopilotWind),
     "progress": ("heard_progress", MissionProgress),
 }

@@ -15,7 +15,7 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
     met = preflight.settings_met
     if met > 0:
         lines.append(f"ok       {met} settings of the autopilot are as the promise needs them")
-    lines += _battery(pilot) + _route(pilot) + _home(pilot)
+    lines += _battery(pilot) + _air(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):
         lines.append("set them yourself, or fly with --configure: it sets them for the flight only")
@@ -39,6 +39,11 @@ def _battery(pilot: Pilot) -> list[str]:
         f"ok       battery: {energy.mean_wh:.0f} Wh usable, one sigma {energy.std_wh:.0f} Wh"
         f" (by {energy.source})"
     ]
+
+
+def _air(pilot: Pilot) -> list[str]:
+    air = pilot.estimates.air
+    return [] if air is None else [f"ok       {air}"]
 
 
 def _route(pilot: Pilot) -> list[str]:

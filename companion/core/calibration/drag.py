@@ -22,6 +22,7 @@ from scipy.optimize import least_squares
 from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.records import BLOCK_S, Blocks
 from companion.core.calibration.residual_scatter import widened_covariance
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
 
@@ -226,13 +227,15 @@ class _FlightModel:
         return forward + error * right, right - error * forward
 
     def _gains(self, drag: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Linear forward, right; quadratic forward, right, at each block's mass."""
+        """Linear forward, right; quadratic forward, right, at each block's mass in its air."""
         parcel = np.where(self._parcel, drag[4], 0.0)
+        ratio = self._b.density_kgpm3 / REFERENCE_DENSITY_KGPM3
+        flow = self._mass_root * math.sqrt(ratio)
         return (
-            drag[0] * self._mass_root,
-            drag[1] * self._mass_root,
-            drag[2] + parcel,
-            drag[3] + parcel,
+            drag[0] * flow,
+            drag[1] * flow,
+            ratio * (drag[2] + parcel),
+            ratio * (drag[3] + parcel),
         )
 
     def difference(self, drag: Floats, own: Floats) -> Floats:

@@ -14,6 +14,7 @@ from companion.core.calibration.drag import DragFit
 from companion.core.calibration.flight import square_speeds_mps
 from companion.core.calibration.power import POWER_KEYS, PowerFit, with_values
 from companion.core.calibration.records import Blocks
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 
@@ -188,7 +189,7 @@ def power_and_slope(
     drag: Floats,
     payload_kg: float,
     speed_mps: float,
-    density_kgpm3: float = 1.225,
+    density_kgpm3: float = REFERENCE_DENSITY_KGPM3,
 ) -> tuple[float, Floats]:
     """Power in level flight and its derivatives by POWER_KEYS."""
 

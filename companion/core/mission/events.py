@@ -108,6 +108,14 @@ class Position(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class AirPressure(Event):
+    """The barometer's pressure, and the temperature of the board that it sits on."""
+
+    pressure_pa: float
+    board_temperature_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class GnssFix(Event):
     """The receiver's own word; `usable` = a 3-D fix or better."""
 

@@ -10,6 +10,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
+from companion.core.vehicle.air import COLDEST_C, WARMEST_C
 from companion.core.vehicle.speed_to_fly import SpeedRule
 
 
@@ -51,6 +52,10 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """The stop that the truck promises now, where the flight ends (safety rule 3). Absent:
     the depot.
     """
+    air_temperature_c: float | None = None
+    """Of the air at the depot. Absent: by the autopilot's barometer, whose board is warmer, and
+    the standard atmosphere's without one.
+    """
 
     def __post_init__(self) -> None:
         names = [stop.name for stop in self.stops]
@@ -61,6 +66,9 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         shared = set(names) & {place.name for place in self.rally}
         if shared:
             raise LeewayError(f"site.stops: {min(shared)!r} is a rally point's name already")
+        if self.air_temperature_c is not None:
+            low_c, high_c = COLDEST_C, WARMEST_C
+            check_range("site.air_temperature_c", self.air_temperature_c, low_c, high_c)
         if self.depot is not None and self.depot.lat_deg is None:
             raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
 

@@ -1,7 +1,7 @@
 """Estimates of wind and energy, and the gate's answer from them; updated at every tick."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from companion.core.base.geo import Ned
 from companion.core.mission.events import AutopilotKind, AutopilotWind, Battery
@@ -18,10 +18,10 @@ from companion.core.pilot.telemetry_state import (
 from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams
 from companion.core.return_budget.remaining_mission import hurried
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.vehicle.air import Air
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
 from companion.core.vehicle.power_bias import PowerScale
-from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.observation import WindFilter
@@ -71,13 +71,16 @@ class Estimates:
         self._flight = flight
         self._airframe = airframe
         self.route_energy = route_energy
+        self.air: Air | None = None
+        """The air that is flown in; `None` until it is settled, on the ground (`fly_in`)."""
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
         self._outlook = WindOutlook(wind_process)
         self._ledger = EnergyLedger(
             airframe,
-            expected_draw_w=route_energy.hover_power_w(flight.vehicle.payload_kg),
+            route_energy.hover_power_w(flight.vehicle.payload_kg),
+            route_energy.density_kgpm3,
             health_frac=flight.vehicle.battery_health_frac,
             temperature_c=flight.vehicle.temperature_c,
             charge_frac_stated=flight.vehicle.charge_frac_stated,
@@ -100,6 +103,13 @@ class Estimates:
     def energy(self) -> EnergyBelief | None:
         """Usable energy left, `None` while nothing is known."""
         return self._ledger.belief()
+
+    def fly_in(self, air: Air) -> None:
+        """Settle the air of this flight; before anything is priced, and not in flight."""
+        self.air = air
+        self.route_energy.fly_in(air.density_kgpm3)
+        draw_w = self.route_energy.hover_power_w(self._flight.vehicle.payload_kg)
+        self._ledger.fly_in(air.density_kgpm3, draw_w)
 
     def observe(self, now: TelemetryState, autopilot_kind: AutopilotKind) -> tuple[str, ...]:
         """Take the telemetry at a tick; returns new warnings, in words."""
@@ -222,6 +232,7 @@ class Estimates:
                 ),
                 autopilot_wind_cov_m2ps2=_level_cov(wind),
                 height_m=position.height_rel_m if position else None,
+                density_kgpm3=self.route_energy.density_kgpm3,
             )
         )
 
@@ -248,7 +259,7 @@ class Estimates:
         ):
             return
         self._hurried_s = seen.t_s
-        slow, fast = 0.0, fastest_airspeed_mps(self._airframe, self.payload_kg)
+        slow, fast = 0.0, self.route_energy.fastest_airspeed_mps(self.payload_kg)
         for halvings in range(1 + HURRY_HALVINGS):
             speed = fast if halvings == 0 else 0.5 * (slow + fast)
             faster = self._gate_for(energy).assess(
@@ -315,10 +326,13 @@ class Estimates:
             "max_loss": self.limits.max_loss,
             "accepted_loss": self._accepted_loss,
             "reserve_frac": self.limits.reserve_frac,
+            "air": None if self.air is None else asdict(self.air),
         }
 
     def restore(self, kept: "EstimatesSnapshot") -> None:
-        """Go on from a checkpoint: energy never rises."""
+        """Go on from a checkpoint: energy never rises, and the air is the one that was settled."""
+        if kept.air is not None:
+            self.fly_in(kept.air)
         self._ledger.restore(kept.ledger)
         self._outlook.restore(kept.outlook)
         self._scale.restore(kept.scale)
@@ -365,3 +379,4 @@ class EstimatesSnapshot:
     max_loss: float
     accepted_loss: float | None
     reserve_frac: float
+    air: Air | None = None

@@ -53,10 +53,12 @@ from companion.core.pilot.context import Airborne, ArmedModes, FlightContext
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
     BATTERY_MAX_AGE_S,
+    PRESSURE_MAX_AGE_S,
     STATE_MAX_AGE_S,
 )
 from companion.core.pilot.transitions import GROUND_PHASES, WAITING_PHASES, Phase, Trigger
 from companion.core.routing.route_planner import BerPlanner, NoRoute
+from companion.core.vehicle.air import air_at
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
 ASK_AGAIN_S = 20.0
@@ -79,6 +81,8 @@ WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
 PACK_WAIT_S = 5.0
+PRESSURE_WAIT_S = 3.0
+"""Three of the barometer's messages at 1 Hz; without one the standard atmosphere will do."""
 
 Requirements = Callable[[AutopilotKind, RouteFacts], tuple[Requirement, ...]]
 """What an autopilot's settings must be for a route."""
@@ -411,6 +415,8 @@ class GroundSequence:
             if context.phase_s > PACK_WAIT_S:
                 self._give_up(context, trouble)
             return
+        if not self._settle_air(context):
+            return
         try:
             energy = context.estimates.energy if context.options.gate_on else None
             flown = self._planned(context, energy)
@@ -432,6 +438,22 @@ class GroundSequence:
         )
         self._state.asked_s = context.t_s
         self.ask_parameters(context)
+
+    def _settle_air(self, context: FlightContext) -> bool:
+        """Settle the air that is planned for and flown in; False while the barometer may tell."""
+        telemetry, position = context.telemetry, context.telemetry.position
+        assert position is not None
+        heard = telemetry.pressure
+        if not telemetry.is_fresh(heard, PRESSURE_MAX_AGE_S):
+            if context.phase_s < PRESSURE_WAIT_S:
+                return False
+            heard = None
+        measured = (heard.pressure_pa, heard.board_temperature_c) if heard else (None, None)
+        stated_c = context.flight.site.air_temperature_c
+        air = air_at(position.alt_amsl_m, *measured, stated_c)
+        context.estimates.fly_in(air)
+        context.do(Note(str(air)))
+        return True
 
     def _planned(self, context: FlightContext, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
         flight, here = context.flight, context.options.here

@@ -86,6 +86,7 @@ from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner
 from companion.core.separation.learned_policy import AvoidancePolicy
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 
@@ -133,7 +134,7 @@ class Pilot:
         estimates: Estimates | None = None,
         policy: AvoidancePolicy | None = None,
     ) -> None:
-        route_energy = RouteEnergy.for_mission(airframe, flight.mission)
+        route_energy = RouteEnergy.for_mission(airframe, flight.mission, REFERENCE_DENSITY_KGPM3)
         estimates = estimates or Estimates(flight, airframe, route_energy, wind_process)
         self._digest = digest
         self._reported = ReportTimes()

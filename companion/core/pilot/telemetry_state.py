@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from companion.core.mission.events import (
+    AirPressure,
     Airspeed,
     ArmingReadiness,
     Attitude,
@@ -42,6 +43,8 @@ DISARMED_WITNESSES = 2
 """So many heartbeats in a row that say disarmed are believed in flight: one may be wrong."""
 
 THROTTLE_MAX_AGE_S = 1.0
+PRESSURE_MAX_AGE_S = 3.0
+"""Three of the 1 Hz that both autopilots are asked for."""
 
 
 @dataclass(slots=True)
@@ -62,6 +65,7 @@ class TelemetryState:
     battery: Battery | None = None
     throttle: Throttle | None = None
     airspeed: Airspeed | None = None
+    pressure: AirPressure | None = None
     wind: AutopilotWind | None = None
     progress: MissionProgress | None = None
     ground: GroundState | None = None
@@ -103,6 +107,8 @@ class TelemetryState:
                 self.throttle = event
             case Airspeed():
                 self.airspeed = event
+            case AirPressure():
+                self.pressure = event
             case AutopilotWind():
                 self.wind = event
             case MissionProgress():
@@ -180,7 +186,7 @@ class TelemetryState:
         t_s = self.t_s
         for name in (
             "state", "attitude", "position", "gnss", "estimator", "home", "battery", "throttle",
-            "airspeed", "wind", "progress", "ground", "readiness",
+            "airspeed", "pressure", "wind", "progress", "ground", "readiness",
         ):  # fmt: skip
             setattr(self, name, None)
         self._battery_times.clear()

@@ -30,6 +30,7 @@ from companion.core.replay.route import Planned, Route, Unplanned
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3, air_at
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
@@ -127,7 +128,7 @@ class _Replay:
     def __init__(self, log: RecordedFlight, terms: ReplayTerms) -> None:
         self._log, self._terms = log, terms
         speed = terms.flight.mission.cruise_airspeed_mps
-        self._route_energy = RouteEnergy(terms.airframe, cruise_airspeed_mps=speed)
+        self._route_energy = RouteEnergy(terms.airframe, REFERENCE_DENSITY_KGPM3, speed)
         self._judge = Estimates(
             terms.flight,
             terms.airframe,
@@ -240,12 +241,24 @@ class _Replay:
             self._judge_pack(now)
         if now.airborne and not self._flying:
             self._flying = True
+            self._settle_air(now)
             self._find_home(now)
             if self._gates:
                 self._decide(now.t_s, "take_off", "in the air")
         elif self._flying and not now.airborne:
             self._flying = False
             self._land(now)
+
+    def _settle_air(self, now: TelemetryState) -> None:
+        """The air at take-off, as the ground sequence settles it; unknown: the airframe file's."""
+        position, heard = now.position, now.pressure
+        if position is None or not self._log.position_measured:
+            return
+        measured = (heard.pressure_pa, heard.board_temperature_c) if heard else (None, None)
+        stated_c = self._terms.flight.site.air_temperature_c
+        air = air_at(position.alt_amsl_m, *measured, stated_c)
+        self._judge.fly_in(air)
+        self._notes.append((now.t_s, str(air)))
 
     def _land(self, now: TelemetryState) -> None:
         energy, reserve_wh = self._judge.energy, self._reserve_wh()

@@ -127,7 +127,7 @@ class ReferenceEstimator:
         turn = _from_heading(seen.yaw_rad)
         measured = turn.T @ (accel_ne_mps2 - _thrust_ne_mps2(seen))
         air_fr = turn.T @ (np.array(seen.vel_ned_mps[:2]) - self._filter.x)
-        drag, slope = _drag(self._airframe, seen.mass_kg, air_fr, seen.vel_ned_mps[2])
+        drag, slope = _drag(self._airframe, seen, air_fr, seen.vel_ned_mps[2])
         p = self._params
         off = self._airframe.drag.model_std_frac * math.hypot(*drag)
         density = p.tilt_noise_m2ps3 + 2.0 * p.model_memory_s * off**2
@@ -218,12 +218,13 @@ def _thrust_ne_mps2(seen: WindObservation) -> Floats:
 
 
 def _drag(
-    airframe: Airframe, mass_kg: float, air_fr_mps: Floats, sink_mps: float
+    airframe: Airframe, seen: WindObservation, air_fr_mps: Floats, sink_mps: float
 ) -> tuple[Floats, Floats]:
     """Drag acceleration forward and right (m/s2), and its derivative by the air velocity (2, 2)."""
     speed = max(math.hypot(*air_fr_mps, sink_mps), 1e-3)
-    linear = np.array(airframe.drag_linear_n_per_mps(mass_kg)) / mass_kg
-    quadratic = np.array(airframe.drag_quadratic_n_per_mps2(mass_kg)) / mass_kg
+    mass_kg, density = seen.mass_kg, seen.density_kgpm3
+    linear = np.array(airframe.drag_linear_n_per_mps(mass_kg, density)) / mass_kg
+    quadratic = np.array(airframe.drag_quadratic_n_per_mps2(mass_kg, density)) / mass_kg
     drag = (linear + quadratic * speed) * air_fr_mps
     slope = np.diag(linear + quadratic * speed)
     slope += np.outer(quadratic * air_fr_mps, air_fr_mps) / speed

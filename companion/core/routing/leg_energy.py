@@ -17,12 +17,14 @@ import numpy as np
 
 from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.vehicle.speed_to_fly import (
     CruiseTable,
     SpeedRule,
     SteadyPower,
+    fastest_airspeed_mps,
     slowest_airspeed_mps,
 )
 
@@ -124,12 +126,15 @@ class SpeedChoice(Protocol):
 class RouteEnergy:
     """The airframe's leg costs from tables built once per payload; the one model that planner,
     gate and dispatcher share.
+
+    `density_kgpm3` of the air that it prices in: whoever makes it says so, or a flight once it
+    knows (`fly_in`).
     """
 
     def __init__(
         self,
         airframe: Airframe,
-        air_density_kgpm3: float = 1.225,
+        density_kgpm3: float = REFERENCE_DENSITY_KGPM3,
         cruise_airspeed_mps: float | None = None,
         speed_rule: SpeedRule = "least_energy",
         *,
@@ -140,16 +145,32 @@ class RouteEnergy:
         self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
         self.speed_rule: SpeedRule = speed_rule
         self.slowest_airspeed_mps = slowest_airspeed_mps(speed_rule, self.cruise_airspeed_mps)
-        self._density = air_density_kgpm3
+        self.density_kgpm3 = density_kgpm3
         self._holds_airspeed = holds_airspeed
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
     @classmethod
-    def for_mission(cls, airframe: Airframe, mission: SpeedChoice) -> "RouteEnergy":
-        """With the speeds that the operator asks for."""
+    def for_mission(
+        cls, airframe: Airframe, mission: SpeedChoice, density_kgpm3: float
+    ) -> "RouteEnergy":
+        """With the speeds that the operator asks for, in the air of the site."""
         cruise = mission.cruise_airspeed_mps
-        return cls(airframe, cruise_airspeed_mps=cruise, speed_rule=mission.speed_rule)
+        return cls(airframe, density_kgpm3, cruise, mission.speed_rule)
+
+    def fly_in(self, density_kgpm3: float) -> None:
+        """Price in this air from now on; for a vehicle that stands, before it has a plan."""
+        self.density_kgpm3 = density_kgpm3
+        self._power.clear()
+        self._cruise.clear()
+
+    def lift_trouble(self, payload_kg: float) -> str:
+        """Say why this parcel cannot be carried in this air; `""` where it can."""
+        return self.airframe.lift_trouble(payload_kg, self.density_kgpm3)
+
+    def fastest_airspeed_mps(self, payload_kg: float) -> float:
+        """The fastest airspeed that is planned with in this air."""
+        return fastest_airspeed_mps(self.airframe, payload_kg, self.density_kgpm3)
 
     def compile(
         self, legs: tuple[Leg, ...], before: tuple[Leg | None, ...] | None = None
@@ -296,7 +317,7 @@ class RouteEnergy:
     def _steady_power(self, payload_kg: float) -> SteadyPower:
         key = round(payload_kg * 1000.0)
         if key not in self._power:
-            self._power[key] = SteadyPower(self.airframe, key / 1000.0, self._density)
+            self._power[key] = SteadyPower(self.airframe, key / 1000.0, self.density_kgpm3)
         return self._power[key]
 
     def _cruise_table(self, group: _Group) -> CruiseTable:

@@ -176,6 +176,8 @@ class BerPlanner:
             return NoRoute(
                 f"parcel {request.payload_kg:g} kg: the airframe carries {mass.max_payload_kg:g} kg"
             )
+        if trouble := self.route_energy.lift_trouble(request.payload_kg):
+            return NoRoute(f"parcel {trouble}")
         graph = build_graph(request.site, request.low_height_m, request.leg_length_m)
         wind, cov = _wind_of(request.forecast)
         out = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.customer)

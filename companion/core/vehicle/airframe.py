@@ -12,12 +12,12 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError, check_range
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 
 MULTIROTOR = "multirotor"
 """The kind of vehicle that the models in this room describe, in the words of the log readers."""
 
 _GRAVITY_MPS2 = 9.80665
-_SEA_LEVEL_KGPM3 = 1.225
 _MOST_TIP_MPS = 204.0
 """Mach 0.6 at sea level: beyond it a propeller's tips meet compressibility (Leishman, 7.9), and no
 delivery multirotor is geared to turn that fast."""
@@ -80,8 +80,9 @@ class Drag(
 ):
     """Drag force along body forward and right: `linear * v + quadratic * |v| v`, in newton.
 
-    The linear part is rotor drag at empty mass; it grows with the square root of mass (rotor mass
-    flow). The other numbers say how wrong this may be.
+    In air of 1.225 kg/m3. The linear part is rotor drag at empty mass; it grows with the square
+    root of mass and of density (rotor mass flow), the quadratic part with density. The other
+    numbers say how wrong this may be.
     """
 
     linear_forward_n_per_mps: float
@@ -293,52 +294,80 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     def _check_thrust(self) -> None:
         """Rotors of this size must carry all of it, leant as far as the autopilot commands."""
-        heaviest_kg = self.mass_kg(self.mass.max_payload_kg)
-        needed_n = heaviest_kg * _GRAVITY_MPS2 / math.cos(self.speeds.max_tilt_rad)
-        rotor = self.power_rotor
-        disc_kgpm = _SEA_LEVEL_KGPM3 * rotor.disc_area_m2
-        available_n = rotor.thrust_coefficient * disc_kgpm * _MOST_TIP_MPS**2
-        if needed_n > available_n:
+        mass = self.mass
+        if trouble := self._thrust_trouble(mass.max_payload_kg, REFERENCE_DENSITY_KGPM3):
             raise LeewayError(
-                f"mass.empty_kg = {self.mass.empty_kg:g} with mass.max_payload_kg ="
-                f" {self.mass.max_payload_kg:g}: needs {needed_n:.0f} N of thrust at"
-                f" {self.speeds.max_tilt_deg:g} degrees, expected at most {available_n:.0f} N,"
-                f" which rotors by power_rotor give at Mach 0.6 at the tips"
+                f"mass.empty_kg = {mass.empty_kg:g} with mass.max_payload_kg ="
+                f" {mass.max_payload_kg:g}: {trouble}"
             )
 
     def _check_hover_power(self) -> None:
         """A full pack must carry the hover without a parcel above its cut-off voltage."""
+        if trouble := self._hover_trouble(0.0, REFERENCE_DENSITY_KGPM3):
+            raise LeewayError(f"mass.empty_kg = {self.mass.empty_kg:g}: {trouble}")
+
+    def lift_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
+        """Say why it cannot carry this parcel in air so thin; `""` where it can."""
+        thrust = self._thrust_trouble(payload_kg, density_kgpm3)
+        trouble = thrust or self._hover_trouble(payload_kg, density_kgpm3)
+        where = f"{payload_kg:g} kg in air of {density_kgpm3:.2f} kg/m3"
+        return f"{where}: {trouble}" if trouble else ""
+
+    def _thrust_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
+        needed_n = self.mass_kg(payload_kg) * _GRAVITY_MPS2 / math.cos(self.speeds.max_tilt_rad)
+        rotor = self.power_rotor
+        disc_kgpm = density_kgpm3 * rotor.disc_area_m2
+        available_n = rotor.thrust_coefficient * disc_kgpm * _MOST_TIP_MPS**2
+        if needed_n <= available_n:
+            return ""
+        return (
+            f"needs {needed_n:.0f} N of thrust at {self.speeds.max_tilt_deg:g} degrees, expected"
+            f" at most {available_n:.0f} N, which rotors by power_rotor give at Mach 0.6 at the"
+            f" tips"
+        )
+
+    def _hover_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
         rotor, battery = self.power_rotor, self.battery
-        weight_n = self.mass.empty_kg * _GRAVITY_MPS2
+        weight_n = self.mass_kg(payload_kg) * _GRAVITY_MPS2
         # Momentum theory's least power for this thrust (Leishman, 2.2): no vehicle needs less.
-        ideal_w = weight_n * math.sqrt(weight_n / (2.0 * _SEA_LEVEL_KGPM3 * rotor.disc_area_m2))
+        ideal_w = weight_n * math.sqrt(weight_n / (2.0 * density_kgpm3 * rotor.disc_area_m2))
         needed_w = rotor.induced_factor * ideal_w / rotor.drive_efficiency
-        if needed_w > battery.most_power_w:
-            raise LeewayError(
-                f"mass.empty_kg = {self.mass.empty_kg:g}: needs at least {needed_w:.0f} W to hover,"
-                f" expected at most {battery.most_power_w:.0f} W, which a full pack by battery"
-                f" gives above its cut-off"
-            )
+        if needed_w <= battery.most_power_w:
+            return ""
+        return (
+            f"needs at least {needed_w:.0f} W to hover, expected at most"
+            f" {battery.most_power_w:.0f} W, which a full pack by battery gives above its cut-off"
+        )
 
     def mass_kg(self, payload_kg: float) -> float:
         """Flying mass with this parcel."""
         return self.mass.empty_kg + payload_kg
 
-    def drag_linear_n_per_mps(self, mass_kg: float) -> tuple[float, float]:
-        """Linear drag along body forward and right at this mass (Drag's docstring)."""
-        scale = math.sqrt(mass_kg / self.mass.empty_kg)
+    def drag_linear_n_per_mps(self, mass_kg: float, density_kgpm3: float) -> tuple[float, float]:
+        """Linear drag along body forward and right at this mass, in this air (`Drag`)."""
+        scale = math.sqrt(mass_kg / self.mass.empty_kg * density_kgpm3 / REFERENCE_DENSITY_KGPM3)
         return (
             self.drag.linear_forward_n_per_mps * scale,
             self.drag.linear_right_n_per_mps * scale,
         )
 
-    def drag_quadratic_n_per_mps2(self, mass_kg: float) -> tuple[float, float]:
+    def drag_quadratic_n_per_mps2(
+        self, mass_kg: float, density_kgpm3: float
+    ) -> tuple[float, float]:
         """Quadratic drag along body forward and right; a mass above empty means a parcel."""
         parcel = (
             self.drag.parcel_quadratic_n_per_mps2 if mass_kg > 1.001 * self.mass.empty_kg else 0.0
         )
-        drag = self.drag
-        return drag.quadratic_forward_n_per_mps2 + parcel, drag.quadratic_right_n_per_mps2 + parcel
+        drag, ratio = self.drag, density_kgpm3 / REFERENCE_DENSITY_KGPM3
+        return (
+            ratio * (drag.quadratic_forward_n_per_mps2 + parcel),
+            ratio * (drag.quadratic_right_n_per_mps2 + parcel),
+        )
+
+    def drag_vertical_n_per_mps2(self, density_kgpm3: float) -> float | None:
+        """Drag of the flow down through the rotors; `None` where the file states none."""
+        vertical = self.drag.vertical_quadratic_n_per_mps2
+        return None if vertical is None else density_kgpm3 / REFERENCE_DENSITY_KGPM3 * vertical
 
 
 def airframe_from_dict(table: dict[str, object], where: str = "airframe") -> Airframe:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, fields
 import msgspec
 
 from companion.core.base.errors import LeewayError
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe, BatteryPack
 from companion.core.vehicle.battery_gauge import Gauge
 from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
@@ -114,17 +115,26 @@ class EnergyLedger:
         self,
         airframe: Airframe,
         expected_draw_w: float,
+        density_kgpm3: float = REFERENCE_DENSITY_KGPM3,
+        *,
         health_frac: float = 1.0,
         temperature_c: float = 20.0,
         charge_frac_stated: float | None = None,
     ) -> None:
+        self._airframe = airframe
         self._battery = airframe.battery
         self._draw_w = expected_draw_w
         self._health_frac = health_frac
         self._temperature_c = temperature_c
         self._stated = charge_frac_stated
         self._counts = _Counts()
-        self._most_w = most_power_w(airframe)
+        self._most_w = most_power_w(airframe, density_kgpm3)
+        self._size()
+
+    def fly_in(self, density_kgpm3: float, expected_draw_w: float) -> None:
+        """Expect the draw of this air from now on; for a vehicle that stands."""
+        self._draw_w = expected_draw_w
+        self._most_w = most_power_w(self._airframe, density_kgpm3)
         self._size()
 
     def observe(self, observation: BatteryObservation) -> None:
@@ -432,12 +442,13 @@ def cutoff_charge_frac(battery: BatteryPack, draw_w: float) -> float:
     return min(battery.charge_frac_at_rest(loaded_v + sag_v), 0.9)
 
 
-def most_power_w(airframe: Airframe) -> float:
+def most_power_w(airframe: Airframe, density_kgpm3: float) -> float:
     """The most that this vehicle can draw, in trouble: loaded, climbing at its top airspeed."""
     mass_kg = airframe.mass_kg(airframe.mass.max_payload_kg)
-    top_mps = max_airspeed_mps(airframe, mass_kg)
+    top_mps = max_airspeed_mps(airframe, mass_kg, density_kgpm3)
     climb_mps = airframe.speeds.climb_mps
-    return _DRAW_TIMES * float(multirotor_power_w(airframe, mass_kg, top_mps, climb_mps))
+    drawn_w = multirotor_power_w(airframe, mass_kg, top_mps, climb_mps, density_kgpm3)
+    return _DRAW_TIMES * float(drawn_w)
 
 
 def _positive(value: float | None) -> bool:

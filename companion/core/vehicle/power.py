@@ -13,36 +13,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from companion.core.base.arrays import Floats
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 
 GRAVITY_MPS2 = 9.80665
-_GAS_CONSTANT_AIR = 287.05287  # J/(kg K), ISO 2533
 _PROFILE_ADVANCE = 4.65  # growth of profile power with advance ratio squared (Bramwell, 2001, 3.55)
 _NEWTON_STEPS = 12
 
 
-def air_density_kgpm3(alt_amsl_m: float, temperature_c: float) -> float:
-    """Air density at a height with the standard atmosphere's pressure (ISO 2533)."""
-    pressure_pa = 101_325.0 * (1.0 - 2.25577e-5 * alt_amsl_m) ** 5.25588
-    return pressure_pa / (_GAS_CONSTANT_AIR * (temperature_c + 273.15))
-
-
-def drag_n(airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike) -> Floats:
+def drag_n(
+    airframe: Airframe,
+    mass_kg: float,
+    airspeed_mps: ArrayLike,
+    density_kgpm3: float = REFERENCE_DENSITY_KGPM3,
+) -> Floats:
     """Drag nose into the relative wind, N."""
     speed = np.asarray(airspeed_mps, float)
-    linear, _ = airframe.drag_linear_n_per_mps(mass_kg)
-    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    linear, _ = airframe.drag_linear_n_per_mps(mass_kg, density_kgpm3)
+    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg, density_kgpm3)
     return linear * speed + quadratic * speed**2
 
 
-def max_airspeed_mps(airframe: Airframe, mass_kg: float) -> float:
+def max_airspeed_mps(
+    airframe: Airframe, mass_kg: float, density_kgpm3: float = REFERENCE_DENSITY_KGPM3
+) -> float:
     """Level airspeed at which drag balances the horizontal thrust of the largest tilt.
 
     Solves `k1 V + k2 V^2 = m g tan(tilt)`.
     """
     force = mass_kg * GRAVITY_MPS2 * math.tan(airframe.speeds.max_tilt_rad)
-    linear, _ = airframe.drag_linear_n_per_mps(mass_kg)
-    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    linear, _ = airframe.drag_linear_n_per_mps(mass_kg, density_kgpm3)
+    quadratic, _ = airframe.drag_quadratic_n_per_mps2(mass_kg, density_kgpm3)
     if quadratic == 0.0:
         return force / linear
     return (math.sqrt(linear**2 + 4.0 * quadratic * force) - linear) / (2.0 * quadratic)
@@ -51,7 +52,7 @@ def max_airspeed_mps(airframe: Airframe, mass_kg: float) -> float:
 def paper_thrust_n(
     airframe: Airframe, mass_kg: float, airspeed_mps: ArrayLike, air_path_angle_rad: ArrayLike = 0.0
 ) -> Floats:
-    """`T = max(D + m g sin gamma, 0)` (arXiv 2604.13441, equation 12), N."""
+    """`T = max(D + m g sin gamma, 0)` (arXiv 2604.13441, equation 12), N, at the file's density."""
     weight_part = mass_kg * GRAVITY_MPS2 * np.sin(np.asarray(air_path_angle_rad, float))
     return np.maximum(drag_n(airframe, mass_kg, airspeed_mps) + weight_part, 0.0)
 
@@ -92,7 +93,7 @@ def multirotor_power_w(
     mass_kg: float,
     airspeed_mps: ArrayLike,
     climb_mps: ArrayLike = 0.0,
-    density_kgpm3: float = 1.225,
+    density_kgpm3: float = REFERENCE_DENSITY_KGPM3,
 ) -> Floats:
     """Electrical power of a multirotor in steady flight, W.
 
@@ -112,18 +113,18 @@ def multirotor_power_w(
     speed = np.asarray(airspeed_mps, float)
     climb = np.maximum(np.asarray(climb_mps, float), 0.0)
     weight = mass_kg * GRAVITY_MPS2
-    drag = drag_n(airframe, mass_kg, speed)
+    drag = drag_n(airframe, mass_kg, speed, density_kgpm3)
     thrust = np.hypot(weight, drag)
     sin_tilt, cos_tilt = drag / thrust, weight / thrust
     area = density_kgpm3 * rotor.disc_area_m2
     edgewise = speed * cos_tilt
     through = speed * sin_tilt + climb * cos_tilt
     parasite = drag * speed
-    vertical = airframe.drag.vertical_quadratic_n_per_mps2
+    vertical = airframe.drag_vertical_n_per_mps2(density_kgpm3)
     if vertical is not None:
         edgewise = edgewise - climb * sin_tilt
         download = vertical * np.hypot(speed, climb) * through
-        rotor_drag = airframe.drag_linear_n_per_mps(mass_kg)[0] * edgewise
+        rotor_drag = airframe.drag_linear_n_per_mps(mass_kg, density_kgpm3)[0] * edgewise
         thrust = weight * cos_tilt + download
         parasite = download * through + (weight * sin_tilt - rotor_drag) * edgewise
     induced = induced_velocity_mps(np.sqrt(thrust / (2.0 * area)), edgewise, through)

@@ -38,9 +38,10 @@ def slowest_airspeed_mps(rule: SpeedRule, cruise_airspeed_mps: float) -> float:
     return cruise_airspeed_mps if rule == "cruise" else _SLOWEST_FRAC * cruise_airspeed_mps
 
 
-def fastest_airspeed_mps(airframe: Airframe, payload_kg: float) -> float:
+def fastest_airspeed_mps(airframe: Airframe, payload_kg: float, density_kgpm3: float) -> float:
     """The fastest airspeed that is planned with: tilt-limited, with some authority for gusts."""
-    return _TILT_AUTHORITY * max_airspeed_mps(airframe, airframe.mass_kg(payload_kg))
+    mass_kg = airframe.mass_kg(payload_kg)
+    return _TILT_AUTHORITY * max_airspeed_mps(airframe, mass_kg, density_kgpm3)
 
 
 class SteadyPower:
@@ -48,7 +49,7 @@ class SteadyPower:
 
     def __init__(self, airframe: Airframe, payload_kg: float, density_kgpm3: float) -> None:
         mass_kg = airframe.mass_kg(payload_kg)
-        self.max_airspeed_mps = max_airspeed_mps(airframe, mass_kg)
+        self.max_airspeed_mps = max_airspeed_mps(airframe, mass_kg, density_kgpm3)
         self.max_ground_mps = airframe.speeds.max_ground_mps
         self._speeds = np.arange(0.0, self.max_airspeed_mps + 2 * _SPEED_STEP_MPS, _SPEED_STEP_MPS)
         self._level = multirotor_power_w(airframe, mass_kg, self._speeds, 0.0, density_kgpm3)

@@ -147,9 +147,10 @@ class DragSeen:
 
 
 def drag_seen(
-    airframe: Airframe, mass_kg: float, x: Floats, motion: ReportedMotion, yaw_rad: float
+    airframe: Airframe, seen: WindObservation, x: Floats, motion: ReportedMotion
 ) -> DragSeen:
     """Measured drag, and the drag that the state `x` (17,) predicts."""
+    mass_kg, yaw_rad = seen.mass_kg, seen.yaw_rad or 0.0
     mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
     heading = yaw_rad + turned
     cos, sin = math.cos(heading), math.sin(heading)
@@ -158,8 +159,8 @@ def drag_seen(
     air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
     speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
-    k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg)
-    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg)
+    k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg, seen.density_kgpm3)
+    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg, seen.density_kgpm3)
     drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
     drag_r = gain_r * (k_r + q_r * speed) * right / mass_kg
     # Jacobian of drag by air velocity (forward, right); the wind enters with the opposite sign.
@@ -278,7 +279,7 @@ def _told(
     motion: ReportedMotion,
 ) -> TiltTold:
     """One linearisation about `about` (17,), which need not be the state's own mean."""
-    drag = drag_seen(airframe, seen.mass_kg, about, motion, seen.yaw_rad or 0.0)
+    drag = drag_seen(airframe, seen, about, motion)
     state.airspeed_mps = drag.airspeed_mps
     rows = drag.rows
     left_f = drag.measured[0] - drag.expected[0]

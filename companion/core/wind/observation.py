@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.core.base.arrays import Floats
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,8 @@ class WindObservation:
     `airspeed_fr_mps` from a sensor with two axes: the vehicle's horizontal velocity through the
     air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the autopilot's adapter
     knows it to be a real estimate, with its variances and covariance (nn, ne, ee) where it says;
-    `height_m` above the ground, for the size of the eddies.
+    `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which drag
+    goes with.
     """
 
     t_s: float
@@ -31,15 +33,16 @@ class WindObservation:
     autopilot_wind_cov_m2ps2: tuple[float, float, float] | None = None
     airspeed_fr_mps: tuple[float, float] | None = None
     height_m: float | None = None
+    density_kgpm3: float = REFERENCE_DENSITY_KGPM3
 
     def refuse_nan(self) -> None:
-        """Raise ValueError on NaN, infinity, no mass, or a covariance that is none."""
-        numbers = [self.t_s, self.mass_kg, *(self.vel_ned_mps or ())]
+        """Raise ValueError on NaN, infinity, no mass, no air, or a covariance that is none."""
+        numbers = [self.t_s, self.mass_kg, self.density_kgpm3, *(self.vel_ned_mps or ())]
         numbers += [*(self.autopilot_wind_to_ne_mps or ()), *(self.airspeed_fr_mps or ())]
         numbers += [*(self.autopilot_wind_cov_m2ps2 or ())]
         optional = (self.roll_rad, self.pitch_rad, self.yaw_rad, self.airspeed_mps, self.height_m)
         numbers += [v for v in optional if v is not None]
-        if not all(map(math.isfinite, numbers)) or self.mass_kg <= 0.0:
+        if not all(map(math.isfinite, numbers)) or min(self.mass_kg, self.density_kgpm3) <= 0.0:
             raise ValueError(f"wind observation with a number that is none: {self}")
         if self.autopilot_wind_cov_m2ps2 is not None:
             nn, ne, ee = self.autopilot_wind_cov_m2ps2

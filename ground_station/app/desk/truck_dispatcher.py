@@ -31,7 +31,7 @@ from ground_station.core.dispatch.dispatch_actions import (
 from ground_station.core.dispatch.dispatch_rules import DispatchRules
 from ground_station.core.dispatch.flight_tables import sortie_table
 from ground_station.core.dispatch.replanning import candidate_pads
-from ground_station.core.feasibility.reach import Reach
+from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
@@ -195,7 +195,8 @@ class TruckDispatcher:
         day, drone = data.day, data.day.drone(vehicle)
         assert drone is not None
         airframe = data.airframes[drone.airframe]
-        self._reach[vehicle] = Reach(drone, airframe, day.mission, day.forecast)
+        energy = day_energy(day, airframe)
+        self._reach[vehicle] = Reach(drone, airframe, day.mission, day.forecast, energy)
         return self._reach[vehicle]
 
     @property

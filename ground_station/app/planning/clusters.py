@@ -22,7 +22,7 @@ from ground_station.core.clustering.problem import (
 )
 from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.feasibility.reach import Reach
+from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
 
@@ -40,7 +40,9 @@ def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> Clu
     places = [assigner.ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
     airframe = data.airframes[drone.airframe]
-    reach = Reach(drone, airframe, data.day.mission, data.day.forecast)
+    reach = Reach(
+        drone, airframe, data.day.mission, data.day.forecast, day_energy(data.day, airframe)
+    )
     charge = None if voltage_v is None else airframe.battery.charge_frac_at_rest(voltage_v)
     places_ne_m = np.array([place[:2] for place in places]).reshape(-1, 2)
     mass_kg = np.array([order.mass_kg for order in orders])

@@ -23,6 +23,7 @@ from companion.core.return_budget.budget import Assessment, Gate, GateParams
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
+from companion.core.vehicle.air import standard_air
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
@@ -62,11 +63,12 @@ def estimate_flight(path: Path, wind: StatedWind, charge_frac: float | None) -> 
     """
     flight = _read_flight(path)
     airframe = read_airframe(flight.vehicle.airframe)
-    route_energy = RouteEnergy.for_mission(airframe, flight.mission)
-    energy = _energy(flight, airframe, route_energy, charge_frac)
     depot = flight.site.depot
     if depot is None:
         raise LeewayError(f"{path}: site.depot: needed for an estimate (lat_deg, lon_deg, ...)")
+    air = standard_air(depot.alt_amsl_m or 0.0, flight.site.air_temperature_c)
+    route_energy = RouteEnergy.for_mission(airframe, flight.mission, air.density_kgpm3)
+    energy = _energy(flight, airframe, route_energy, charge_frac)
     planned = _plan(flight, path, depot, route_energy, energy)
     angle = math.radians(wind.from_deg)
     to_ne = np.array([-wind.speed_mps * math.cos(angle), -wind.speed_mps * math.sin(angle)])

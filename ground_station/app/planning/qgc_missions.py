@@ -7,11 +7,11 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
 from companion.core.mission.mission_commands import COMMAND, params_of
 from companion.core.mission.qgc_document import PlanItem, plan_document
-from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from ground_station.adapters.files.plan_files import write_json
 from ground_station.core.dispatch.flight_tables import planned_flight
+from ground_station.core.feasibility.reach import day_energy
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 
@@ -39,7 +39,7 @@ def companion_plan(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
     if depot is None:
         raise LeewayError(f"{sortie.order}: a flight without a launch pad")
     airframe = data.airframes[flight.vehicle.airframe]
-    route_energy = RouteEnergy.for_mission(airframe, flight.mission)
+    route_energy = day_energy(data.day, airframe)
     battery, vehicle = airframe.battery, flight.vehicle
     draw_w = route_energy.hover_power_w(vehicle.payload_kg)
     full_wh = battery.usable_wh(draw_w, vehicle.temperature_c, vehicle.battery_health_frac)

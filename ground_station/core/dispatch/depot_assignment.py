@@ -12,10 +12,9 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
-from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.dispatch.flight_tables import delivery_table
-from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach
+from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach, day_energy
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.orders import (
     AssignmentRow,
@@ -54,10 +53,7 @@ class DepotAssigner:
     def __init__(self, day: Day, airframes: Mapping[str, Airframe]) -> None:
         self._day = day
         self._frame = frame_at(day.depot.place)
-        energies = {
-            name: RouteEnergy.for_mission(airframe, day.mission)
-            for name, airframe in airframes.items()
-        }
+        energies = {name: day_energy(day, airframe) for name, airframe in airframes.items()}
         self._reach = {
             d.id: Reach(d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe])
             for d in day.drones

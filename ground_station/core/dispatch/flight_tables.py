@@ -20,10 +20,12 @@ ANY_CHARGE = [0.05, 1.0]
 def delivery_table(day: Day, drone: Drone, order: Order) -> dict[str, Any]:
     """A delivery from the depot and back, as the table of an `Assign` command."""
     site = {"depot": day.depot.place, "customer": place_of(order), "rally": day.rally}
+    stated_c = day.forecast.air_temperature_c
+    air = {} if stated_c is None else {"air_temperature_c": stated_c}
     return {
         "format": "flight/1",
         "name": order.id,
-        "site": {key: _plain(value) for key, value in site.items()},
+        "site": {key: _plain(value) for key, value in site.items()} | air,
         "vehicle": {
             "airframe": drone.airframe,
             "payload_kg": order.mass_kg,
@@ -77,6 +79,7 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
             rally=day.rally,
             stops=[msgspec.structs.replace(pad, name=id_) for id_, pad in pads],
             home=sortie.home,
+            air_temperature_c=day.forecast.air_temperature_c,
         ),
         vehicle=Vehicle(
             airframe=drone.airframe,

@@ -17,7 +17,7 @@ from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import DROP_S, SETTLE_SLACK_S
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
-from ground_station.core.schema.day import Drone, Forecast
+from ground_station.core.schema.day import Day, Drone, Forecast
 
 Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a route around obstacles."""
@@ -54,6 +54,11 @@ class Infeasible:
     remedy: str
 
 
+def day_energy(day: Day, airframe: Airframe) -> RouteEnergy:
+    """The energy model of one airframe on a day: its limits, its air."""
+    return RouteEnergy.for_mission(airframe, day.mission, day.air.density_kgpm3)
+
+
 class Reach:
     """What one drone can bring under a forecast."""
 
@@ -63,14 +68,14 @@ class Reach:
         airframe: Airframe,
         mission: Mission,
         forecast: Forecast,
-        route_energy: RouteEnergy | None = None,
+        route_energy: RouteEnergy,
     ) -> None:
         self.drone = drone
         self.airframe = airframe
         self.mission = mission
         self.wind_to_ne_mps = np.array(forecast.to_ne_mps)
         self.wind_cov_ne_m2ps2 = forecast.std_mps**2 * np.eye(2)
-        self.energy = route_energy or RouteEnergy.for_mission(airframe, mission)
+        self.energy = route_energy
         self.sigmas = float(ndtri(1.0 - mission.max_loss))
 
     def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
@@ -122,6 +127,8 @@ class Reach:
                 f"{payload_kg:g} kg, {self.drone.airframe} carries {most_kg:g} kg",
                 f"a parcel of at most {most_kg:g} kg, or the truck",
             )
+        if trouble := self.energy.lift_trouble(payload_kg):
+            return Infeasible(trouble, "a lighter parcel, cooler air, or the truck")
         need = self.need(payload_kg, start, customer, end)
         spare_wh = self._spare_wh(need, payload_kg, charge_frac)
         if need.flyable and spare_wh >= 0.0:
@@ -134,7 +141,7 @@ class Reach:
         """Time of a delivery from the depot; None: infeasible. Faster than `can_bring`: no
         reasons.
         """
-        if payload_kg > self.airframe.mass.max_payload_kg:
+        if payload_kg > self.airframe.mass.max_payload_kg or self.energy.lift_trouble(payload_kg):
             return None
         depot = (0.0, 0.0, 0.0)
         need = self.need(payload_kg, depot, customer, depot)

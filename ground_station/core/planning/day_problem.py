@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from companion.core.base.arrays import Floats, ShortInts
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, obstacles_from_geojson, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
-from companion.core.routing.leg_energy import RouteEnergy
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import Reach
+from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.feasibility.sortie_model import WindSorties
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
@@ -71,10 +70,7 @@ def obstacle_map(data: DayData) -> ObstacleMap:
 def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneClass, ...]:
     """The available drones, grouped by what makes them alike."""
     day = data.day
-    energies = {
-        name: RouteEnergy.for_mission(airframe, day.mission)
-        for name, airframe in data.airframes.items()
-    }
+    energies = {name: day_energy(day, airframe) for name, airframe in data.airframes.items()}
     alike: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
         if drone.id in free_from_s:

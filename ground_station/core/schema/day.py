@@ -9,6 +9,7 @@ import msgspec
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.core.mission.flight_file import Mission, Terrain
+from companion.core.vehicle.air import COLDEST_C, WARMEST_C, Air, standard_air
 from companion.fleet.topics import checked_name
 
 
@@ -98,11 +99,18 @@ class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """Where it blows from, clockwise from north."""
     std_mps: float = 2.0
     """How wrong the forecast may be (one sigma)."""
+    air_temperature_c: float | None = None
+    """Of the air at the depot; every flight file states it. Absent: the standard atmosphere's at
+    the depot's height, and vehicles go by their own barometers.
+    """
 
     def __post_init__(self) -> None:
         check_range("forecast.speed_mps", self.speed_mps, 0.0, 40.0)
         check_range("forecast.from_deg", self.from_deg, 0.0, 360.0)
         check_range("forecast.std_mps", self.std_mps, 0.1, 10.0)
+        if self.air_temperature_c is not None:
+            low_c, high_c = COLDEST_C, WARMEST_C
+            check_range("forecast.air_temperature_c", self.air_temperature_c, low_c, high_c)
 
     @property
     def to_ne_mps(self) -> tuple[float, float]:
@@ -172,6 +180,11 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise LeewayError(f"drones.id: {', '.join(twice)} more than once")
+
+    @property
+    def air(self) -> Air:
+        """The air that the desk prices flights in: nobody at the depot has measured it."""
+        return standard_air(self.depot.alt_amsl_m, self.forecast.air_temperature_c)
 
     def drone(self, id_: str) -> Drone | None:
         """The drone of this name."""

@@ -250,6 +250,7 @@ def build_day(
             f: read_parameters(params_dir() / "autopilots" / f"{f}.toml") for f in AUTOPILOTS
         },
         mavlink_loss=wish.loss,
+        air_temperature_c=data.day.forecast.air_temperature_c,
     )
     drones = _drones(data, world, folder, drone_seed, plumbing.start)
     truck_rng = np.random.default_rng(truck_seed)

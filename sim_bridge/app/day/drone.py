@@ -78,7 +78,10 @@ class Later:
 
 @dataclass(frozen=True, slots=True)
 class DroneWorld:
-    """What all drones of a day share. `site`: depot latitude, longitude (deg), height AMSL (m)."""
+    """What all drones of a day share. `site`: depot latitude, longitude (deg), height AMSL (m).
+
+    `air_temperature_c` None: each drone's own temperature.
+    """
 
     site: tuple[float, float, float]
     terrain: Terrain
@@ -86,6 +89,7 @@ class DroneWorld:
     mean: MeanWind
     parameters: dict[str, dict[str, Parameter]]
     mavlink_loss: float = 0.0
+    air_temperature_c: float | None = None
 
 
 @dataclass(slots=True)
@@ -188,6 +192,7 @@ class DayDrone:
             payload_kg=payload_kg,
             charge_frac=charge_frac,
             temperature_c=self.temperature_c,
+            air_temperature_c=world.air_temperature_c,
             battery_health_frac=self.battery_health_frac,
             depot_alt_amsl_m=world.site[2],
             start_ne_m=pad_ne_m,

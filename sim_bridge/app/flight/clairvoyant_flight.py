@@ -42,7 +42,7 @@ def foresee_flight(
     customer = place_ne_m(flight.site.customer, craft.depot)
     plan = plan or _route(craft, airframe, obstacles)
     out = [_ne(p) for p in plan.get("outbound_ned_m", [])] or [customer]
-    steady = SteadyFlight(truth_airframe)
+    steady = SteadyFlight(truth_airframe, craft.vehicle.density_kgpm3)
     itinerary = Itinerary(
         out_ne_m=[(0.0, 0.0), *out],
         ways_back=ways_back(plan, customer),

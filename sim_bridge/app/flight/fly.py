@@ -206,6 +206,7 @@ def build_craft(
         payload_kg=flight.vehicle.payload_kg,
         charge_frac=charge_frac,
         temperature_c=flight.vehicle.temperature_c,
+        air_temperature_c=flight.site.air_temperature_c,
         battery_health_frac=flight.vehicle.battery_health_frac,
         depot_alt_amsl_m=depot.alt_amsl_m or 0.0,
         pitot=flight.vehicle.pitot,

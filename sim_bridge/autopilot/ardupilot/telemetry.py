@@ -21,7 +21,7 @@ from sim_bridge.autopilot.services.status import CommonTelemetry, ekf_flags
 from sim_bridge.autopilot.state import VehicleState
 
 _GROUPS = {
-    1: ("RAW_IMU",),
+    1: ("RAW_IMU", "SCALED_PRESSURE"),
     2: (
         "SYS_STATUS",
         "POWER_STATUS",

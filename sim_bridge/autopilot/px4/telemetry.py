@@ -57,6 +57,7 @@ DEFAULT_RATES_HZ = {
         "HOME_POSITION": 0.5,
         "MISSION_CURRENT": 1.0,
         "SYSTEM_TIME": 1.0,
+        "SCALED_PRESSURE": 1.0,
         "ALTITUDE": 10.0,
     },
     LinkKind.GCS: {
@@ -73,6 +74,7 @@ DEFAULT_RATES_HZ = {
         "HOME_POSITION": 0.5,
         "MISSION_CURRENT": 1.0,
         "SYSTEM_TIME": 1.0,
+        "SCALED_PRESSURE": 1.0,
         "ALTITUDE": 1.0,
     },
 }

@@ -173,6 +173,7 @@ class CommonTelemetry:
             "BATTERY_STATUS": self.battery_status,
             "HOME_POSITION": self.home_position,
             "EXTENDED_SYS_STATE": self.extended_sys_state,
+            "SCALED_PRESSURE": self.scaled_pressure,
             "MISSION_CURRENT": self.mission_current,
             "RC_CHANNELS": self.rc_channels,
             "SERVO_OUTPUT_RAW": self.servo_output_raw,
@@ -493,6 +494,22 @@ class CommonTelemetry:
             "pressure_alt": r.alt_amsl_m,
             "temperature": r.temperature_c,
             "fields_updated": 0b100000111111,
+        }
+
+    def scaled_pressure(self) -> Fields | None:
+        """SCALED_PRESSURE: hPa, and the barometer's own temperature, which is its board's.
+
+        Both autopilots send the sensor's figure as it is (ArduPilot GCS_MAVLINK,
+        send_scaled_pressure_instance; PX4 SCALED_PRESSURE.hpp, from sensor_baro).
+        """
+        r = self._state.readings
+        if r is None:
+            return None
+        return {
+            "time_boot_ms": self._state.time_boot_ms,
+            "press_abs": r.air_pressure_pa / 100.0,
+            "press_diff": 0.0,
+            "temperature": _i16(r.board_temperature_c * 100.0),
         }
 
     def nav_controller_output(self) -> Fields:

@@ -127,6 +127,29 @@ def estimator(
     kept.remove()
 
 
+@app.command("air")
+def air(
+    out: Out = OUT,
+    jobs: Jobs = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="flights of each autopilot and place")] = 1,
+    stated: Annotated[
+        bool, typer.Option("--stated", help="the flight file states the air's temperature")
+    ] = False,
+) -> None:
+    """Flights at 0, 1,500 and 3,000 m and at -10, 15 and 40 degrees C: wind, P(home), energy.
+
+    For example: sim-bridge research bench air --seeds 1
+    """
+    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.research.wind import air_bench as bench
+
+    work = bench.tasks(seeds, out / "air_runs", stated=stated)
+    kept = Journal(out / "air.partial", digest_of(work), bench.AirRow)
+    found = run_journaled("air", work, bench.fly_in_air, jobs, kept)
+    finish(bench.sheet(found, seeds, stated=stated), out, "air")
+    kept.remove()
+
+
 @app.command("paths")
 def paths(
     out: Out = OUT,

@@ -118,6 +118,14 @@ PAGES = (
         needs=(ANEMOMETER,),
     ),
     Page(
+        "air-density",
+        "Thin, hot and cold air",
+        "Short flights from sea level to 3,000 m and from -10 to 40 degrees C: the wind as"
+        " believed, what was promised, and the energy left.",
+        (PageCommand(_bench("air", "--seeds", "1", "--out", OUT)),),
+        10.0,
+    ),
+    Page(
         "frontier",
         "Distance from the frontier",
         "How far the router is below the best that any planner with the same information can do.",

@@ -14,7 +14,7 @@ from companion.adapters.files.params import params_dir, read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.calibration.airframe_fit import calibrate, predict
 from companion.core.calibration.battery import fit_battery
-from companion.core.calibration.drag import WindSeen
+from companion.core.calibration.drag import WindSeen, fit_drag
 from companion.core.calibration.flight import (
     CHANGE_SPEED,
     WAYPOINT,
@@ -509,3 +509,16 @@ def test_published_curves_are_met(vehicle):
     errors = predicted / points[:, 1] - 1.0
     print(vehicle, np.round(100.0 * errors, 1).tolist(), "%")
     assert math.sqrt(np.mean(errors**2)) < limit
+
+
+def test_drag_that_was_flown_in_thin_air_is_fitted_at_the_files_density():
+    """As drag is stated: rotors' with the root of density, the body's with density."""
+    thin, density = World("m100", (0.0,)), 0.784
+    thin.linear = tuple(0.8 * k for k in thin.linear)
+    thin.quadratic = tuple(0.64 * q for q in thin.quadratic)
+    record = fly([*HOVER, *square((12.6, 4.9, 8.4))], seed=1, world=thin)
+    flown = replace(blocks(record), density_kgpm3=density)
+    fit = fit_drag([flown], read_airframe("m100"))
+    expected_n = LINEAR[0] * 14.0 + QUADRATIC[0] * 14.0**2
+    fitted_n = fit.values[0] * 14.0 + fit.values[2] * 14.0**2
+    assert fitted_n == pytest.approx(expected_n, rel=0.08)

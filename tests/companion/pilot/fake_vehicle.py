@@ -46,6 +46,7 @@ from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import COMMANDING_PHASES, Phase
 from companion.core.return_budget.budget import Ahead, Assessment
 from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.vehicle.air import Air
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
 
@@ -91,6 +92,11 @@ class ScriptedJudge:
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
     draw_change: str = ""
+    air: Air | None = None
+
+    def fly_in(self, air: Air) -> None:
+        self.air = air
+        self.route_energy.fly_in(air.density_kgpm3)
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -173,6 +179,9 @@ class World:
     values: dict[str, float | None] = field(default_factory=lambda: {"LOW_ACT": 0.0})
     obeys_jumps: bool = True
     gnss: bool = True
+    alt_amsl_m: float = DEPOT[2]
+    pressure_pa: float = 101_180.0
+    board_temperature_c: float = 30.0
     streams: bool = True
     home_north: float = 0.0
     home_up: float = 0.0
@@ -300,7 +309,7 @@ class World:
                 t,
                 DEPOT[0] + self.north / M_PER_DEG,
                 DEPOT[1] + self.east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
-                DEPOT[2] + self.height,
+                self.alt_amsl_m + self.height,
                 self.height - self.home_up,
                 *self.velocity,
             ),
@@ -313,6 +322,8 @@ class World:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
         if not self.streams:
             found = [event for event in found if isinstance(event, ev.VehicleState)]
+        if round(t * 10) % 10 == 0:
+            found.append(ev.AirPressure(t, self.pressure_pa, self.board_temperature_c))
         if round(t * 10) % 20 == 0:
             north_deg = self.home_north / M_PER_DEG
             found.append(ev.Home(t, DEPOT[0] + north_deg, DEPOT[1], DEPOT[2] + self.home_up))
@@ -367,7 +378,7 @@ def world(
     requirements: Requirements = one_requirement,
 ) -> World:
     """A pilot with a scripted judge beside a vehicle at the depot."""
-    judge = judge or ScriptedJudge(RouteEnergy.for_mission(AIRFRAME, flight.mission))
+    judge = judge or ScriptedJudge(RouteEnergy.for_mission(AIRFRAME, flight.mission, 1.225))
     pilot = Pilot(
         flight,
         AIRFRAME,

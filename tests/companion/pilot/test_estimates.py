@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
 from companion.core.mission import events as ev
-from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.estimates import Estimates, EstimatesSnapshot
 from companion.core.pilot.parcel_release import ReleaseWatch
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.return_budget.budget import Assessment
@@ -16,8 +17,9 @@ from companion.core.return_budget.remaining_from_plan import ahead_outbound
 from companion.core.return_budget.remaining_mission import Ahead, hurried
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import Plan
+from companion.core.vehicle.air import Air
 from companion.core.vehicle.speed_to_fly import fastest_airspeed_mps
-from companion.core.wind.estimator import WindBelief
+from companion.core.wind.estimator import WindBelief, WindEstimator
 
 FLIGHT = read_flight(Path(__file__).parents[3] / "params" / "flights" / "default.toml")
 AIRFRAME = read_airframe("m100")
@@ -196,7 +198,7 @@ def test_the_fastest_that_the_budget_allows_is_less_with_less_in_the_battery():
         seen = judge.assess(ahead)
         assert seen is not None
         speeds.append(0.0 if judge.hurry_mps is None else judge.hurry_mps)
-    top = fastest_airspeed_mps(AIRFRAME, FLIGHT.vehicle.payload_kg)
+    top = fastest_airspeed_mps(AIRFRAME, FLIGHT.vehicle.payload_kg, 1.225)
     assert speeds[0] == pytest.approx(top)
     assert 14.0 < speeds[1] < top - 1.0
     assert speeds[2] == 0.0
@@ -276,3 +278,42 @@ def test_two_packs_some_points_apart_ground_nothing():
         assert judge.energy is not None
         left.append(judge.energy.mean_wh / judge.energy.usable_full_wh)
     assert left[-1] == left[0] == pytest.approx(0.90)
+
+
+def test_settled_air_reaches_power_limits_wind_and_energy_and_lives_through_a_restart():
+    judge, hot_and_high = judgement(), Air(70_109.0, 40.0, "test")
+    hover_w, top_mps = (
+        judge.route_energy.hover_power_w(0.0),
+        fastest_airspeed_mps(AIRFRAME, 0, 1.225),
+    )
+    judge.observe(
+        standing(1.0, ev.Battery(1.0, voltage_v=25.6, current_a=0.5)), ev.AutopilotKind.PX4
+    )
+    full_wh = judge.energy.usable_full_wh
+    judge.fly_in(hot_and_high)
+    judge.observe(
+        standing(2.0, ev.Battery(2.0, voltage_v=25.6, current_a=0.5)), ev.AutopilotKind.PX4
+    )
+    # Momentum theory: power but the avionics' with density to the -1/2, here 1.253 times.
+    thin_w = judge.route_energy.hover_power_w(0.0)
+    assert (thin_w - 15.0) / (hover_w - 15.0) == pytest.approx((1.225 / 0.780) ** 0.5, rel=0.001)
+    assert judge.route_energy.fastest_airspeed_mps(0.0) > 1.2 * top_mps
+    assert judge.energy.usable_full_wh < full_wh, "a pack gives less at a higher draw"
+    again = judgement()
+    again.restore(msgspec.convert(judge.snapshot(), EstimatesSnapshot))
+    assert again.air == hot_and_high
+    assert again.route_energy.hover_power_w(0.0) == thin_w
+
+
+def test_the_wind_filter_is_told_the_air_in_each_observation():
+    told = []
+
+    class Listening(WindEstimator):
+        def update(self, observation):
+            told.append(observation.density_kgpm3)
+            return super().update(observation)
+
+    judge = Estimates(FLIGHT, AIRFRAME, RouteEnergy(AIRFRAME), WIND_PROCESS, Listening(AIRFRAME))
+    judge.fly_in(Air(70_109.0, 40.0, "test"))
+    judge.observe(standing(1.0), ev.AutopilotKind.PX4)
+    assert told == [pytest.approx(0.780, abs=0.001)]

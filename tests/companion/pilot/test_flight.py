@@ -852,3 +852,39 @@ def test_the_same_events_give_the_same_actions():
         return w.log
 
     assert flight() == flight()
+
+
+# --- the air -------------------------------------------------------------------------------------
+
+
+def hot_and_high(stated_c: float | None = None) -> World:
+    """The same site in the pressure of 3,000 m; the board reads 55 degrees C."""
+    site = msgspec.structs.replace(FLIGHT.site, air_temperature_c=stated_c)
+    w = world(flight=msgspec.structs.replace(FLIGHT, site=site))
+    w.alt_amsl_m, w.pressure_pa, w.board_temperature_c = 3000.0, 70_109.0, 55.0
+    return w
+
+
+@pytest.mark.parametrize(("stated_c", "temperature_c"), [(None, 40.0), (10.0, 10.0)])
+def test_the_air_is_settled_before_the_plan_and_never_again(stated_c, temperature_c):
+    w = hot_and_high(stated_c)
+    w.run(lambda w: "planned" in w.kinds)
+    settled = w.judge.air
+    assert settled is not None
+    assert settled.temperature_c == pytest.approx(temperature_c)
+    assert w.judge.route_energy.density_kgpm3 == settled.density_kgpm3
+    w.until(Phase.OUTBOUND)
+    w.pressure_pa, w.board_temperature_c = 69_000.0, 20.0
+    w.to_the_end()
+    assert w.judge.air is settled
+    assert sum(isinstance(a, Note) and a.text.startswith("air ") for _, a in w.log) == 1
+
+
+def test_a_plan_waits_for_the_barometer_no_longer_than_three_of_its_messages():
+    w = hot_and_high()
+    w.mute = {ev.AirPressure}
+    w.until(Phase.PLAN)
+    since_s = w.t_s
+    w.run(lambda w: "planned" in w.kinds)
+    assert 2.9 < w.t_s - since_s < 3.5
+    assert w.judge.air.temperature_c == pytest.approx(-4.5), "the standard atmosphere's at 3,000 m"

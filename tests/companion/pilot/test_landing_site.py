@@ -92,7 +92,7 @@ def truck_world(
     kept: Checkpoint | None = None, *, armed: bool = False, options: PilotOptions | None = None
 ) -> World:
     truck_flight = flight()
-    energy = RouteEnergy.for_mission(AIRFRAME, truck_flight.mission)
+    energy = RouteEnergy.for_mission(AIRFRAME, truck_flight.mission, 1.225)
     judge = StopsJudge(energy)
     return world(flight=truck_flight, kept=kept, armed=armed, judge=judge, options=options)
 

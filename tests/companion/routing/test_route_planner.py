@@ -195,6 +195,13 @@ def test_a_wind_over_the_airspeed_is_no_route_with_a_reason() -> None:
     assert "28.0 m/s" in answer.reason
 
 
+def test_a_parcel_that_the_rotors_cannot_carry_in_thin_air_is_no_route() -> None:
+    energy = RouteEnergy(M100, 0.44)
+    answer = BerPlanner(energy).plan(request(site(), left_wh=None, payload_kg=1.0))
+    assert isinstance(answer, NoRoute)
+    assert "parcel 1 kg in air of 0.44 kg/m3: needs 56 N" in answer.reason
+
+
 def test_a_parcel_over_the_limit_is_no_route() -> None:
     answer = BerPlanner(ROUTE).plan(request(site(), payload_kg=9.0))
     assert isinstance(answer, NoRoute)

@@ -11,7 +11,6 @@ import pytest
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
 from companion.core.vehicle.power import (
     GRAVITY_MPS2,
-    air_density_kgpm3,
     drag_n,
     induced_velocity_mps,
     max_airspeed_mps,
@@ -191,10 +190,19 @@ def test_top_speed_balances_drag_and_tilt() -> None:
         assert float(drag_n(M100, mass, speed)) == pytest.approx(force)
 
 
-def test_air_density_is_the_standard_atmospheres() -> None:
-    # ISO 2533: 1.225 kg/m^3 at sea level and 15 degrees; 1.112 at 1,000 m and 8.5 degrees.
-    assert air_density_kgpm3(0.0, 15.0) == pytest.approx(1.225, abs=0.001)
-    assert air_density_kgpm3(1000.0, 8.5) == pytest.approx(1.112, abs=0.001)
+def test_a_hover_costs_the_inverse_root_of_density_more_in_thin_air() -> None:
+    # Momentum theory and C_T, C_P of a rotor: induced and profile power both go with rho^-1/2.
+    thick, thin = (float(multirotor_power_w(M100, MASS, 0.0, 0.0, rho)) for rho in (1.2, 0.8))
+    avionics = M100.power_rotor.avionics_w
+    assert (thin - avionics) / (thick - avionics) == pytest.approx(math.sqrt(1.2 / 0.8))
+
+
+def test_top_speed_grows_in_thin_air_and_drag_there_balances_the_same_tilt() -> None:
+    thick, thin = (max_airspeed_mps(M100, MASS, rho) for rho in (1.225, 0.8))
+    # Drag all quadratic, or all linear, would make it (1.225 / 0.8)^1/2 = 1.24 times as fast.
+    assert 1.2 < thin / thick < 1.24
+    force = MASS * GRAVITY_MPS2 * math.tan(math.radians(35.0))
+    assert float(drag_n(M100, MASS, thin, 0.8)) == pytest.approx(force)
 
 
 def test_thin_air_costs_more() -> None:

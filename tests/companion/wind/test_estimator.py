@@ -509,3 +509,27 @@ def test_a_loose_gain_prior_does_not_diverge() -> None:
     error = belief.mean_to_ne_mps - (4.0, -3.0)
     assert float(error @ np.linalg.solve(belief.cov_ne_m2ps2, error)) < 12.0
     assert float(np.linalg.norm(error)) < 5.0
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["told", "not told"])
+def test_in_thin_air_the_wind_is_right_only_where_the_filter_is_told_its_density(told):
+    # 3,000 m and 40 degrees C. The drag of its own thin air is 0.64 and 0.80 of the file's.
+    density, speed = 0.784, 9.0
+    wind, thin = np.array([-6.0, 0.0]), (0.8 * LINEAR, 0.64 * QUADRATIC)
+    accel = (thin[0] + thin[1] * (speed + 6.0)) * (speed + 6.0) / MASS
+    estimator = WindEstimator(airframe())
+    for k in range(300):
+        estimator.update(
+            WindObservation(
+                t_s=0.1 * k,
+                airborne=True,
+                mass_kg=MASS,
+                vel_ned_mps=(speed, 0.0, 0.0),
+                roll_rad=0.0,
+                pitch_rad=-math.atan(accel / 9.80665),
+                yaw_rad=0.0,
+                density_kgpm3=density if told else 1.225,
+            )
+        )
+    off = abs(float(estimator.belief(30.0).mean_to_ne_mps[0] - wind[0]))
+    assert off < 0.2 if told else off > 1.5

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.core.routing.leg_energy import RouteEnergy
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.llm import LlmParams
 from ground_station.app.planning.clusters import BUILT_IN, cluster_by_llm, problem_of
@@ -121,7 +122,7 @@ def test_whatever_is_proposed_is_repaired_into_what_will_do(case):
 def test_a_stop_upwind_costs_less_and_energies_agree_with_reach():
     drone, airframe = DAY.day.drones[0], DAY.airframes["m100"]
     windy = Forecast(speed_mps=7.0, from_deg=0.0, std_mps=2.0)  # from north: air moves south
-    reach = Reach(drone, airframe, DAY.day.mission, windy)
+    reach = Reach(drone, airframe, DAY.day.mission, windy, RouteEnergy(airframe))
     places = np.array([(0.0, 0.0), (600.0, 250.0), (-300.0, 700.0)])
     mass = np.array([0.9, 0.9, 0.25])
     energy = energy_matrix(reach, places, mass, np.ones((3, 3)))

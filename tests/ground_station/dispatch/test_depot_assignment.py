@@ -9,7 +9,7 @@ from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
-from ground_station.core.feasibility.reach import Reach
+from ground_station.core.feasibility.reach import Reach, day_energy
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 
@@ -42,7 +42,13 @@ def test_a_drone_is_judged_by_the_speeds_that_it_flies_with():
     day = msgspec.structs.replace(DAY.day, mission=mission)
     assigner, drone = DepotAssigner(day, DAY.airframes), day.drones[0]
     order = next(o for o in DAY.orders if o.id == "H-101")
-    reach = Reach(drone, DAY.airframes[drone.airframe], mission, day.forecast)
+    reach = Reach(
+        drone,
+        DAY.airframes[drone.airframe],
+        mission,
+        day.forecast,
+        day_energy(day, DAY.airframes[drone.airframe]),
+    )
     as_flown = reach.can_bring(order.mass_kg, assigner.ground_ned(order))
     assert assigner.can_bring(order, drone.id) == as_flown
     assert DepotAssigner(DAY.day, DAY.airframes).can_bring(order, drone.id) != as_flown

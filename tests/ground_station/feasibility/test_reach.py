@@ -4,10 +4,11 @@ import pytest
 
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_file import Mission
+from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
-from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach
-from ground_station.core.schema.day import Drone, Forecast
+from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach, day_energy
+from ground_station.core.schema.day import Day, Depot, Drone, Forecast
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +18,7 @@ def m100() -> Airframe:
 
 def a_reach(m100: Airframe, charge: float = 1.0, **wind: float) -> Reach:
     drone = Drone(id="d1", airframe="m100", charge_frac=charge)
-    return Reach(drone, m100, Mission(), Forecast(**wind))
+    return Reach(drone, m100, Mission(), Forecast(**wind), RouteEnergy(m100))
 
 
 def at(north_m: float, east_m: float = 0.0) -> Ned:
@@ -53,3 +54,27 @@ def test_an_order_out_of_reach_says_what_would_make_it_possible(m100):
     assert low.remedy == "a full battery"
     storm = a_reach(m100, speed_mps=35.0).can_bring(0.5, at(500.0))
     assert isinstance(storm, Infeasible)
+
+
+@pytest.mark.parametrize(("stated_c", "density"), [(40.0, 0.780), (None, 0.909)])
+def test_the_desk_prices_in_the_air_of_its_depot(m100, stated_c, density):
+    # ISO 2533 at 3,000 m: 701.1 hPa, and 268.65 K where no temperature is forecast.
+    depot = Depot(lat_deg=46.0, lon_deg=8.0, alt_amsl_m=3000.0)
+    day = Day(
+        format="day/1",
+        depot=depot,
+        drones=[Drone(id="d1", airframe="m100")],
+        forecast=Forecast(air_temperature_c=stated_c),
+    )
+    energy = day_energy(day, m100)
+    assert energy.density_kgpm3 == pytest.approx(density, abs=0.001)
+    assert energy.hover_power_w(0.0) > 1.1 * RouteEnergy(m100).hover_power_w(0.0)
+
+
+def test_a_parcel_that_thin_air_does_not_carry_is_refused_with_its_reason(m100):
+    drone = Drone(id="d1", airframe="m100")
+    reach = Reach(drone, m100, Mission(), Forecast(), RouteEnergy(m100, 0.44))
+    found = reach.can_bring(1.0, at(200.0))
+    assert isinstance(found, Infeasible)
+    assert "in air of 0.44 kg/m3" in found.why
+    assert reach.time_s(1.0, at(200.0)) is None

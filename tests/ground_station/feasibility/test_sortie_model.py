@@ -12,6 +12,7 @@ from companion.core.base.geo import Obstacle, ObstacleMap
 from companion.core.base.place import Place
 from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import frame_at
+from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.waypoint_graph import SiteMap, build_graph
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
@@ -31,7 +32,7 @@ def m100() -> Airframe:
 def reach_of(airframe: Airframe, wind_mps: float, charge_frac: float) -> Reach:
     drone = Drone(id="d1", airframe="m100", charge_frac=charge_frac)
     forecast = Forecast(speed_mps=wind_mps, from_deg=215.0, std_mps=2.0)
-    return Reach(drone, airframe, Mission(max_loss=0.01), forecast)
+    return Reach(drone, airframe, Mission(max_loss=0.01), forecast, RouteEnergy(airframe))
 
 
 @pytest.mark.parametrize(("wind_mps", "charge_frac"), [(0.0, 1.0), (6.0, 0.8), (11.0, 1.0)])

@@ -3,6 +3,7 @@
 import csv
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -222,6 +223,19 @@ def test_the_table_that_a_drone_is_assigned_is_a_flight_file(harbour, harbour_pl
     assert flight.site.home == sortie.home
     assert flight.site.customer == place_of(order)
     assert flight.mission.cruise_height_m == sortie.outbound_height_m
+
+
+def test_a_forecast_temperature_is_stated_in_every_flight_file(harbour, harbour_plan):
+    forecast = msgspec.structs.replace(harbour.day.forecast, air_temperature_c=31.0)
+    day = msgspec.structs.replace(harbour.day, forecast=forecast)
+    sortie, data = harbour_plan.sorties[0], replace(harbour, day=day)
+    order = next(order for order in harbour.orders if order.id == sortie.order)
+    stops = {stop.id: stop for stop in harbour_plan.stops}
+    pads = candidate_pads(harbour_plan, sortie, stops)
+    table = sortie_table(day, day.drone(sortie.vehicle), order, sortie, pads)
+    assert msgspec.convert(table, Flight).site.air_temperature_c == 31.0
+    assert planned_flight(data, harbour_plan, sortie).site.air_temperature_c == 31.0
+    assert planned_flight(harbour, harbour_plan, sortie).site.air_temperature_c is None
 
 
 def test_the_command_writes_plan_picture_and_missions(tmp_path):

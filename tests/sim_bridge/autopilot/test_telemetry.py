@@ -8,6 +8,7 @@ from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.flight.wind import axis_airspeed_mps
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.message_table import SPECS
+from sim_bridge.truth.atmosphere import air_pressure_pa
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 DENIED, FAILED, ACCEPTED = 2, 4, 0
@@ -41,6 +42,7 @@ PX4_ONBOARD_HZ = {
     "BATTERY_STATUS": 0.5,
     "HEARTBEAT": 1.0,
     "MISSION_CURRENT": 1.0,
+    "SCALED_PRESSURE": 1.0,
 }  # measured on the onboard link
 
 
@@ -346,3 +348,17 @@ def test_high_latency_mode_is_packed_differently_by_px4_only(airborne):
     rig = airborne(AP)
     rig.command(512, SPECS["HIGH_LATENCY2"].id)
     assert rig.last("HIGH_LATENCY2").custom_mode == 4
+
+
+@pytest.mark.parametrize("autopilot", [AP, PX4])
+def test_scaled_pressure_is_the_barometers_in_hectopascal_with_its_boards_temperature(
+    make_rig, autopilot
+):
+    rig = make_rig(autopilot)
+    rig.step(0.2)
+    assert rig.command(511, SPECS["SCALED_PRESSURE"].id, 1_000_000) == ACCEPTED
+    rig.step(2.0)
+    said, sensors = rig.last("SCALED_PRESSURE"), rig.vehicle.sensors
+    # ISO 2533 at the rig's 12 m; a barometer drifts by a metre or two, 0.12 hPa each.
+    assert said.press_abs == pytest.approx(air_pressure_pa(12.0) / 100.0, abs=0.5)
+    assert said.temperature == pytest.approx(100.0 * sensors.board_temperature_c, abs=0.5)

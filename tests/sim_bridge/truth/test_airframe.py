@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -135,3 +136,19 @@ def test_air_is_the_standard_atmospheres() -> None:
     """ISO 2533: 1.225 kg/m3 at sea level and 15 deg C; 1.0066 at 2000 m and 2 deg C."""
     assert air_density_kgpm3(0.0, 15.0) == pytest.approx(1.225, rel=1e-4)
     assert air_density_kgpm3(2000.0, 2.0) == pytest.approx(1.00655, rel=1e-3)
+
+
+def test_rotor_drag_goes_with_the_root_of_density_and_that_of_the_body_with_density():
+    """Closed form: level, at one speed and thrust, only drag along body x slows it."""
+
+    def lost_mps(density, drag):
+        body = Airframe(msgspec.structs.replace(M100, drag=drag))
+        body.thrust_n, body.north_mps = 3.65 * G, 10.0
+        body.move(3.65 * G, 3.65, STILL, density, 0.0, 0.001)
+        return 10.0 - body.north_mps
+
+    none = dict.fromkeys(("parasite_forward_m2", "parasite_vertical_m2"), 0.0)
+    rotors = msgspec.structs.replace(M100.drag, **none)
+    bare = msgspec.structs.replace(M100.drag, rotor_forward_nspm=0.0)
+    assert lost_mps(0.784, rotors) / lost_mps(1.225, rotors) == pytest.approx(0.8)
+    assert lost_mps(0.784, bare) / lost_mps(1.225, bare) == pytest.approx(0.64)

@@ -172,3 +172,18 @@ def test_sensors_that_are_absent_or_failed_say_none() -> None:
     readings = [bench.step() for _ in range(20)][-1]
     assert readings.current_a is None
     assert readings.voltage_v is None
+
+
+def test_the_barometer_tells_the_pressure_of_its_height_and_its_board_is_warmer_than_the_air():
+    # ISO 2533, table 5: 701.09 hPa at 3,000 m, 692.8 at 3,095 m.
+    bench = Bench(M100.sensors, depot_alt_amsl_m=3000.0, air_temperature_c=40.0)
+    assert bench.step().air_pressure_pa == pytest.approx(70_109.0, rel=4e-4)
+    bench.body.down_m = -95.0
+    readings = [bench.step() for _ in range(30)][-1]
+    assert readings.air_pressure_pa == pytest.approx(69_280.0, rel=5e-4)
+    warmth_c = [
+        Bench(M100.sensors, seed, air_temperature_c=40.0).step().board_temperature_c - 40.0
+        for seed in range(60)
+    ]
+    assert np.mean(warmth_c) == pytest.approx(13.0, abs=2.0)
+    assert np.std(warmth_c) == pytest.approx(4.0, abs=1.2)

@@ -76,7 +76,7 @@ def _unread(t_s: float) -> SensorReadings:
     nan = math.nan
     return SensorReadings(
         t_s, nan, nan, nan, nan, nan, nan, nan3, True, nan3, nan3, nan, None, None, None, nan,
-        touching_ground=False, parcel_aboard=False,
+        nan, nan, touching_ground=False, parcel_aboard=False,
     )  # fmt: skip
 
 
