@@ -55,7 +55,9 @@ def promises(rows: Sequence[FaultRow]) -> Table:
     """
     columns = ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home")
     title = "P(home) at the last decision to go on, by group"
-    table = slim_table(title, ("group", "left"), *((name, "right") for name in columns))
+    table = slim_table(title, ("group", "left"))
+    for name in columns:
+        table.add_column(name, justify="right")
     said = [row for row in rows if row.p_home_last_go is not None]
     for group in dict.fromkeys(row.group for row in said):
         pairs = [(row.p_home_last_go or 0.0, row.home) for row in said if row.group == group]

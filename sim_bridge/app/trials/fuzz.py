@@ -139,6 +139,9 @@ class Witness:
         rng = np.random.default_rng(case.seed)
         return cls(case, Liar(rng, case.share, case.deeds, case.messages))
 
+    def end(self) -> None:
+        """Nothing of its outlasts the flight."""
+
     def apply(self, crafts: list[Craft], t_s: float, lockstep: Lockstep) -> None:
         """One step of 0.1 s."""
         if self.craft is None:
