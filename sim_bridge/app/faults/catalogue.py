@@ -1,7 +1,7 @@
 """All rows of the standing suite, by number."""
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.faults import air, authority, energy, host, link, mission_and_home
+from sim_bridge.app.faults import air, authority, energy, host, link, mission_and_home, telemetry
 from sim_bridge.app.faults.case import FaultCase
 
 CATALOGUE: tuple[FaultCase, ...] = tuple(
@@ -11,6 +11,7 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
             *authority.CASES,
             *mission_and_home.CASES,
             *energy.CASES,
+            *telemetry.CASES,
             *host.CASES,
             *link.CASES,
         ),
