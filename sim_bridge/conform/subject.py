@@ -119,10 +119,10 @@ class Subject:
         self.client.hear("HEARTBEAT", 3.0)
 
     def position(self, within_s: float = 5.0) -> Position:
-        """Where it is, by a message that is new."""
-        message = self.client.hear("GLOBAL_POSITION_INT", within_s)
+        """Where it is, by a message that is new; 0 N 0 E means that it does not know yet."""
+        message = self.client.hear("GLOBAL_POSITION_INT", within_s, _knows_where)
         if message is None:
-            raise CannotSee("no GLOBAL_POSITION_INT")
+            raise CannotSee("no GLOBAL_POSITION_INT with a position")
         return position_in(message)
 
     def place(self, north_m: float, east_m: float) -> tuple[float, float]:
@@ -440,6 +440,10 @@ class Subject:
 
 def _float32(value: float) -> float:
     return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+def _knows_where(message: Message) -> bool:
+    return message.lat != 0 or message.lon != 0
 
 
 def position_in(message: Message) -> Position:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 import pytest
 from rich.console import Console
 
@@ -126,6 +127,27 @@ def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_
     said = "\n".join(grounded_words(row))
     assert "MISSING  arming in AUTO" in said
     assert "--configure" in said
+
+
+def test_a_companion_that_is_killed_in_flight_is_told_with_what_it_leaves(tmp_path):
+    def kill_when_high(vehicles, t_s):
+        if any(vehicle.up_m > 10.0 for vehicle in vehicles):
+            for child in psutil.Process().children():  # the companion alone; dead, it stays dead
+                child.kill()
+
+    served = stood(AutopilotKind.ARDUPILOT)
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(served, onboard=["udpin::0"])
+        link = "udpout:127.0.0.1:" + url.rsplit(":", 1)[1]
+        options = ForeignOptions(
+            flight_file(tmp_path), (link,), configure=True, run_root=tmp_path / "runs"
+        )
+        with host.running():
+            (row,) = fly_foreign(options, kill_when_high)["flights"]
+    (words,) = grounded_words(row)
+    assert words.startswith("the companion died (SIGKILL) with the vehicle ")
+    assert "the mission aboard brings it home" in words
+    assert "settings not put back, they were: " in words
 
 
 def test_a_site_elsewhere_is_refused(tmp_path):

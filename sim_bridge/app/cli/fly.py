@@ -106,7 +106,8 @@ def fly(
 
     Vehicle and companion know each other only by MAVLink over UDP on loopback, or over --link. The
     run folder holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl),
-    companion.log and flight.png. Exit code 0 whatever the outcome; 2 for a mistake in the input.
+    companion.log and flight.png. Exit code 0 whatever the outcome;
+    1 where a companion died (with --link); 2 for a mistake in the input.
     """
     if crossing:
         _refuse_with_cross({"FLIGHT": flight, "--wind-log": wind_log, "--link": link})
@@ -165,6 +166,8 @@ def fly(
         console.print(f"run folder: {row['run']}", highlight=False)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
+    if any(row.get("died") for row in result["flights"]):
+        raise typer.Exit(1)
 
 
 def _refuse_with_cross(told: dict[str, object]) -> None:

@@ -7,6 +7,7 @@ The verdict is each companion's own (own_record.py).
 
 import contextlib
 import os
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import Any
 
 import msgspec
 
+from companion.adapters.files.atomic_file import read_whole
+from companion.adapters.files.checkpoint_file import NAME as CHECKPOINT
 from companion.adapters.files.params import read_airframe, read_flight
 from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_file import Flight
@@ -95,6 +98,7 @@ def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
             autopilot=guest.heard.autopilot_kind or "-",
             run=os.path.relpath(guest.companion.run_dir),
         )
+        | {"died": _how_it_died(guest)}
         for guest in guests
     ]
     result = {"flights": rows}
@@ -151,3 +155,25 @@ def _complain(guest: _Guest) -> None:
         raise LeewayError(f"companion {guest.number}: {guest.companion.last_words(1)}")
     if code == EXIT_NO_LINK and guest.heard.autopilot_kind is None:
         raise LeewayError(f"--link {guest.link}: no autopilot heard")
+
+
+def _how_it_died(guest: _Guest) -> str | None:
+    """Where a companion was killed from outside: by which signal, where, and what that leaves."""
+    code = guest.companion.exit_code
+    if code is None or code >= 0:
+        return None
+    try:
+        by = signal.Signals(-code).name
+    except ValueError:
+        by = f"signal {-code}"
+    heard = guest.heard
+    kept = read_whole(guest.companion.run_dir / CHECKPOINT, "checkpoint") or {}
+    words = f"the companion died ({by}) with the vehicle {heard.away_m:.0f} m away"
+    words += f" and {heard.up_m:.0f} m up"
+    if kept.get("flying"):
+        words += ": the mission aboard brings it home"
+    settings = kept.get("settings_before") or {}
+    if settings:
+        before = ", ".join(f"{name} {value:g}" for name, value in sorted(settings.items()))
+        words += f"; settings not put back, they were: {before}"
+    return words

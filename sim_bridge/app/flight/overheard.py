@@ -64,6 +64,8 @@ class Overheard:
     def _place(self, message: Message) -> None:
         self.t_s = message.time_boot_ms / 1000.0
         self.up_m = message.relative_alt / 1000.0
+        if message.lat == 0 and message.lon == 0:
+            return  # ArduCopter's word for "no position yet"
         lat_deg, lon_deg = message.lat / 1e7, message.lon / 1e7
         if self._stood is None:
             self._stood = (lat_deg, lon_deg)

@@ -170,7 +170,11 @@ def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
 
 
 def grounded_words(row: dict[str, Any]) -> list[str]:
-    """What kept a vehicle of somebody else's on the ground, and what would help."""
+    """What kept a vehicle of somebody else's on the ground, and what would help; or how its
+    companion died.
+    """
+    if row.get("died"):
+        return [row["died"]]
     if row["judged_by"] != "companion" or row["flight_time_s"] != 0.0:
         return []
     findings = row["findings"]
