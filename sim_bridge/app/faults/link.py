@@ -8,7 +8,7 @@ from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
 from sim_bridge.app.link.bad_link import BadLink
-from sim_bridge.app.link.tap import Radio
+from sim_bridge.app.link.tap import SlowLine
 from sim_bridge.autopilot.mavlink.codec import Message
 
 SHARE = 0.3
@@ -49,7 +49,7 @@ def silent(duration_s: float) -> Play:
 def slow_radio(stage: Stage) -> Iterator[None]:
     """A radio of 57,600 baud lies between autopilot and companion; what does not fit is lost."""
     yield from stage.reached()
-    stage.tap.radio = Radio(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
+    stage.tap.radio = SlowLine(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
 
 
 def strangers(stage: Stage) -> Iterator[None]:

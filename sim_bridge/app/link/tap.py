@@ -14,7 +14,7 @@ Change = Callable[[Message], list[Message] | None]
 
 
 @dataclass(slots=True)
-class Radio:
+class SlowLine:
     """A serial line: so many bytes a second, a short buffer, and what does not fit is lost."""
 
     bytes_per_s: float
@@ -59,7 +59,7 @@ class Tap:
     to_autopilot: Change = as_it_is
     hold_back_s: dict[str, float] = field(default_factory=dict)
     added: list[bytes] = field(default_factory=list)
-    radio: Radio | None = None
+    radio: SlowLine | None = None
     _late: list[tuple[float, bytes]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)

@@ -237,12 +237,11 @@ def test_safety_rule_1_of_two_computers_in_flight_the_one_that_began_last_flies(
 
 
 def test_safety_rule_1_both_of_two_computers_decide_the_same_alone():
-    pair = [reach(Phase.CLIMB), reach(Phase.RETURN)]
-    pair[1].pilot._authority.flies_since_ms += 5000
-    claims = [w.pilot.flies_since_ms for w in pair]
-    for w, claim in zip(pair, reversed(claims), strict=True):
-        other(w, since_ms=claim)
-    assert [w.pilot.phase for w in pair] == [Phase.PASSIVE, Phase.RETURN]
+    early, late = reach(Phase.CLIMB), reach(Phase.RETURN)
+    assert early.pilot.flies_since_ms == late.pilot.flies_since_ms  # two worlds, one clock
+    other(early, since_ms=early.pilot.flies_since_ms + 5000)
+    other(late, since_ms=late.pilot.flies_since_ms - 5000)
+    assert [w.pilot.phase for w in (early, late)] == [Phase.PASSIVE, Phase.RETURN]
 
 
 def test_safety_rule_1_who_flies_and_says_no_time_is_told_apart_by_component():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_bridge.app.link.tap import Radio, Tap, with_fields
+from sim_bridge.app.link.tap import SlowLine, Tap, with_fields
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 
@@ -69,7 +69,7 @@ def test_added_frames_reach_the_companion_once(autopilot):
 def test_a_slow_radio_carries_its_bytes_in_order_and_loses_what_its_buffer_cannot_hold(autopilot):
     frames = [autopilot.encode(Message("MISSION_CURRENT", seq=k)) for k in range(1, 6)]
     size = len(frames[0])
-    tap = Tap(radio=Radio(bytes_per_s=10.0 * size, buffer_bytes=3 * size))
+    tap = Tap(radio=SlowLine(bytes_per_s=10.0 * size, buffer_bytes=3 * size))
     assert tap.down(frames, 1.0) == []
     assert tap.down([], 1.1) == frames[:1]
     assert tap.down([], 1.3) == frames[1:3]

@@ -113,7 +113,9 @@ def joints(params: AirframeTruth, k: int, begin_s: float | None) -> list[Joint]:
     mean += (0.5**2 / 2.0) * np.outer(ramped, ramped)
     s = lag / memory_s
     gusts = (np.exp(-s), (1.0 - 0.5 * s) * np.exp(-s))
-    sensors, slope = params.sensors, DRAG_NSPM / params.empty_mass_kg
+    # Rotor drag goes with the root of density: dry air at sea level and 20 degrees C, over 1.225.
+    thin = math.sqrt(101_325.0 / (287.05 * 293.15) / 1.225)
+    sensors, slope = params.sensors, thin * DRAG_NSPM / params.empty_mass_kg
     trim = (GRAVITY * math.radians(sensors.tilt_bias_deg)) ** 2 * np.exp(
         -lag / sensors.tilt_bias_time_s
     )
