@@ -5,7 +5,6 @@ the same check must fail: a check that cannot fail shows nothing.
 """
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -33,10 +32,6 @@ def home_with_reserve(flown) -> bool:
 def gate_closed_and_home(flown) -> bool:
     closed = {"turn_back", "divert"} & set(flown.kinds)
     return bool(closed) and flown.row["home"] and flown.row["margin_wh"] >= 0.0
-
-
-def draw_told_and_home(flown) -> bool:
-    return "times the model's" in flown.said and gate_closed_and_home(flown)
 
 
 def wind_known(flown) -> bool:
@@ -86,27 +81,6 @@ def down_whole_and_said_where(flown) -> bool:
     return down and told and not flown.commands_after(flown.fault_s("gnss_lost") + 3.0)
 
 
-def home_set_back_and_reached(flown) -> bool:
-    """Every metre flown as high as planned, by truth; told; and down at the depot."""
-    told = "home moved" in flown.said and "home is where it was again" in flown.said
-    rows = [row for row in flown.craft.record.rows if math.hypot(row[1], row[2]) > 60.0]
-    high = all(-row[3] > 20.0 for row in rows)
-    return told and high and not flown.row["delivered"] and flown.row["home"]
-
-
-def home_by_rtl_below_a_low_home(flown) -> bool:
-    return (
-        "cannot set home back" in flown.said
-        and "last_resort" in flown.kinds
-        and (flown.row["home"] and not flown.craft.record.crashed)
-    )
-
-
-def own_mission_put_back_and_home(flown) -> bool:
-    told = "mission changed by another" in flown.said
-    return told and "mission_restored" in flown.kinds and home_undelivered(flown)
-
-
 def refused_jumps_bring_it_home(flown) -> bool:
     return flown.row["outcome"] == "ABRT" and "is not obeyed" in flown.said
 
@@ -116,14 +90,6 @@ def stays_on_the_ground_and_says(words: str) -> Callable[[Any], bool]:
         return flown.craft.record.took_off_s is None and words in flown.said
 
     return check
-
-
-def armed_once_and_left_alone(flown) -> bool:
-    """A person disarmed it: it never took off, and no order to arm came later."""
-    arms = [t_s for t_s, _, number in flown.craft.commands if number == 400]
-    told = "hands off: " in flown.said or "not sent again" in flown.said
-    never_flew = flown.craft.record.took_off_s is None and not flown.craft.autopilot.is_armed
-    return never_flew and told and bool(arms) and arms[-1] - arms[0] < 0.25
 
 
 not_armed = stays_on_the_ground_and_says("arm refused: failed")
@@ -178,14 +144,6 @@ GROWING = {
     },
 }
 
-# Far, with energy to spare for the vehicle as its file describes it. 1.7 times that draw ends it
-# under the reserve unless the way home begins at once.
-DRAW_RISES = {
-    "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
-    "vehicle": {"charge_frac": 0.5},
-    "faults": [fault("draw_rises", phase="outbound", at_s=4.0, times=1.7)],
-}
-
 HOT_AND_HIGH = {"site": {"depot": {"alt_amsl_m": 3000.0}}, "vehicle": {"temperature_c": 40.0}}
 
 CASES = [
@@ -196,13 +154,6 @@ CASES = [
         gate_closed_and_home,
         GROWING,
         GROWING,
-        canary_gate=False,
-    ),
-    Case(
-        "safety rule 4: a draw that rises in flight closes the gate, and it lands with its reserve",
-        draw_told_and_home,
-        DRAW_RISES,
-        DRAW_RISES,
         canary_gate=False,
     ),
     Case(
@@ -300,48 +251,6 @@ CASES = [
         {"faults": [fault("clock_jump", phase="outbound", at_s=6.0, by_s=-30.0)]},
     ),
     Case(
-        "safety rule 3: a home that sinks by 20 m in flight is set back before it leads low",
-        home_set_back_and_reached,
-        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0)]},
-        {},
-    ),
-    Case(
-        "safety rule 3: a home that rises by 25 m in flight is set back",
-        home_set_back_and_reached,
-        {"faults": [fault("home_set", phase="outbound", at_s=4.0, up_m=25.0)]},
-    ),
-    Case(
-        "safety rule 3: a home that is set 3 km away in flight is set back",
-        home_set_back_and_reached,
-        {"faults": [fault("home_set", phase="outbound", at_s=4.0, north_m=3000.0)]},
-    ),
-    Case(
-        "safety rule 3: a home that another hand keeps low is left by RTL at the present height",
-        home_by_rtl_below_a_low_home,
-        {
-            "faults": [
-                fault("home_set", phase="outbound", at_s=4.0, up_m=-20.0),
-                fault("home_set", phase="outbound", at_s=8.0, up_m=-20.0),
-            ]
-        },
-        {},
-    ),
-    *[
-        Case(
-            f"safety rule 2: a mission that another station uploads in flight ({edit}) is replaced"
-            " by ours, and it comes home",
-            own_mission_put_back_and_home,
-            {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit=edit)]},
-            {} if edit == "drag" else None,
-        )
-        for edit in ("drag", "foreign", "add")
-    ],
-    Case(
-        "the same mission uploaded again by another station loses nothing",
-        delivered_and_home,
-        {"faults": [fault("mission_set", phase="outbound", at_s=3.0, edit="same")]},
-    ),
-    Case(
         "an autopilot that obeys no jump comes home by the mission aboard",
         refused_jumps_bring_it_home,
         {"faults": [fault("jumps_refused", phase="outbound")]},
@@ -358,20 +267,6 @@ CASES = [
         not_armed,
         {"faults": [fault("arming_refused", phase="start")]},
         {},
-    ),
-    *(
-        Case(
-            f"what a person disarms {after_s:g} s after arming is not armed again",
-            armed_once_and_left_alone,
-            {"faults": [fault("arming_undone", phase="start", by_s=after_s)]},
-            {} if after_s == 0.3 else None,
-        )
-        for after_s in (0.3, 1.2)
-    ),
-    Case(
-        "one false disarmed heartbeat and a second of silence lose nothing",
-        delivered_and_home,
-        {"faults": [fault("false_disarmed", phase="outbound", at_s=6.0)]},
     ),
     Case(
         "a customer beyond reach is refused on the ground",
@@ -451,15 +346,6 @@ def test_safety_rule_1_nothing_is_commanded_after_a_stall_with_a_take_over_insid
 ):
     flown = fly_case(autopilot_kind, case.world, after_hands_off_s=case.hands_off_s)
     assert case.check(flown), _story(flown)
-
-
-def test_safety_rule_2_a_shorter_mission_of_another_station_is_replaced_by_ours_on_ardupilot(
-    fly_case,
-):
-    # PX4 refuses this list, whose jumps lead nowhere, and holds: that is not ours to end yet.
-    fault_table = fault("mission_set", phase="outbound", at_s=3.0, edit="cut")
-    flown = _flown_once(fly_case, "ardupilot", {"faults": [fault_table]})
-    assert own_mission_put_back_and_home(flown), _story(flown)
 
 
 _FLOWN: dict[str, Any] = {}

@@ -153,7 +153,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.DIVERT, t.HOMEWARD): p.RETURN,
         (p.RETURN, t.GO): p.OUTBOUND,
         (p.RETURN, t.CUSTOMER_REACHED): p.DELIVER,
-        **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT)},
+        **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT, p.LAND)},
         (p.SUSPENDED, t.UNANSWERED): p.LAST_RESORT,
         **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},

@@ -18,6 +18,12 @@ from sim_bridge.autopilot.mavlink.codec import Message
 BATTERY = "BATTERY_STATUS"
 LATE_S = 4.0
 WILD_MAH = 4_000_000
+FAR = {
+    "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
+    "vehicle": {"charge_frac": 0.5},
+}
+"""With 1.7 times the draw it ends under the reserve unless the way home begins at once."""
+
 LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
 """A change of draw by more than a half is told within: in level flight, and where a climb or a
 descent of up to 15 s, whose power no model knows so well, hides it."""
@@ -148,6 +154,16 @@ CASES = (
         draw_rises(1.7),
         (*SAFE, tells_draw),
         FLYING,
+    ),
+    FaultCase(
+        22,
+        "draw-1.7-far",
+        GROUP,
+        "the draw rises to 1.7 times where there is no energy to spare for it",
+        draw_rises(1.7),
+        (*SAFE, tells_draw),
+        ("outbound",),
+        flight=FAR,
     ),
     FaultCase(
         23,

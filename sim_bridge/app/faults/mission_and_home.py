@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from sim_bridge.app.faults.case import FaultCase, Play
 from sim_bridge.app.faults.people import Station, dragged, foreign
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, promises_nothing_false, tells
+from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false, tells
 from sim_bridge.autopilot.mission.items import MissionItem
 
 DRAGGED_M = 1500.0
@@ -30,6 +30,23 @@ def replaced(stage: Stage) -> Iterator[None]:
     station = Station(stage)
     yield from stage.reached()
     yield from station.upload(foreign(_aboard(stage), ELSEWHERE_M))
+
+
+def replaced_again(stage: Stage) -> Iterator[None]:
+    """The same, and once more when ours is aboard again."""
+    station = Station(stage)
+    yield from stage.reached()
+    items = foreign(_aboard(stage), ELSEWHERE_M)
+    yield from station.upload(items)
+    yield from stage.until(lambda: stage.was_said("our mission is aboard again"))
+    yield from station.upload(items)
+
+
+def uploaded_anew(stage: Stage) -> Iterator[None]:
+    """Another station writes our own list once more."""
+    station = Station(stage)
+    yield from stage.reached()
+    yield from station.upload(_aboard(stage))
 
 
 def shorter(stage: Stage) -> Iterator[None]:
@@ -74,6 +91,15 @@ def home_moved(*, north_m: float = 0.0, up_m: float = 0.0) -> Play:
     return play
 
 
+def home_kept_low(stage: Stage) -> Iterator[None]:
+    """Home is set 20 m lower, and again when it was set back."""
+    station = Station(stage)
+    yield from stage.reached()
+    station.set_home(up_m=-20.0)
+    yield from stage.wait(4.0)
+    station.set_home(up_m=-20.0)
+
+
 def progress_late(stage: Stage) -> Iterator[None]:
     """MISSION_CURRENT comes two seconds late, from now on."""
     yield from stage.reached()
@@ -102,6 +128,24 @@ CASES = (
         "another station uploads a mission of the same length, 3 km away",
         replaced,
         (*SAFE, tells("mission")),
+        FLYING,
+    ),
+    FaultCase(
+        11,
+        "foreign-upload-again",
+        GROUP,
+        "the same, and once more when ours is aboard again",
+        replaced_again,
+        (*SAFE, tells("mission was changed again")),
+        ("climb", "outbound"),
+    ),
+    FaultCase(
+        11,
+        "same-upload",
+        GROUP,
+        "another station uploads our own mission once more",
+        uploaded_anew,
+        (*SAFE, delivers),
         FLYING,
     ),
     FaultCase(
@@ -159,6 +203,15 @@ CASES = (
         home_moved(up_m=-20.0),
         (*SAFE, tells("home")),
         FLYING,
+    ),
+    FaultCase(
+        16,
+        "home-kept-low",
+        GROUP,
+        "home is set 20 m lower, and again when it was set back",
+        home_kept_low,
+        (*SAFE, tells("cannot set home back")),
+        ("climb", "outbound"),
     ),
     FaultCase(
         17,

@@ -38,7 +38,8 @@ def listing(cases: Sequence[FaultCase]) -> Iterator[str]:
 
 def summary(rows: Sequence[FaultRow]) -> Table:
     """By fault: how many flights held, and what broke."""
-    table = slim_table("held, by fault", ("fault", "left"), ("held", "right"), ("why not", "left"))
+    table = slim_table("held, by fault", ("fault", "left"), ("held", "right"))
+    table.add_column("why not", overflow="fold")
     for name in dict.fromkeys(row.fault for row in rows):
         group = [row for row in rows if row.fault == name]
         whys = dict.fromkeys(row.why for row in group if not row.held)

@@ -70,6 +70,10 @@ class Stage:
             self.craft.tap = Tap()
         return self.craft.tap
 
+    def was_said(self, words: str) -> bool:
+        """The companion has told the operator so."""
+        return any(words in text for _, text in self.craft.operator.said)
+
     @property
     def armed(self) -> bool:
         """By truth."""

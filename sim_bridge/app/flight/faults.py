@@ -101,18 +101,8 @@ def _begin(fault: Fault, craft: Craft, t_s: float, lockstep: Lockstep) -> None:
             craft.refused |= JUMPS
         case "arming_refused":
             craft.refused |= ARMING
-        case "arming_undone":
-            craft.disarms_after_s = fault.by_s
-        case "false_disarmed":
-            craft.says_disarmed_once = True
         case "home_moves":
             craft.ask_home(fault.to)
-        case "home_set":
-            craft.set_autopilot_home(fault.north_m, fault.up_m)
-        case "mission_set":
-            craft.upload_by_another(fault.edit)
-        case "draw_rises":
-            craft.vehicle.draw_factor = fault.times
 
 
 def _end(fault: Fault, craft: Craft) -> None:
@@ -141,7 +131,5 @@ def _end(fault: Fault, craft: Craft) -> None:
             craft.refused -= JUMPS
         case "arming_refused":
             craft.refused -= ARMING
-        case "draw_rises":
-            craft.vehicle.draw_factor = 1.0
         case _:
             return

@@ -3,15 +3,12 @@
 import math
 from dataclasses import dataclass, field
 
-from sim_bridge.app.flight.uploader import Uploader
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
-from sim_bridge.autopilot.mission.items import MissionItem
 
 GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
 COMPANION_COMPONENT = 191
 MAV_CMD_MISSION_START = 300
 MAV_CMD_DO_SET_MODE = 176
-MAV_CMD_COMPONENT_ARM_DISARM = 400
 MAV_CMD_DO_SET_HOME = 179
 MAV_RESULT_TEMPORARILY_REJECTED = 1
 HOME_IS_NOW = "home is now "
@@ -36,13 +33,10 @@ class Operator:
     _next_heartbeat_s: float = 0.0
     _next_ask_s: float = 0.0
     _wanted_deg: tuple[float, float] | None = None
-    _uploader: Uploader = field(default_factory=Uploader)
-    _answers: list[Message] = field(default_factory=list)
 
     def frames(self, t_s: float) -> list[bytes]:
         """What the ground station sends at `t_s`: its heartbeat, what was not yet answered."""
-        out = [self._encoder.encode(answer) for answer in self._answers]
-        self._answers = []
+        out: list[bytes] = []
         if t_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = t_s + 1.0
             out.append(self._encoder.encode(_heartbeat()))
@@ -68,8 +62,6 @@ class Operator:
                 self.said.append((t_s, text))
                 if text.startswith(HOME_IS_NOW):
                     self.home = text.removeprefix(HOME_IS_NOW)
-            elif name in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-                self._answers += self._uploader.answer(message)
             elif name == "COMMAND_ACK" and message.src_component == COMPANION_COMPONENT:
                 self.accepted |= message.command == MAV_CMD_MISSION_START and message.result == 0
                 later = message.result == MAV_RESULT_TEMPORARILY_REJECTED
@@ -79,40 +71,6 @@ class Operator:
     def wants_home(self, lat_deg: float, lon_deg: float) -> None:
         """Ask the companion to land at another stop of the truck, by where its pad is."""
         self._wanted_deg = (lat_deg, lon_deg)
-
-    def disarm(self) -> bytes:
-        """Disarm the vehicle by hand, plainly."""
-        order = command_long(self.vehicle_system, 1, MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-        return self._encoder.encode(order)
-
-    def autopilot_home(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bytes:
-        """Set the autopilot's own home, behind the companion's back."""
-        order = Message(
-            "COMMAND_INT",
-            target_system=self.vehicle_system,
-            target_component=1,
-            frame=0,  # MAV_FRAME_GLOBAL: AMSL
-            command=MAV_CMD_DO_SET_HOME,
-            current=0,
-            autocontinue=0,
-            **{f"param{i}": 0.0 for i in range(1, 5)},
-            x=round(lat_deg * 1e7),
-            y=round(lon_deg * 1e7),
-            z=alt_amsl_m,
-        )
-        return self._encoder.encode(order)
-
-    def begin_upload(self, items: list[MissionItem]) -> bytes:
-        """Upload a mission, behind the companion's back."""
-        self._uploader = Uploader(items)
-        count = Message(
-            "MISSION_COUNT",
-            target_system=self.vehicle_system,
-            target_component=1,
-            count=len(items),
-            mission_type=0,
-        )
-        return self._encoder.encode(count)
 
     def mode_change(self, autopilot_kind: str) -> list[bytes]:
         """Order the autopilot to return to launch, behind the companion's back."""

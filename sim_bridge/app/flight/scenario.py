@@ -30,14 +30,8 @@ FaultKind = Literal[
     "clock_jump",
     "jumps_refused",
     "arming_refused",
-    "arming_undone",
-    "false_disarmed",
     "home_moves",
-    "home_set",
-    "mission_set",
-    "draw_rises",
 ]
-MissionEdit = Literal["drag", "foreign", "cut", "add", "same"]
 Phase = Literal["start", "climb", "outbound", "drop", "return", "landing"]
 
 
@@ -53,21 +47,9 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     duration_s: float = 0.0
     """How long it lasts; 0: for good."""
     by_s: float = 0.0
-    """How far the clock jumps (back where it is negative); how long after arming a person disarms
-    what was armed, where `arming_undone`."""
-    times: float = 1.0
-    """`draw_rises`: so many times the power for the same flight."""
+    """How far the clock jumps (back where it is negative)."""
     to: str = ""
     """The stop that the home moves to: its operator asks for it until it is taken."""
-    edit: MissionEdit = "drag"
-    """What another ground station uploads in flight: the mission with its waypoints 1.5 km to the
-    north, a wholly foreign one of the same length, all but its last three items, three more, or
-    the same.
-    """
-    up_m: float = 0.0
-    """How far above the depot another ground station sets the autopilot's home."""
-    north_m: float = 0.0
-    """And how far north of it."""
     restart: bool = True
     """A killed companion is started again after `duration_s`; a stalled one goes on in any case."""
     vehicle: int = 1
@@ -77,9 +59,6 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         check_range("faults.at_s", self.at_s, 0.0, 1e6)
         check_range("faults.duration_s", self.duration_s, 0.0, 1e6)
         check_range("faults.by_s", self.by_s, -1e4, 1e4)
-        check_range("faults.up_m", self.up_m, -500.0, 500.0)
-        check_range("faults.north_m", self.north_m, -1e5, 1e5)
-        check_range("faults.times", self.times, 0.1, 10.0)
         check_range("faults.vehicle", self.vehicle, 1, 250)
 
 

@@ -14,7 +14,6 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.forger import Forger
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.record import TruthRecord
-from sim_bridge.app.flight.uploader import edited
 from sim_bridge.app.link.bad_link import BadLink
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.autopilot.autopilot import Autopilot
@@ -47,11 +46,6 @@ COMMANDING = {  # what changes the flight; telemetry and questions do not
     "PARAM_SET",
 }
 MAV_RESULT_FAILED = 4
-MAV_CMD_ARM_DISARM = 400
-MAV_AUTOPILOT = {"px4": 12, "ardupilot": 3}
-MISSION_CUSTOM_MODE = {"px4": 4 << 16 | 4 << 24, "ardupilot": 3}
-CUSTOM_MODE_FLAG = 1
-FALSE_HEARTBEAT_SILENCE_S = 1.0
 ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
 LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about home; above the depot
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
@@ -88,11 +82,6 @@ class Craft:
     commands: list[tuple[float, str, int]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _refusals: list[bytes] = field(default_factory=list)
-    _disarmed_by_person: bool = False
-    disarms_after_s: float | None = None
-    """A person disarms so long after arming, once, and the answer to ARM never arrives."""
-    says_disarmed_once: bool = False
-    """One wrong heartbeat is due to the companion, and nothing else for a second after it."""
     companion_returns: bool = False
     """It was started again, or goes on after a stall: its answer is waited for."""
 
@@ -111,7 +100,6 @@ class Craft:
                 truth = vehicle.truth
                 north, east, _ = truth.pos_ned_m
                 self.record.add(truth, self.terrain.up_m(north, east))
-        self._undo_arming()
         for frame in self.operator.frames(self.t_s):
             autopilot.receive(OPERATOR_LINK, frame)
         if self.forger is not None:
@@ -134,10 +122,6 @@ class Craft:
         if self.tap is not None:
             said = self.tap.down(said, self.t_s)
         out = said if self.link_up else []
-        if self.says_disarmed_once:
-            self.says_disarmed_once = False
-            self.link_silent_until_s = self.t_s + FALSE_HEARTBEAT_SILENCE_S
-            out.append(self._false_heartbeat())
         if self.bad_link is not None and self.link_up:
             out = self.bad_link.spoil(out, self.autopilot.time_boot_ms)
         else:
@@ -154,32 +138,9 @@ class Craft:
                 self.operator.receive(self.t_s, frame)
             elif link in self.others:
                 self.others[link](self.t_s, frame)
-            elif self.disarms_after_s is None or not _answers_arming(frame):
+            else:
                 frames.append(frame)
         return frames
-
-    def _undo_arming(self) -> None:
-        """A person disarms, at the ground station, what the companion has armed."""
-        armed_s = self.autopilot.armed_for_s
-        if self.disarms_after_s is None or self._disarmed_by_person or armed_s is None:
-            return
-        if armed_s >= self.disarms_after_s:
-            self._disarmed_by_person = True
-            self.autopilot.receive(OPERATOR_LINK, self.operator.disarm())
-
-    def _false_heartbeat(self) -> bytes:
-        """A heartbeat of the autopilot in its mission, without the bit that says armed."""
-        kind = self.autopilot_kind
-        heartbeat = Message(
-            "HEARTBEAT",
-            type=2,
-            autopilot=MAV_AUTOPILOT[kind],
-            base_mode=CUSTOM_MODE_FLAG,
-            custom_mode=MISSION_CUSTOM_MODE[kind],
-            system_status=3,
-            mavlink_version=3,
-        )
-        return Encoder(self.number, 1).encode(heartbeat)
 
     def pilot_takes_over(self) -> None:
         """The pilot takes the sticks: the mode switch goes to position hold."""
@@ -189,18 +150,6 @@ class Craft:
         """Another ground station orders the vehicle home by mode change."""
         for frame in self.operator.mode_change(self.autopilot_kind):
             self.autopilot.receive(OPERATOR_LINK, frame)
-
-    def set_autopilot_home(self, north_m: float, up_m: float) -> None:
-        """Another ground station moves the autopilot's own home."""
-        frame = frame_at(self.depot)
-        lat_rad, lon_rad, _ = frame.to_geodetic((north_m, 0.0, 0.0))
-        place = math.degrees(lat_rad), math.degrees(lon_rad), frame.alt_amsl_m + up_m
-        self.autopilot.receive(OPERATOR_LINK, self.operator.autopilot_home(*place))
-
-    def upload_by_another(self, edit: str) -> None:
-        """Another ground station uploads an edited mission."""
-        items = edited(self.autopilot.store.mission, edit)
-        self.autopilot.receive(OPERATOR_LINK, self.operator.begin_upload(items))
 
     def receive(self, datagram: bytes) -> None:
         """A datagram from the companion."""
@@ -277,11 +226,6 @@ class Craft:
             return (disarmed and concluded) or down_s > STUCK_ARMED_S
         never_left = self.record.took_off_s is None
         return never_left and self.companion.starts > 0 and not self.companion.running
-
-
-def _answers_arming(frame: bytes) -> bool:
-    answers = Decoder().feed(frame)
-    return any(m.msg_name == "COMMAND_ACK" and m.command == MAV_CMD_ARM_DISARM for m in answers)
 
 
 def place_ne_m(place: Place, depot: Place) -> tuple[float, float]:

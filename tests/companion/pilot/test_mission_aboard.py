@@ -93,8 +93,9 @@ def test_safety_rule_2_where_our_list_cannot_be_put_back_rtl_brings_it_home():
     assert "our mission cannot be put back" in w.said
 
 
-def test_safety_rule_2_a_list_that_is_changed_again_is_not_fought_over():
-    w = reach(Phase.OUTBOUND)
+@pytest.mark.parametrize("phase", [Phase.OUTBOUND, Phase.LAND])
+def test_safety_rule_2_a_list_that_is_changed_again_is_not_fought_over(phase):
+    w = reach(phase)
     changed_s = w.t_s
     put_aboard(w, dragged(w.items))
     w.run(lambda w: "mission_restored" in w.kinds, 60.0)
