@@ -1,5 +1,6 @@
 """A companion that serves a fleet: assignment after assignment, through restarts, until stopped."""
 
+import gc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,10 +68,11 @@ def serve(
                 say(f"assignment {assignment}")
                 folder = port.folder_of(assignment)
                 flight = replace(options, mission=folder / MISSION, run_dir=folder)
-                code, _ = run(flight, on_action=on_action, port=port)
+                code = run(flight, on_action=on_action, port=port)[0]
                 if code not in (DONE, GROUNDED):
                     return code
             port.put_ashore()
+            _let_go()
     finally:
         port.close()
 
@@ -84,6 +86,15 @@ def fly_one(
         return run(options, on_action=on_action, port=port)[0]
     finally:
         port.close()
+
+
+def _let_go() -> None:
+    """Free the flight that is over, on the ground, before the next.
+
+    Its parts call each other back, so that only the collector frees them. By itself that looks at
+    all objects once a quarter more of them live: after a dozen flights, 2 MB each.
+    """
+    gc.collect()
 
 
 def _stand_by(port: FleetPort, options: RunOptions) -> bool:
