@@ -129,8 +129,8 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     """Probability of coming home."""
     margin_wh: float | None = None
     """Energy expected to be left above the reserve after landing."""
-    outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT)\Z")] | None = None
-    """Closes an assignment: one of SUC, DEL, FAIL and ABRT."""
+    outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
+    """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None
     """With `outcome`: the parcel was dropped. With kind `recovered`: false where the driver
     found it aboard.

@@ -211,6 +211,12 @@ class Autopilot:
         return self.state.mode
 
     @property
+    def is_flown_by_person(self) -> bool:
+        """Whether the mode is by radio control or by an order from another system."""
+        by = self.state.mode_by
+        return by is not None and by[0] != self.state.system_id
+
+    @property
     def t_s(self) -> float:
         """Time of the latest readings."""
         return self.state.t_s

@@ -13,6 +13,9 @@ from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 
+RADIO = (0, 0)
+"""The pilot's radio control, where who changed the mode is told as system and component."""
+
 STEP_S = 0.01
 """Seconds between two steps of the control loop; no message is streamed faster."""
 
@@ -81,6 +84,8 @@ class VehicleState:
 
     # written by flight/commander.py
     mode: Mode = Mode.HOLD
+    mode_by: tuple[int, int] | None = None
+    """Who changed to this mode: system and component, `RADIO` for radio control; None: itself."""
     is_armed: bool = False
     armed_since_s: float = 0.0
     has_flown: bool = False

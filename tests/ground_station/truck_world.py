@@ -141,7 +141,7 @@ class Drone(Member):
             self.tell(
                 EventKind.OUTCOME, "down", assignment=self.flight.assignment,
                 order=self.flight.order, outcome=outcome, delivered=delivered,
-                home=outcome != "FAIL", drop_unproven=unproven or None,
+                home=outcome not in ("FAIL", "TAKEN"), drop_unproven=unproven or None,
             )  # fmt: skip
             self.book.close(self.flight.assignment)
         self.flight = self.launched_s = self.home = self.asked = None
@@ -312,6 +312,9 @@ class World:
             drone.lost, drone.on = True, False
             drone.launched_s = None
             self.waiting.append(LivelinessChanged(drone.name, drone.name, False))
+        elif drone.mood == "landed by a pilot" and up_s > drone.flies_s / 2.0:
+            drone.launched_s, drone.lost = None, True  # to the truck: it stands in a field
+            drone.end("TAKEN", False)
         elif up_s >= drone.flies_s:
             self.land(drone, drone.flight)
 

@@ -13,7 +13,14 @@ from sim_bridge.app.flight import companion_process
 
 pytestmark = pytest.mark.sitl
 
-OPEN: dict[str, str] = {}
+COMPLETE = "the mission is complete: a jump does not start it again, and it hovers"
+HOLDS = "it holds beyond the fence by its own failsafe, and nobody answers"
+
+OPEN: dict[tuple[str, str, str], str] = {
+    ("shorter-upload", "ardupilot", "drop"): COMPLETE,
+    ("shorter-upload", "ardupilot", "return"): COMPLETE,
+    ("fence-changed", "px4", "outbound"): HOLDS,
+}
 """Rows that do not hold yet, and why: docs/explanation/limits.md says so too."""
 
 
@@ -107,11 +114,10 @@ GUARDS: dict[str, tuple[str, str]] = {
 }
 """By row: the phase, and the patch that takes its guard out."""
 
-ROWS = [
-    (task.fault, task.autopilot, task.phase)
-    for task in tasks(CATALOGUE, BOTH, PHASES, [1], None)
-    if task.fault not in OPEN
+ALL_ROWS = [
+    (task.fault, task.autopilot, task.phase) for task in tasks(CATALOGUE, BOTH, PHASES, [1], None)
 ]
+ROWS = [row for row in ALL_ROWS if row not in OPEN]
 
 
 def flown(tmp_path, fault: str, autopilot: str, phase: str, seed: int = 1) -> FaultRow:
@@ -134,4 +140,4 @@ def test_without_its_guard_the_row_breaks(tmp_path, monkeypatch, fault):
 
 
 def test_open_rows_are_rows():
-    assert OPEN.keys() <= {case.name for case in CATALOGUE}
+    assert OPEN.keys() <= set(ALL_ROWS)

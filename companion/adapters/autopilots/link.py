@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from companion.adapters.clock import wall_s
-from companion.core.base.errors import LeewayError
+from companion.core.base.errors import LeewayError, LinkClosedError
 
 POLL_S = 0.2
 RETRY_S = 1.0
@@ -146,7 +146,7 @@ class UdpLink(_Reader):
                 self._peer = (socket.gethostbyname(host), port)
         except OSError as error:
             self._socket.close()
-            raise LeewayError(_udp_trouble(host, port, error)) from error
+            raise LinkClosedError(_udp_trouble(host, port, error)) from error
         self._socket.settimeout(POLL_S)
         self._fixed_peer = not listen
         self.start()
@@ -207,14 +207,14 @@ class TcpLink(_Reader):
     def _call_first(self) -> None:
         """The first call must be answered; a line that breaks later is called again for ever.
 
-        Raises: LeewayError with what to do.
+        Raises: LinkClosedError with what to do.
         """
         until_s = wall_s() + FIRST_CALL_S
         while self._socket is None:
             self._connect()
             if self._socket is None and wall_s() > until_s:
                 host, port = self._address
-                raise LeewayError(
+                raise LinkClosedError(
                     f"link tcp {host}:{port}: nobody answers, or another client holds the port."
                     " One port serves one client: take a free one (ArduPilot's simulator: 5762),"
                     " or let that client pass it on (MAVProxy: --out 127.0.0.1:14551)"
@@ -289,7 +289,7 @@ class SerialLink(_Reader):
         self._port: Any = None
         self._open()
         if self._port is None:
-            raise LeewayError(
+            raise LinkClosedError(
                 f"link serial:{device}:{baud}: cannot open the device, or another program holds it"
                 " (close that, or let it pass the link on: MAVProxy --out 127.0.0.1:14551)"
             )
@@ -350,7 +350,10 @@ class SerialLink(_Reader):
 
 
 def open_link(url: str) -> Link:
-    """Open a link by its URL; LeewayError says what a URL looks like."""
+    """Open a link by its URL.
+
+    Raises: LeewayError says what a URL looks like; LinkClosedError what to do where it stays shut.
+    """
     kind, _, rest = url.partition(":")
     target, _, number = rest.rpartition(":")
     expected = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"

@@ -9,24 +9,30 @@ import typer
 from typer.core import TyperGroup
 
 from companion.app.cli import calibrate, fit_wind, replay
-from companion.core.base.errors import LeewayError
+from companion.core.base.errors import LeewayError, LinkClosedError
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
 mission aboard goes home; 2 a mistake in the input; 3 no take-off was possible, or the check found
-something missing; 4 no autopilot on the link, or lost for good; 5 stopped by a signal."""
+something missing; 4 no autopilot on the link, or lost for good; 5 stopped by a signal; 6 the
+link did not open (another program holds it, or its other end is not up yet): try again."""
 
 
 class Commands(TyperGroup):
-    """The companion's commands; a mistake in the input is one line on stderr and exit code 2."""
+    """The companion's commands.
+
+    A mistake in the input is one line on stderr and exit code 2; so is a link that does not open,
+    with a code of its own: a service tries that again.
+    """
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except LeewayError as error:
-            from companion.app.flight.run import USAGE
+            from companion.app.flight.run import LINK_CLOSED, USAGE
 
             typer.echo(f"companion: {error}", err=True)
-            raise typer.Exit(USAGE) from error
+            code = LINK_CLOSED if isinstance(error, LinkClosedError) else USAGE
+            raise typer.Exit(code) from error
 
 
 app = typer.Typer(

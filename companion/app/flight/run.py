@@ -37,9 +37,10 @@ from companion.core.separation.learned_policy import AvoidancePolicy
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
 
-DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED = 0, 1, 2, 3, 4, 5
+DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED, LINK_CLOSED = 0, 1, 2, 3, 4, 5, 6
 """Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
-(for `check`: something is missing); no autopilot, or lost for good; stopped by a signal."""
+(for `check`: something is missing); no autopilot, or lost for good; stopped by a signal; the link
+did not open, and may later."""
 
 
 @dataclass(frozen=True, slots=True)

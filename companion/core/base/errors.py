@@ -7,6 +7,13 @@ class LeewayError(Exception):
     """A mistake that a person can mend: says where, what, and what was expected, in one line."""
 
 
+class LinkClosedError(LeewayError):
+    """A way to the autopilot that does not open now, and may open later: no mistake in the input.
+
+    Another program holds the port, or its other end is not up yet.
+    """
+
+
 class RangeError(LeewayError):
     """A number out of its range: of which `key`, and the least that is allowed."""
 

@@ -53,6 +53,8 @@ class Authority:
     armed_by_us: bool = False
     disarmed_by_another: bool = False
     disarmed_in_air: bool = False
+    failsafe_flies: bool = False
+    """By the last heartbeat with running motors: a mode that is not ours is no person's then."""
     flies_since_ms: int | None = None
     """From when on this process has flown this flight, on the autopilot's clock; said aloud."""
 
@@ -123,6 +125,7 @@ class Authority:
         """Tell whether somebody disarmed what we had armed; at a landing it disarms by itself."""
         ours = context.phase in (Phase.ARM, *FLIGHT_PHASES)
         if state.armed:
+            self.failsafe_flies = state.failsafe
             self.armed_by_us = self.armed_by_us or ours
             return False
         if self.disarmed_by_another or not self.armed_by_us:

@@ -303,6 +303,11 @@ class Disarming(Protocol):
         """Then it fell."""
         ...
 
+    @property
+    def failsafe_flies(self) -> bool:
+        """The autopilot was last seen flying on a failsafe of its own."""
+        ...
+
 
 class ArmedModes(ModeOrders, Disarming, Protocol):
     """What the ground sequence asks before it arms."""

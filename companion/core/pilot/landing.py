@@ -57,6 +57,8 @@ class LandingState:
     landed_s: float | None = None
     energy_touched_down: EnergyBelief | None = None
     energy_landed: EnergyBelief | None = None
+    landed_by_person: bool = False
+    """A person had taken over, and it came down under that hand."""
 
 
 class Landing:
@@ -133,13 +135,17 @@ class Landing:
             margin_wh = energy.mean_wh - reserve_wh
             where += f", {margin_wh:.1f} Wh above the reserve"
             home = home and margin_wh >= 0.0
-        outcome = {
-            (True, True): "SUC",
-            (True, False): "DEL",
-            (False, True): "ABRT",
-            (False, False): "FAIL",
-        }[self._parcel.delivered, home]
+        outcome = self._outcome(home=home)
         self._finish(context, outcome, where, home=home, margin_wh=margin_wh)
+
+    def _outcome(self, *, home: bool) -> str:
+        """By delivery and home; where a person landed it elsewhere and whole it is no loss."""
+        delivered = self._parcel.delivered
+        if home:
+            return "SUC" if delivered else "ABRT"
+        if self._state.landed_by_person and not self._disarming.disarmed_in_air:
+            return "TAKEN"
+        return "DEL" if delivered else "FAIL"
 
     def _at_home(self, context: FlightContext, plan: FlightPlan) -> tuple[bool, str]:
         """Whether it stands where it was promised, and where it is, in words."""
@@ -194,6 +200,8 @@ class Landing:
             state.landed_s = context.t_s
             # At touch-down: what idles on the ground is no part of the flight.
             state.energy_landed = state.energy_touched_down or context.estimates.energy
+            taken = context.phase is Phase.SUSPENDED
+            state.landed_by_person = taken and not self._disarming.failsafe_flies
             context.decide("landed", "on the ground")
             if self._settings.settings_before:
                 self._put_settings_back(context)

@@ -21,6 +21,7 @@ from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
     IN_FORCE,
+    TAKEN,
     AssignmentRow,
     AssignmentState,
     CommandRow,
@@ -131,9 +132,12 @@ def end_assignment(
     delivered: bool,
     why: str,
     *,
-    unproven: bool = False,
+    elsewhere: bool = False,
 ) -> None:
-    """An assignment is over: its order changes state, and its unanswered commands are void."""
+    """An assignment is over: its order changes state, and its unanswered commands are void.
+
+    `elsewhere`: the parcel is not known to be home.
+    """
     db.execute(
         sa.update(t.assignments)
         .where(t.assignments.c.id == row.id)
@@ -150,7 +154,7 @@ def end_assignment(
     attempts = db.execute(
         sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
     ).scalar_one()
-    order = order_after(state, delivered, attempts, unproven)
+    order = order_after(state, delivered, attempts, elsewhere)
     db.execute(
         sa.update(t.orders).where(t.orders.c.id == row.order_id).values(state=order.value, why=why)
     )
@@ -165,7 +169,11 @@ def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
     state = ends_as(event.outcome or "FAIL", delivered, bool(event.home))
     unproven = bool(event.drop_unproven)
     why = f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
-    end_assignment(db, now_us, row, state, delivered, why, unproven=unproven)
+    taken = event.outcome == TAKEN
+    end_assignment(db, now_us, row, state, delivered, why, elsewhere=unproven or taken)
+    if taken:  # the truck waits for it nowhere: whoever landed it has it
+        here = t.sorties.c.assignment == row.id
+        db.execute(sa.update(t.sorties).where(here).values(away=True))
 
 
 def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:

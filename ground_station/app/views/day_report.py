@@ -12,7 +12,7 @@ from rich.text import Text
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.schema.orders import OrderState
+from ground_station.core.schema.orders import TAKEN, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 
@@ -29,7 +29,8 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "assignments": dict(Counter(row.state.value for row in assignments)),
         "outcomes": dict(Counter(e.outcome for e in outcomes if e.outcome)),
         "deliveries_by_vehicle": dict(Counter(e.vehicle for e in outcomes if e.delivered)),
-        "vehicles_not_home": sorted(e.vehicle for e in outcomes if e.home is False),
+        "vehicles_not_home": sorted(e.vehicle for e in outcomes if _is_lost(e)),
+        "vehicles_taken_over": sorted(e.vehicle for e in outcomes if e.outcome == TAKEN),
         "margin_wh_mean": fmean(margins) if margins else None,
         "margin_wh_min": min(margins, default=None),
         "p_home_decided_min": min(p_home, default=None),
@@ -92,10 +93,15 @@ def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
         found[name] = {
             "ended": len(mine),
             "delivered": sum(bool(event.delivered) for event in mine),
-            "not_home": sum(event.home is False for event in mine),
+            "not_home": sum(map(_is_lost, mine)),
             "margin_wh_min": min(margins, default=None),
         }
     return found
+
+
+def _is_lost(event: FleetEvent) -> bool:
+    """Not home; one that a person has landed is counted apart."""
+    return event.home is False and event.outcome != TAKEN
 
 
 def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:

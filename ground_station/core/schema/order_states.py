@@ -12,8 +12,8 @@ class Service(Enum):
 
 
 class OrderState(Enum):
-    """`stuck` waits for a person: too many attempts, its vehicle was lost, or nothing proved the
-    drop.
+    """`stuck` waits for a person: too many attempts, its vehicle was lost or landed by a person
+    elsewhere, or nothing proved the drop.
     """
 
     OPEN = "open"

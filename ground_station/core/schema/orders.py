@@ -79,6 +79,9 @@ IN_FORCE = (
     AssignmentState.WITHDRAWING,
 )
 
+TAKEN = "TAKEN"
+"""The outcome of a flight that a person took over and landed elsewhere."""
+
 ATTEMPTS = 3
 """Flights that an order gets before a person has to look at it."""
 
@@ -125,23 +128,27 @@ def assignment_id(order: str, attempt: int) -> str:
 
 
 def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
-    """How an assignment ends, by the outcome of its flight (docs/reference/outcomes.md)."""
-    if outcome in ("DEL", "FAIL") or not home:
+    """How an assignment ends, by the outcome of its flight (docs/reference/outcomes.md).
+
+    A drone that a person has taken over and landed is no loss: that person has it.
+    """
+    if outcome != TAKEN and (outcome in ("DEL", "FAIL") or not home):
         return AssignmentState.LOST
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
 
 
 def order_after(
-    state: AssignmentState, delivered: bool, attempts: int, unproven: bool = False
+    state: AssignmentState, delivered: bool, attempts: int, elsewhere: bool = False
 ) -> OrderState:
     """The state of an order when its assignment has ended.
 
-    A parcel aboard a lost vehicle, or one that may have been dropped (`unproven`), is not sent
-    again by itself: a person looks, and decides.
+    A parcel aboard a lost vehicle, or one that is not known to be home (`elsewhere`: it may have
+    been dropped, or lies where a person landed it), is not sent again by itself: a person looks,
+    and decides.
     """
     if delivered or state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED
-    if state is AssignmentState.LOST or unproven:
+    if state is AssignmentState.LOST or elsewhere:
         return OrderState.STUCK
     if state is AssignmentState.WITHDRAWN:
         return OrderState.OPEN

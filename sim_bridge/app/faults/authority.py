@@ -17,6 +17,7 @@ from sim_bridge.app.faults.verdict import (
     comes_home,
     delivers,
     hands_off,
+    is_taken,
     notes,
     promises_nothing_false,
     stays_disarmed,
@@ -63,6 +64,27 @@ def acks_lost(stage: Stage) -> Iterator[None]:
     yield from stage.wait(stage.rng.uniform(1.0, 6.0))
     stage.craft.pilot_takes_over()
     stage.taken_over(TOLD_PILOT_S)
+
+
+def pilot_lands(stage: Stage) -> Iterator[None]:
+    """The pilot takes over, and lands it where it is; ArduPilot's switch is set up for LOITER."""
+    if stage.craft.autopilot_kind == "ardupilot":
+        Station(stage).set_parameter("FLTMODE6", LOITER)
+    yield from stage.reached()
+    stage.craft.pilot_takes_over()
+    stage.taken_over(TOLD_PILOT_S)
+    yield from stage.wait(LOOKS_S)
+    stage.craft.pilot_moves(throttle_us=THROTTLE_DOWN)
+    yield from stage.until(lambda: stage.craft.record.landed_s is not None)
+    stage.craft.pilot_moves(throttle_us=THROTTLE_OFF)
+
+
+LOITER = 5.0
+LOOKS_S = 3.0
+"""With the sticks moved, before the pilot brings it down."""
+
+THROTTLE_DOWN, THROTTLE_OFF = 1300, 1100
+"""Down at half of what a pilot may ask for, then off, on the ground."""
 
 
 def false_disarmed(stage: Stage) -> Iterator[None]:
@@ -218,6 +240,15 @@ CASES = (
         (hands_off,),
         (*FLYING, "land"),
         ends_after_s=15.0,
+    ),
+    FaultCase(
+        2,
+        "pilot-lands",
+        GROUP,
+        "the pilot takes over and lands it where it is: no loss, and said so by the companion too",
+        pilot_lands,
+        (hands_off, tells("hands off"), is_taken),
+        ("outbound", "drop", "return"),  # in the climb it is at home
     ),
     *(
         FaultCase(

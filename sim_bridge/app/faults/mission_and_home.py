@@ -106,6 +106,21 @@ def progress_late(stage: Stage) -> Iterator[None]:
     stage.tap.hold_back_s["MISSION_CURRENT"] = 2.0
 
 
+def setting_changed(**settings: tuple[str, float]) -> Play:
+    """Another station changes a setting, by autopilot: its name and value."""
+
+    def play(stage: Stage) -> Iterator[None]:
+        station = Station(stage)
+        name, value = settings[stage.craft.autopilot_kind]
+        yield from stage.reached()
+        station.set_parameter(name, value)
+        yield
+        if stage.craft.autopilot.params[name] != value:
+            raise ValueError(f"{name} was not taken")
+
+    return play
+
+
 SAFE = (comes_home, promises_nothing_false)
 GROUP = "mission and home"
 
@@ -175,7 +190,18 @@ CASES = (
         cleared,
         (*SAFE, tells("mission")),
         FLYING,
+        ("px4",),
         arguments=RETURNS,
+    ),
+    FaultCase(
+        13,
+        "clear-refused",
+        GROUP,
+        "another station clears the mission: ArduCopter refuses that in the air, nothing changes",
+        cleared,
+        (*SAFE, delivers),
+        FLYING,
+        ("ardupilot",),
     ),
     FaultCase(
         14,
@@ -221,6 +247,30 @@ CASES = (
         home_moved(north_m=3000.0),
         (*SAFE, tells("home")),
         FLYING,
+    ),
+    FaultCase(
+        19,
+        "speed-changed",
+        GROUP,
+        "another station lowers the speed that missions are flown at to 5 m/s",
+        setting_changed(px4=("MPC_XY_VEL_MAX", 5.0), ardupilot=("WPNAV_SPEED", 500.0)),
+        SAFE,
+    ),
+    FaultCase(
+        19,
+        "rtl-height-changed",
+        GROUP,
+        "another station sets the height of RTL to 5 m",
+        setting_changed(px4=("RTL_RETURN_ALT", 5.0), ardupilot=("RTL_ALT", 500.0)),
+        SAFE,
+    ),
+    FaultCase(
+        19,
+        "fence-changed",
+        GROUP,
+        "another station draws the fence in to 200 m: the customer lies beyond it",
+        setting_changed(px4=("GF_MAX_HOR_DIST", 200.0), ardupilot=("FENCE_RADIUS", 200.0)),
+        SAFE,
     ),
     FaultCase(
         20,

@@ -52,14 +52,15 @@ def promises(rows: Sequence[FaultRow]) -> Table:
     """By group: what P(home) was worth at the last decision to go on outward.
 
     The mean of what was said beside the share that came home, their mean square difference (Brier
-    score), and of flights that were promised 0.99 how many came home.
+    score), and of flights that were promised 0.99 how many came home. Left out is what a person has
+    landed.
     """
     columns = ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home")
     title = "P(home) at the last decision to go on, by group"
     table = slim_table(title, ("group", "left"))
     for name in columns:
         table.add_column(name, justify="right")
-    said = [row for row in rows if row.p_home_last_go is not None]
+    said = [row for row in rows if row.p_home_last_go is not None and row.outcome != "TAKEN"]
     for group in dict.fromkeys(row.group for row in said):
         pairs = [(row.p_home_last_go or 0.0, row.home) for row in said if row.group == group]
         p_home, home = np.asarray(pairs, float).T

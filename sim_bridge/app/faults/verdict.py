@@ -94,6 +94,14 @@ def hands_off(flown: FlownFault) -> str | None:
     return f"{sent} commands after the take-over" if sent else None
 
 
+def is_taken(flown: FlownFault) -> str | None:
+    """Down whole where a person landed it, by truth and by the companion's own verdict."""
+    own = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]
+    if flown.row["outcome"] != "TAKEN":
+        return f"by truth {flown.row['outcome']}"
+    return None if own and own[-1].startswith("TAKEN") else f"by the companion {own or 'nothing'}"
+
+
 def stays_disarmed(flown: FlownFault) -> str | None:
     """What a person disarmed stays disarmed."""
     return "armed again" if flown.stage.armed else None
@@ -128,6 +136,6 @@ def notes(what: str) -> Ask:
 def promises_nothing_false(flown: FlownFault) -> str | None:
     """It did not go on with a promise of 0.99 that it then broke."""
     promised = flown.p_home_last_go
-    if promised is None or promised < 0.99 or flown.row["home"]:
+    if promised is None or promised < 0.99 or flown.row["home"] or flown.row["outcome"] == "TAKEN":
         return None
     return f"P(home) {promised:.3f} was said, and it did not come home"

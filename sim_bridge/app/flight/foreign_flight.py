@@ -27,7 +27,8 @@ from sim_bridge.app.flight.report import Shown
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
 
 LOOK_EVERY_S = 0.2  # of the wall's time
-EXIT_USAGE, EXIT_NO_LINK = 2, 4  # the companion's exit codes for a mistake, and for nobody there
+EXIT_USAGE, EXIT_NO_LINK, EXIT_LINK_CLOSED = 2, 4, 6
+"""The companion's exit codes for a mistake, for nobody there, and for a link that did not open."""
 
 Show = Callable[[list[Shown], float], None]
 
@@ -151,7 +152,7 @@ def _watch(guests: list[_Guest], show: Show) -> None:
 def _complain(guest: _Guest) -> None:
     """A mistake in the input, or an empty link, is an error and no flight."""
     code = guest.companion.exit_code
-    if code == EXIT_USAGE:
+    if code in (EXIT_USAGE, EXIT_LINK_CLOSED):
         raise LeewayError(f"companion {guest.number}: {guest.companion.last_words(1)}")
     if code == EXIT_NO_LINK and guest.heard.autopilot_kind is None:
         raise LeewayError(f"--link {guest.link}: no autopilot heard")

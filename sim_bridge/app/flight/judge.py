@@ -29,11 +29,16 @@ class FlightVerdict:
     wind_nees: float | None
 
 
-def outcome_of(*, delivered: bool, home: bool) -> str:
-    """SUC, DEL, FAIL or ABRT (evaluation, section 1)."""
-    if delivered:
-        return "SUC" if home else "DEL"
-    return "ABRT" if home else "FAIL"
+def outcome_of(*, delivered: bool, home: bool, landed_by_person: bool = False) -> str:
+    """SUC, DEL, FAIL, ABRT or TAKEN (docs/reference/outcomes.md).
+
+    `landed_by_person`: whole, where that person chose. At home that changes nothing.
+    """
+    if home:
+        return "SUC" if delivered else "ABRT"
+    if landed_by_person:
+        return "TAKEN"
+    return "DEL" if delivered else "FAIL"
 
 
 def judge(
@@ -52,7 +57,8 @@ def judge(
     here = (float(truth["north_m"][-1]), float(truth["east_m"][-1]))
     at_home = any(math.dist(here, home) <= HOME_RADIUS_M for home in homes_ne_m)
     never_left = record.took_off_s is None
-    home = never_left or (on_ground and at_home and not record.crashed and margin_wh >= 0.0)
+    whole = on_ground and not record.crashed
+    home = never_left or (whole and at_home and margin_wh >= 0.0)
     delivered = (
         record.released_ned_m is not None
         and record.release_height_m is not None
@@ -62,7 +68,9 @@ def judge(
     rmse, nees = wind_errors(truth, record.took_off_s, record.landed_s, wind_estimates)
     end_s = record.landed_s if record.landed_s is not None else float(truth["t_s"][-1])
     return FlightVerdict(
-        outcome=outcome_of(delivered=delivered, home=home),
+        outcome=outcome_of(
+            delivered=delivered, home=home, landed_by_person=whole and record.landed_by_person
+        ),
         delivered=delivered,
         home=home,
         energy_used_wh=float(truth["energy_used_wh"][-1]),

@@ -28,13 +28,16 @@ class TruthRecord:
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
     crashed: bool = False
+    landed_by_person: bool = False
+    """Whose hand it was in when it came down: a pilot's, or another ground station's."""
     took_off_s: float | None = None
     landed_s: float | None = None
     released_ned_m: tuple[float, float, float] | None = None
     release_height_m: float | None = None
 
-    def add(self, truth: Any, ground_up_m: float) -> None:
-        """Append one sample; notes take-off, landing and release as they happen."""
+    def add(self, truth: Any, ground_up_m: float, *, flown_by_person: bool = False) -> None:
+        """Append one sample; notes take-off, landing, crash and release as they happen."""
+        self.crashed = self.crashed or truth.crashed
         n, e, d = truth.pos_ned_m
         wind = truth.wind_to_ned_mps
         vel = truth.vel_ned_mps
@@ -47,6 +50,7 @@ class TruthRecord:
             self.landed_s = None
         elif self.took_off_s is not None and self.landed_s is None:
             self.landed_s = truth.t_s
+            self.landed_by_person = flown_by_person
         self.rows.append(
             (
                 truth.t_s,

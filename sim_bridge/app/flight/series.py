@@ -27,6 +27,8 @@ PROGRAM = Path(__file__).parents[3]
 NOT_SETTINGS = {"autopilot", "seed", "gate", "run_root", "picture", "lockstep_limit_s"}
 """What a row says itself, and what changes no decision."""
 
+OUTCOMES = ("SUC", "DEL", "FAIL", "ABRT", "TAKEN")
+
 Row = dict[str, Any]
 Key = tuple[str, int, bool]
 
@@ -149,7 +151,7 @@ def summary(rows: list[Row]) -> Table:
     table = slim_table(
         "flights by autopilot and gate",
         ("autopilot\ngate", "left"),
-        ("SUC/DEL/\nFAIL/ABRT", "right"),
+        ("SUC/DEL/FAIL/\nABRT/TAKEN", "right"),
         ("\nhome", "right"),
         ("delivered\nof could", "right"),
         ("wind RMSE\nmean, most", "right"),
@@ -167,14 +169,17 @@ def summary(rows: list[Row]) -> Table:
         nees = [row["wind_nees"] for row in group if row["wind_nees"] is not None]
         table.add_row(
             f"{autopilot} {'on' if gate else 'OFF'}",
-            "/".join(str(counts[name]) for name in ("SUC", "DEL", "FAIL", "ABRT")),
-            f"{sum(row['home'] for row in group)} of {len(group)}",
+            "/".join(str(counts[name]) for name in OUTCOMES),
+            f"{sum(row['home'] for row in group)} of {len(group) - counts['TAKEN']}",
             f"{did} of {len(could)}",
             f"{_mean(rmse)}, {max(rmse, default=0.0):.2f}",
             _mean(nees),
             f"{min(row['margin_wh'] for row in group):+.1f}",
         )
-    table.caption = "could: a clairvoyant delivers there and comes home; wind in m/s, margin in Wh"
+    table.caption = (
+        "could: a clairvoyant delivers there and comes home; home: of those that nobody took over"
+        " and landed elsewhere; wind in m/s, margin in Wh"
+    )
     return table
 
 
@@ -183,13 +188,14 @@ def _mean(values: list[float]) -> str:
 
 
 def report(console: Console, rows: list[Row]) -> None:
-    """Print the summary and every flight that did not come home."""
+    """Print the summary and every flight that did not end at home."""
     console.print(summary(rows))
     for row in rows:
         if not row["home"]:
             gate = "" if row["gate"] else " (gate off)"
+            what = "landed by a person" if row["outcome"] == "TAKEN" else "not home"
             console.print(
-                f"not home: {row['autopilot']} seed {row['seed']}{gate}: {row['outcome']},"
+                f"{what}: {row['autopilot']} seed {row['seed']}{gate}: {row['outcome']},"
                 f" {row['margin_wh']:+.1f} Wh, {row['run']}",
                 highlight=False,
             )

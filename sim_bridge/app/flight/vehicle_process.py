@@ -49,6 +49,7 @@ MAV_RESULT_FAILED = 4
 ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
 LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about home; above the depot
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]
+STICK_CENTRED = 1500
 PILOT_CHANNELS = {
     "ardupilot": [*_CENTRED[:4], 1750, *_CENTRED[5:]],  # FLTMODE_CH 5: a switch moved to LOITER
     "px4": [1700, *_CENTRED[1:]],  # the roll stick pushed over: MAN_OVERRIDE_SPD
@@ -99,7 +100,8 @@ class Craft:
             if self.steps % RECORD_EVERY_STEPS == 0:
                 truth = vehicle.truth
                 north, east, _ = truth.pos_ned_m
-                self.record.add(truth, self.terrain.up_m(north, east))
+                up_m = self.terrain.up_m(north, east)
+                self.record.add(truth, up_m, flown_by_person=autopilot.is_flown_by_person)
         for frame in self.operator.frames(self.t_s):
             autopilot.receive(OPERATOR_LINK, frame)
         if self.forger is not None:
@@ -145,6 +147,12 @@ class Craft:
     def pilot_takes_over(self) -> None:
         """The pilot takes the sticks: the mode switch goes to position hold."""
         self.autopilot.set_rc(PILOT_CHANNELS[self.autopilot_kind])
+
+    def pilot_moves(self, throttle_us: int) -> None:
+        """The pilot, who has taken over, holds the sticks like this."""
+        channels = list(PILOT_CHANNELS[self.autopilot_kind])
+        channels[:4] = [STICK_CENTRED, STICK_CENTRED, throttle_us, STICK_CENTRED]
+        self.autopilot.set_rc(channels)
 
     def ground_takes_over(self) -> None:
         """Another ground station orders the vehicle home by mode change."""
@@ -216,14 +224,12 @@ class Craft:
 
     @property
     def finished(self) -> bool:
-        """Down for good and the companion has ended, crashed, or it never left."""
-        if self.record.crashed:
-            return True
+        """Down for good and the companion has ended, or it never left."""
         if self.record.landed_s is not None:
             down_s = self.t_s - self.record.landed_s
-            disarmed = not self.autopilot.is_armed and down_s > SETTLED_S
+            over = self.record.crashed or not self.autopilot.is_armed
             concluded = not self.companion.running or down_s > CONCLUDE_WITHIN_S
-            return (disarmed and concluded) or down_s > STUCK_ARMED_S
+            return (over and concluded and down_s > SETTLED_S) or down_s > STUCK_ARMED_S
         never_left = self.record.took_off_s is None
         return never_left and self.companion.starts > 0 and not self.companion.running
 

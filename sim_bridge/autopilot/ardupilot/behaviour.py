@@ -27,7 +27,7 @@ from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, Severity
 from sim_bridge.autopilot.mavlink.router import ArduPilotRouter
 from sim_bridge.autopilot.mission.items import MissionItem
 from sim_bridge.autopilot.services.commands import CommonCommands, Firmware
-from sim_bridge.autopilot.state import EstimatorTiming
+from sim_bridge.autopilot.state import RADIO, EstimatorTiming
 
 _SWITCH_EDGES_US = (1230, 1360, 1490, 1620, 1749)
 _FIRMWARE = Firmware(
@@ -239,7 +239,7 @@ class ArduPilot:
             return
         problem = self._checks.mode_problem(mode)
         if problem is None:
-            self.commander.set_mode(mode)
+            self.commander.set_mode(mode, RADIO)
         else:
             self._radio.say(Severity.WARNING, f"Mode change to {NAMES[mode]} failed: {problem}")
 
@@ -256,7 +256,8 @@ class ArduPilot:
     def set_mode_message(self, link_id: int, message: Message) -> None:
         """SET_MODE: done or not done, and not acknowledged."""
         if message.base_mode & 1:
-            self._commands.request_mode(message.custom_mode)
+            sender = message.src_system, message.src_component
+            self._commands.request_mode(message.custom_mode, sender)
 
     def mission_set_current(self, link_id: int, seq: int) -> None:
         """MISSION_SET_CURRENT: the answer repeats the number that was asked."""

@@ -89,11 +89,11 @@ class ArduPilotCommands:
         """A navigation command that is only a change of mode."""
         if self._checks.mode_problem(mode) is not None:
             return MavResult.FAILED
-        self._commander.set_mode(mode)
+        self._commander.set_mode(mode, command.sender)
         return MavResult.ACCEPTED
 
-    def request_mode(self, number: int) -> MavResult:
-        """Change the mode by its number, if it exists and can be entered."""
+    def request_mode(self, number: int, by: tuple[int, int]) -> MavResult:
+        """Change the mode by its number, if it exists and can be entered. `by`: who asks."""
         mode = MODES.get(number)
         if mode is None:
             self._radio.say(Severity.WARNING, f"No such mode {number}")
@@ -102,13 +102,13 @@ class ArduPilotCommands:
         if problem is not None:
             self._radio.say(Severity.WARNING, f"Mode change to {NAMES[mode]} failed: {problem}")
             return MavResult.FAILED
-        self._commander.set_mode(mode)
+        self._commander.set_mode(mode, by)
         return MavResult.ACCEPTED
 
     def _do_set_mode(self, command: Command) -> MavResult:
         if not as_int(command.param1, 0) & ModeFlag.CUSTOM:
             return MavResult.DENIED
-        return self.request_mode(as_int(command.param2))
+        return self.request_mode(as_int(command.param2), command.sender)
 
     def _arm_disarm(self, command: Command) -> MavResult:
         state = self._state
@@ -174,7 +174,7 @@ class ArduPilotCommands:
         if state.mode is not Mode.GUIDED:
             if self._checks.mode_problem(Mode.GUIDED) is not None:
                 return MavResult.FAILED
-            self._commander.set_mode(Mode.GUIDED)
+            self._commander.set_mode(Mode.GUIDED, command.sender)
         yaw = math.radians(command.param4) if math.isfinite(command.param4) else None
         self._modes.take_setpoint(Setpoint(state.t_s, place, None, yaw, 0.0))
         return MavResult.ACCEPTED
@@ -208,7 +208,7 @@ class ArduPilotCommands:
         if not self._state.is_armed or self._checks.mode_problem(Mode.AUTO) is not None:
             return MavResult.FAILED
         self._mission.allow_take_off()
-        self._commander.set_mode(Mode.AUTO)
+        self._commander.set_mode(Mode.AUTO, command.sender)
         return MavResult.ACCEPTED
 
     def _reboot(self, command: Command) -> MavResult:

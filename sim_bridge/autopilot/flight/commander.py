@@ -42,10 +42,11 @@ class Commander:
         self._landing = landing
         self._hooks = hooks
 
-    def set_mode(self, mode: Mode) -> None:
-        """Change the mode; whether that is allowed was checked before."""
+    def set_mode(self, mode: Mode, by: tuple[int, int] | None = None) -> None:
+        """Change the mode; whether that is allowed was checked before. `by`: None is itself."""
         if mode is self._state.mode and mode is not Mode.HOLD:
             return
+        self._state.mode_by = by
         self._hooks.leaving(self._state.mode)
         self.enter(mode)
 
@@ -107,6 +108,7 @@ class Commander:
         """A boot on the ground: disarmed, in the initial mode, without a home."""
         state = self._state
         state.mode = mode
+        state.mode_by = None
         state.is_armed = False
         state.has_flown = False
         state.home_is_set = False

@@ -2,7 +2,7 @@
 
 import math
 
-from sim_bridge.autopilot.base.goals import Descend, FlyByHand, FlyLevel, Goal, Idle
+from sim_bridge.autopilot.base.goals import Descend, FlyByHand, FlyLevel, FlyVelocity, Goal, Idle
 from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
 
 _CONFIRM_S = 1.0
@@ -60,6 +60,8 @@ class LandingDetector:
         wants_down = isinstance(goal, Descend | Idle)
         if isinstance(goal, FlyLevel):
             wants_down = goal.climb_mps < -0.05
+        elif isinstance(goal, FlyVelocity):
+            wants_down = goal.vel_ned_mps[2] > 0.05
         elif isinstance(goal, FlyByHand):
             wants_down = goal.thrust_frac < 0.1
         leaning = self._lean_limit_rad is not None and self._lean_rad > self._lean_limit_rad

@@ -27,6 +27,11 @@ class Command:
     param7: float
 
     @property
+    def sender(self) -> tuple[int, int]:
+        """System and component that sent it."""
+        return self.system, self.component
+
+    @property
     def lat_deg(self) -> float:
         """Param 5 as degrees; NaN when not given."""
         return self.param5

@@ -21,7 +21,7 @@ from sim_bridge.autopilot.px4.payload import Px4Payload
 from sim_bridge.autopilot.px4.rules import Px4Rules
 from sim_bridge.autopilot.px4.telemetry import Px4LinkHabits, Px4Telemetry
 from sim_bridge.autopilot.services.commands import CommonCommands, Firmware
-from sim_bridge.autopilot.state import EstimatorTiming
+from sim_bridge.autopilot.state import RADIO, EstimatorTiming
 
 _SWITCH_EDGES_US = (1160, 1320, 1480, 1640, 1800)
 _STICK_PERIOD_S = 0.1
@@ -229,7 +229,7 @@ class Px4:
             self._switch = slot
             mode = SWITCH_MODES.get(int(params[f"COM_FLTMODE{slot + 1}"]))
             if mode is not None:
-                self._commands.request_mode(mode)
+                self._commands.request_mode(mode, RADIO)
         if state.is_armed and not state.is_landed:
             self._follow_sticks()
         else:
@@ -256,7 +256,7 @@ class Px4:
         least_per_s = state.params["MAN_OVERRIDE_SPD"]
         if least_per_s >= 0.0 and moved > least_per_s * _STICK_PERIOD_S:
             self._failsafe.user_took_over()
-            self.commander.set_mode(Mode.LOITER if state.has_position else Mode.ALT_HOLD)
+            self.commander.set_mode(Mode.LOITER if state.has_position else Mode.ALT_HOLD, RADIO)
             self._radio.say(Severity.INFO, "Pilot took over using sticks")
 
     # --- messages -----------------------------------------------------------------------------
@@ -273,7 +273,8 @@ class Px4:
         """SET_MODE becomes DO_SET_MODE, and is acknowledged as such."""
         result = MavResult.DENIED
         if message.base_mode & 1:
-            result = self._commands.request_mode(mode_of(message.custom_mode))
+            sender = message.src_system, message.src_component
+            result = self._commands.request_mode(mode_of(message.custom_mode), sender)
         self._radio.send(
             link_id,
             "COMMAND_ACK",

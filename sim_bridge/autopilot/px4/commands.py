@@ -80,10 +80,10 @@ class Px4Commands:
 
     def _change_mode(self, mode: Mode, command: Command) -> MavResult:
         """A navigation command that is only a change of mode."""
-        return self.request_mode(mode)
+        return self.request_mode(mode, command.sender)
 
-    def request_mode(self, mode: Mode | None) -> MavResult:
-        """Disarmed, any mode is accepted; armed, only one that can run."""
+    def request_mode(self, mode: Mode | None, by: tuple[int, int]) -> MavResult:
+        """Disarmed, any mode is accepted; armed, only one that can run. `by`: who asks."""
         if mode is None:
             return MavResult.TEMPORARILY_REJECTED
         if self._state.is_armed and not self._checks.can_run(mode):
@@ -92,7 +92,7 @@ class Px4Commands:
             )
             return MavResult.TEMPORARILY_REJECTED
         self._failsafe.user_took_over()
-        self._commander.set_mode(mode)
+        self._commander.set_mode(mode, by)
         return MavResult.ACCEPTED
 
     def try_to_arm(self, *, force: bool) -> MavResult:
@@ -123,11 +123,11 @@ class Px4Commands:
             return MavResult.TEMPORARILY_REJECTED
         pair = (as_int(command.param2), as_int(command.param3, 0))
         mode = MODES.get(pair if pair[0] == 4 else (pair[0], 0))
-        return self.request_mode(mode)
+        return self.request_mode(mode, command.sender)
 
     def _takeoff(self, command: Command) -> MavResult:
         """Altitude AMSL, whatever the frame; disarmed it is accepted too, and arming starts it."""
-        result = self.request_mode(Mode.TAKEOFF)
+        result = self.request_mode(Mode.TAKEOFF, command.sender)
         if result is MavResult.ACCEPTED:
             self._modes.take_off_to(command.param7)
         return result
@@ -137,7 +137,7 @@ class Px4Commands:
         state = self._state
         if not as_int(command.param2, 0) & 1:  # not told to change the mode: Commander.cpp
             return MavResult.DENIED
-        if self.request_mode(Mode.HOLD) is not MavResult.ACCEPTED:
+        if self.request_mode(Mode.HOLD, command.sender) is not MavResult.ACCEPTED:
             return MavResult.DENIED
         if not state.is_armed:
             self._radio.say(Severity.WARNING, "Reposition is ignored while disarmed")
@@ -164,7 +164,7 @@ class Px4Commands:
         """Switches to the mission and arms."""
         if not self._mission.is_valid:
             return MavResult.DENIED
-        result = self.request_mode(Mode.AUTO)
+        result = self.request_mode(Mode.AUTO, command.sender)
         return self.try_to_arm(force=False) if result is MavResult.ACCEPTED else result
 
     def _reboot(self, command: Command) -> MavResult:

@@ -1,14 +1,20 @@
 """`companion` on the command line: quick to say what it can do, clear about mistakes."""
 
+import os
+import socket
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from companion.adapters.autopilots import link
 from companion.adapters.files.params import flight_path, params_dir
 from companion.app.cli.main import app
+from companion.app.flight.run import LINK_CLOSED
 from companion.core.base.errors import LeewayError
 
 HEAVY = ("numpy", "scipy", "networkx", "msgspec", "pymavlink", "mcap", "zenoh", "matplotlib")
@@ -59,3 +65,56 @@ def test_an_unknown_flight_is_one_line_and_exit_code_2(command: str) -> None:
     assert done.exit_code == 2
     assert len(done.stderr.splitlines()) == 1
     assert "default, faults, recorded, truck_stop" in done.stderr
+
+
+@contextmanager
+def udp_port_held() -> Iterator[str]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        yield f"udpin:127.0.0.1:{holder.getsockname()[1]}"
+
+
+@contextmanager
+def server_not_up_yet() -> Iterator[str]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    yield f"tcp:127.0.0.1:{port}"
+
+
+@contextmanager
+def serial_port_held() -> Iterator[str]:
+    master, slave = os.openpty()
+    holder = link.open_link(url := f"serial:{os.ttyname(slave)}:57600")
+    try:
+        yield url
+    finally:
+        holder.close()
+        os.close(slave)
+        os.close(master)
+
+
+@pytest.mark.parametrize("closed", [udp_port_held, server_not_up_yet, serial_port_held])
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_link_that_does_not_open_now_ends_with_a_code_that_a_service_tries_again(
+    command: str, closed: Callable[[], AbstractContextManager[str]], tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(link, "FIRST_CALL_S", 0.0)
+    with closed() as url:
+        words = [command, "--link", url, "--mission", "default", "--run-dir", str(tmp_path / "run")]
+        done = CliRunner().invoke(app, words)
+    assert done.exit_code == LINK_CLOSED
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("companion: link ")
+
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+
+
+@pytest.mark.parametrize("unit", ["leeway-companion.service", "leeway-companion-fleet.service"])
+def test_the_services_try_a_link_that_did_not_open_again(unit: str) -> None:
+    lines = (DEPLOY / unit).read_text().splitlines()
+    settings = dict(line.split("=", 1) for line in lines if "=" in line and line[0] != "#")
+    assert settings["Restart"] == "on-failure"
+    for key in ("RestartPreventExitStatus", "SuccessExitStatus"):
+        assert str(LINK_CLOSED) not in settings[key].split()
+    assert "2" in settings["RestartPreventExitStatus"].split()

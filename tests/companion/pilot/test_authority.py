@@ -179,6 +179,49 @@ def test_safety_rule_1_disarmed_in_the_air_it_lets_go_says_where_and_sets_nothin
     assert w.values["LOW_ACT"] == 2.0
 
 
+# --- landed by another hand ----------------------------------------------------------------------
+
+
+def flown_down_by(w: World, *, failsafe: bool = False) -> None:
+    """Another hand, or the autopilot's failsafe, brings it straight down and it disarms."""
+    w.mute = {ev.VehicleState}
+
+    def fly(dt_s: float) -> None:
+        w.mode = Mode.OTHER
+        w.velocity = (0.0, 0.0, 1.0 if w.height > 0.0 else 0.0)
+        w.height = max(0.0, w.height - dt_s)
+        w.armed = w.height > 0.0
+        w.tell(ev.VehicleState(w.t_s, Mode.OTHER, "other", w.armed, failsafe=failsafe and w.armed))
+
+    w.fly = fly
+
+
+@pytest.mark.parametrize("phase", [Phase.OUTBOUND, Phase.RETURN])
+def test_landed_elsewhere_by_a_person_it_is_taken_and_neither_lost_nor_home(phase):
+    w = world().until(phase)
+    w.run(lambda w: w.north > 60.0)
+    flown_down_by(w)
+    done = w.to_the_end()
+    assert (done.outcome, done.home) == ("TAKEN", False)
+    assert done.delivered is (phase is Phase.RETURN)
+
+
+def test_landed_elsewhere_by_a_failsafe_it_is_lost():
+    w = world().until(Phase.OUTBOUND)
+    w.run(lambda w: w.north > 60.0)
+    flown_down_by(w, failsafe=True)
+    done = w.to_the_end()
+    assert (done.outcome, done.home) == ("FAIL", False)
+
+
+def test_landed_at_home_by_a_person_with_the_parcel_delivered_it_is_a_success():
+    w = world().until(Phase.RETURN)
+    w.run(lambda w: abs(w.north) < 5.0)
+    flown_down_by(w)
+    done = w.to_the_end()
+    assert (done.outcome, done.home) == ("SUC", True)
+
+
 def high(w: World) -> None:
     w.height = 12.0
 

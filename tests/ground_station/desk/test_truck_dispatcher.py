@@ -23,7 +23,7 @@ from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
-from ground_station.core.schema.orders import OrderState
+from ground_station.core.schema.orders import AssignmentState, OrderState
 from tests.ground_station.hand_made_day import PLAN, by_truck
 from tests.ground_station.truck_world import World, WorldClock
 
@@ -174,6 +174,18 @@ def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows what became of it
     assert set(states.values()) == {OrderState.DELIVERED}
     assert told.world.on_truck == {"d2"}
+
+
+def test_a_drone_that_a_pilot_lands_elsewhere_holds_the_truck_up_nowhere(day):
+    told = day(6)
+    told.world.drones["d1"].mood = "landed by a pilot"
+    told.run()
+    states = told.states()
+    assert states.pop("H-101") is OrderState.STUCK  # its parcel is with the pilot
+    assert set(states.values()) == {OrderState.DELIVERED}
+    assert told.world.on_truck == {"d2"}
+    ends = {row.id: row.state for row in told.desk.store.assignments() if row.vehicle == "d1"}
+    assert ends == {"H-101.1": AssignmentState.RETURNED}
 
 
 @pytest.mark.parametrize("mood", ["drops unseen", "holds on"])

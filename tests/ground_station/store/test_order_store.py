@@ -15,6 +15,7 @@ from companion.fleet.messages import Answered, EventKind, FleetEvent, Launch, Re
 from ground_station.adapters.store.database import Database, StoreError
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli import order as order_cli
+from ground_station.app.views.day_report import report_of
 from ground_station.core.schema.orders import ATTEMPTS, AssignmentState, Order, OrderState
 
 FLIGHT = {"format": "flight/1"}
@@ -138,6 +139,7 @@ def test_a_delivery_from_order_to_outcome_and_every_step_counts_once(store_url):
         ("DEL", OrderState.DELIVERED, AssignmentState.LOST),
         ("FAIL", OrderState.STUCK, AssignmentState.LOST),
         ("ABRT", OrderState.OPEN, AssignmentState.RETURNED),
+        ("TAKEN", OrderState.STUCK, AssignmentState.RETURNED),  # the parcel lies with a person
     ],
 )
 def test_what_an_outcome_makes_of_the_order(tmp_path, outcome, order, assignment):
@@ -146,6 +148,16 @@ def test_what_an_outcome_makes_of_the_order(tmp_path, outcome, order, assignment
         store.take_events([an_outcome(flown(store), outcome)])
         assert states(store)["o1"] is order
         assert store.assignments()[0].state is assignment
+
+
+def test_what_a_person_landed_after_the_delivery_is_delivered_and_not_lost(tmp_path):
+    with opened(f"sqlite:///{tmp_path}/d.db") as store:
+        store.add_orders([an_order("o1")])
+        store.take_events([an_outcome(flown(store), "TAKEN", delivered=True)])
+        assert states(store)["o1"] is OrderState.DELIVERED
+        assert store.assignments()[0].state is AssignmentState.DELIVERED
+        figures = report_of(store)
+        assert (figures["vehicles_not_home"], figures["vehicles_taken_over"]) == ([], ["d1"])
 
 
 def test_an_order_that_was_perhaps_dropped_is_not_dispatched_before_somebody_has_looked(tmp_path):

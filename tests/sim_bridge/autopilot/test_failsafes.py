@@ -15,6 +15,7 @@ from sim_bridge.autopilot.mavlink.message_table import SPECS
 
 AP, PX4 = AutopilotKind.ARDUPILOT, AutopilotKind.PX4
 BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
+RTL = {AP: 6, PX4: 4 << 16 | 5 << 24}
 ACCEPTED = 0
 DENIED = 2
 FAILED = 4
@@ -92,6 +93,35 @@ def test_a_pilots_mode_switch_takes_ardupilot_over(airborne):
     assert rig.ap.mode is Mode.LOITER
     rig.step(12.0)
     assert rig.speed_mps < 0.8
+
+
+COMPANION = (1, 191)
+
+
+def test_a_mode_is_a_persons_by_radio_or_by_another_systems_order_and_no_failsafes(airborne):
+    for kind in (AP, PX4):
+        rig = airborne(kind)
+        assert rig.set_mode(Mode.HOLD if kind is PX4 else Mode.LOITER) == ACCEPTED
+        assert rig.ap.is_flown_by_person
+        rig.ap.behaviour.commander.set_mode(Mode.LAND)  # as its failsafes do
+        assert not rig.ap.is_flown_by_person
+        rig.send("SET_MODE", sender=COMPANION, target_system=1, base_mode=1, custom_mode=RTL[kind])
+        assert rig.ap.mode is Mode.RTL
+        assert not rig.ap.is_flown_by_person
+
+
+def test_a_mode_is_a_persons_by_the_switch_and_by_the_sticks(airborne):
+    switched = out_on_a_mission(airborne(AP, {"FLTMODE1": 3, "FLTMODE6": 5}))
+    moved = out_on_a_mission(airborne(PX4))
+    for rig, taken in ((switched, channels(switch=1900)), (moved, channels(roll=1750))):
+        rig.ap.set_rc(channels())
+        rig.step(1.0)
+        rig.ap.behaviour.commander.set_mode(Mode.RTL)
+        assert not rig.ap.is_flown_by_person
+        rig.ap.set_rc(taken)
+        rig.step(1.0)
+        assert rig.ap.mode is Mode.LOITER
+        assert rig.ap.is_flown_by_person
 
 
 def test_a_mode_switch_that_does_not_move_changes_nothing(airborne):

@@ -11,6 +11,7 @@ from sim_bridge.app.faults.verdict import (
     delivers,
     fault_began,
     hands_off,
+    is_taken,
     promises_nothing_false,
     raises_nothing,
     stays_disarmed,
@@ -65,6 +66,19 @@ def test_hands_off_is_not_shown_by_a_flight_that_nobody_took_over():
 
 def test_a_promise_under_99_percent_is_not_a_false_one():
     assert promises_nothing_false(flown(promised=0.9, **LOST)) is None
+
+
+def finished(reason: str) -> list[dict[str, str | float]]:
+    return [{"kind": "go", "p_home": 0.995}, {"kind": "finished", "reason": reason}]
+
+
+def test_what_a_person_landed_is_no_broken_promise_where_companion_and_truth_say_so():
+    taken = {"home": False, "outcome": "TAKEN"}
+    own = flown(**taken, decisions=finished("TAKEN: 90 m from depot"))
+    assert is_taken(own) is None
+    assert promises_nothing_false(own) is None
+    assert is_taken(flown(**taken, decisions=finished("FAIL: 90 m from depot")))
+    assert is_taken(flown(**LOST))
 
 
 def test_words_before_the_fault_and_too_late_are_not_heard():

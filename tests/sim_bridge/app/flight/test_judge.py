@@ -16,6 +16,7 @@ class Sample:
     airborne: bool
     parcel_aboard: bool
     usable_wh: float
+    crashed: bool = False
     energy_used_wh: float = 0.0
     power_w: float = 400.0
     vel_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -23,13 +24,20 @@ class Sample:
 
 
 def flown(
-    *, end=(0.0, 0.0, 0.0), drop=(100.0, 0.0, -5.0), end_usable_wh=20.0, lands=True, drops=True
+    *,
+    end=(0.0, 0.0, 0.0),
+    drop=(100.0, 0.0, -5.0),
+    end_usable_wh=20.0,
+    lands=True,
+    drops=True,
+    person=False,
 ) -> TruthRecord:
     record = TruthRecord()
     record.add(Sample(0.0, (0.0, 0.0, 0.0), False, True, 100.0), 0.0)
     record.add(Sample(1.0, (0.0, 0.0, -3.0), True, True, 99.0), 0.0)
     record.add(Sample(50.0, drop, True, not drops, 60.0), 0.0)
-    record.add(Sample(99.0, end, not lands, not drops, end_usable_wh), 0.0)
+    last = Sample(99.0, end, not lands, not drops, end_usable_wh)
+    record.add(last, 0.0, flown_by_person=person)
     return record
 
 
@@ -54,6 +62,11 @@ def verdict_of(record: TruthRecord, reserve_wh=15.0):
         ({"lands": False}, "DEL"),
         ({"drops": False}, "ABRT"),
         ({"drops": False, "end": (300.0, 0.0, 0.0)}, "FAIL"),
+        ({"person": True, "end": (30.0, 0.0, 0.0)}, "TAKEN"),
+        ({"person": True, "end": (300.0, 0.0, 0.0), "drops": False}, "TAKEN"),
+        ({"person": True}, "SUC"),  # at home a person changes nothing
+        ({"person": True, "drops": False}, "ABRT"),
+        ({"person": True, "lands": False}, "DEL"),  # taken over, and not down
         ({"drop": (130.0, 0.0, -5.0)}, "ABRT"),  # dropped in the wrong garden
         ({"drop": (100.0, 0.0, -30.0)}, "ABRT"),  # dropped from cruise height
     ],
@@ -64,7 +77,14 @@ def test_each_flight_ends_in_exactly_one_outcome(case, outcome):
 
 def test_a_crash_at_home_is_not_home():
     record = flown()
-    record.crashed = True
+    record.add(Sample(100.0, (0.0, 0.0, 0.0), False, False, 20.0, crashed=True), 0.0)
+    record.add(Sample(101.0, (0.0, 0.0, 0.0), False, False, 20.0), 0.0)
+    assert verdict_of(record).outcome == "DEL"
+
+
+def test_a_crash_in_a_persons_hands_is_a_loss():
+    record = flown(person=True, end=(30.0, 0.0, 0.0))
+    record.add(Sample(100.0, (30.0, 0.0, 0.0), False, False, 20.0, crashed=True), 0.0)
     assert verdict_of(record).outcome == "DEL"
 
 
@@ -79,6 +99,13 @@ def test_a_vehicle_that_never_left_is_home_and_aborted():
     assert verdict_of(record).outcome == "ABRT"
     assert verdict_of(record, reserve_wh=150.0).outcome == "ABRT"  # however empty its pack is
     assert verdict_of(record).flight_time_s == 0.0
+
+
+def test_who_takes_off_again_is_judged_by_the_last_landing():
+    record = flown(person=True, end=(30.0, 0.0, 0.0))
+    record.add(Sample(120.0, (30.0, 0.0, -9.0), True, False, 19.0), 0.0)
+    record.add(Sample(150.0, (60.0, 0.0, 0.0), False, False, 18.0), 0.0)
+    assert verdict_of(record).outcome == "DEL"
 
 
 def test_the_four_outcomes_follow_the_definition():
