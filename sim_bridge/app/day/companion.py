@@ -87,6 +87,7 @@ class SteppedCompanion:
         self.port.close()  # its liveliness token ends with the process
         if self._run is not None:
             self._run.recorder.close()
+            self._run.lock.release()
 
     def stop(self) -> None:
         """Orderly shutdown: records are closed."""
