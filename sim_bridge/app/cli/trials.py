@@ -205,9 +205,10 @@ def days(
     from itertools import islice
 
     from sim_bridge.app.trials import days as trial
+    from sim_bridge.app.trials.day_case import DayCase
     from sim_bridge.app.trials.trial import read_case, tried
 
-    again = [read_case(path, trial.DayCase) for path in case or []]
+    again = [read_case(path, DayCase) for path in case or []]
     cases = again or islice(trial.cases_of(seed), count)
     rows = tried(cases, trial.DayFlyer(runs), _bounds(jobs, minutes))
     total = len(again) or count

@@ -1,5 +1,6 @@
 """Each rule of a day finds what breaks it in a made-up row, and nothing where all holds."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.files.day_files import read_day
 from sim_bridge.app.day.build import with_front
-from sim_bridge.app.trials import days
+from sim_bridge.app.trials import day_case, days
 from sim_bridge.app.trials.trial import TrialRow
 from sim_bridge.truth.wind_field import RampedWind
 from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, mean_wind
@@ -99,19 +100,19 @@ def test_safety_rule_4_energy_that_rises_in_flight_stops_the_day():
 
 
 def test_the_same_seed_draws_the_same_day_of_orders_that_its_site_has():
-    assert days.drawn(1, 7) == days.drawn(1, 7) != days.drawn(2, 7)
+    assert day_case.drawn(1, 7) == day_case.drawn(1, 7) != day_case.drawn(2, 7)
     for number in range(20):
-        case = days.drawn(5, number)
-        known = {order.id for order in read_day(days.path_of(case.site)).orders}
-        assert 1 <= len(case.autopilots) <= days.MOST_VEHICLES
+        case = day_case.drawn(5, number)
+        known = {order.id for order in read_day(day_case.path_of(case.site)).orders}
+        assert 1 <= len(case.autopilots) <= day_case.MOST_VEHICLES
         assert set(case.orders) <= known
-        data = days.data_of(case)
+        data = day_case.data_of(case)
         assert {order.id for order in data.orders} == set(case.orders)
         assert len(data.day.drones) == len(case.autopilots)
 
 
 def test_a_trial_ends_once_its_vehicle_hours_are_flown():
-    case = days.drawn(1, 0)
+    case = day_case.drawn(1, 0)
     row = TrialRow(name="a", held=True, why="", told={"vehicle_h": 0.5}, case=case)
     assert len(list(days.until_hours([row] * 9, 1.2))) == 3
     assert len(list(days.until_hours([row] * 9, None))) == 9
@@ -122,7 +123,7 @@ def test_a_front_adds_one_wind_to_another_within_two_minutes_and_nothing_before(
         points=[WindPoint(t_s=t, speed_mps=4.0, from_deg=90.0) for t in (0.0, 1000.0)]
     )
     front = with_front(calm, 3.0, np.random.default_rng(3), 1000.0)
-    before, after = mean_wind(calm, days.Path()), mean_wind(front, days.Path())
+    before, after = mean_wind(calm, Path()), mean_wind(front, Path())
     assert isinstance(after, RampedWind)
     assert after.to_ne_mps(100.0) == pytest.approx(before.to_ne_mps(100.0))
     change = np.subtract(after.to_ne_mps(1000.0), before.to_ne_mps(1000.0))
