@@ -4,11 +4,13 @@ A guard is taken out by a patch of this test's: in the companion's process befor
 or in this one where the trial steps the flight code itself.
 """
 
+import msgspec
 import pytest
 
 from companion.app.flight.hearing import Hearing
+from companion.app.flight.loop import Loop, mavlink
 from sim_bridge.app.flight import companion_process
-from sim_bridge.app.trials import fuzz, logs, soak, stall
+from sim_bridge.app.trials import day_case, days, fuzz, logs, soak, stall
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(900)]
 
@@ -92,3 +94,33 @@ def test_ten_minutes_of_standby_and_flights_leave_no_more_in_memory(tmp_path):
     row = soak.attempt(case, tmp_path / case.name)
     assert row.held, row.why
     assert row.told["flights"] >= 3
+
+
+@pytest.mark.drawn(keep=1)
+@pytest.mark.parametrize("number", range(12))
+def test_a_small_day_under_drawn_faults_keeps_every_rule(tmp_path, number):
+    drawn = day_case.drawn(0, number, most_vehicles=2, most_orders_each=1)
+    case = msgspec.structs.replace(drawn, drones_only=True)
+    assert not broken([days.attempt(case, tmp_path / case.name)])
+
+
+TAKEN = day_case.DayCase(
+    seed=1, site="harbour", autopilots=BOTH, orders=("H-102", "H-107"), drones_only=True,
+    forecast_mps=3.0, forecast_from_deg=80.0, front_mps=0.0, charge_frac=0.97, temperature_c=15.0,
+    loss=0.0, network_cuts=0, companion_kills=0, ground_kills=0, take_overs=1, truck_late_s=0.0,
+    searches=50,
+)  # fmt: skip
+"""A person takes over one drone; nothing else is wrong."""
+
+
+def test_safety_rule_1_without_its_guard_a_day_stops_at_the_first_command(tmp_path, monkeypatch):
+    beat = Loop._heartbeat
+
+    def jumps_too(self) -> None:
+        beat(self)
+        if self.pilot.phase.value == "suspended":
+            self.send_order(mavlink.MAVLink_mission_set_current_message(1, 1, 1))
+
+    monkeypatch.setattr(Loop, "_heartbeat", jumps_too)
+    row = days.attempt(TAKEN, tmp_path / TAKEN.name)
+    assert "after the take-over" in row.why

@@ -54,6 +54,15 @@ with an anemometer at the depot has it."""
 KILLED_WITHIN = (0.1, 0.7)
 """Kill times as fractions of the planned duration, while something is running."""
 
+CUT_S = (15.0, 180.0)
+"""How long the fleet's network is cut: from a passing shadow to some minutes. Shorter gaps are what
+`loss` is for; liveliness ends after 10 s."""
+
+FRONT_WITHIN = (0.2, 0.6)
+FRONT_TAKES_S = 120.0
+"""A front comes within this share of the wind's time, and the mean wind changes over two minutes:
+a vehicle that is out meets it in flight."""
+
 WIND_EVERY_S = 300.0
 WANDER_FRAC = 0.5
 """Synthetic wind: its mean differs from the forecast by the forecast's std. Every five minutes a
@@ -70,6 +79,10 @@ class DayWish:
     companion_kills: int = 0
     ground_kills: int = 0
     truck_late_s: float = 0.0
+    network_cuts: int = 0
+    take_overs: int = 0
+    front_mps: float = 0.0
+    autopilots: tuple[str, ...] = AUTOPILOTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +104,18 @@ class Faults:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     ground_kills_s: list[float] = field(default_factory=list)
     companion_kills_s: list[float] = field(default_factory=list)
+    network_cuts: list[tuple[float, float]] = field(default_factory=list)
+    """When the fleet's network is cut, and for how long (s)."""
+    take_overs: list[float] = field(default_factory=list)
+    network_cuts_s: list[tuple[float, float]] = field(default_factory=list)
+    take_overs_s: list[float] = field(default_factory=list)
 
     def spread_over(self, makespan_s: float) -> None:
         """Convert the fractions to times, once the planned duration is known."""
         self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
         self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
+        self.network_cuts_s = [(share * makespan_s, for_s) for share, for_s in self.network_cuts]
+        self.take_overs_s = [share * makespan_s for share in self.take_overs]
 
 
 class Network(Protocol):
@@ -158,6 +178,8 @@ def day_wind(data: DayData, wish: DayWish, rng: np.random.Generator, need_s: flo
     except (TruthError, OSError, msgspec.DecodeError) as error:
         raise LeewayError(f"wind: {error}") from error
     params = _made(forecast, rng, need_s)
+    if wish.front_mps > 0.0:
+        params = with_front(params, wish.front_mps, rng, need_s)
     return DayWind(params, mean_wind(params, Path()), forecast)
 
 
@@ -187,18 +209,41 @@ def _persisting(log: WindLog, start_s: float, forecast: Forecast) -> Forecast:
 def _made(forecast: Forecast, rng: np.random.Generator, need_s: float) -> RampedWindParams:
     mean = np.asarray(forecast.to_ne_mps) + rng.normal(0.0, forecast.std_mps, 2) / math.sqrt(2.0)
     off = np.zeros(2)
+    winds: list[np.ndarray] = []
+    for _ in range(math.ceil(need_s / WIND_EVERY_S) + 1):
+        winds.append(mean + off)
+        step = rng.normal(0.0, WANDER_FRAC * forecast.std_mps, 2) / math.sqrt(2.0)
+        off = 0.7 * off + step
+    times_s = [k * WIND_EVERY_S for k in range(len(winds))]
+    return RampedWindParams(points=_points(times_s, winds), turbulence="dryden")
+
+
+def _points(times_s: list[float], winds_to_ne_mps: list[np.ndarray]) -> list[WindPoint]:
     points: list[WindPoint] = []
-    for k in range(math.ceil(need_s / WIND_EVERY_S) + 1):
-        north, east = mean + off
+    for t_s, (north, east) in zip(times_s, winds_to_ne_mps, strict=True):
         from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
         if points:  # directions are interpolated as the numbers stand: the short way round
             turn = (from_deg - points[-1].from_deg + 180.0) % 360.0 - 180.0
             from_deg = points[-1].from_deg + turn
         speed_mps = float(np.hypot(north, east))
-        points.append(WindPoint(t_s=k * WIND_EVERY_S, speed_mps=speed_mps, from_deg=from_deg))
-        step = rng.normal(0.0, WANDER_FRAC * forecast.std_mps, 2) / math.sqrt(2.0)
-        off = 0.7 * off + step
-    return RampedWindParams(points=points, turbulence="dryden")
+        points.append(WindPoint(t_s=t_s, speed_mps=speed_mps, from_deg=from_deg))
+    return points
+
+
+def with_front(
+    wind: RampedWindParams, change_mps: float, rng: np.random.Generator, need_s: float
+) -> RampedWindParams:
+    """This wind; from a drawn time on another of `change_mps` to a drawn side is added to it."""
+    at_s = float(rng.uniform(*FRONT_WITHIN)) * need_s
+    towards_rad = float(rng.uniform(0.0, 2.0 * math.pi))
+    change = change_mps * np.array([math.cos(towards_rad), math.sin(towards_rad)])
+    mean = mean_wind(wind, Path())
+    times_s = sorted({*(point.t_s for point in wind.points), at_s, at_s + FRONT_TAKES_S})
+    winds = [
+        np.asarray(mean.to_ne_mps(t_s)) + np.clip((t_s - at_s) / FRONT_TAKES_S, 0.0, 1.0) * change
+        for t_s in times_s
+    ]
+    return RampedWindParams(points=_points(times_s, winds), turbulence=wind.turbulence)
 
 
 def here(loss: float, folder: Path) -> Plumb:
@@ -252,7 +297,7 @@ def build_day(
         mavlink_loss=wish.loss,
         air_temperature_c=data.day.forecast.air_temperature_c,
     )
-    drones = _drones(data, world, folder, drone_seed, plumbing.start)
+    drones = _drones(data, wish, world, folder, drone_seed, plumbing.start)
     truck_rng = np.random.default_rng(truck_seed)
     truck = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
     truck.late_s = wish.truck_late_s
@@ -270,6 +315,7 @@ def _terrain(data: DayData) -> PlaneTerrain:
 
 def _drones(
     data: DayData,
+    wish: DayWish,
     world: DroneWorld,
     folder: Path,
     seed: np.random.SeedSequence,
@@ -283,7 +329,7 @@ def _drones(
             DayDrone(
                 name=drone.id,
                 number=k + 1,
-                autopilot_kind=AUTOPILOTS[k % 2],
+                autopilot_kind=wish.autopilots[k % len(wish.autopilots)],
                 airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
                 temperature_c=drone.temperature_c,
                 battery_health_frac=drone.battery_health_frac,
@@ -337,4 +383,9 @@ def _truck(
 def _faults(wish: DayWish, rng: np.random.Generator) -> Faults:
     ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
     companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
-    return Faults(ground, companions, rng=rng)
+    cuts = [
+        (float(rng.uniform(*KILLED_WITHIN)), float(rng.uniform(*CUT_S)))
+        for _ in range(wish.network_cuts)
+    ]
+    taken = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.take_overs))
+    return Faults(ground, companions, rng=rng, network_cuts=sorted(cuts), take_overs=taken)

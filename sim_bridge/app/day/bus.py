@@ -38,6 +38,9 @@ from ground_station.core.fleet.fleet_link import (
 DELAY_S = 0.02
 """Message delay: a few hops of a radio network, less than a step of the simulated day."""
 
+LEASE_S = 10.0
+"""A session that is not heard is taken for gone: zenoh's lease (transport/link/tx/lease)."""
+
 Answers = Callable[[list[bytes]], None]
 
 
@@ -56,6 +59,8 @@ class Bus:
     spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
     states: dict[str, State] = field(default_factory=dict)
     """Each vehicle's last published state, delivered or not; for the judge."""
+    cut_until_s: float = 0.0
+    """Until then nothing passes between the desk and the members."""
     _links: list["BusLink"] = field(default_factory=list)
     _desks: list["BusFleet"] = field(default_factory=list)
     _under_way: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
@@ -88,7 +93,19 @@ class Bus:
     def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
         """Notify a desk that a member session came or went."""
         alive = LivelinessChanged(link.vehicle, link.life, up=up)
-        self.later(DELAY_S, lambda: desk.hear(alive))
+        self.later(max(DELAY_S, self.cut_until_s - self.t_s), lambda: desk.hear(alive))
+
+    def cut(self, for_s: float) -> None:
+        """Lose every message for so long; past the lease members are gone, and come back."""
+        self.cut_until_s = max(self.cut_until_s, self.t_s + for_s)
+        if self.cut_until_s - self.t_s > LEASE_S:
+            self.later(LEASE_S, lambda: self._all_told(up=False))
+            self.later(self.cut_until_s - self.t_s, lambda: self._all_told(up=True))
+
+    def _all_told(self, *, up: bool) -> None:
+        for desk in list(self._desks):
+            for link in self._links:
+                desk.hear(LivelinessChanged(link.vehicle, link.life, up=up))
 
     def desk(self) -> "BusFleet":
         """Add a desk; it is told which members are alive."""
@@ -126,6 +143,9 @@ class Bus:
 
     def _is_lost(self) -> bool:
         self.sent += 1
+        if self.t_s < self.cut_until_s:
+            self.lost += 1
+            return True
         lost = self.loss > 0.0 and self.rng.random() < self.loss
         self.lost += lost
         return lost

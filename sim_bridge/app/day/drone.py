@@ -15,6 +15,8 @@ import numpy as np
 from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.day.clock import EPOCH_US
 from sim_bridge.app.day.judge import VehicleTrack
+from sim_bridge.app.day.take_over import TakeOver
+from sim_bridge.app.flight.operator import Operator
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.parameters import Parameter
@@ -27,7 +29,7 @@ from sim_bridge.truth.wind_params import WindParams, build_wind_field
 
 PHYSICS_STEP_S = 0.01
 RECORD_EVERY_STEPS = 20
-LINK = 0
+LINK, OPERATOR_LINK = 0, 1
 COMPANION_BOOT_S = 8.0
 """From power-on to a companion on the network. A Raspberry Pi class computer takes 10 to 20 s; here
 it is less, to shorten the wait. The autopilot's own boot is simulated in parallel."""
@@ -109,6 +111,7 @@ class PowerUp:
     released_s: float | None = None
     released_ned_m: tuple[float, float, float] | None = None
     release_height_m: float | None = None
+    taken: TakeOver | None = None
     steps: int = 0
     _loaded: bool = False
 
@@ -151,6 +154,8 @@ class DayDrone:
     companion_due_s: float | None = None
     lost_frames: int = 0
     disarmed_by_hand: int = 0
+    ended_by_itself: list[float] = field(default_factory=list)
+    """When a companion ended that nobody had killed or switched off."""
     _loss_rng: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
@@ -234,25 +239,30 @@ class DayDrone:
             if up.steps % RECORD_EVERY_STEPS == 0:
                 up.look()
         self._mind_companion(t_s)
-        self._talk(up)
+        self._talk(up, t_s)
 
     def _mind_companion(self, t_s: float) -> None:
         if self.companion is not None and not self.companion.running:
             self.companion = None
             self.companion_due_s = t_s + RESTART_S
+            self.ended_by_itself.append(t_s)
         if self.companion_due_s is not None and t_s >= self.companion_due_s:
             self.companion_due_s = None
             self.companion_starts += 1
             self.companion = self.start_companion(self)
 
-    def _talk(self, up: PowerUp) -> None:
-        said = [frame for _, frame in up.autopilot.take_outbox()]
+    def _talk(self, up: PowerUp, t_s: float) -> None:
+        said = _to_companion(up)
         if self.companion is None:
             return
         heard = bundled(frame for frame in said if not self._is_lost())
         up.autopilot.request_timesync(LINK, round(up.t_s * 1e9))
-        heard += [frame for _, frame in up.autopilot.take_outbox()]  # sent within the same instant
+        heard += _to_companion(up)  # sent within the same instant
+        if up.taken is not None:
+            up.taken.reaches_companion(t_s, heard)
         for datagram in self.companion.hear(heard):
+            if up.taken is not None:
+                up.taken.leaves_companion(t_s, datagram)
             if not self._is_lost():
                 up.autopilot.receive(LINK, datagram)
 
@@ -285,7 +295,17 @@ class DayDrone:
             released_s=up.released_s,
             released_ned_m=up.released_ned_m,
             release_height_m=up.release_height_m,
+            taken_s=None if up.taken is None else up.taken.taken_s,
         )
+
+    def ground_takes_over(self, t_s: float) -> None:
+        """A person at a second ground station orders the autopilot home."""
+        up = self.up
+        assert up is not None
+        up.taken = TakeOver(self.autopilot_kind, t_s)
+        up.autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
+        for frame in Operator(self.number).mode_change(self.autopilot_kind):
+            up.autopilot.receive(OPERATOR_LINK, frame)
 
     def kill_companion(self, t_s: float) -> None:
         """SIGKILL; it restarts after RESTART_S, as its service does."""
@@ -295,6 +315,16 @@ class DayDrone:
             self.companion_due_s = t_s + RESTART_S
 
     # --- state ---------------------------------------------------------------------------------
+
+    @property
+    def power_ups(self) -> list[PowerUp]:
+        """Every time that it stood or flew, the present one last."""
+        return [*self.past, *([self.up] if self.up is not None else [])]
+
+    @property
+    def is_taken_over(self) -> bool:
+        """Whether a person has taken it over since it was put out."""
+        return self.up is not None and self.up.taken is not None
 
     @property
     def is_airborne(self) -> bool:
@@ -329,3 +359,7 @@ class DayDrone:
         rows = self.up.rows if self.up is not None else []
         last = next((row[0] for row in reversed(rows) if row[4]), None)
         return t_s - last if last is not None else 0.0
+
+
+def _to_companion(up: PowerUp) -> list[bytes]:
+    return [frame for link, frame in up.autopilot.take_outbox() if link == LINK]

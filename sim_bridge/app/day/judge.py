@@ -44,6 +44,8 @@ class VehicleTrack:
     released_s: float | None = None
     released_ned_m: tuple[float, float, float] | None = None
     release_height_m: float | None = None
+    taken_s: float | None = None
+    """When a person took it over; None: nobody did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,13 @@ class DayFlight:
     stop: str | None
     energy_used_wh: float
     margin_wh: float
+    taken: bool = False
+    """A person took it over and brought it down: where, is that person's choice."""
+
+    @property
+    def accounted_for(self) -> bool:
+        """At home, or down whole where a person wanted it."""
+        return self.home or (self.taken and self.land_s is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +137,8 @@ class Near:
 
 @dataclass(frozen=True, slots=True)
 class DayVerdict:
-    """`delivered`: who delivered each order. `lost`: flights that did not end at home. `twice`:
+    """`delivered`: who delivered each order. `lost`: flights that did not end at home, nor whole
+    where a person who took over wanted it. `twice`:
     orders flown or handed over again after delivery. `broken`: promises that the truck broke, in
     words.
     """
@@ -151,7 +161,7 @@ def judge_day(world: DayFacts) -> DayVerdict:
             flights.append(_flight(world, track, begin, end))
             broken += broken_promises(track, begin, end, world)
     flights.sort(key=lambda f: (f.launch_s, f.vehicle))
-    lost = [f"{f.vehicle} with {f.order}" for f in flights if not f.home]
+    lost = [f"{f.vehicle} with {f.order}" for f in flights if not f.accounted_for]
     nearest, horizontal_m = nearest_of(world.tracks)
     by = {f.order: f.vehicle for f in flights if f.delivered and f.order is not None}
     by = {s.order: "truck" for s in world.served} | by
@@ -188,6 +198,8 @@ def _flight(world: DayFacts, track: VehicleTrack, begin: int, end: int) -> DayFl
         stop=stop,
         energy_used_wh=track.energy_used_wh,
         margin_wh=track.margin_wh,
+        taken=track.taken_s is not None
+        and bool(track.t_s[begin] <= track.taken_s <= track.t_s[end]),
     )
 
 

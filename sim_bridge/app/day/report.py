@@ -35,9 +35,7 @@ class DayView:
         """Show where the day is; goes on."""
         flying = [drone.name for drone in world.drones if drone.is_airborne]
         released = sum(
-            up.released_s is not None
-            for drone in world.drones
-            for up in [*drone.past, *([drone.up] if drone.up is not None else [])]
+            up.released_s is not None for drone in world.drones for up in drone.power_ups
         )
         brought = released + len(world.truck.delivered)
         words = f"{brought} brought; in the air: {' '.join(flying) or 'none'}"

@@ -23,6 +23,9 @@ from sim_bridge.app.day.world import DayWorld, Seat
 
 RESULT, PICTURE = "day.json", "day.png"
 FORMAT = "simulated-day/1"
+NO_FAULTS = ("wind_log", "wind_table", "autopilots")
+"""What a wish says beside the faults."""
+
 EXPECTED_S = 3600.0
 """Wind (s) that a day needs; beyond it, a recording's last value is held."""
 
@@ -98,7 +101,7 @@ def _conclude(
     tracks = [
         drone.track(up, mission.reserve_frac)
         for drone in built.drones
-        for up in [*drone.past, *([drone.up] if drone.up is not None else [])]
+        for up in drone.power_ups
         if up.rows
     ]
     judged = DayFacts(
@@ -182,6 +185,19 @@ def _row(
         "messages": {"sent": built.plumbing.network.sent, "lost": built.plumbing.network.lost},
         "frames_lost": sum(drone.lost_frames for drone in built.drones),
         "disarmed_by_hand": sum(drone.disarmed_by_hand for drone in built.drones),
+        "commands_after_take_over": [
+            f"{drone.name}: {words}"
+            for drone in built.drones
+            for up in drone.power_ups
+            if up.taken is not None
+            for words in up.taken.commands
+        ],
+        "ended_by_themselves": [
+            f"companion of {drone.name} at {t_s:.1f} s"
+            for drone in built.drones
+            for t_s in drone.ended_by_itself
+        ],
+        "powered_h": round(sum(up.t_s for d in built.drones for up in d.power_ups) / 3600.0, 4),
         "companions_started": sum(drone.companion_starts for drone in built.drones),
         "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
         "replans": len(plans) - 1,
@@ -200,7 +216,7 @@ def _flight_row(flight: dict[str, Any]) -> dict[str, Any]:
 
 
 def _faults(wish: DayWish) -> dict[str, Any]:
-    return {k: v for k, v in asdict(wish).items() if k not in ("wind_log", "wind_table") and v}
+    return {k: v for k, v in asdict(wish).items() if k not in NO_FAULTS and v}
 
 
 def _rounded(value: float | None) -> float | None:

@@ -114,17 +114,40 @@ class DayWorld:
             faults.log.append((t_s, "desk killed"))
         if faults.companion_kills_s and t_s >= faults.companion_kills_s[0]:
             self._kill_a_companion(t_s)
+        if faults.take_overs_s and t_s >= faults.take_overs_s[0]:
+            self._take_over(t_s)
+        if faults.network_cuts_s and t_s >= faults.network_cuts_s[0][0]:
+            self._cut_the_network(t_s)
 
     def _kill_a_companion(self, t_s: float) -> None:
         """Kill one that has been in the air for LEAST_UP_S; if there is none, try again later."""
-        flying = [d for d in self.drones if d.is_airborne and d.companion is not None]
-        flying = [d for d in flying if d.airborne_s(t_s) >= LEAST_UP_S]
-        if not flying:
+        drone = self._one_flying(t_s)
+        if drone is None:
             return
-        drone = flying[int(self.faults.rng.integers(len(flying)))]
         self.faults.companion_kills_s.pop(0)
         drone.kill_companion(t_s)
         self.faults.log.append((t_s, f"companion of {drone.name} killed"))
+
+    def _take_over(self, t_s: float) -> None:
+        """A person at a second ground station sends one home; if none flies, later."""
+        drone = self._one_flying(t_s)
+        if drone is None or drone.is_taken_over:
+            return
+        self.faults.take_overs_s.pop(0)
+        drone.ground_takes_over(t_s)
+        self.faults.log.append((t_s, f"{drone.name} taken over by a person"))
+
+    def _one_flying(self, t_s: float) -> DayDrone | None:
+        """One of those that fly with a companion, for LEAST_UP_S at least, drawn."""
+        flying = [d for d in self.drones if d.is_airborne and d.companion is not None]
+        flying = [d for d in flying if d.airborne_s(t_s) >= LEAST_UP_S]
+        return flying[int(self.faults.rng.integers(len(flying)))] if flying else None
+
+    def _cut_the_network(self, t_s: float) -> None:
+        _, for_s = self.faults.network_cuts_s.pop(0)
+        if self.plumbing.bus is not None:
+            self.plumbing.bus.cut(for_s)
+            self.faults.log.append((t_s, f"network cut for {for_s:.0f} s"))
 
     # --- record --------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ CASES = "cases"
 COUNTED = ("ended", "home", "phase", "then")
 """Of what rows tell: counted at the end."""
 
+SUMMED = ("vehicle_h", "flown_h", "flights", "delivered", "orders", "taken_over")
 HIGHEST = ("cpu_s", "grown_mb")
 TOLD = ("flights", "memory_mb", "growth_mb", "slope_mb_per_h", "files", "threads",
         "disk_mb_per_flight")  # fmt: skip
@@ -28,8 +29,8 @@ class TrialReport:
     runs: Path
     json_out: Path | None
 
-    def follow(self, rows: Iterable[TrialRow], total: int) -> list[TrialRow]:
-        """Show and keep each row as it comes; all of them at the end."""
+    def follow(self, rows: Iterable[TrialRow], total: int | None) -> list[TrialRow]:
+        """Show and keep each row as it comes; all of them at the end. `total` None: not known."""
         console = Console()
         done: list[TrialRow] = []
         with _bar(console) as bar:
@@ -59,6 +60,10 @@ class TrialReport:
             if counts:
                 told = ", ".join(f"{name} {n}" for name, n in counts.most_common())
                 lines.append(f"  {key}: {told}")
+        for key in SUMMED:
+            values = [row.told[key] for row in rows if key in row.told]
+            if len(values) > 1:
+                lines.append(f"  {key}: {round(sum(values), 3)} in all")
         for key in HIGHEST:
             values = [row.told[key] for row in rows if key in row.told]
             if values:

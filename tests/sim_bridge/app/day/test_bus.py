@@ -112,3 +112,51 @@ def test_of_many_messages_the_stated_share_is_lost():
     arrived = sum(isinstance(h, StateReceived) for h in desk.receive(0.0))
     assert arrived == 2000 - net.lost
     assert abs(net.lost - 400) < 4 * 18
+
+
+def alive(desk) -> list[bool]:
+    return [one.up for one in desk.receive(0.0) if isinstance(one, LivelinessChanged)]
+
+
+def test_while_the_network_is_cut_nothing_passes_and_members_are_gone_after_the_lease():
+    net = bus()
+    link, desk = net.join("d1", "l1"), net.desk()
+    net.deliver(1.0)
+    assert alive(desk) == [True]
+    net.cut(30.0)
+    link.publish_state(state())
+    net.deliver(10.0)
+    assert not desk.receive(0.0)
+    net.deliver(12.0)
+    assert alive(desk) == [False]
+    net.deliver(32.0)
+    assert alive(desk) == [True]
+    link.publish_state(state())
+    net.deliver(33.0)
+    assert isinstance(desk.receive(0.0)[0], StateReceived)
+
+
+def test_a_cut_within_the_lease_is_only_a_silence():
+    net = bus()
+    desk = net.desk()
+    net.join("d1", "l1")
+    net.deliver(1.0)
+    assert alive(desk) == [True]
+    net.cut(5.0)
+    net.deliver(20.0)
+    assert not desk.receive(0.0)
+
+
+def test_who_joins_and_leaves_during_a_cut_is_known_when_it_is_over():
+    net = bus()
+    gone, desk = net.join("d1", "l1"), net.desk()
+    net.deliver(1.0)
+    desk.receive(0.0)
+    net.cut(30.0)
+    net.join("d2", "l2")
+    gone.close()
+    net.deliver(29.0)
+    assert not alive(desk)[1:]
+    net.deliver(32.0)
+    told = [one for one in desk.receive(0.0) if isinstance(one, LivelinessChanged)]
+    assert {one.vehicle: one.up for one in told} == {"d1": False, "d2": True}

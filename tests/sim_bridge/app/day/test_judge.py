@@ -161,3 +161,21 @@ def test_a_parcel_let_go_elsewhere_or_from_high_up_is_not_delivered(wrong):
     verdict = judge_day(day(replace(out_and_back(), **wrong)))
     assert verdict.delivered == {}
     assert verdict.flights[0].outcome == "ABRT"
+
+
+def test_a_vehicle_that_a_person_brought_down_elsewhere_is_accounted_for():
+    track = replace(out_and_back(), taken_s=150.0)
+    verdict = judge_day(day(track, pads=[]))
+    assert verdict.lost == []
+    assert verdict.flights[0].taken
+    assert not verdict.flights[0].home
+
+
+def test_a_vehicle_that_crashed_after_a_person_took_over_is_lost():
+    track = replace(out_and_back(), taken_s=150.0, crashed=True)
+    assert judge_day(day(track)).lost == ["d1 with o1"]
+
+
+def test_a_take_over_on_the_ground_excuses_no_later_flight():
+    track = replace(out_and_back(), taken_s=50.0)
+    assert judge_day(day(track, pads=[])).lost == ["d1 with o1"]

@@ -3,7 +3,7 @@
 import pytest
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.trials import fuzz, logs, stall
+from sim_bridge.app.trials import day_case, fuzz, logs, stall
 from sim_bridge.app.trials.damage import DEEDS, Edit, damaged
 from sim_bridge.app.trials.logs import SUFFIX, write_samples
 from sim_bridge.app.trials.soak import SoakSample, wrong
@@ -16,8 +16,8 @@ def row(case) -> TrialRow:
 
 @pytest.mark.parametrize(
     "case",
-    [fuzz.drawn(3, 4), logs.drawn(3, 4), stall.drawn(3, "px4", 30.0, 6.0)],
-    ids=["fuzz", "logs", "stall"],
+    [fuzz.drawn(3, 4), logs.drawn(3, 4), stall.drawn(3, "px4", 30.0, 6.0), day_case.drawn(3, 4)],
+    ids=["fuzz", "logs", "stall", "days"],
 )
 def test_a_case_that_was_written_out_is_read_back_the_same(tmp_path, case):
     assert read_case(write_case(tmp_path, row(case)), type(case)) == case

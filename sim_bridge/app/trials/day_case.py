@@ -1,0 +1,133 @@
+"""A whole day as a case of a trial: drawn from a seed, of a shipped site's orders."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion.adapters.files.params import bundled_path
+from ground_station.adapters.files.day_files import read_day
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.order_states import Service
+from sim_bridge.app.day.build import AUTOPILOTS, DayWish
+
+SITES = ("harbour", "town")
+MOST_VEHICLES = 6
+MOST_ORDERS_EACH = 4
+"""Orders of a day are at most so many for each vehicle: some forty minutes, three turns each."""
+
+LONGEST_FRONT_MPS = 4.0
+"""Twice the std of the shipped forecasts: what a desk that plans with them must live with."""
+
+
+class DayCase(msgspec.Struct, frozen=True, kw_only=True):
+    """All that decides one day. `orders` are of the site's own."""
+
+    seed: int
+    site: str
+    autopilots: tuple[str, ...]
+    """One for each vehicle."""
+    orders: tuple[str, ...]
+    drones_only: bool
+    """The driver serves no door: else the plan leaves small days to the truck."""
+    forecast_mps: float
+    forecast_from_deg: float
+    front_mps: float
+    """Size of a change of the wind that no forecast had; 0: none."""
+    charge_frac: float
+    temperature_c: float
+    loss: float
+    network_cuts: int
+    companion_kills: int
+    ground_kills: int
+    take_overs: int
+    truck_late_s: float
+    searches: int
+    """Trials of the plan's search."""
+
+    @property
+    def name(self) -> str:
+        """Names run folder and case file."""
+        return f"days-{self.site}-seed{self.seed}"
+
+    @property
+    def wish(self) -> DayWish:
+        """The faults, for the day's world."""
+        return DayWish(
+            loss=self.loss,
+            companion_kills=self.companion_kills,
+            ground_kills=self.ground_kills,
+            truck_late_s=self.truck_late_s,
+            network_cuts=self.network_cuts,
+            take_overs=self.take_overs,
+            front_mps=self.front_mps,
+            autopilots=self.autopilots,
+        )
+
+
+def drawn(
+    seed: int,
+    number: int,
+    most_vehicles: int = MOST_VEHICLES,
+    most_orders_each: int = MOST_ORDERS_EACH,
+) -> DayCase:
+    """The case of this number, of a trial with this seed; smaller days where bounds say so."""
+    rng = np.random.default_rng([seed, number])
+    site = str(rng.choice(SITES))
+    vehicles = int(rng.integers(1, most_vehicles + 1))
+    known = [order.id for order in read_day(path_of(site)).orders]
+    count = int(rng.integers(1, min(most_orders_each * vehicles, len(known)) + 1))
+    return DayCase(
+        seed=1000 * seed + number,
+        site=site,
+        autopilots=tuple(map(str, rng.choice(AUTOPILOTS, vehicles))),
+        orders=tuple(sorted(map(str, rng.choice(known, count, replace=False)))),
+        drones_only=bool(rng.random() < 0.7),
+        forecast_mps=round(float(rng.uniform(0.0, 8.0)), 1),
+        forecast_from_deg=round(float(rng.uniform(0.0, 360.0)), 0),
+        front_mps=_sometimes(rng, 0.3, 1.0, LONGEST_FRONT_MPS),
+        charge_frac=round(float(rng.uniform(0.85, 1.0)), 2),
+        temperature_c=round(float(rng.uniform(-5.0, 35.0)), 0),
+        loss=_sometimes(rng, 0.6, 0.01, 0.3),
+        network_cuts=int(rng.integers(0, 3)),
+        companion_kills=int(rng.integers(0, 3)),
+        ground_kills=int(rng.integers(0, 3)),
+        take_overs=int(rng.random() < 0.3),
+        truck_late_s=_sometimes(rng, 0.3, 20.0, 240.0),
+        searches=200,
+    )
+
+
+def _sometimes(rng: np.random.Generator, share: float, low: float, high: float) -> float:
+    """In this share of the cases a value between the bounds, else 0."""
+    happens, value = rng.random() < share, float(rng.uniform(low, high))
+    return round(value, 2) if happens else 0.0
+
+
+def path_of(site: str) -> Path:
+    """The shipped day of this name."""
+    return bundled_path(Path(site), "days", "day")
+
+
+def data_of(case: DayCase) -> DayData:
+    """The site's day with this case's fleet, orders and forecast."""
+    data = read_day(path_of(case.site))
+    first = data.day.drones[0]
+    drones = [
+        msgspec.structs.replace(
+            first,
+            id=f"d{k + 1}",
+            charge_frac=case.charge_frac,
+            temperature_c=case.temperature_c,
+        )
+        for k in range(len(case.autopilots))
+    ]
+    forecast = msgspec.structs.replace(
+        data.day.forecast, speed_mps=case.forecast_mps, from_deg=case.forecast_from_deg
+    )
+    day = msgspec.structs.replace(data.day, drones=drones, forecast=forecast)
+    orders = [order for order in data.orders if order.id in case.orders]
+    if case.drones_only:
+        orders = [msgspec.structs.replace(order, service=Service.DRONE) for order in orders]
+    return replace(data, day=day, orders=orders)

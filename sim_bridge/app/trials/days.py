@@ -1,0 +1,220 @@
+"""Whole days drawn from a seed: desk, truck, drones of both autopilots, a network, and faults.
+
+Each case is one day by the machinery of `sim-bridge day`, in one process on one clock, judged by
+truth at its end and watched while it goes on. All that decides it is in its case.
+"""
+
+import itertools
+import math
+import shutil
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from companion.core.pilot.transitions import Phase
+from companion.fleet.messages import State
+from ground_station.adapters.files.compiled_code import keep_compiled_code
+from sim_bridge.app.day.world import DayWorld
+from sim_bridge.app.faults.verdict import TRACEBACK
+from sim_bridge.app.trials.day_case import DayCase, drawn
+from sim_bridge.app.trials.trial import TrialRow
+
+NEAREST_M = 5.0
+"""Of any two in the air, by truth. The plan keeps layers 12 m apart; both may be off theirs by a
+barometer's drift and a gust, some 3 m each."""
+
+ROUNDING_WH = 2e-5
+FLYING = frozenset(
+    phase.value
+    for phase in (Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER, Phase.RELEASE,
+                  Phase.RETURN, Phase.DIVERT, Phase.LAST_RESORT, Phase.LAND, Phase.SUSPENDED)
+)  # fmt: skip
+STUCK = "stuck"
+"""The desk's state of an order that waits for a person, with the reason."""
+
+
+@dataclass(slots=True)
+class DayWatch:
+    """What must hold at every second of a day; `wrong` is the first that did not."""
+
+    wrong: str | None = None
+    _left_wh: dict[tuple[str, float], float] = field(default_factory=dict)
+    """The least that each vehicle told since it was switched on."""
+
+    def goes_on(self, world: DayWorld) -> bool:
+        """Look, once a second; False where something does not hold: the day is stopped there."""
+        for drone in world.drones:
+            state = world.plumbing.network.states.get(drone.name)
+            if drone.up is not None and drone.is_airborne and state is not None:
+                self._look(drone.up.t0_s, state, world.clock.t_s)
+            if drone.up is not None and drone.up.taken is not None and drone.up.taken.commands:
+                self._say(f"{drone.name}: {drone.up.taken.commands[0]} after the take-over")
+        return self.wrong is None
+
+    def _look(self, since_s: float, state: State, t_s: float) -> None:
+        left_wh, key = state.energy_left_wh, (state.vehicle, since_s)
+        if left_wh is None or state.phase not in FLYING:
+            return
+        before_wh = self._left_wh.get(key, math.inf)
+        if left_wh > before_wh + ROUNDING_WH:
+            rose = f"from {before_wh:.2f} to {left_wh:.2f} Wh at {t_s:.0f} s"
+            self._say(f"{state.vehicle}: energy left rose {rose}")
+        self._left_wh[key] = min(before_wh, left_wh)
+
+    def _say(self, words: str) -> None:
+        self.wrong = self.wrong or words
+
+
+Ask = Callable[[dict[str, Any]], list[str]]
+"""What is wrong with a day by one rule, in words, from the row of its end."""
+
+
+def is_over(row: dict[str, Any]) -> list[str]:
+    """The desk came to its end by itself."""
+    return [] if row["ended"] else [f"not over after {row['duration_s']:.0f} s"]
+
+
+def loses_no_vehicle(row: dict[str, Any]) -> list[str]:
+    """Each flight ended at home with the reserve, or whole where a person wanted it."""
+    return [f"not home: {words}" for words in row["lost"]]
+
+
+def brings_nothing_twice(row: dict[str, Any]) -> list[str]:
+    """No order was flown or handed over again after it had been brought."""
+    return [f"twice: {order}" for order in row["flown_twice"]]
+
+
+def loses_no_order(row: dict[str, Any]) -> list[str]:
+    """What could be brought was brought, or waits for a person with a reason that is told."""
+    return [
+        f"lost: {line['order']}: {line['why']}"
+        for line in row["undelivered"]
+        if line["feasible"] and not line["why"].startswith(f"{STUCK} ")
+    ]
+
+
+def keeps_true_books(row: dict[str, Any]) -> list[str]:
+    """The store says delivered of what was, and of nothing else."""
+    return [f"the store is wrong about {order}" for order in row["believed_otherwise"]]
+
+
+def keeps_promises(row: dict[str, Any]) -> list[str]:
+    """The truck waited where a vehicle in the air had its home."""
+    return row["promises_broken"]
+
+
+def keeps_apart(row: dict[str, Any]) -> list[str]:
+    """No two came near in the air; a vehicle that a person flies is not the plan's."""
+    near, taken = row["nearest"], any(flight["taken"] for flight in row["flights"])
+    if near is None or taken or near["distance_m"] >= NEAREST_M:
+        return []
+    pair = " and ".join(near["vehicles"])
+    return [f"{pair} came to {near['distance_m']:.1f} m at {near['t_s']:.0f} s"]
+
+
+def keeps_hands_off(row: dict[str, Any]) -> list[str]:
+    """Not one command after the companion could know that a person had taken over."""
+    return row["commands_after_take_over"]
+
+
+def nobody_falls(row: dict[str, Any]) -> list[str]:
+    """No companion ends that nobody had killed."""
+    return [f"ended by itself: {words}" for words in row["ended_by_themselves"]]
+
+
+ASKS: tuple[Ask, ...] = (
+    is_over,
+    loses_no_vehicle,
+    brings_nothing_twice,
+    loses_no_order,
+    keeps_true_books,
+    keeps_promises,
+    keeps_apart,
+    keeps_hands_off,
+    nobody_falls,
+)
+
+
+def raises_nothing(folder: Path) -> list[str]:
+    """No exception in anything that desk, companions and truck wrote."""
+    texts = sorted([*folder.rglob("*.log"), *folder.rglob("*.txt")])
+    return [
+        f"an exception: {path.relative_to(folder)}"
+        for path in texts
+        if TRACEBACK in path.read_text(errors="replace")
+    ]
+
+
+def wrong_with(row: dict[str, Any], watch: DayWatch, folder: Path) -> list[str]:
+    """All that did not hold. A day that was stopped has its one reason."""
+    if watch.wrong is not None:
+        return [watch.wrong]
+    return [words for ask in ASKS for words in ask(row)] + raises_nothing(folder)
+
+
+@dataclass(frozen=True, slots=True)
+class DayFlyer:
+    """Flies days, each in a folder of its own under `run_root`."""
+
+    run_root: Path
+
+    def __call__(self, case: DayCase) -> list[TrialRow]:
+        """Fly one."""
+        return [attempt(case, self.run_root / case.name)]
+
+
+def attempt(case: DayCase, folder: Path) -> TrialRow:
+    """Fly one day and judge it; of a day that held, no folder is left."""
+    keep_compiled_code()  # before the planner's first import
+    from sim_bridge.app.trials.day_flight import flown
+
+    watch = DayWatch()
+    try:
+        row = flown(case, folder, watch.goes_on)
+    except Exception as error:  # noqa: BLE001 - desk, truck, companions run here: it is judged
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "exception.txt").write_text(traceback.format_exc())
+        why = f"an exception: {type(error).__name__}: {error}"
+        return TrialRow(name=case.name, held=False, why=why, told={}, case=case)
+    wrong = wrong_with(row, watch, folder)
+    if not wrong:
+        shutil.rmtree(folder)
+    return TrialRow(name=case.name, held=not wrong, why="; ".join(wrong), told=told(row), case=case)
+
+
+def told(row: dict[str, Any]) -> dict[str, Any]:
+    """What a day came to."""
+    flights = row["flights"]
+    flown_s = sum((f["land_s"] or row["duration_s"]) - f["launch_s"] for f in flights)
+    return {
+        "program": row["settings"],
+        "minutes": round(row["duration_s"] / 60.0, 1),
+        "vehicle_h": row["powered_h"],
+        "flown_h": round(flown_s / 3600.0, 4),
+        "flights": len(flights),
+        "delivered": row["delivered"],
+        "orders": row["orders"],
+        "taken_over": sum(flight["taken"] for flight in flights),
+        "wrong_went": row["what_went_wrong"],
+        "stuck": [line for line in row["undelivered"] if line["why"].startswith(STUCK)],
+        "nearest_m": row["separation_min_m"],
+        "margin_min_wh": row["margin_min_wh"],
+        "cpu_s": round(row["spent"]["cpu_s"], 1),
+    }
+
+
+def cases_of(seed: int) -> Iterator[DayCase]:
+    """The cases of a trial, without an end."""
+    return (drawn(seed, number) for number in itertools.count())
+
+
+def until_hours(rows: Iterable[TrialRow], vehicle_h: float | None) -> Iterator[TrialRow]:
+    """These rows, until vehicles were switched on for so many hours in all."""
+    spent_h = 0.0
+    for row in rows:
+        yield row
+        spent_h += row.told.get("vehicle_h", 0.0)
+        if vehicle_h is not None and spent_h >= vehicle_h:
+            return

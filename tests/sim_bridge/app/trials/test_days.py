@@ -1,0 +1,130 @@
+"""Each rule of a day finds what breaks it in a made-up row, and nothing where all holds."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.core.pilot.transitions import Phase
+from companion.fleet.messages import State
+from ground_station.adapters.files.day_files import read_day
+from sim_bridge.app.day.build import with_front
+from sim_bridge.app.trials import day_case, days
+from sim_bridge.app.trials.trial import TrialRow
+from sim_bridge.truth.wind_field import RampedWind
+from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, mean_wind
+
+HELD = {
+    "ended": True,
+    "duration_s": 900.0,
+    "lost": [],
+    "flown_twice": [],
+    "undelivered": [],
+    "believed_otherwise": [],
+    "promises_broken": [],
+    "nearest": None,
+    "flights": [],
+    "commands_after_take_over": [],
+    "ended_by_themselves": [],
+}
+NEAR = {"distance_m": 1.2, "vehicles": ("d1", "d2"), "t_s": 300.0}
+FORGOTTEN = {"order": "o1", "feasible": True, "why": "assigned"}
+
+
+def wrong(tmp_path, **changes) -> list[str]:
+    return days.wrong_with(HELD | changes, days.DayWatch(), tmp_path)
+
+
+def test_a_day_in_which_all_holds_is_not_wrong(tmp_path):
+    assert wrong(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ended": False}, "not over after 900 s"),
+        ({"lost": ["d1 with o1"]}, "not home: d1 with o1"),
+        ({"flown_twice": ["o1"]}, "twice: o1"),
+        ({"undelivered": [FORGOTTEN]}, "lost: o1: assigned"),
+        ({"believed_otherwise": ["o1"]}, "the store is wrong about o1"),
+        ({"promises_broken": ["the truck left"]}, "the truck left"),
+        ({"nearest": NEAR}, "d1 and d2 came to 1.2 m at 300 s"),
+        ({"commands_after_take_over": ["d1: a jump"]}, "d1: a jump"),
+        ({"ended_by_themselves": ["of d1"]}, "ended by itself: of d1"),
+    ],
+)
+def test_a_day_in_which_one_thing_does_not_hold_says_which(tmp_path, changes, words):
+    assert wrong(tmp_path, **changes) == [words]
+
+
+def test_an_order_that_waits_for_a_person_or_was_never_feasible_is_not_lost(tmp_path):
+    stuck = FORGOTTEN | {"why": "stuck three attempts"}
+    never = FORGOTTEN | {"feasible": False}
+    assert wrong(tmp_path, undelivered=[stuck, never]) == []
+
+
+def test_an_exception_in_any_log_is_found(tmp_path):
+    (tmp_path / "d1").mkdir()
+    (tmp_path / "d1" / "companion.log").write_text("Traceback (most recent call last)\n")
+    assert wrong(tmp_path) == ["an exception: d1/companion.log"]
+
+
+def world(state: State) -> Any:
+    """Of a day's world what the watch looks at: one drone in the air."""
+    up = SimpleNamespace(t0_s=10.0, taken=None)
+    drone = SimpleNamespace(name="d1", up=up, is_airborne=True)
+    network = SimpleNamespace(states={"d1": state})
+    return SimpleNamespace(
+        drones=[drone],
+        plumbing=SimpleNamespace(network=network),
+        clock=SimpleNamespace(t_s=99.0),
+    )
+
+
+def state(left_wh: float, phase: Phase = Phase.OUTBOUND) -> State:
+    return State(
+        vehicle="d1", life="l1", uptime_s=1.0, epoch_us=0, airframe="m100", max_payload_kg=1.0,
+        phase=phase.value, log="a", last_seq=0, energy_left_wh=left_wh,
+    )  # fmt: skip
+
+
+def test_safety_rule_4_energy_that_rises_in_flight_stops_the_day():
+    watch = days.DayWatch()
+    assert watch.goes_on(world(state(80.0, Phase.ARM)))
+    assert watch.goes_on(world(state(90.0)))
+    assert watch.goes_on(world(state(89.0)))
+    assert not watch.goes_on(world(state(89.5)))
+    assert watch.wrong == "d1: energy left rose from 89.00 to 89.50 Wh at 99 s"
+
+
+def test_the_same_seed_draws_the_same_day_of_orders_that_its_site_has():
+    assert day_case.drawn(1, 7) == day_case.drawn(1, 7) != day_case.drawn(2, 7)
+    for number in range(20):
+        case = day_case.drawn(5, number)
+        known = {order.id for order in read_day(day_case.path_of(case.site)).orders}
+        assert 1 <= len(case.autopilots) <= day_case.MOST_VEHICLES
+        assert set(case.orders) <= known
+        data = day_case.data_of(case)
+        assert {order.id for order in data.orders} == set(case.orders)
+        assert len(data.day.drones) == len(case.autopilots)
+
+
+def test_a_trial_ends_once_its_vehicle_hours_are_flown():
+    case = day_case.drawn(1, 0)
+    row = TrialRow(name="a", held=True, why="", told={"vehicle_h": 0.5}, case=case)
+    assert len(list(days.until_hours([row] * 9, 1.2))) == 3
+    assert len(list(days.until_hours([row] * 9, None))) == 9
+
+
+def test_a_front_adds_one_wind_to_another_within_two_minutes_and_nothing_before():
+    calm = RampedWindParams(
+        points=[WindPoint(t_s=t, speed_mps=4.0, from_deg=90.0) for t in (0.0, 1000.0)]
+    )
+    front = with_front(calm, 3.0, np.random.default_rng(3), 1000.0)
+    before, after = mean_wind(calm, Path()), mean_wind(front, Path())
+    assert isinstance(after, RampedWind)
+    assert after.to_ne_mps(100.0) == pytest.approx(before.to_ne_mps(100.0))
+    change = np.subtract(after.to_ne_mps(1000.0), before.to_ne_mps(1000.0))
+    assert np.hypot(*change) == pytest.approx(3.0)
