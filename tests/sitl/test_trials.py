@@ -114,13 +114,13 @@ TAKEN = day_case.DayCase(
 
 
 def test_safety_rule_1_without_its_guard_a_day_stops_at_the_first_command(tmp_path, monkeypatch):
-    beat = Loop._heartbeat
+    step = Loop.step
 
     def jumps_too(self) -> None:
-        beat(self)
+        step(self)
         if self.pilot.phase.value == "suspended":
             self.send_order(mavlink.MAVLink_mission_set_current_message(1, 1, 1))
 
-    monkeypatch.setattr(Loop, "_heartbeat", jumps_too)
+    monkeypatch.setattr(Loop, "step", jumps_too)
     row = days.attempt(TAKEN, tmp_path / TAKEN.name)
     assert "after the take-over" in row.why

@@ -46,6 +46,7 @@ COMMANDING = {  # what changes the flight; telemetry and questions do not
     "PARAM_SET",
 }
 MAV_RESULT_FAILED = 4
+MISSION_CUSTOM_MODE = {"px4": 4 << 16 | 4 << 24, "ardupilot": 3}
 ASKING = {410, 511, 512, 519, 520, 521}  # requests for messages and intervals
 LANDING_M, LANDING_HEIGHT_M = 10.0, 20.0  # about home; above the depot
 _CENTRED = [1500, 1500, 1500, 1500, 1500, 1500, 1000, 1000]

@@ -21,13 +21,12 @@ from sim_bridge.app.faults.runner import printed_and_logged, write_flight
 from sim_bridge.app.faults.verdict import TRACEBACK
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
-from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.app.flight.vehicle_process import MISSION_CUSTOM_MODE, Craft
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.app.trials.lies import DEEDS, Liar
 from sim_bridge.app.trials.trial import TrialRow
 from sim_bridge.autopilot.mavlink.codec import Message
 
-MISSION_CUSTOM_MODE = {"px4": 4 << 16 | 4 << 24, "ardupilot": 3}
 FLIGHT: dict[str, Any] = {
     "site": {"customer": {"east_m": -150.0, "north_m": -30.0, "up_m": 0.75}, "rally": []},
     "mission": {"cruise_height_m": 20.0, "leg_length_m": 60.0},
