@@ -36,8 +36,7 @@ class TruthRecord:
     release_height_m: float | None = None
 
     def add(self, truth: Any, ground_up_m: float, *, flown_by_person: bool = False) -> None:
-        """Append one sample; notes take-off, landing, crash and release as they happen."""
-        self.crashed = self.crashed or truth.crashed
+        """Append one sample; notes take-off, landing and release as they happen."""
         n, e, d = truth.pos_ned_m
         wind = truth.wind_to_ned_mps
         vel = truth.vel_ned_mps

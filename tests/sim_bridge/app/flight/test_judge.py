@@ -16,7 +16,6 @@ class Sample:
     airborne: bool
     parcel_aboard: bool
     usable_wh: float
-    crashed: bool = False
     energy_used_wh: float = 0.0
     power_w: float = 400.0
     vel_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -77,14 +76,13 @@ def test_each_flight_ends_in_exactly_one_outcome(case, outcome):
 
 def test_a_crash_at_home_is_not_home():
     record = flown()
-    record.add(Sample(100.0, (0.0, 0.0, 0.0), False, False, 20.0, crashed=True), 0.0)
-    record.add(Sample(101.0, (0.0, 0.0, 0.0), False, False, 20.0), 0.0)
+    record.crashed = True
     assert verdict_of(record).outcome == "DEL"
 
 
 def test_a_crash_in_a_persons_hands_is_a_loss():
     record = flown(person=True, end=(30.0, 0.0, 0.0))
-    record.add(Sample(100.0, (30.0, 0.0, 0.0), False, False, 20.0, crashed=True), 0.0)
+    record.crashed = True
     assert verdict_of(record).outcome == "DEL"
 
 
