@@ -62,9 +62,10 @@ def raises_nothing(flown: FlownFault) -> str | None:
 
 def comes_home(flown: FlownFault) -> str | None:
     """Landed at the depot, a rally point or the promised stop, with the reserve, by truth."""
-    if flown.row["home"]:
+    has_crashed = flown.stage.craft.vehicle.is_crashed
+    if flown.row["home"] and not has_crashed:
         return None
-    crashed = ", crashed" if flown.stage.craft.record.crashed else ""
+    crashed = ", crashed" if has_crashed else ""
     return f"not home ({flown.row['outcome']}, {flown.row['margin_wh']:+.1f} Wh{crashed})"
 
 

@@ -23,7 +23,7 @@ def flown(**changes) -> FlownFault:
     row = {"home": True, "delivered": True, "outcome": "SUC", "margin_wh": 3.0}
     row["decisions"] = [{"kind": "go", "p_home": changes.pop("promised", 0.995)}]
     craft = SimpleNamespace(
-        record=SimpleNamespace(crashed=False),
+        vehicle=SimpleNamespace(is_crashed=changes.pop("crashed", False)),
         commands=changes.pop("commands", []),
         operator=SimpleNamespace(said=changes.pop("said", [])),
     )
@@ -54,6 +54,10 @@ BAD = {
 def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
     assert rule(flown()) is None
     assert rule(flown(**BAD[rule]))
+
+
+def test_a_crash_at_home_is_not_home():
+    assert "crashed" in (comes_home(flown(crashed=True)) or "")
 
 
 def test_commands_before_the_take_over_do_not_count():
