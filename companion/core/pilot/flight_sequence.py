@@ -57,6 +57,10 @@ class MissionControl(Jumps, Ticking, Protocol):
         """It flies away from the way home that it was sent on."""
         ...
 
+    def stands_still(self, context: FlightContext) -> bool:
+        """Tell whether it hovers on the way home."""
+        ...
+
     def last_resort(self, context: FlightContext) -> None:
         """The way home is refused."""
         ...
@@ -337,8 +341,12 @@ class FlightSequence:
         here = context.here_ned()
         if context.flight_plan is None or here is None or self._progress.jump_index is not None:
             return
+        why = ""
         if self._progress.strays(context, here):
             why = "it flies away from the way home"
+        elif self._progress.stands_still(context):
+            why = "it stands still on the way home"
+        if why:
             context.decide("way_home_refused", why)
             context.request_transition(Trigger.WAY_HOME_REFUSED, why)
             return

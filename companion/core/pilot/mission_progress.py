@@ -37,6 +37,11 @@ NEAR_M = 10.0
 MOVE_WITNESSES = 2
 """So many messages in a row must show a move that is not ours."""
 
+STANDS_MPS, STANDS_S = 1.0, 20.0
+"""Slower for so long on the way home: no turn, no braking. Nothing flies it: ArduCopter does not
+begin a mission again that it has completed, though it takes the jump and shows the item.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class ForeignMove:
@@ -59,6 +64,8 @@ class ProgressState:
     reports: tuple[MissionProgress, ...] = ()
     """Those of the last second."""
     course: CourseWatch | None = None
+    moved_s: float = 0.0
+    """When it was last seen to move on the way home."""
     foreign_move: ForeignMove | None = None
 
 
@@ -199,6 +206,16 @@ class MissionFollower:
             return False
         state.course = None
         return True
+
+    def stands_still(self, context: FlightContext) -> bool:
+        """Tell whether it hovers on the way home, whatever item it shows, for long."""
+        vehicle, telemetry = context.telemetry.state, context.telemetry
+        flies = vehicle is not None and vehicle.mode is Mode.MISSION
+        moves = context.speed_mps() > STANDS_MPS
+        if moves or not flies or telemetry.position_troubles():
+            self._state.moved_s = context.t_s
+        stood_s = min(context.phase_s, context.since_s(self._state.moved_s))
+        return stood_s > STANDS_S
 
     def place_by_progress(self, context: FlightContext) -> None:
         """The mission aboard is ours and flies: find the phase by its current item."""

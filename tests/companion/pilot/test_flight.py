@@ -236,6 +236,24 @@ def test_safety_rule_1_of_two_computers_in_flight_the_one_that_began_last_flies(
     assert w.said.count("passive: another onboard computer") == 1
 
 
+def test_what_hovers_on_the_way_home_is_led_home_by_rtl():
+    w = reach(Phase.RETURN)
+    for _ in range(80):  # 8 s: a turn or a gust
+        w.speed = 0.0
+        w.step()
+    w.speed = 10.0
+    for _ in range(30):
+        w.step()
+    assert w.pilot.phase is Phase.RETURN
+    stood_s = w.t_s
+    while w.pilot.phase is Phase.RETURN and w.t_s < stood_s + 60.0:
+        w.speed = 0.0
+        w.step()
+    assert w.pilot.phase is Phase.LAST_RESORT
+    assert 20.0 < w.t_s - stood_s < 25.0
+    assert SetMode(Mode.RTL) in w.orders_after(stood_s)
+
+
 def test_safety_rule_1_both_of_two_computers_decide_the_same_alone():
     early, late = reach(Phase.CLIMB), reach(Phase.RETURN)
     assert early.pilot.flies_since_ms == late.pilot.flies_since_ms  # two worlds, one clock
