@@ -99,6 +99,11 @@ class Day:
         told = [e["text"] for e in events if e["kind"] == EventKind.PHASE.value]
         return [text.split(" -> ")[1].partition(":")[0] for text in told]
 
+    def delivery_is_kept(self) -> bool:
+        """The checkpoint on disk says so: it is written beside the flight, a moment later."""
+        (path,) = (self.folder / "d1").glob("assignment-*/checkpoint.json")
+        return bool(json.loads(json.loads(path.read_bytes())["content"])["delivered"])
+
     def until(self, true: Callable[[], bool]) -> None:
         limit_s = time.monotonic() + PATIENCE_S
         while not true():
@@ -126,7 +131,7 @@ def test_an_order_is_delivered_once_though_companion_and_desk_are_killed_on_the_
     companion, desk = day.companion(), day.desk()
     day.until(lambda: "outbound" in day.phases())
     desk.send_signal(signal.SIGKILL)
-    day.until(lambda: "return" in day.phases())
+    day.until(lambda: "return" in day.phases() and day.delivery_is_kept())
     companion.send_signal(signal.SIGKILL)
     companion.wait()
     companion = day.companion()

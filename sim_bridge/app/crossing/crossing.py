@@ -123,6 +123,7 @@ class LoneCompanion:
             self.ended = 9
             self.port.close()
             self.run.recorder.close()
+            self.run.lock.release()
 
     def stop(self) -> None:
         """In order."""

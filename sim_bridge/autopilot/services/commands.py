@@ -11,6 +11,9 @@ from sim_bridge.autopilot.mavlink.message_table import SPECS_BY_ID
 from sim_bridge.autopilot.services.radio import Builder, LinkHabits, Radio
 from sim_bridge.autopilot.state import STEP_S, VehicleState
 
+HIGHEST_M = 100_000.0
+"""A home higher or deeper than this is none; HOME_POSITION could not tell it either."""
+
 Handler = Callable[[Command], MavResult | None]
 """None: no acknowledgement is sent (now)."""
 
@@ -157,8 +160,9 @@ class CommonCommands:
             self._commander.set_home(state.pos_ned_m)
             return MavResult.ACCEPTED
         place = (command.lat_deg, command.lon_deg, command.param7)
-        if not all(math.isfinite(number) for number in place) or abs(place[0]) > 90.0:
-            return MavResult.DENIED
+        limits = (90.0, 180.0, HIGHEST_M)
+        if not all(abs(number) <= limit for number, limit in zip(place, limits, strict=True)):
+            return MavResult.DENIED  # NaN too
         if command.lat_deg == 0.0 and command.lon_deg == 0.0:
             return MavResult.DENIED
         north, east = state.frame.to_ne_m(command.lat_deg, command.lon_deg)

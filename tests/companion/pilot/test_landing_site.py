@@ -323,7 +323,7 @@ def test_landed_on_the_launch_pad_it_is_not_home():
     w.north = w.east = w.height = 0.0
     w.armed = False
     done = w.to_the_end()
-    assert (done.outcome, done.home) == ("DEL", False)
+    assert (done.outcome, done.home) == ("TAKEN", False)
 
 
 # --- home moves ----------------------------------------------------------------------------------
