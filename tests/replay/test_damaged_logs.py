@@ -4,7 +4,6 @@ A good file is torn, cut and overwritten at random places, and at its numbers' o
 makes readers stumble: not-a-number, infinities, the largest lengths.
 """
 
-import struct
 from pathlib import Path
 
 import pytest
@@ -16,23 +15,9 @@ from companion.adapters.logs.decision_log import DecisionLog, HeardRows
 from companion.adapters.logs.open_log import open_log
 from companion.app.cli.main import app
 from companion.core.pilot.telemetry_state import TelemetryState
+from sim_bridge.app.trials import damage
 
-NASTY = [
-    b"\x00" * 8,
-    b"\xff" * 8,
-    struct.pack("<d", float("nan")),
-    struct.pack("<d", float("inf")),
-    struct.pack("<f", float("nan")),
-    struct.pack("<f", -3e38),
-    struct.pack("<Q", 1 << 62),
-    b"1e308,",
-    b"-1e300",
-    b"nan,",
-    b"\n\n\n",
-    b"NaN",
-    b'"',
-    b"\xc3",
-]
+NASTY = [*damage.NASTY, b"NaN"]
 KINDS = {"csv": "csv", "ulog": "ulg", "dataflash": "bin", "tlog": "tlog", "mcap": "mcap"}
 
 edits = st.lists(

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
 from sim_bridge.app.faults.stage import STEP_S, Stage
-from sim_bridge.app.faults.verdict import comes_home, promises_nothing_false
 from sim_bridge.app.flight.vehicle_process import place_ne_m
 from sim_bridge.app.link.tap import with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
@@ -21,7 +20,6 @@ DRIFT_MPS = 0.3
 SPIN_RPS = math.radians(90.0)
 HEADING_RAD = math.radians(30.0)
 TILTED = ("roll", "pitch")
-FLYING = ("climb", "outbound", "drop", "return")
 
 
 def _to_customer_ne(stage: Stage) -> tuple[float, float]:
@@ -46,12 +44,6 @@ def front(stage: Stage) -> Iterator[None]:
     """A front: the wind rises to 12 m/s, straight against the way home."""
     yield from stage.reached()
     yield from _raise_front(stage, FRONT_MPS, FRONT_S)
-
-
-def nothing(stage: Stage) -> Iterator[None]:
-    """The world itself is the fault."""
-    stage.begin()
-    yield
 
 
 def gnss_jumps(stage: Stage) -> Iterator[None]:
@@ -122,7 +114,6 @@ def wind(**more: float) -> dict[str, object]:
     return {"wind": steady | more}
 
 
-SAFE = (comes_home, promises_nothing_false)
 GROUP = "air and sensors"
 HOT_AND_HIGH = {"site": {"depot": {"alt_amsl_m": 3000.0}}, "vehicle": {"temperature_c": 40.0}}
 
@@ -137,7 +128,7 @@ CASES = (
         31,
         "hot-and-high",
         "a depot at 3,000 m and 40 degrees C",
-        nothing,
+        from_the_start,
         "ready",
         **HOT_AND_HIGH,
     ),
@@ -154,7 +145,7 @@ CASES = (
         33,
         "shear",
         "wind that grows with height as over a town (exponent 0.4)",
-        nothing,
+        from_the_start,
         "ready",
         **wind(profile_exponent=0.4),
     ),

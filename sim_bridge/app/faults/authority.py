@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, FaultCase, Play
 from sim_bridge.app.faults.computers import (
     USAGE,
     SecondCompanion,
@@ -34,8 +34,6 @@ TOLD_PILOT_S = 0.3
 
 TOLD_S = 1.2
 """Disarming is told in the next heartbeat, within a second, and the exchange that carries it."""
-
-FLYING = ("climb", "outbound", "drop", "return")
 
 
 def _loses(name: str, command: int | None = None) -> Change:

@@ -5,15 +5,34 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import Ask, FlownFault, comes_home, fault_began, raises_nothing
+from sim_bridge.app.faults.verdict import (
+    Ask,
+    FlownFault,
+    comes_home,
+    fault_began,
+    promises_nothing_false,
+    raises_nothing,
+)
 
 PHASES = ("ready", "climb", "outbound", "drop", "return", "land")
 """Where in a flight a fault begins; the names of the command line and of the results."""
 
+FLYING = ("climb", "outbound", "drop", "return")
+"""Those in the air, but for the landing."""
+
 BOTH = ("px4", "ardupilot")
+
+SAFE: tuple[Ask, ...] = (comes_home, promises_nothing_false)
+"""What nearly every row asks."""
 
 Play = Callable[[Stage], Iterator[None]]
 """What happens, step by step: each `yield` is an exchange of 0.1 s with the companion."""
+
+
+def from_the_start(stage: Stage) -> Iterator[None]:
+    """The world itself is the fault: its air, its pack, its computer."""
+    stage.begin()
+    yield
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,12 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import (
     FlownFault,
     claims_no_delivery,
-    comes_home,
     delivers,
-    promises_nothing_false,
     tells,
 )
 from sim_bridge.app.link.tap import as_it_is, with_fields
@@ -27,8 +25,6 @@ FAR = {
 LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
 """A change of draw by more than a half is told within: in level flight, and where a climb or a
 descent of up to 15 s, whose power no model knows so well, hides it."""
-
-FLYING = ("climb", "outbound", "drop", "return")
 
 
 def packs_apart(points: int) -> Play:
@@ -127,13 +123,6 @@ def cell_lost(stage: Stage) -> Iterator[None]:
     stage.craft.vehicle.battery.lose_cell()
 
 
-def nothing(stage: Stage) -> Iterator[None]:
-    """The pack itself is the fault."""
-    stage.begin()
-    yield
-
-
-SAFE = (comes_home, promises_nothing_false)
 PLAIN = (*SAFE, delivers)
 GROUP = "energy"
 CASES = (
@@ -251,7 +240,7 @@ CASES = (
         "pack-cold",
         GROUP,
         "a pack at -10 degrees C that nobody has stated",
-        nothing,
+        from_the_start,
         SAFE,
         ("ready",),
         flight={"vehicle": {"temperature_c": -10.0}},
@@ -261,7 +250,7 @@ CASES = (
         "pack-aged",
         GROUP,
         "a pack with 80 % of its capacity that nobody has stated",
-        nothing,
+        from_the_start,
         SAFE,
         ("ready",),
         flight={"vehicle": {"battery_health_frac": 0.8}},

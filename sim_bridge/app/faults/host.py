@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
+from sim_bridge.app.faults.verdict import delivers
 
-FLYING = ("climb", "outbound", "drop", "return")
 BOOT_S = (1.0, 8.0)
 SLOW_S = 20.0
 GROUND_S = 22.0
@@ -72,12 +71,6 @@ def folder_gone(stage: Stage) -> Iterator[None]:
     stage.ends.callback(folder.unlink)
 
 
-def from_the_start(stage: Stage) -> Iterator[None]:
-    """The computer itself is the fault."""
-    stage.begin()
-    yield
-
-
 def slow_fsync(delay_s: float) -> str:
     """Each fsync of the companion's takes so long, in real time."""
     return f"""\
@@ -105,7 +98,6 @@ def slow_computer(stage: Stage) -> Iterator[None]:
         yield
 
 
-SAFE = (comes_home, promises_nothing_false)
 GROUP = "host"
 CASES = (
     FaultCase(

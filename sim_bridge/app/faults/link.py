@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false
+from sim_bridge.app.faults.verdict import delivers
 from sim_bridge.app.link.bad_link import BadLink
 from sim_bridge.app.link.tap import SlowLine
 from sim_bridge.autopilot.mavlink.codec import Message
@@ -15,7 +15,6 @@ SHARE = 0.3
 RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
 RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
 FOR_EVER_S = 1e9
-FLYING = ("climb", "outbound", "drop", "return")
 TIME = "TIMESYNC"  # what simulated time stands still for: not the link's
 
 
@@ -59,7 +58,6 @@ def strangers(stage: Stage) -> Iterator[None]:
     stage.craft.bad_link = BadLink(stage.craft.number, np.random.default_rng(seed))
 
 
-SAFE = (comes_home, promises_nothing_false)
 GROUP = "link"
 CASES = (
     FaultCase(

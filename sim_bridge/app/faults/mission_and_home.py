@@ -2,15 +2,14 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
 from sim_bridge.app.faults.people import Station, dragged, foreign
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, promises_nothing_false, tells
+from sim_bridge.app.faults.verdict import comes_home, delivers, tells
 from sim_bridge.autopilot.mission.items import MissionItem
 
 DRAGGED_M = 1500.0
 ELSEWHERE_M = 3000.0
-FLYING = ("climb", "outbound", "drop", "return")
 
 
 def _aboard(stage: Stage) -> list[MissionItem]:
@@ -121,7 +120,6 @@ def setting_changed(**settings: tuple[str, float]) -> Play:
     return play
 
 
-SAFE = (comes_home, promises_nothing_false)
 GROUP = "mission and home"
 
 RETURNS = ("--unanswered-hold=return",)

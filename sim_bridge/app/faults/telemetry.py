@@ -6,9 +6,8 @@ intermittent (what is wrong by a fixed amount has rows of its own). The autopilo
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FaultCase, Play
+from sim_bridge.app.faults.case import SAFE, FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, promises_nothing_false
 from sim_bridge.app.link.tap import Change, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
@@ -157,7 +156,7 @@ CASES = tuple(
         GROUPS[what],
         f"{what} {words}, for good",
         fails(what, kind),
-        (comes_home, promises_nothing_false),
+        SAFE,
         ("outbound",),
     )
     for what in TOLD
