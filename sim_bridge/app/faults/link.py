@@ -9,11 +9,13 @@ from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import delivers
 from sim_bridge.app.link.bad_link import BadLink
 from sim_bridge.app.link.tap import SlowLine
-from sim_bridge.autopilot.mavlink.codec import Message
+from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 SHARE = 0.3
 RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
 RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
+OTHER_MODE = {"px4": 3 << 16, "ardupilot": 5}  # POSCTL, LOITER
+AUTOPILOT = {"px4": 12, "ardupilot": 3}
 FOR_EVER_S = 1e9
 TIME = "TIMESYNC"  # what simulated time stands still for: not the link's
 
@@ -49,6 +51,38 @@ def slow_radio(stage: Stage) -> Iterator[None]:
     """A radio of 57,600 baud lies between autopilot and companion; what does not fit is lost."""
     yield from stage.reached()
     stage.tap.radio = SlowLine(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
+
+
+def namesake(stage: Stage) -> Iterator[None]:
+    """A neighbour with our system id is heard too: in another mode, a kilometre away."""
+    yield from stage.reached()
+    namesake, craft = Encoder(stage.craft.number, 1), stage.craft
+    custom_mode = OTHER_MODE[craft.autopilot_kind]
+    lat_deg, lon_deg = (craft.depot.lat_deg or 0.0) + 0.009, craft.depot.lon_deg or 0.0
+    while True:
+        beat = Message(
+            "HEARTBEAT",
+            type=2,
+            autopilot=AUTOPILOT[craft.autopilot_kind],
+            base_mode=209,
+            custom_mode=custom_mode,
+            system_status=4,
+            mavlink_version=3,
+        )
+        place = Message(
+            "GLOBAL_POSITION_INT",
+            time_boot_ms=craft.autopilot.time_boot_ms,
+            lat=round(lat_deg * 1e7),
+            lon=round(lon_deg * 1e7),
+            alt=80_000,
+            relative_alt=68_000,
+            vx=0,
+            vy=0,
+            vz=0,
+            hdg=0,
+        )
+        stage.tap.added += [namesake.encode(beat), namesake.encode(place)]
+        yield from stage.wait(1.0)
 
 
 def strangers(stage: Stage) -> Iterator[None]:
@@ -113,6 +147,15 @@ CASES = (
         strangers,
         (*SAFE, delivers),
         ("ready", *FLYING),
+    ),
+    FaultCase(
+        8,
+        "namesake",
+        GROUP,
+        "a neighbour with our system id is heard on our link: in another mode, a kilometre away",
+        namesake,
+        SAFE,
+        FLYING,
     ),
     FaultCase(
         55,

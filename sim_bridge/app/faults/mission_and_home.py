@@ -6,8 +6,11 @@ from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
 from sim_bridge.app.faults.people import Station, dragged, foreign
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, tells
+from sim_bridge.app.link.tap import with_fields
+from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mission.items import MissionItem
 
+RESET_MM = 15_000
 DRAGGED_M = 1500.0
 ELSEWHERE_M = 3000.0
 
@@ -97,6 +100,18 @@ def home_kept_low(stage: Stage) -> Iterator[None]:
     station.set_home(up_m=-20.0)
     yield from stage.wait(4.0)
     station.set_home(up_m=-20.0)
+
+
+def height_reset(stage: Stage) -> Iterator[None]:
+    """Heights above home are told 15 m too great from now on; those above the sea are right."""
+    yield from stage.reached()
+
+    def change(message: Message) -> list[Message] | None:
+        if message.msg_name != "GLOBAL_POSITION_INT":
+            return None
+        return [with_fields(message, relative_alt=message.relative_alt + RESET_MM)]
+
+    stage.tap.to_companion = change
 
 
 def progress_late(stage: Stage) -> Iterator[None]:
@@ -269,6 +284,15 @@ CASES = (
         "another station draws the fence in to 200 m: the customer lies beyond it",
         setting_changed(px4=("GF_MAX_HOR_DIST", 200.0), ardupilot=("FENCE_RADIUS", 200.0)),
         SAFE,
+    ),
+    FaultCase(
+        18,
+        "height-reset",
+        GROUP,
+        "heights above home are told 15 m too great; those above the sea are right",
+        height_reset,
+        (*SAFE, tells("home moved")),
+        FLYING,
     ),
     FaultCase(
         20,
