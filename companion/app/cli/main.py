@@ -164,8 +164,8 @@ def run_command(
     unanswered_hold: Annotated[
         HoldChoice,
         typer.Option(
-            help="Where the autopilot holds because its mission was cleared, and nobody answers"
-            " the alarms: only go on with them, return to launch, or land"
+            help="Where the autopilot holds because its mission was cleared or by a failsafe, and"
+            " nobody answers the alarms: only go on with them, return to launch, or land"
             " (docs/explanation/safety-rules.md, rule 1)."
         ),
     ] = HoldChoice.ALARM,

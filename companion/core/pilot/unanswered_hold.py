@@ -1,8 +1,9 @@
 """The one exception of safety rule 1: a HOLD that the autopilot entered by itself, unanswered.
 
-PX4 whose mission is cleared or replaced by one that it cannot fly stays in HOLD until it is empty.
-No pilot asked for that. All the same we let go, as at any mode change: somebody was at the mission,
-and may be at the sticks. Alarms follow at once. Where the operator chose a landing or a return
+PX4 whose mission is cleared or replaced by one that it cannot fly stays in HOLD until it is empty;
+so it does by some of its failsafes, as beyond a fence. No pilot asked for that. All the same we let
+go, as at any mode change: somebody was at the mission or the settings, and may be at the sticks.
+Alarms follow at once. Where the operator chose a landing or a return
 before the flight, that is ordered once the stated time has passed without an answer.
 
 An answer is another mode, a disarm, or an order to us to keep off or to go on. Who writes to the
@@ -32,7 +33,10 @@ from companion.core.pilot.context import (
 from companion.core.pilot.transitions import Phase, Trigger
 
 DIRECTLY_S = 2.0
-"""A HOLD and the change of the list that it follows on are both told at 1 Hz: so far apart."""
+"""A HOLD and what it follows on, the list or a failsafe, are both told at 1 Hz: so far apart."""
+
+LIST_CHANGED = "mission changed"
+FAILSAFE = "failsafe"
 
 ALARM_EVERY_S = 10.0
 """Often enough to be looked at, seldom enough that other words are read between."""
@@ -60,8 +64,10 @@ class HoldState:
     mode: Mode | None = None
     held_s: float | None = None
     """When HOLD followed on the mission, without another mode between."""
-    by_itself: bool = False
-    """The list had changed just then: no pilot's."""
+    cause: str | None = None
+    """What had come just then, so that it is no pilot's."""
+    calm_s: float | None = None
+    """When a heartbeat last told that no failsafe acts."""
     since_s: float | None = None
     alarm_s: float | None = None
     told: tuple[int | None, int | None] | None = None
@@ -85,7 +91,10 @@ class UnansweredHold:
         """Modes, and signs that somebody is there."""
         state = self._state
         match event:
-            case VehicleState() | ModeNow():
+            case VehicleState():
+                self._mode(context, event.mode)
+                self._failsafe(context, event)
+            case ModeNow():
                 self._mode(context, event.mode)
             case ControlTaken():
                 state.answered = True
@@ -108,22 +117,34 @@ class UnansweredHold:
             return
         if state.since_s is None:
             state.since_s = context.t_s
-            context.decide("unanswered_hold", "HOLD follows directly on a changed mission")
+            context.decide("unanswered_hold", f"HOLD follows directly: {state.cause}")
         mode, left_s = self._chosen(context), self._left_s(context)
         if mode is not None and left_s < LAST_WORDS_S:
             self._act(context, mode)
         elif context.since_s(state.alarm_s) >= ALARM_EVERY_S - 1e-6:
             state.alarm_s = context.t_s
             ends = "nobody flies it" if mode is None else f"{WORDS[mode]} in {left_s:.0f} s"
-            context.say(Severity.CRITICAL, f"mission changed, on HOLD: {ends}")
+            context.say(Severity.CRITICAL, f"{state.cause}, on HOLD: {ends}")
 
     def _mode(self, context: FlightContext, mode: Mode) -> None:
         state = self._state
         if mode is not Mode.HOLD:
-            state.held_s, state.by_itself, state.answered = None, False, False
+            state.held_s, state.cause, state.answered = None, None, False
         elif state.mode is Mode.MISSION:
             state.held_s = context.t_s
         state.mode = mode
+
+    def _failsafe(self, context: FlightContext, heartbeat: VehicleState) -> None:
+        """A failsafe that begins with HOLD caused it: a pilot's own mode ends PX4's failsafe."""
+        state = self._state
+        if not heartbeat.failsafe:
+            state.calm_s = context.t_s
+        elif self._is_direct(context, state.calm_s):
+            state.cause = state.cause or FAILSAFE
+
+    def _is_direct(self, context: FlightContext, other_s: float | None) -> bool:
+        """Tell whether HOLD has followed just now, and this other thing too."""
+        return all(context.since_s(t_s) <= DIRECTLY_S for t_s in (self._state.held_s, other_s))
 
     def _at_work(self, context: FlightContext) -> None:
         if self._state.since_s is not None:
@@ -131,15 +152,14 @@ class UnansweredHold:
 
     def _find_cause(self, context: FlightContext) -> None:
         """A list of ours that is put back meanwhile changes nothing: the autopilot holds."""
-        directly = context.since_s(self._state.held_s) <= DIRECTLY_S
-        if directly and context.since_s(self._aboard.foreign_s) <= DIRECTLY_S:
-            self._state.by_itself = True
+        if self._is_direct(context, self._aboard.foreign_s):
+            self._state.cause = LIST_CHANGED
 
     def _is_unanswered(self, context: FlightContext) -> bool:
         """Tell whether nobody flies it, and nobody has said a word."""
         state = self._state
         ours = context.phase is Phase.SUSPENDED and not context.telemetry.on_ground
-        return ours and state.by_itself and not state.answered
+        return ours and state.cause is not None and not state.answered
 
     def _chosen(self, context: FlightContext) -> Mode | None:
         """The operator's choice, where it is safe: RTL only over every obstacle, to our home."""

@@ -284,6 +284,7 @@ CASES = (
         "another station draws the fence in to 200 m: the customer lies beyond it",
         setting_changed(px4=("GF_MAX_HOR_DIST", 200.0), ardupilot=("FENCE_RADIUS", 200.0)),
         SAFE,
+        arguments=RETURNS,
     ),
     FaultCase(
         18,

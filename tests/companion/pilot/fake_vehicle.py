@@ -166,6 +166,7 @@ class World:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mode: Mode = Mode.HOLD
     armed: bool = False
+    failsafe: bool = False
     disarms: bool = True
     items: tuple[MissionItem, ...] = ()
     mission_id: int | None = None
@@ -319,7 +320,7 @@ class World:
             ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
         ]
         if round(t * 10) % 5 == 0:
-            found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed))
+            found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed, self.failsafe))
         if not self.streams:
             found = [event for event in found if isinstance(event, ev.VehicleState)]
         if round(t * 10) % 10 == 0:

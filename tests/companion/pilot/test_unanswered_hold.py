@@ -1,4 +1,4 @@
-"""A HOLD that follows on a cleared mission: alarms, and what the operator chose for it."""
+"""A HOLD that the autopilot entered by itself: alarms, and what the operator chose for it."""
 
 import pytest
 
@@ -25,6 +25,14 @@ def cleared(phase: Phase, options: PilotOptions | None = None) -> World:
     return w.until(Phase.SUSPENDED)
 
 
+def fails_safe(options: PilotOptions | None = None) -> World:
+    """A failsafe of the autopilot's holds, as PX4 beyond a fence."""
+    w = world(options=options)
+    w.until(Phase.OUTBOUND)
+    w.mode, w.failsafe = Mode.HOLD, True
+    return w.until(Phase.SUSPENDED)
+
+
 def let(w: World, duration_s: float) -> World:
     for _ in range(round(duration_s * 10)):
         w.step()
@@ -32,8 +40,7 @@ def let(w: World, duration_s: float) -> World:
 
 
 def alarms(w: World) -> list[float]:
-    words = "mission changed, on HOLD"
-    return [t for t, a in w.log if isinstance(a, Say) and words in a.text]
+    return [t for t, a in w.log if isinstance(a, Say) and ", on HOLD: " in a.text]
 
 
 def modes(w: World) -> list[Mode]:
@@ -130,3 +137,45 @@ def test_safety_rule_3_no_return_is_ordered_to_a_home_that_moved():
     let(w, WAIT_S + 10.0)
     assert modes(w) == []
     assert "nobody flies it" in w.said
+
+
+def test_safety_rule_1_a_failsafes_hold_unanswered_is_ended_as_the_operator_chose():
+    w = fails_safe(RETURN)
+    held_s = w.t_s
+    let(w, WAIT_S - 1.0)
+    assert alarms(w)[0] <= held_s + 1.2
+    assert "failsafe, on HOLD: RTL in 30 s" in w.said
+    assert w.orders_after(held_s) == []
+    let(w, 2.0)
+    assert modes(w) == [Mode.RTL]
+
+
+def test_safety_rule_1_a_failsafes_hold_without_a_choice_alarms_and_orders_nothing():
+    w = fails_safe()
+    held_s = w.t_s
+    let(w, 60.0)
+    assert len(alarms(w)) == 7
+    assert w.orders_after(held_s) == []
+
+
+def test_safety_rule_1_a_failsafe_that_acted_long_before_makes_no_hold_its_own():
+    w = world(options=RETURN)
+    w.until(Phase.OUTBOUND)
+    w.failsafe = True
+    let(w, 5.0)
+    w.mode = Mode.HOLD
+    let(w, 90.0)
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert alarms(w) == []
+    assert modes(w) == []
+
+
+def test_safety_rule_1_a_failsafe_that_begins_in_a_pilots_hold_is_not_its_cause():
+    w = world(options=RETURN)
+    w.until(Phase.OUTBOUND)
+    w.mode = Mode.HOLD
+    let(w, 5.0)
+    w.failsafe = True
+    let(w, 90.0)
+    assert alarms(w) == []
+    assert modes(w) == []
