@@ -8,6 +8,7 @@ same tests. Without the option everything runs. `make test` draws, `make night` 
 
 import fcntl
 import getpass
+import os
 import secrets
 import tempfile
 from collections import defaultdict
@@ -99,6 +100,12 @@ def _family(item: pytest.Item, of: str | None) -> tuple[object, ...]:
     if of not in values:
         raise pytest.UsageError(f"{item.nodeid}: drawn(of={of!r}) names none of its parameters")
     return (test, *((name, id(value)) for name, value in values.items() if name != of))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_vehicle_is_remembered(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What a flight leaves changed on a simulated vehicle does not outlast the tests."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from companion.adapters.autopilots.telemetry import AutopilotProfile, boot_s, tr
 from companion.adapters.clock import AutopilotClock
 from companion.core.mission.actions import (
     Arm,
+    AskBoard,
     AskParameters,
     AskTelemetry,
     Configure,
@@ -38,6 +39,7 @@ from companion.core.mission.events import (
     CLAIM,
     CLAIM_STEP_S,
     AutopilotParameters,
+    BoardKnown,
     ClockLeapt,
     ClockStepped,
     Event,
@@ -308,6 +310,8 @@ class AutopilotPort:
             if mine:
                 self._parameters.on_error(message)
             return self._parameters_events(t_s)
+        if kind == "AUTOPILOT_VERSION":
+            return [BoardKnown(t_s, _board(message))]
         if kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
             if self._upload is not None and mine:
                 self._upload.on_message(message, t_s)
@@ -337,6 +341,10 @@ class AutopilotPort:
         match order:
             case AskTelemetry():
                 self._ask_streams(profile, system, t_s)
+            case AskBoard():
+                version = (float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION),)
+                asks = mavlink.MAV_CMD_REQUEST_MESSAGE
+                self._command("board", STREAM + "board", asks, version, t_s, quiet=True)
             case AskParameters():
                 self._read_parameters(order.names, t_s)
             case Configure():
@@ -547,6 +555,13 @@ class AutopilotPort:
             self._asking_parameters = False
             return [AutopilotParameters(t_s, dict(desk.values))]
         return []
+
+
+def _board(message: Any) -> str:
+    """The number that the board was made with; "" where it has none, as simulators have."""
+    long = bytes(message.uid2).hex()
+    short = f"{message.uid:016x}"
+    return next((number for number in (long, short) if number.strip("0")), "")
 
 
 def _shows_armed(event: Event, *, armed: bool) -> bool:

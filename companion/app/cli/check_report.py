@@ -15,6 +15,11 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
     met = preflight.settings_met
     if met > 0:
         lines.append(f"ok       {met} settings of the autopilot are as the promise needs them")
+    lines += [
+        f"note     an earlier flight changed {name}: the vehicle's own is {value:g}, put back by"
+        " `companion restore`"
+        for name, value in sorted(preflight.settings_left.items())
+    ]
     lines += _battery(pilot) + _air(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from companion.adapters.autopilots.codec import MavlinkCodec, read_signing_key
+from companion.adapters.autopilots.link import open_link
 from companion.adapters.files.params import flight_path, read_flight
 from companion.app.cli.check_report import report
 from companion.app.flight.run import DONE, GROUNDED, NO_LINK, RunOptions, run
@@ -69,6 +71,26 @@ def fly_in_fleet(
     if one_mission:
         return fly_one(fleet, options, _show)
     return serve(fleet, options, say=typer.echo, on_action=_show)
+
+
+def put_settings_back(
+    link: str, folder: Path, signing_key: Path | None, system: int | None, silence_limit_s: float
+) -> int:
+    """Put back what a flight left changed on the vehicle; the exit code."""
+    from companion.app.tools.restore import Caller, restore
+
+    key = read_signing_key(signing_key) if signing_key is not None else None
+    opened = open_link(link)
+    try:
+        codec = MavlinkCodec(datagrams=opened.datagrams, signing_key=key)
+        caller = Caller(opened, codec, system)
+        done = restore(caller, folder, silence_limit_s, typer.echo)
+    finally:
+        opened.close()
+    if done is None:
+        typer.echo(f"no answer from an autopilot on {link}")
+        return NO_LINK
+    return DONE if done else GROUNDED
 
 
 def check(options: RunOptions) -> int:

@@ -110,6 +110,14 @@ RunDir = Annotated[Path, typer.Option(help="Where log, checkpoint and result go.
 SilenceLimit = Annotated[
     float, typer.Option(help="Give up after so many seconds without an autopilot.")
 ]
+VehicleSettings = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder that remembers, by vehicle, which settings a flight changed until they are"
+        " put back; default: $STATE_DIRECTORY/settings of a service, else"
+        " ~/.local/state/leeway/settings."
+    ),
+]
 
 
 class GateSwitch(StrEnum):
@@ -173,6 +181,7 @@ def run_command(
         float, typer.Option(min=10.0, help="So many seconds after the first alarm.")
     ] = 30.0,
     silence_limit: SilenceLimit = 300.0,
+    vehicle_settings: VehicleSettings = None,
     lockstep: Annotated[
         bool,
         typer.Option(
@@ -246,7 +255,9 @@ def run_command(
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(pilot, policy=policy)
-    asked = replace(asked, record_at_once=lockstep)
+    asked = replace(
+        asked, record_at_once=lockstep, settings_folder=settings_folder(vehicle_settings)
+    )
     if fleet is None or vehicle is None:
         raise typer.Exit(fly(asked))
 
@@ -267,6 +278,7 @@ def check(
     system: System = None,
     here: Here = False,
     silence_limit: SilenceLimit = 60.0,
+    vehicle_settings: VehicleSettings = None,
 ) -> None:
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
     from companion.app.cli.flying import CommandLine
@@ -276,7 +288,33 @@ def check(
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(PilotOptions(check_only=True, here=here))
+    asked = replace(asked, settings_folder=settings_folder(vehicle_settings))
     raise typer.Exit(check_now(asked))
+
+
+@app.command(epilog="Exit codes: 0 it has its own settings; 3 it has not; 4 no autopilot; 2, 6.")
+def restore(
+    link: LinkUrl,
+    vehicle_settings: VehicleSettings = None,
+    signing_key: Key = None,
+    system: System = None,
+    silence_limit: SilenceLimit = 20.0,
+) -> None:
+    """Give the vehicle the settings back that a flight which was cut off had changed.
+
+    Example: companion restore --link serial:/dev/serial0:921600. Nothing is set while it is armed.
+    """
+    from companion.app.cli.flying import put_settings_back
+
+    folder = settings_folder(vehicle_settings)
+    raise typer.Exit(put_settings_back(link, folder, signing_key, system, silence_limit))
+
+
+def settings_folder(named: Path | None) -> Path:
+    """Where changed settings are remembered."""
+    from companion.adapters.files.vehicle_settings import default_folder
+
+    return named or default_folder()
 
 
 for part in (replay.app, fit_wind.app, calibrate.app):

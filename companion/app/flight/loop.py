@@ -8,6 +8,7 @@ Without them, telemetry ticks about ten times a second.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCodec, mavlink
@@ -17,6 +18,7 @@ from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.recorder import Recorder
+from companion.app.flight.settings_keeper import SettingsKeeper
 from companion.core.mission.actions import (
     Action,
     Answer,
@@ -26,10 +28,18 @@ from companion.core.mission.actions import (
     PhaseChanged,
     Publish,
     Reply,
+    SaveCheckpoint,
     Say,
     Severity,
 )
-from companion.core.mission.events import Event, LinkBack, LinkSilent, Tick
+from companion.core.mission.events import (
+    BoardKnown,
+    Event,
+    LinkBack,
+    LinkSilent,
+    SettingsLeft,
+    Tick,
+)
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 
@@ -79,6 +89,7 @@ class Loop:
     autopilot: AutopilotPort
     operator: OperatorPort
     hearing: Hearing
+    settings: SettingsKeeper
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
@@ -115,6 +126,7 @@ class Loop:
         system_id: int | None,
         silence_limit_s: float,
         wall_clock_s: Callable[[], float] = wall_s,
+        settings_folder: Path | None = None,
     ) -> "Loop":
         """Connect the parts."""
         clock = AutopilotClock()
@@ -143,6 +155,11 @@ class Loop:
             autopilot=AutopilotPort(order, clock, system_id),
             operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say),
             hearing=Hearing(link, lambda: made[0].wall_clock_s()),
+            settings=SettingsKeeper(
+                settings_folder,
+                recorder.keep_settings,
+                lambda words: recorder.note(made[0].clock.t_s, words),
+            ),
             wall_clock_s=wall_clock_s,
         )
         made.append(loop)
@@ -258,6 +275,19 @@ class Loop:
         for event in events:
             if self.finished is None:
                 self.carry_out(self.pilot.handle(event))
+                if isinstance(event, BoardKnown):
+                    self._meet(event)
+
+    @property
+    def _vehicle(self) -> tuple[str, int]:
+        """Which autopilot it is, and its system id."""
+        kind = self.pilot.autopilot
+        return "" if kind is None else kind.value, self.autopilot.system_id or 0
+
+    def _meet(self, board: BoardKnown) -> None:
+        left = self.settings.meet(*self._vehicle, board.board)
+        if left:
+            self._give([SettingsLeft(board.t_s, left)])
 
     def ask(self, event: Event) -> Reply:
         """Give the mission an operator's order and return its reply."""
@@ -342,6 +372,8 @@ class Loop:
                     self._answer = action
                 case PhaseChanged():
                     self._heartbeat()
+                case SaveCheckpoint():
+                    self.settings.take(*self._vehicle, self.pilot.settings_before)
                 case Finished():
                     self.finished = action
                 case _:

@@ -45,6 +45,7 @@ from companion.core.pilot.telemetry_state import TelemetryState
 
 TEXT, STREAM, DECISIONS = "companion.log", "stream.tlog", "decisions.mcap"
 RESULT = "result.json"
+SETTINGS = "settings of the vehicle"
 SCREEN = "screen"
 FORMAT = "companion-result/1"
 TOPIC = {
@@ -157,6 +158,10 @@ class Recorder:
     def show(self, on_action: Callable[[Action], None], action: Action) -> None:
         """Give an action to who prints it; a screen can be a full disk or a pipe that blocks."""
         self._disk.do(SCREEN, lambda: on_action(action))
+
+    def keep_settings(self, deed: Callable[[], None]) -> None:
+        """Write what is to be put back on the vehicle, in the order of these calls."""
+        self._disk.do(SETTINGS, deed, whole=True)
 
     def settle(self) -> None:
         """Return once all that was recorded is on the disk."""

@@ -57,6 +57,8 @@ class RunOptions:
     system_id: int | None = None
     silence_limit_s: float = 300.0
     policy: str | None = None
+    settings_folder: Path | None = None
+    """Where it stands what was changed on a vehicle and not put back; None: nowhere."""
     record_at_once: bool = False
     """The flight waits for the disk: what a killed companion leaves is the same in every run."""
     pilot: PilotOptions = field(default_factory=PilotOptions)
@@ -145,6 +147,7 @@ class Run:
             system_id=options.system_id,
             silence_limit_s=options.silence_limit_s,
             wall_clock_s=wall_clock_s,
+            settings_folder=options.settings_folder,
         )
         loop.on_action = on_action
         loop.port = port

@@ -26,6 +26,11 @@ class AskTelemetry(Order):
 
 
 @dataclass(frozen=True, slots=True)
+class AskBoard(Order):
+    """Ask for the flight controller's own number."""
+
+
+@dataclass(frozen=True, slots=True)
 class AskParameters(Order):
     """Read the autopilot parameters that the promise rests on."""
 

@@ -67,6 +67,20 @@ class Identified(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class BoardKnown(Event):
+    """The flight controller told its own number (AUTOPILOT_VERSION): hex digits, or "" for none."""
+
+    board: str
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsLeft(Event):
+    """Settings of this vehicle's that an earlier flight changed and did not put back: its own."""
+
+    values: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleState(Event):
     """A heartbeat of the autopilot. `failsafe` = it calls its state critical or emergency."""
 

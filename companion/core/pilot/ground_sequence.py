@@ -8,6 +8,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import (
     Answer,
     Arm,
+    AskBoard,
     AskParameters,
     AskTelemetry,
     Configure,
@@ -30,6 +31,7 @@ from companion.core.mission.events import (
     Mode,
     OrderRefused,
     ParametersSet,
+    SettingsLeft,
     StreamsAsked,
 )
 from companion.core.mission.flight_plan import (
@@ -93,13 +95,15 @@ class PreflightReport:
     """The pre-flight now. `gave_up`: why there is no take-off; `""` while there may be one.
 
     `settings_met`: so many required settings are as they should be. `plan_refused`: why no route
-    keeps the promise, where a check went on without.
+    keeps the promise, where a check went on without. `settings_left`: the vehicle's own values of
+    settings that an earlier flight changed and did not put back.
     """
 
     gave_up: str
     findings: tuple[Finding, ...]
     settings_met: int
     plan_refused: str
+    settings_left: dict[str, float]
 
 
 @dataclass(slots=True)
@@ -114,6 +118,8 @@ class GroundWork:
     uploads: int = 0
     values: dict[str, float | None] = field(default_factory=dict)
     settings_before: dict[str, float] = field(default_factory=dict)
+    settings_left: dict[str, float] = field(default_factory=dict)
+    """The vehicle's own, changed by an earlier flight that did not put them back."""
     settings_asked_back: bool = False
     configured: bool = False
     requirements: tuple[Requirement, ...] = ()
@@ -177,7 +183,8 @@ class GroundSequence:
         state = self._state
         met = len(state.requirements) - len(state.findings)
         findings = () if state.giving_up else self._live_findings(context)
-        return PreflightReport(state.giving_up, findings, met, state.plan_refused)
+        left = dict(state.settings_left)
+        return PreflightReport(state.giving_up, findings, met, state.plan_refused, left)
 
     def to_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps."""
@@ -197,7 +204,7 @@ class GroundSequence:
         state.asked_s = context.t_s
         match context.phase:
             case Phase.CONFIGURE:
-                context.do(AskTelemetry())
+                context.do(AskTelemetry(), AskBoard())
             case Phase.PLAN:
                 state.uploads = 0
                 state.findings_known = False
@@ -259,13 +266,37 @@ class GroundSequence:
                 if event.failed:
                     context.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
                 if state.giving_up or state.settings_asked_back:
-                    state.settings_before = {}
+                    self._put_back(context, event)
+            case SettingsLeft():
+                self._settings_left(context, event)
             case MissionUploaded() if context.phase is Phase.UPLOAD:
                 self._uploaded(context, event)
             case MissionReadBack() if context.phase is Phase.READ_BACK:
                 self._read_back(context, event)
             case _:
                 return
+
+    def _put_back(self, context: FlightContext, event: ParametersSet) -> None:
+        """Settings are the vehicle's own again, but for those that could not be set."""
+        state = self._state
+        still = {n: value for n, value in state.settings_before.items() if n in event.failed}
+        state.settings_before = still
+        context.save()
+
+    def _settings_left(self, context: FlightContext, event: SettingsLeft) -> None:
+        """An earlier flight died before it put them back: ours to do where we may set anything."""
+        state = self._state
+        state.settings_left = event.values
+        own = ", ".join(f"{name} {value:g}" for name, value in sorted(event.values.items()))
+        context.do(Note(f"an earlier flight changed settings; the vehicle's own: {own}"))
+        if context.options.check_only:
+            return
+        if context.options.configure:
+            state.settings_before = state.settings_before | event.values
+            context.save()
+        else:
+            context.say(Severity.WARNING, "settings of an earlier flight stand: see log")
+            context.do(Note("`companion restore` gives the vehicle its own settings again"))
 
     def ask_parameters(self, context: FlightContext) -> None:
         """Ask for the settings that the promise rests on."""

@@ -219,7 +219,8 @@ class Landing:
         context.say(Severity.WARNING, f"settings not put back: {why}")
         settings = self._settings.settings_before
         before = ", ".join(f"{name} {value:g}" for name, value in settings.items())
-        context.do(Note(f"settings before the flight, to be put back by hand: {before}"))
+        context.do(Note(f"settings before the flight: {before}"))
+        context.do(Note("`companion restore` puts them back once it is disarmed"))
 
 
 def promised_places(plan: Plan, home: str | None) -> list[tuple[str, Ned]]:

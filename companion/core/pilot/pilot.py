@@ -49,6 +49,7 @@ from companion.core.mission.events import (
     OtherComputer,
     ParametersSet,
     ReleaseFeedback,
+    SettingsLeft,
     StreamsAsked,
     Tick,
     VehicleState,
@@ -250,6 +251,7 @@ class Pilot:
             StreamsAsked: (self._ground,),
             AutopilotParameters: (self._ground,),
             ParametersSet: (self._ground,),
+            SettingsLeft: (self._ground,),
             MissionUploaded: (self._ground, self._aboard),
             MissionReadBack: (self._resume, self._ground, self._aboard),
             MissionTouched: (self._aboard, self._unanswered),
@@ -508,6 +510,11 @@ class Pilot:
     def findings(self) -> tuple[Finding, ...]:
         """Settings of the autopilot that are not as the promise needs them."""
         return self._ground.findings
+
+    @property
+    def settings_before(self) -> dict[str, float]:
+        """The autopilot's own values of what is still to be put back."""
+        return dict(self._ground.settings_before)
 
     def preflight(self) -> PreflightReport:
         """The pre-flight now."""

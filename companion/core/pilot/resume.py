@@ -5,6 +5,7 @@ from typing import Any, Protocol
 import msgspec
 
 from companion.core.mission.actions import (
+    AskBoard,
     AskTelemetry,
     DropOrders,
     Note,
@@ -158,7 +159,7 @@ class Resume:
         if context.flight_plan is None:
             return
         context.decide("recognise", why or "reading the mission aboard again")
-        context.do(AskTelemetry(), ReadMissionBack(context.flight_plan.mission.items))
+        context.do(AskTelemetry(), AskBoard(), ReadMissionBack(context.flight_plan.mission.items))
         self._settings.ask_parameters(context)
         self._asked_s = context.t_s
         self._progress.forget_item()

@@ -186,20 +186,20 @@ def _flight(world: DayFacts, track: VehicleTrack, begin: int, end: int) -> DayFl
     stop = None if land_s is None else place_of_landing(world, track, ne_m, land_s)
     delivered = brought(world, track, float(track.t_s[begin]), float(track.t_s[end]))
     home = stop is not None and track.margin_wh >= 0.0
+    taken = track.taken_s is not None and bool(track.t_s[begin] <= track.taken_s <= track.t_s[end])
     return DayFlight(
         vehicle=track.vehicle,
         autopilot=track.autopilot,
         order=track.order,
         launch_s=float(track.t_s[begin]),
         land_s=land_s,
-        outcome=outcome_of(delivered=delivered, home=home),
+        outcome=outcome_of(delivered=delivered, home=home, landed_by_person=taken and landed),
         delivered=delivered,
         home=home,
         stop=stop,
         energy_used_wh=track.energy_used_wh,
         margin_wh=track.margin_wh,
-        taken=track.taken_s is not None
-        and bool(track.t_s[begin] <= track.taken_s <= track.t_s[end]),
+        taken=taken,
     )
 
 

@@ -227,6 +227,7 @@ def build_craft(
             f"--mission={mission_file}",
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
+            f"--vehicle-settings={own_dir / 'vehicle_settings'}",
             *_signed_arguments(options.signing_key),
             *(["--lockstep"] if killed else []),
             *options.companion_arguments,

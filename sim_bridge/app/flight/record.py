@@ -28,6 +28,7 @@ class TruthRecord:
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
     crashed: bool = False
+    """It met the ground too fast, sideways or tilted."""
     landed_by_person: bool = False
     """Whose hand it was in when it came down: a pilot's, or another ground station's."""
     took_off_s: float | None = None
@@ -36,10 +37,11 @@ class TruthRecord:
     release_height_m: float | None = None
 
     def add(self, truth: Any, ground_up_m: float, *, flown_by_person: bool = False) -> None:
-        """Append one sample; notes take-off, landing and release as they happen."""
+        """Append one sample; notes take-off, landing, crash and release as they happen."""
         n, e, d = truth.pos_ned_m
         wind = truth.wind_to_ned_mps
         vel = truth.vel_ned_mps
+        self.crashed = self.crashed or truth.crashed
         if self.rows and self.rows[-1][-1] and not truth.parcel_aboard:
             self.released_ned_m = (n, e, d)
             self.release_height_m = -d - ground_up_m

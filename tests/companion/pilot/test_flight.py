@@ -11,6 +11,7 @@ from companion.core.mission.actions import (
     Action,
     Answer,
     Arm,
+    AskBoard,
     AskParameters,
     AskTelemetry,
     Configure,
@@ -98,7 +99,7 @@ def test_settings_that_stay_because_another_hand_has_the_vehicle_are_named():
     assert w.values["LOW_ACT"] == 2.0
     assert "settings not put back: another hand has the vehicle" in w.said
     notes = [a.text for _, a in w.log if isinstance(a, Note)]
-    assert any("put back by hand: LOW_ACT 0" in text for text in notes)
+    assert any("before the flight: LOW_ACT 0" in text for text in notes)
 
 
 def test_settings_stay_while_the_autopilot_never_notices_its_landing():
@@ -810,7 +811,7 @@ def test_a_check_changes_nothing_and_says_what_is_missing():
     w = world(options=PilotOptions(check_only=True))
     w.to_the_end()
     orders = {type(a) for _, a in w.log if isinstance(a, Order)}
-    assert orders == {AskTelemetry, AskParameters}
+    assert orders == {AskTelemetry, AskBoard, AskParameters}
     assert [f.blocks for f in w.pilot.findings] == [True]
     assert not any(isinstance(a, SaveCheckpoint) for _, a in w.log)
 

@@ -167,13 +167,15 @@ def test_a_vehicle_that_a_person_brought_down_elsewhere_is_accounted_for():
     track = replace(out_and_back(), taken_s=150.0)
     verdict = judge_day(day(track, pads=[]))
     assert verdict.lost == []
-    assert verdict.flights[0].taken
+    assert verdict.flights[0].outcome == "TAKEN"
     assert not verdict.flights[0].home
 
 
 def test_a_vehicle_that_crashed_after_a_person_took_over_is_lost():
     track = replace(out_and_back(), taken_s=150.0, crashed=True)
-    assert judge_day(day(track)).lost == ["d1 with o1"]
+    verdict = judge_day(day(track))
+    assert verdict.lost == ["d1 with o1"]
+    assert verdict.flights[0].outcome == "DEL"
 
 
 def test_a_take_over_on_the_ground_excuses_no_later_flight():
