@@ -164,7 +164,7 @@ CASES = (
         GROUP,
         "the same, and once more when ours is aboard again",
         replaced_again,
-        (*SAFE, tells("mission was changed again")),
+        (*SAFE, tells("mission changed by another")),
         ("climb", "outbound"),
     ),
     FaultCase(
