@@ -225,11 +225,11 @@ class FleetPort:
 
     def neighbours(self, t_s: float) -> list[Event]:
         """What neighbours told since the last call; what is no track of another is left out."""
-        told = [decode_track(raw) for raw in self.link.tracks()]
+        heard = [(told.speaker, decode_track(told.raw)) for told in self.link.tracks()]
         return [
             NeighbourHeard(t_s, track)
-            for track in told
-            if isinstance(track, Track) and track.vehicle != self.vehicle
+            for speaker, track in heard
+            if isinstance(track, Track) and track.vehicle == speaker != self.vehicle
         ]
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:

@@ -1,0 +1,45 @@
+"""A fleet with identities on loopback: what `ground-station pki` makes, used as it is."""
+
+from pathlib import Path
+from typing import Any
+
+from companion.fleet.membership import JoinOptions, join
+from companion.fleet.roster import Role
+from companion.fleet.topics import VehicleKeys
+from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from tests.fleet.zenoh_net import FLEET, Vehicle, free_port
+
+MEMBERS = {
+    "d1": Role.VEHICLE,
+    "d2": Role.VEHICLE,
+    "truck": Role.TRUCK,
+    "anna": Role.DISPATCHER,
+    "otto": Role.VIEWER,
+}
+YEAR_DAYS = 365
+
+
+class SecureSite:
+    """A pki folder with a desk that listens on loopback, two drones, a truck and two people."""
+
+    def __init__(self, folder: Path, days: dict[str, int] | None = None) -> None:
+        self.port = free_port()
+        self.pki = PkiFolder.init(folder, FLEET, utc_at(epoch_us()))
+        self.pki.add("desk", Role.DESK, YEAR_DAYS, f"127.0.0.1:{self.port}")
+        for name, role in MEMBERS.items():
+            self.pki.add(name, role, (days or {}).get(name, YEAR_DAYS), "")
+
+    def home(self, name: str) -> Path:
+        """A member's folder."""
+        return self.pki.folder / "members" / name
+
+    def person(self, name: str, zenoh: Path | None = None) -> ZenohFleet:
+        """A desk, or a person's program."""
+        return ZenohFleet(FLEET, zenoh, JoinOptions(self.home(name)))
+
+    def vehicle(self, name: str, folder: Path, **more: Any) -> Vehicle:
+        """A vehicle that carries every command out."""
+        options = JoinOptions(self.home(more.get("key_of", name)))
+        return Vehicle.on(name, folder, join(VehicleKeys(FLEET, name), more.get("zenoh"), options))
