@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from companion.fleet.identity import ROSTER, Identity, read_identity
 from companion.fleet.membership import JoinOptions, join
 from companion.fleet.roster import Role
 from companion.fleet.topics import VehicleKeys
@@ -26,6 +27,7 @@ class SecureSite:
 
     def __init__(self, folder: Path, days: dict[str, int] | None = None) -> None:
         self.port = free_port()
+        self._away: dict[Path, bytes] = {}
         self.pki = PkiFolder.init(folder, FLEET, utc_at(epoch_us()))
         self.pki.add("desk", Role.DESK, YEAR_DAYS, f"127.0.0.1:{self.port}")
         for name, role in MEMBERS.items():
@@ -34,6 +36,20 @@ class SecureSite:
     def home(self, name: str) -> Path:
         """A member's folder."""
         return self.pki.folder / "members" / name
+
+    def identity(self, name: str) -> Identity:
+        """A member's keys and roster."""
+        return read_identity(self.home(name))
+
+    def keep_rosters_of(self, name: str) -> None:
+        """It is away: what `pki` writes next does not reach its folder."""
+        path = self.home(name) / ROSTER
+        self._away[path] = path.read_bytes()
+
+    def restore_rosters(self) -> None:
+        """Put back what members that are away still hold."""
+        for path, content in self._away.items():
+            path.write_bytes(content)
 
     def person(self, name: str, zenoh: Path | None = None) -> ZenohFleet:
         """A desk, or a person's program."""

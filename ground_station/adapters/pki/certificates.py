@@ -112,6 +112,11 @@ def authority_from_pem(key: bytes, certificate: bytes, where: str) -> TlsAuthori
         raise LeewayError(f"{where}: {error}") from error
 
 
+def public_address_of(member: RosterMember) -> str:
+    """The address that a member's certificate bears; only who is called by others has one."""
+    return member.address if member.role in LISTENS else ""
+
+
 def _name(common: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
 
@@ -155,9 +160,10 @@ def _purposes(member: RosterMember) -> list[x509.ObjectIdentifier]:
 
 def _names(fleet: str, member: RosterMember) -> list[x509.GeneralName]:
     own = x509.UniformResourceIdentifier(f"leeway://{fleet}/{member.role.value}/{member.name}")
-    if not member.address or member.role not in LISTENS:
+    address = public_address_of(member)
+    if not address:
         return [own]
-    host = member.address.rpartition(":")[0].strip("[]")
+    host = address.rpartition(":")[0].strip("[]")
     try:
         return [x509.IPAddress(ipaddress.ip_address(host)), own]
     except ValueError:
