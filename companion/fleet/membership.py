@@ -27,23 +27,35 @@ ON_ITS_OWN = JoinOptions()
 """Nothing said."""
 
 
+@dataclass(frozen=True, slots=True)
+class Membership:
+    """How a member joins. `open_link(life)` opens the link of one life; `trouble_until(seconds)`
+    says why it may begin nothing that takes so long (empty: it may).
+    """
+
+    open_link: Callable[[str], MemberLink]
+    trouble_until: Callable[[float], str] = lambda seconds: ""
+
+
 def join(
     keys: VehicleKeys,
     zenoh: Path | None,
     options: JoinOptions = ON_ITS_OWN,
     wake: Callable[[], None] = lambda: None,
-) -> Callable[[str], MemberLink]:
-    """What opens the link of one life. Raises LeewayError for a mistake in names or files."""
+) -> Membership:
+    """Read what joining takes. Raises LeewayError for a mistake in names or files."""
     if options.identity is None:
         config = read_config(zenoh, open_network=options.open_network)
-        return lambda life: ZenohLink(config, keys, life, wake)
+        return Membership(lambda life: ZenohLink(config, keys, life, wake))
     # cryptography takes 0.1 s to load: only a fleet with a roster pays for it
     from companion.fleet.identity import identity_of
     from companion.fleet.signed_link import SignedLink
 
     identity = identity_of(options.identity, keys.fleet, keys.vehicle)
-    file = zenoh or identity.zenoh
-    config = read_config(file, open_network=options.open_network)
-    return lambda life: SignedLink(
-        ZenohLink(config, keys, life, wake), identity.trust, life, wall_s
-    )
+    trust = identity.trust
+    config = read_config(zenoh or identity.zenoh, open_network=options.open_network)
+
+    def open_link(life: str) -> MemberLink:
+        return SignedLink(ZenohLink(config, keys, life, wake), trust, life, wall_s)
+
+    return Membership(open_link, trust.trouble_until)

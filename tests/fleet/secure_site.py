@@ -58,4 +58,5 @@ class SecureSite:
     def vehicle(self, name: str, folder: Path, **more: Any) -> Vehicle:
         """A vehicle that carries every command out."""
         options = JoinOptions(self.home(more.get("key_of", name)))
-        return Vehicle.on(name, folder, join(VehicleKeys(FLEET, name), more.get("zenoh"), options))
+        membership = join(VehicleKeys(FLEET, name), more.get("zenoh"), options)
+        return Vehicle.on(name, folder, membership.open_link)

@@ -29,7 +29,7 @@ class FleetOptions:
 
 def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
     """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
-    link_of = join(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
+    membership = join(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
     airframe = read_airframe(options.airframe, options.params)
     try:
         return FleetPort.open(
@@ -37,7 +37,8 @@ def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
             Path(options.airframe).stem,
             airframe,
             options.run_dir,
-            link_of,
+            membership.open_link,
+            trouble_until=membership.trouble_until,
         )
     except OSError as error:
         raise LeewayError(f"{options.run_dir}: {error.strerror}") from error

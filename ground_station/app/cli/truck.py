@@ -47,13 +47,13 @@ def truck(
 
     data = open_day(day)
     keys, woken = VehicleKeys(fleet or data.day.fleet, TRUCK), threading.Event()
-    link_of = join(keys, zenoh, JoinOptions(identity, open_network), woken.set)
+    membership = join(keys, zenoh, JoinOptions(identity, open_network), woken.set)
     depot = data.day.depot
     try:
         member = TruckMember.open(
             TRUCK,
             folder,
-            link_of,
+            membership.open_link,
             stop="depot",
             lat_deg=depot.lat_deg,
             lon_deg=depot.lon_deg,
