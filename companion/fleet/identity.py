@@ -49,9 +49,9 @@ class Identity:
         """Its zenoh configuration."""
         return self.folder / ZENOH
 
-    def reread(self) -> None:
-        """Take up a newer roster that was put into the folder."""
-        self.trust.take_roster(read_bytes(self.folder / ROSTER))
+    def roster_file(self) -> bytes:
+        """The roster as it lies in the folder now; somebody may have put a newer one there."""
+        return read_bytes(self.folder / ROSTER)
 
 
 def read_identity(folder: Path, clock_us: Callable[[], int] = epoch_us) -> Identity:

@@ -1,8 +1,8 @@
 """A program's zenoh configuration: loopback only, unless a file says otherwise and is safe.
 
-Without a file the programs of one machine form a mesh: each tries to listen on one fixed port of
-loopback, one of them gets it, all call it, and it tells them of one another. When that one ends
-another takes the port within the second. Nothing is announced, nothing leaves the machine.
+Without a file the programs of one machine form a mesh: the first that comes listens on one fixed
+port of loopback, all call it, and it tells them of one another. When it ends the others stay
+joined, and the next that comes takes the port. Nothing is announced, nothing leaves the machine.
 """
 
 import json
@@ -19,7 +19,7 @@ MEETING_PORT = 7447
 LEASE_MS = 2000
 """Who has frozen is missed after this, instead of zenoh's 10 s."""
 
-LISTEN_AGAIN_MS = 500
+CALL_AGAIN_MS = 500
 TLS = ("tls/", "quic/")
 TLS_FILES = (
     "root_ca_certificate",
@@ -38,7 +38,7 @@ def read_config(path: Path | None, *, open_network: bool = False) -> zenoh.Confi
     peer, found by multicast. Raises LeewayError where a file is not valid, or not safe.
     """
     if path is None:
-        return zenoh.Config() if open_network else loopback_config()
+        return zenoh.Config() if open_network else loopback_config(MEETING_PORT)
     try:
         config = zenoh.Config.from_file(str(path))
         _resolve_tls_files(config, path.resolve().parent)
@@ -52,7 +52,7 @@ def read_config(path: Path | None, *, open_network: bool = False) -> zenoh.Confi
     return config
 
 
-def loopback_config(port: int = MEETING_PORT) -> zenoh.Config:
+def loopback_config(port: int) -> zenoh.Config:
     """A peer among the programs of this machine, whichever of them came first."""
     here = f"tcp/127.0.0.1:{port}"
     table = {
@@ -61,14 +61,13 @@ def loopback_config(port: int = MEETING_PORT) -> zenoh.Config:
         "listen": {
             "endpoints": [here, "tcp/127.0.0.1:0"],
             "exit_on_failure": False,
-            "timeout_ms": -1,
-            "retry": {"period_init_ms": LISTEN_AGAIN_MS, "period_max_ms": LISTEN_AGAIN_MS},
+            "timeout_ms": 0,
         },
         "connect": {
             "endpoints": [here],
             "exit_on_failure": False,
             "timeout_ms": 0,
-            "retry": {"period_init_ms": 200, "period_max_ms": LISTEN_AGAIN_MS},
+            "retry": {"period_init_ms": 200, "period_max_ms": CALL_AGAIN_MS},
         },
         "transport": {"link": {"tx": {"lease": LEASE_MS}}},
     }

@@ -10,6 +10,7 @@ from typing import Any
 
 import zenoh
 
+from companion.core.base.errors import LeewayError
 from companion.fleet.identity import Identity
 from companion.fleet.messages import Refused
 from companion.fleet.roster import Role
@@ -36,6 +37,7 @@ class RosterShare:
     _told_s: float | None = None
     _told_number: int = 0
     _wanted: bool = True
+    _looked_at: bytes = b""
 
     def __post_init__(self) -> None:
         key = roster_key(self.identity.trust.fleet)
@@ -57,11 +59,22 @@ class RosterShare:
         """Look at the file and tell what is new, each when it is due."""
         if self._looked_s is None or now_s - self._looked_s >= LOOK_S:
             self._looked_s = now_s
-            self.identity.reread()
+            self._look()
         if self._tells and self._is_to_be_told(now_s):
             self._told_s, self._wanted = now_s, False
             self._told_number = self.identity.trust.roster.number
             self.session.put(self._key, self.identity.trust.roster_bytes)
+
+    def _look(self) -> None:
+        """Take up what `pki` put into our folder; a file that is broken leaves the old one."""
+        try:
+            raw = self.identity.roster_file()
+        except LeewayError as error:
+            self.refuse(str(error))
+            return
+        if raw != self._looked_at:
+            self._looked_at = raw
+            self._take(raw)
 
     def _is_to_be_told(self, now_s: float) -> bool:
         newer = self.identity.trust.roster.number > self._told_number
@@ -76,8 +89,11 @@ class RosterShare:
         query.reply(self._key, self.identity.trust.roster_bytes)
 
     def _hear(self, sample: zenoh.Sample) -> None:
+        self._take(sample.payload.to_bytes())
+
+    def _take(self, raw: bytes) -> None:
         try:
-            taken = self.identity.trust.take_roster(sample.payload.to_bytes())
+            taken = self.identity.trust.take_roster(raw)
         except OSError as error:
             self.refuse(f"roster not written down: {error.strerror}")
             return

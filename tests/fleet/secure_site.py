@@ -27,7 +27,7 @@ class SecureSite:
 
     def __init__(self, folder: Path, days: dict[str, int] | None = None) -> None:
         self.port = free_port()
-        self._away: dict[Path, bytes] = {}
+        self.away: dict[Path, bytes] = {}
         self.pki = PkiFolder.init(folder, FLEET, utc_at(epoch_us()))
         self.pki.add("desk", Role.DESK, YEAR_DAYS, f"127.0.0.1:{self.port}")
         for name, role in MEMBERS.items():
@@ -37,6 +37,13 @@ class SecureSite:
         """A member's folder."""
         return self.pki.folder / "members" / name
 
+    @classmethod
+    def of(cls, folder: Path, port: int) -> "SecureSite":
+        """A folder that is there already, whose desk is called at this port."""
+        site = cls.__new__(cls)
+        site.port, site.pki, site.away = port, PkiFolder.read(folder, utc_at(epoch_us())), {}
+        return site
+
     def identity(self, name: str) -> Identity:
         """A member's keys and roster."""
         return read_identity(self.home(name))
@@ -44,11 +51,11 @@ class SecureSite:
     def keep_rosters_of(self, name: str) -> None:
         """It is away: what `pki` writes next does not reach its folder."""
         path = self.home(name) / ROSTER
-        self._away[path] = path.read_bytes()
+        self.away[path] = path.read_bytes()
 
     def restore_rosters(self) -> None:
         """Put back what members that are away still hold."""
-        for path, content in self._away.items():
+        for path, content in self.away.items():
             path.write_bytes(content)
 
     def person(self, name: str, zenoh: Path | None = None) -> ZenohFleet:
