@@ -35,7 +35,7 @@ def truck(
 
     Each task is confirmed with a key. Ctrl-C leaves; the same command carries on.
 
-    ground-station truck harbour --identity /etc/leeway/identity
+    ground-station truck harbour --identity /var/lib/leeway/identity
     """
     from rich.console import Console
 
