@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from datetime import datetime
-from enum import Enum
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -13,31 +12,11 @@ from companion.core.base.documents import toml_table
 from companion.core.base.errors import LeewayError
 from companion.core.base.wire_message import Name
 from companion.fleet.messages import Refused
+from companion.fleet.roles import Role
 
 LARGEST_ROSTER_BYTES = 1 << 20
 """Some 5,000 members of 200 bytes."""
 
-
-class Role(Enum):
-    """What a member may do."""
-
-    DESK = "desk"
-    ROUTER = "router"
-    VEHICLE = "vehicle"
-    TRUCK = "truck"
-    SUPERVISOR = "supervisor"
-    DISPATCHER = "dispatcher"
-    VIEWER = "viewer"
-
-
-COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
-"""Whose commands a vehicle takes."""
-
-SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
-"""Who has a state, events, results and a track of its own."""
-
-LISTENS = frozenset({Role.DESK, Role.ROUTER})
-"""Whom the others call: only their certificates are for a server."""
 
 Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 Address = Annotated[str, Meta(max_length=260, pattern=r"^([A-Za-z0-9.:\[\]-]+:[0-9]{1,5})?\Z")]

@@ -12,14 +12,8 @@ import msgspec
 
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
-from companion.fleet.roster import (
-    COMMANDS,
-    SPEAKS,
-    Roster,
-    RosterMember,
-    SignedRoster,
-    decode_signed_roster,
-)
+from companion.fleet.roles import COMMANDS, SPEAKS
+from companion.fleet.roster import Roster, RosterMember, SignedRoster, decode_signed_roster
 from companion.fleet.signature import is_signed, sign
 
 ROSTER_KIND = "roster"
@@ -143,6 +137,15 @@ class Trust:
             f"the certificate of {self.name} ends in {max(left_s, 0.0) / 60.0:.0f} min,"
             f" expected at least {seconds / 60.0:.0f} min more"
         )
+
+    def command_trouble(self) -> str:
+        """Why nobody would take a command of ours; empty: they would."""
+        me = self.me
+        if me is None or me.revoked:
+            return self.warning()
+        if me.role not in COMMANDS:
+            return f"{self.name} is a {me.role.value}: may not command"
+        return f"the certificate of {self.name} has expired" if self.is_over(me) else ""
 
     # --- rosters -------------------------------------------------------------------------------
 

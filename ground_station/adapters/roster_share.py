@@ -13,7 +13,7 @@ import zenoh
 from companion.core.base.errors import LeewayError
 from companion.fleet.identity import Identity
 from companion.fleet.messages import Refused
-from companion.fleet.roster import Role
+from companion.fleet.roles import Role
 from companion.fleet.topics import roster_key
 
 LOOK_S = 2.0

@@ -5,7 +5,7 @@ from typing import Any
 
 from companion.fleet.identity import ROSTER, Identity, read_identity
 from companion.fleet.membership import JoinOptions, join
-from companion.fleet.roster import Role
+from companion.fleet.roles import Role
 from companion.fleet.topics import VehicleKeys
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at

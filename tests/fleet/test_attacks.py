@@ -30,7 +30,7 @@ from companion.fleet.messages import (
     State,
     encode,
 )
-from companion.fleet.roster import Role
+from companion.fleet.roles import Role
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.trust import SignedCommand, Trust
 from companion.fleet.zenoh_config import read_config

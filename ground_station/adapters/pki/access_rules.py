@@ -8,7 +8,8 @@ import ipaddress
 import json
 from typing import Any
 
-from companion.fleet.roster import COMMANDS, LISTENS, SPEAKS, Roster, RosterMember
+from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
+from companion.fleet.roster import Roster, RosterMember
 from companion.fleet.topics import VehicleKeys, roster_key
 from companion.fleet.zenoh_config import LEASE_MS
 

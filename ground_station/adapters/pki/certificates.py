@@ -15,7 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.roster import LISTENS, RosterMember
+from companion.fleet.roles import LISTENS
+from companion.fleet.roster import RosterMember
 
 AUTHORITY_DAYS = 3650
 EARLIER = timedelta(hours=1)

@@ -22,15 +22,8 @@ from companion.fleet.identity import (
     read_bytes,
     read_signing_key,
 )
-from companion.fleet.roster import (
-    LISTENS,
-    Role,
-    Roster,
-    RosterMember,
-    SignedRoster,
-    roster_from_toml,
-    roster_toml,
-)
+from companion.fleet.roles import LISTENS, Role
+from companion.fleet.roster import Roster, RosterMember, SignedRoster, roster_from_toml, roster_toml
 from companion.fleet.signature import new_private_key, public_key_of, sign
 from companion.fleet.topics import checked_name
 from companion.fleet.trust import ROSTER_KIND

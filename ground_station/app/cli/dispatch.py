@@ -17,6 +17,7 @@ from ground_station.app.cli.options import (
     OpenNetwork,
     StoreUrl,
     ZenohFile,
+    open_commanding_fleet,
     open_day,
     open_fleet,
     open_store,
@@ -83,7 +84,7 @@ def dispatch(
         take_orders(opened, data.orders)
         impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
         params = DepotParams(assigns=assign, launches=launch, launch_gap_s=launch_gap)
-        fleet = open_fleet(data.day.fleet, zenoh, identity, open_network)
+        fleet = open_commanding_fleet(data.day.fleet, zenoh, identity, open_network)
         say = _say_open if open_network else _say
         try:
             if chosen is None:
@@ -220,7 +221,7 @@ def recall(
     from ground_station.app.desk.recall import recall as recall_fleet
 
     opened = open_store(store)
-    ears = open_fleet(fleet, zenoh, identity, open_network)
+    ears = open_commanding_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, _say)
     exchange.begin()
     try:

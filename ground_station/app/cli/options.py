@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
 
 if TYPE_CHECKING:
@@ -68,6 +69,20 @@ def open_fleet(
     if ears.warning:
         typer.echo(ears.warning, err=True)
     return ears
+
+
+def open_commanding_fleet(
+    fleet: str, zenoh: Path | None, identity: Path | None, open_network: bool
+) -> "ZenohFleet":
+    """The same, for who commands; LeewayError for a viewer, before anything is written down that a
+    running desk might send in its own name.
+    """
+    if identity is not None:
+        from companion.fleet.identity import identity_of
+
+        if trouble := identity_of(identity, fleet).trust.command_trouble():
+            raise LeewayError(trouble)
+    return open_fleet(fleet, zenoh, identity, open_network)
 
 
 def open_store(url: str) -> "Store":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.roster import Role
+from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
 
 if TYPE_CHECKING:

@@ -22,7 +22,8 @@ from companion.fleet.messages import (
     encode,
 )
 from companion.fleet.refusals import Refusals
-from companion.fleet.roster import Role, RosterMember, roster_from_toml, roster_toml
+from companion.fleet.roles import Role
+from companion.fleet.roster import RosterMember, roster_from_toml, roster_toml
 from companion.fleet.trust import SignedCommand, Trust
 from ground_station.adapters.pki.pki_folder import PkiFolder
 

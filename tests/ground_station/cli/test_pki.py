@@ -13,11 +13,13 @@ from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
+from ground_station.app.cli.options import open_store
 from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import hears
 from tests.fleet.zenoh_net import free_port
 
+DAY = str(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "secure-a-fleet.md"
 PATIENCE_S = 20.0
 
@@ -144,3 +146,16 @@ def test_only_desks_and_routers_at_an_address_bear_it_and_may_be_servers(fleet):
             str(ip) for ip in names.get_values_for_type(x509.IPAddress)
         ]
         assert hosts == {"desk": ["desk.example"], "r1": ["10.0.0.1"]}.get(home.name, [])
+
+
+@pytest.mark.parametrize("command", ["recall", "dispatch"])
+def test_a_viewer_writes_no_command_into_the_store_that_a_desk_would_send(fleet, command):
+    pki("add", "desk", "--role", "desk", "--address", f"127.0.0.1:{free_port()}")
+    pki("add", "otto", "--role", "viewer")
+    words = {"recall": ["recall", "--all", "--fleet", "harbour"], "dispatch": ["dispatch", DAY]}
+    options = ["--identity", str(fleet / "members" / "otto"), "--store", "sqlite:///desk.db"]
+    with pytest.raises(LeewayError, match="otto is a viewer: may not command"):
+        CliRunner().invoke(app, [*words[command], *options], catch_exceptions=False)
+    store = open_store("sqlite:///desk.db")
+    assert store.outbox() == []
+    store.close()
