@@ -56,7 +56,7 @@ def test_a_vehicle_that_is_revoked_is_not_believed_any_more(tmp_path, monkeypatc
     try:
         assert told(desk, "")
         site.pki.revoke("d1")
-        assert told(desk, "d1 is revoked", PATIENCE_S if guarded else 4.0) is guarded
+        assert told(desk, "d1 is revoked", PATIENCE_S if guarded else 2.5) is guarded
     finally:
         vehicle.close()
         desk.close()
