@@ -1,6 +1,8 @@
 """Without a configuration: the programs of one machine meet, and nothing is open to another."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +10,7 @@ from typing import Any
 import psutil
 import pytest
 import zenoh
+from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
 from companion.fleet import zenoh_config
@@ -16,6 +19,7 @@ from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.app.cli.main import app
 from ground_station.core.fleet.fleet_link import StateReceived
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
@@ -119,3 +123,20 @@ def test_an_open_desk_says_so(tmp_path):
     desk = ZenohFleet(FLEET, config, JoinOptions(open_network=True))
     assert desk.open_network
     desk.close()
+
+
+def test_every_status_of_an_open_network_says_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = str(config_file(tmp_path / "a.json5", listen=free_port()))
+    words = ["watch", "--fleet", FLEET, "--zenoh", config, "--seconds", "0.1"]
+    assert "OPEN NETWORK" not in CliRunner().invoke(app, words).output
+    assert "OPEN NETWORK" in CliRunner().invoke(app, [*words, "--open-network"]).output
+
+
+def test_a_fleet_without_identities_loads_no_cryptography():
+    code = (
+        "import sys; import companion.app.flight.fleet_run, ground_station.adapters.zenoh_fleet;"
+        "print('cryptography' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
