@@ -74,6 +74,9 @@ class CommandBook:
         if command.life != life:
             return Verdict(Answered.STALE, "meant for another life of this companion")
         age_s = uptime_s - command.as_of_s
+        if age_s < 0.0:  # the desk copies a state's uptime: an honest one is never ahead
+            words = f"rests on a state of {-age_s:.0f} s from now: nobody can know it"
+            return Verdict(Answered.REFUSED, words)
         if age_s > FRESH_S:
             words = f"rests on a state {age_s:.0f} s old, expected at most {FRESH_S:.0f} s"
             return Verdict(Answered.STALE, words)

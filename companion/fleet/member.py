@@ -90,6 +90,11 @@ class FleetMember:
                 case Ask.TWIN:
                     self.remark = f"another life of {self.vehicle} is on the network"
                     self.tell(EventKind.SAID, self.remark)
+                case Ask.NOTICE:
+                    self.remark = asked.payload.decode()
+                    self.tell(EventKind.SAID, self.remark)
+                case Ask.ROSTER:
+                    pass  # without a roster of its own this member believes everybody
 
     def _answered(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> Result:
         command = decode_command(asked.payload)
@@ -98,6 +103,7 @@ class FleetMember:
         if command.vehicle != self.vehicle:
             words = f"meant for {command.vehicle}, this is {self.vehicle}"
             return self._result(command.id, Verdict(Answered.REFUSED, words))
+        command = _named_by_signer(command, asked.signer)
         verdict = self.book.look(command, self.life, self.uptime_s)
         if verdict is None:
             verdict = self._carry_out(command, carry_out)
@@ -174,6 +180,15 @@ class FleetMember:
         """Leave the network and end the files."""
         self.link.close()
         self.log.close()
+
+
+def _named_by_signer(command: Command, signer: str) -> Command:
+    """The command by whom it is proven to come from: the desk may send in a person's name, and that
+    name is told beside the desk's.
+    """
+    if not signer or command.by == signer:
+        return command
+    return msgspec.structs.replace(command, by=f"{command.by} by way of {signer}"[:64])
 
 
 def _name_of(command: Command) -> str:

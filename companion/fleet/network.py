@@ -12,19 +12,32 @@ class Ask(Enum):
     COMMAND = "command"
     EVENTS = "events"
     TWIN = "twin"
+    ROSTER = "roster"
+    NOTICE = "notice"
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A command's bytes, the events after a number, or notice that another life bears our name.
+    """A command's bytes, the events after a number, notice that another life bears our name, a
+    roster's bytes, or words for people.
 
-    `answer` sends replies, and no more after the first call.
+    `answer` sends replies, and no more after the first call. `signer` is who signed a command;
+    empty in a fleet without a roster.
     """
 
     ask: Ask
     answer: Callable[[list[bytes]], None]
     payload: bytes = b""
     after: int = 0
+    signer: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A message's bytes, and the member whose key it came by."""
+
+    speaker: str
+    raw: bytes
 
 
 class MemberLink(Protocol):
@@ -50,7 +63,7 @@ class MemberLink(Protocol):
         """Tell the neighbours where we are; what cannot leave at once is worth nothing later."""
         ...
 
-    def tracks(self) -> list[bytes]:
+    def tracks(self) -> list[Told]:
         """What neighbours told since the last call, our own excepted."""
         ...
 

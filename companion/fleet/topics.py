@@ -5,6 +5,7 @@ leeway/FLEET/vehicle/ID/state        published about once a second; asked for, t
 leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
 leeway/FLEET/vehicle/ID/track        published five times a second in the air; heard by all vehicles
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
+leeway/FLEET/roster                  published by the desk when it changes; asked for, the newest
 """
 
 import re
@@ -65,6 +66,11 @@ class VehicleKeys:
     @property
     def _base(self) -> str:
         return f"{ROOT}/{self.fleet}/vehicle/{self.vehicle}"
+
+
+def roster_key(fleet: str) -> str:
+    """Where a fleet's signed roster is told."""
+    return f"{ROOT}/{checked_name('fleet', fleet)}/roster"
 
 
 def life_of(key: str) -> tuple[str, str] | None:

@@ -11,14 +11,12 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NoReturn
 
 import zenoh
 
-from companion.core.base.errors import LeewayError
-from companion.fleet.network import Ask, Asked
-from companion.fleet.topics import VehicleKeys, life_of
+from companion.fleet.network import Ask, Asked, Told
+from companion.fleet.topics import VehicleKeys, life_of, roster_key, vehicle_of
 
 OPEN_AGAIN_S = 5.0
 WAITING = 256
@@ -26,19 +24,8 @@ LEAVING = 4096
 TRACKS = 256
 """Two seconds of 25 neighbours; the oldest go first."""
 AFTER = "after"
-
-
-def read_config(path: Path | None) -> zenoh.Config:
-    """A zenoh configuration file (JSON5), or zenoh's default: a peer, found by multicast.
-
-    Raises LeewayError naming the file.
-    """
-    if path is None:
-        return zenoh.Config()
-    try:
-        return zenoh.Config.from_file(str(path))
-    except zenoh.ZError as error:
-        raise LeewayError(f"{path}: not a zenoh configuration: {error}") from error
+ROSTER_WAIT_S = 5.0
+"""As long as a desk waits for an answer. Who misses it hears the next that the desk tells."""
 
 
 class ZenohLink:
@@ -52,7 +39,7 @@ class ZenohLink:
         self._life = life
         self._wake = wake
         self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
-        self._tracks: deque[bytes] = deque(maxlen=TRACKS)
+        self._tracks: deque[Told] = deque(maxlen=TRACKS)
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -96,16 +83,24 @@ class ZenohLink:
         if sample.kind == zenoh.SampleKind.PUT and seen is not None and seen[1] != self._life:
             self.put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
 
-    def tracks(self) -> list[bytes]:
+    def tracks(self) -> list[Told]:
         """What neighbours told since the last call."""
-        found: list[bytes] = []
+        found: list[Told] = []
         while self._tracks:
             found.append(self._tracks.popleft())
         return found
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
-        if str(sample.key_expr) != self._keys.track:
-            self._tracks.append(sample.payload.to_bytes())
+        speaker = vehicle_of(str(sample.key_expr))
+        if speaker is not None and speaker != self._keys.vehicle:
+            self._tracks.append(Told(speaker, sample.payload.to_bytes()))
+
+    def _hear_roster(self, sample: zenoh.Sample) -> None:
+        self.put(Asked(Ask.ROSTER, lambda replies: None, sample.payload.to_bytes()))
+
+    def _hear_roster_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._hear_roster(reply.ok)
 
     def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
         def answer(replies: list[bytes]) -> None:
@@ -185,9 +180,11 @@ class ZenohLink:
             session.declare_queryable(keys.state, self._hear_state_wanted),
             liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
             session.declare_subscriber(keys.tracks, self._hear_track),
+            session.declare_subscriber(roster_key(keys.fleet), self._hear_roster),
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""
+        session.get(roster_key(keys.fleet), self._hear_roster_reply, timeout=ROSTER_WAIT_S)
         while not (self._stop.is_set() and self._leaving.empty()):
             send = self._leaving.get()
             try:

@@ -7,11 +7,12 @@ blocks: answers come through the same queue.
 import queue
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.membership import ON_ITS_OWN, JoinOptions
 from companion.fleet.messages import (
     Command,
     FleetEvent,
@@ -23,7 +24,10 @@ from companion.fleet.messages import (
     decode_state,
     encode,
 )
+from companion.fleet.refusals import Refusals
 from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
+from companion.fleet.zenoh_config import read_config
+from ground_station.adapters.clock import monotonic_s
 from ground_station.core.fleet.fleet_link import (
     CommandAnswered,
     EventsReceived,
@@ -33,26 +37,39 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 
+if TYPE_CHECKING:
+    from companion.fleet.identity import Identity
+    from ground_station.adapters.roster_share import RosterShare
+
 QUEUE_SIZE = 100_000
+DECODERS: dict[str, Callable[[bytes], Any]] = {
+    "state": decode_state,
+    "event": decode_event,
+    "result": decode_result,
+}
 
 
 class ZenohFleet:
     """The desk's end of one fleet."""
 
-    def __init__(self, fleet: str, config: Path | None) -> None:
-        """Join with this configuration file (JSON5), or as a peer found by multicast.
+    def __init__(self, fleet: str, config: Path | None, options: JoinOptions = ON_ITS_OWN) -> None:
+        """Join with this configuration file (JSON5), or as `options` say.
 
-        Raises LeewayError where the file is not valid, or the network refuses us.
+        Raises LeewayError where a file is not valid, or the network refuses us.
         """
+        self.open_network = options.open_network
         self._keys = VehicleKeys(fleet, "*")
         self._fleet = fleet
         self._queue: queue.Queue[FleetInput] = queue.Queue(QUEUE_SIZE)
-        where = str(config) if config is not None else "zenoh"
+        self._refusals = Refusals()
+        identity = _identity(fleet, options)
+        self._trust = identity.trust if identity is not None else None
+        file = config or (identity.zenoh if identity is not None else None)
         try:
-            settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
-            self._session = zenoh.open(settings)
+            self._session = zenoh.open(read_config(file, open_network=options.open_network))
         except zenoh.ZError as error:
-            raise LeewayError(f"{where}: {error}") from error
+            raise LeewayError(f"{file or 'zenoh'}: {error}") from error
+        self._roster = _share_of(self._session, identity, self._refusals.note)
         liveliness = self._session.liveliness()
         self._held = (  # zenoh undeclares what nobody holds
             self._session.declare_subscriber(self._keys.state, self._on_state),
@@ -62,13 +79,26 @@ class ZenohFleet:
 
     def receive(self, wait_s: float) -> list[FleetInput]:
         """Everything that has come; waits this long for the first."""
-        found: list[FleetInput] = []
+        found: list[FleetInput] = self._turn()
         try:
             found.append(self._queue.get(timeout=wait_s))
             while True:
                 found.append(self._queue.get_nowait())
         except queue.Empty:
             return found
+
+    def _turn(self) -> list[FleetInput]:
+        """What this end itself has to tell: what was not believed, and a warning for its owner."""
+        now_s = monotonic_s()
+        if self._roster is not None:
+            self._roster.turn(now_s)
+        said = self._refusals.due(now_s)
+        return [] if said is None else [MessageRejected("fleet", said)]
+
+    @property
+    def warning(self) -> str:
+        """What a person should know about this end's own standing; empty: nothing."""
+        return self._trust.warning() if self._trust is not None else ""
 
     def ask_states(self, wait_s: float) -> None:
         """Ask every member for its newest state."""
@@ -79,7 +109,7 @@ class ZenohFleet:
         events: list[FleetEvent] = []
 
         def take(reply: zenoh.Reply) -> None:
-            event = self._decoded(reply, vehicle, decode_event)
+            event = self._decoded(reply, vehicle, "event")
             if isinstance(event, FleetEvent):
                 events.append(event)
 
@@ -101,9 +131,11 @@ class ZenohFleet:
         results: list[Result] = []
 
         def take(reply: zenoh.Reply) -> None:
-            result = self._decoded(reply, command.vehicle, decode_result)
+            result = self._decoded(reply, command.vehicle, "result")
             if isinstance(result, Result) and result.id == command.id:
                 results.append(result)
+            elif isinstance(result, Result):
+                self._refusals.note(f"{command.vehicle} did not take a command: {result.reason}")
 
         def done() -> None:
             self._queue.put(CommandAnswered(command.id, results[0] if results else None))
@@ -112,12 +144,16 @@ class ZenohFleet:
         self._session.get(
             key,
             zenoh.handlers.Callback(take, done),
-            payload=encode(command),
+            payload=self._sealed(command),
             timeout=wait_s,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             express=True,
         )
+
+    def _sealed(self, command: Command) -> bytes:
+        raw = encode(command)
+        return raw if self._trust is None else self._trust.seal("command", raw)
 
     def close(self) -> None:
         """Leave the network."""
@@ -126,44 +162,69 @@ class ZenohFleet:
     def _on_liveliness(self, sample: zenoh.Sample) -> None:
         seen = life_of(str(sample.key_expr))
         if seen is not None:
+            if self._roster is not None and sample.kind == zenoh.SampleKind.PUT:
+                self._roster.somebody_joined()
             self._queue.put(LivelinessChanged(*seen, up=sample.kind == zenoh.SampleKind.PUT))
 
     def _on_state(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        state = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_state)
+        state = self._decoded_from(key, sample.payload.to_bytes(), "state")
         if isinstance(state, State):
             self._queue.put(StateReceived(state))
 
     def _on_event(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        event = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_event)
+        event = self._decoded_from(key, sample.payload.to_bytes(), "event")
         if isinstance(event, FleetEvent):
             self._queue.put(EventsReceived(event.vehicle, [event]))
 
     def _on_state_reply(self, reply: zenoh.Reply) -> None:
-        sample = reply.ok
-        vehicle = vehicle_of(str(sample.key_expr)) if sample is not None else None
-        state = self._decoded(reply, vehicle, decode_state)
+        state = self._decoded(reply, None, "state")
         if isinstance(state, State):
             self._queue.put(StateReceived(state))
 
-    def _decoded(
-        self, reply: zenoh.Reply, vehicle: str | None, decode: Callable[[bytes], Any]
-    ) -> Any:
+    def _decoded(self, reply: zenoh.Reply, vehicle: str | None, kind: str) -> Any:
+        """A message of the vehicle that was asked; of anybody who answered, where all were."""
         sample = reply.ok
         if sample is None:
             return None
-        return self._decoded_from(str(sample.key_expr), sample.payload.to_bytes(), vehicle, decode)
+        key = str(sample.key_expr)
+        if vehicle is not None and vehicle_of(key) != vehicle:
+            self._refusals.note(f"{vehicle}: {kind}: answered by {vehicle_of(key)}")
+            return None
+        return self._decoded_from(key, sample.payload.to_bytes(), kind)
 
-    def _decoded_from(
-        self, key: str, raw: bytes, vehicle: str | None, decode: Callable[[bytes], Any]
-    ) -> Any:
-        """A message of the vehicle whose key it came by; anything else is rejected."""
-        message = decode(raw)
+    def _decoded_from(self, key: str, raw: bytes, kind: str) -> Any:
+        """A message of the vehicle whose key it came by; anything else is refused."""
+        vehicle = vehicle_of(key)
+        told = raw if self._trust is None else self._trust.told(kind, raw, vehicle)
+        if isinstance(told, Refused):
+            self._refusals.note(f"{vehicle}: {told.reason}")
+            return None
+        message = DECODERS[kind](told)
         if isinstance(message, Refused):
             self._queue.put(MessageRejected(key, message.reason))
             return None
         if message.vehicle != vehicle:
-            self._queue.put(MessageRejected(key, f"speaks for {message.vehicle}"))
+            self._refusals.note(f"{vehicle}: {kind}: speaks for {message.vehicle}")
             return None
         return message
+
+
+def _identity(fleet: str, options: JoinOptions) -> "Identity | None":
+    """The identity of a program that has one: cryptography is loaded only for those."""
+    if options.identity is None:
+        return None
+    from companion.fleet.identity import identity_of
+
+    return identity_of(options.identity, fleet)
+
+
+def _share_of(
+    session: zenoh.Session, identity: "Identity | None", refuse: Callable[[str], None]
+) -> "RosterShare | None":
+    if identity is None:
+        return None
+    from ground_station.adapters.roster_share import RosterShare
+
+    return RosterShare(session, identity, refuse)

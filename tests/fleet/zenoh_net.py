@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from companion.app.flight.fleet_port import FleetPort
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
+from companion.fleet.network import MemberLink
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_link import ZenohLink, read_config
+from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_link import ZenohLink
 
 FLEET = "harbour"
 
@@ -44,17 +47,23 @@ class Vehicle:
     """A FleetPort in a thread of its own that carries every command out, and counts."""
 
     def __init__(self, name: str, folder: Path, config: Path) -> None:
+        keys, loaded = VehicleKeys(FLEET, name), read_config(config)
+        self.begin(name, folder, lambda life: ZenohLink(loaded, keys, life, lambda: None))
+
+    @classmethod
+    def on(cls, name: str, folder: Path, link_of: Callable[[str], MemberLink]) -> "Vehicle":
+        """A vehicle on a link of the test's own."""
+        vehicle = cls.__new__(cls)
+        vehicle.begin(name, folder, link_of)
+        return vehicle
+
+    def begin(self, name: str, folder: Path, link_of: Callable[[str], MemberLink]) -> None:
+        """Start the thread on this link."""
         self.done: list[Command] = []
         self.answer = Verdict(Answered.DONE, "done")
         self.woken = threading.Event()
-        keys, loaded = VehicleKeys(FLEET, name), read_config(config)
-        self.port = FleetPort.open(
-            name,
-            "m100",
-            read_airframe("m100"),
-            folder,
-            lambda life: ZenohLink(loaded, keys, life, self.woken.set),
-        )
+        self.port = FleetPort.open(name, "m100", read_airframe("m100"), folder, link_of)
+        self.port.link.be_woken(self.woken.set)
         self.situation = TelemetryState()
         self.phase = "standby"
         self._stop = threading.Event()

@@ -1,5 +1,5 @@
-"""From an order to its delivery: desk, companion and simulated vehicle as processes, over zenoh and
-MAVLink; companion and desk are killed on the way.
+"""From an order to its delivery: desk, companion and simulated vehicle as processes, over zenoh
+(TLS, every message signed) and MAVLink; companion and desk are killed on the way.
 """
 
 import json
@@ -18,6 +18,7 @@ from companion.fleet.messages import EventKind
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import OrderState
+from tests.fleet.secure_site import SecureSite
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(400)]
 
@@ -41,20 +42,12 @@ class Day:
         self.mavlink = free_port(socket.SOCK_DGRAM)
         self.url = f"sqlite:///{folder}/desk.db"
         self._running: list[subprocess.Popen[bytes]] = []
-        meeting = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-        alone = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}}
-        retry = {"period_init_ms": 50, "period_max_ms": 200}
-        call = {"listen": {"endpoints": []}, "connect": {"endpoints": [meeting], "retry": retry}}
-        self._write("desk.json5", alone | {"listen": {"endpoints": [meeting]}})
-        self._write("vehicle.json5", alone | call)
+        self.site = SecureSite(folder / "pki")
         text = (ROOT / "params" / "days" / "harbour.toml").read_text()
         sites = ROOT / "params" / "sites"
         (folder / "day.toml").write_text(text.replace("../sites", str(sites)))
         orders = "id,lat_deg,lon_deg,alt_amsl_m,mass_kg\nH-1,55.4702,8.4460,13.0,0.4\n"
         (folder / "harbour_orders.csv").write_text(orders)
-
-    def _write(self, name: str, table: dict[str, object]) -> None:
-        (self.folder / name).write_text(json.dumps(table))
 
     def start(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
         module = "sim_bridge.main" if program == "sim_bridge" else f"{program}.app.cli.main"
@@ -81,14 +74,14 @@ class Day:
     def companion(self) -> subprocess.Popen[bytes]:
         return self.start(
             "companion", "run", f"--link=udpin:127.0.0.1:{self.mavlink}", "--airframe=m100",
-            f"--fleet={FLEET}", "--vehicle=d1", "--zenoh=vehicle.json5", "--configure",
+            f"--fleet={FLEET}", "--vehicle=d1", f"--identity={self.site.home('d1')}", "--configure",
             "--run-dir=d1",
         )  # fmt: skip
 
     def desk(self) -> subprocess.Popen[bytes]:
         return self.start(
-            "ground_station", "dispatch", "day.toml", f"--store={self.url}", "--zenoh=desk.json5",
-            "--until-done",
+            "ground_station", "dispatch", "day.toml", f"--store={self.url}",
+            f"--identity={self.site.home('desk')}", "--until-done",
         )  # fmt: skip
 
     def phases(self) -> list[str]:

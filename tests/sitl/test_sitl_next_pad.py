@@ -30,7 +30,7 @@ from companion.fleet.messages import (
     decode_state,
     encode,
 )
-from companion.fleet.network import Ask, Asked
+from companion.fleet.network import Ask, Asked, Told
 from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
 from sim_bridge.app.day.drone import DayDrone, DroneWorld
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -102,7 +102,7 @@ class Desk:
     def publish_track(self, raw: bytes) -> None:
         del raw
 
-    def tracks(self) -> list[bytes]:
+    def tracks(self) -> list[Told]:
         return []
 
     def close(self) -> None:

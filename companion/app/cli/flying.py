@@ -57,17 +57,28 @@ def fly(options: RunOptions) -> int:
     return code
 
 
-def fly_in_fleet(
-    name: str, vehicle: str, zenoh: Path | None, options: RunOptions, *, one_mission: bool
-) -> int:
+@dataclass(frozen=True, slots=True)
+class FleetLine:
+    """The options of `run` about the fleet."""
+
+    fleet: str
+    vehicle: str
+    zenoh: Path | None
+    identity: Path | None
+    open_network: bool
+
+
+def fly_in_fleet(said: FleetLine, options: RunOptions, *, one_mission: bool) -> int:
     """Fly one mission that the desk watches, or serve the desk until the process ends.
 
     Zenoh is loaded only here. Its threads can keep an interpreter from ending: leave the process
     with `companion.fleet.zenoh_link.leave_process`.
     """
     from companion.app.flight.fleet_run import FleetOptions, fly_one, serve
+    from companion.fleet.membership import JoinOptions
 
-    fleet = FleetOptions(name, vehicle, zenoh)
+    join = JoinOptions(said.identity, said.open_network)
+    fleet = FleetOptions(said.fleet, said.vehicle, said.zenoh, join)
     if one_mission:
         return fly_one(fleet, options, _show)
     return serve(fleet, options, say=typer.echo, on_action=_show)

@@ -203,8 +203,24 @@ def run_command(
     ] = None,
     zenoh: Annotated[
         Path | None,
-        typer.Option(help="zenoh's configuration (JSON5); default: a peer, found by multicast."),
+        typer.Option(
+            help="zenoh's configuration (JSON5); default: the identity's, else loopback only."
+        ),
     ] = None,
+    identity: Annotated[
+        Path | None,
+        typer.Option(
+            help="This vehicle's folder of `ground-station pki`: then all messages are signed"
+            " (docs/how-to/secure-a-fleet.md)."
+        ),
+    ] = None,
+    open_network: Annotated[
+        bool,
+        typer.Option(
+            "--open-network",
+            help="Allow a network that lets strangers in: without TLS, or found by multicast.",
+        ),
+    ] = False,
     keep_apart: Annotated[
         bool,
         typer.Option(
@@ -239,7 +255,7 @@ def run_command(
     if mission is None and authorise:
         raise LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
 
-    from companion.app.cli.flying import CommandLine, fly, fly_in_fleet
+    from companion.app.cli.flying import CommandLine, FleetLine, fly, fly_in_fleet
     from companion.core.pilot.context import PilotOptions, Unanswered
 
     pilot = PilotOptions(
@@ -263,7 +279,8 @@ def run_command(
 
     from companion.fleet.zenoh_link import leave_process
 
-    leave_process(fly_in_fleet(fleet, vehicle, zenoh, asked, one_mission=mission is not None))
+    said = FleetLine(fleet, vehicle, zenoh, identity, open_network)
+    leave_process(fly_in_fleet(said, asked, one_mission=mission is not None))
 
 
 @app.command(epilog=EXIT_CODES)

@@ -42,6 +42,7 @@ from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.endurance import longest_flight_s
 from companion.fleet.command_log import CommandBook, Verdict
 from companion.fleet.event_log import EventLog
 from companion.fleet.member import FleetMember
@@ -83,12 +84,16 @@ class Assigned(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 @dataclass(slots=True)
 class FleetPort:
-    """One life of a companion in a fleet. `vehicle` and `airframe` are what it announces."""
+    """One life of a companion in a fleet. `vehicle` and `airframe` are what it announces.
+
+    `begin_trouble` says why no flight may begin now, empty: it may.
+    """
 
     member: FleetMember
     airframe_name: str
     max_payload_kg: float
     current: Assigned | None
+    begin_trouble: Callable[[], str] = lambda: ""
     _told_s: float | None = None
     _told_phase: str = ""
 
@@ -102,8 +107,10 @@ class FleetPort:
         link_of: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
         epoch_us: Callable[[], int] = epoch_us,
+        trouble_until: Callable[[float], str] = lambda seconds: "",
     ) -> "FleetPort":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
+        `trouble_until(seconds)` says why nothing may begin that takes so long.
 
         Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
         not take new ones.
@@ -111,7 +118,10 @@ class FleetPort:
         table = read_whole(folder / CURRENT, "assignment")
         current = None if table is None else msgspec.convert(table, Assigned)
         member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
-        return cls(member, airframe_name, airframe.mass.max_payload_kg, current)
+        longest_s = longest_flight_s(airframe)
+        port = cls(member, airframe_name, airframe.mass.max_payload_kg, current)
+        port.begin_trouble = lambda: trouble_until(longest_s)
+        return port
 
     @property
     def vehicle(self) -> str:
@@ -150,7 +160,16 @@ class FleetPort:
 
     def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
         """Answer everything that was asked."""
-        self.member.turn(carry_out)
+        self.member.turn(lambda command: self._not_begun(command) or carry_out(command))
+
+    def _not_begun(self, command: Command) -> Verdict | None:
+        """Why a flight is not begun that could outlast our certificate; what has begun goes on."""
+        deed = command.deed
+        if not isinstance(deed, Assign | Launch):
+            return None
+        aboard = self.current is not None and deed.assignment == self.current.assignment
+        trouble = "" if aboard and isinstance(deed, Assign) else self.begin_trouble()
+        return Verdict(Answered.REFUSED, trouble) if trouble else None
 
     # --- assignments ---------------------------------------------------------------------------
 
@@ -225,11 +244,11 @@ class FleetPort:
 
     def neighbours(self, t_s: float) -> list[Event]:
         """What neighbours told since the last call; what is no track of another is left out."""
-        told = [decode_track(raw) for raw in self.link.tracks()]
+        heard = [(told.speaker, decode_track(told.raw)) for told in self.link.tracks()]
         return [
             NeighbourHeard(t_s, track)
-            for track in told
-            if isinstance(track, Track) and track.vehicle != self.vehicle
+            for speaker, track in heard
+            if isinstance(track, Track) and track.vehicle == speaker != self.vehicle
         ]
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:

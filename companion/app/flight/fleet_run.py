@@ -13,23 +13,23 @@ from companion.app.flight.run import DONE, GROUNDED, STOPPED, RunOptions, run
 from companion.app.flight.standby import MISSION, Standby, StopSignals
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action
+from companion.fleet.membership import ON_ITS_OWN, JoinOptions, join
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_link import ZenohLink, read_config
 
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """Which fleet, as which vehicle, by which zenoh configuration (`None`: multicast peer)."""
+    """Which fleet, as which vehicle, and how it joins; without a zenoh file as `join` says."""
 
     fleet: str
     vehicle: str
     zenoh: Path | None = None
+    join: JoinOptions = ON_ITS_OWN
 
 
 def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
     """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
-    keys = VehicleKeys(fleet.fleet, fleet.vehicle)
-    config = read_config(fleet.zenoh)
+    membership = join(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
     airframe = read_airframe(options.airframe, options.params)
     try:
         return FleetPort.open(
@@ -37,7 +37,8 @@ def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
             Path(options.airframe).stem,
             airframe,
             options.run_dir,
-            lambda life: ZenohLink(config, keys, life, lambda: None),
+            membership.open_link,
+            trouble_until=membership.trouble_until,
         )
     except OSError as error:
         raise LeewayError(f"{options.run_dir}: {error.strerror}") from error

@@ -10,11 +10,16 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
+    OPEN_WORDS,
     DayArgument,
     FleetName,
+    IdentityFolder,
+    OpenNetwork,
     StoreUrl,
     ZenohFile,
+    open_commanding_fleet,
     open_day,
+    open_fleet,
     open_store,
 )
 from ground_station.app.cli.order import list_impossible, take_orders
@@ -36,6 +41,8 @@ def dispatch(
     day: DayArgument,
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
+    identity: IdentityFolder = None,
+    open_network: OpenNetwork = False,
     plan: Annotated[
         Path | None,
         typer.Option(
@@ -67,7 +74,6 @@ def dispatch(
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
     from ground_station.adapters.files.plan_files import read_day_plan
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
 
@@ -78,17 +84,20 @@ def dispatch(
         take_orders(opened, data.orders)
         impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
         params = DepotParams(assigns=assign, launches=launch, launch_gap_s=launch_gap)
-        fleet = ZenohFleet(data.day.fleet, zenoh)
+        fleet = open_commanding_fleet(data.day.fleet, zenoh, identity, open_network)
+        say = _say_open if open_network else _say
         try:
             if chosen is None:
-                desk = open_depot_desk(data, opened, fleet, _say, params, impossible)
+                desk = open_depot_desk(data, opened, fleet, say, params, impossible)
             elif assign and launch:
-                desk = open_truck_desk(data, chosen, opened, fleet, _say)
+                desk = open_truck_desk(data, chosen, opened, fleet, say)
             else:
                 raise LeewayError(
                     "a day with a truck is run whole: expected no --no-assign, no --no-launch"
                 )
             typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
+            if open_network:
+                typer.echo(OPEN_WORDS)
             through = _run(desk, idle if until_done else None)
         finally:
             fleet.close()
@@ -133,6 +142,8 @@ def watch(
     fleet: FleetName,
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
+    identity: IdentityFolder = None,
+    open_network: OpenNetwork = False,
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Watch for so long, print once, end.")
     ] = None,
@@ -141,16 +152,15 @@ def watch(
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
-    from rich.console import Console, RenderableType
+    from rich.console import Console, Group, RenderableType
     from rich.live import Live
 
     from ground_station.adapters.store.day_store import DayStore
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.exchange import Exchange
     from ground_station.app.views.watch_view import day_shown, watch_view
 
     opened = open_store(store)
-    ears = ZenohFleet(fleet, zenoh)
+    ears = open_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, lambda words: None)
     exchange.begin()
     console, day = Console(), DayStore(opened.database, epoch_us)
@@ -158,7 +168,8 @@ def watch(
     def view() -> RenderableType:
         rows = opened.assignments(in_force=True)
         shown = day_shown(day, epoch_us())
-        return watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown)
+        seen = watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown)
+        return Group(f"[bold red]{OPEN_WORDS}[/]", seen) if open_network else seen
 
     try:
         with stop_signals() as stopped:
@@ -180,6 +191,8 @@ def recall(
     everybody: Annotated[bool, typer.Option("--all", help="Every vehicle that is heard.")] = False,
     store: StoreUrl = DEFAULT_STORE,
     zenoh: ZenohFile = None,
+    identity: IdentityFolder = None,
+    open_network: OpenNetwork = False,
     wait: Annotated[float, typer.Option(min=1.0, help="Time-out of an answer, s.")] = 10.0,
     direct: Annotated[
         str | None,
@@ -203,13 +216,12 @@ def recall(
     if direct is not None and vehicle is None:
         raise LeewayError("--direct: expected one vehicle, not --all")
 
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.exchange import Exchange
     from ground_station.app.desk.recall import NobodyHeardError, recall_past_companion
     from ground_station.app.desk.recall import recall as recall_fleet
 
     opened = open_store(store)
-    ears = ZenohFleet(fleet, zenoh)
+    ears = open_commanding_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, _say)
     exchange.begin()
     try:
@@ -249,6 +261,10 @@ def report(
     Console().print(report_view(figures))
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=1))
+
+
+def _say_open(words: str) -> None:
+    _say(f"[OPEN NETWORK] {words}")
 
 
 def _say(words: str) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.cli import benchmark, cluster, dispatch, estimate, order, plan, truck
+from ground_station.app.cli import benchmark, cluster, dispatch, estimate, order, pki, plan, truck
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
 OURS = ("companion", "ground_station")
@@ -51,6 +51,7 @@ def program_options(
 app.add_typer(estimate.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
+app.add_typer(pki.app, name="pki")
 app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)

@@ -8,7 +8,13 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.app.cli.options import DayArgument, ZenohFile, open_day
+from ground_station.app.cli.options import (
+    DayArgument,
+    IdentityFolder,
+    OpenNetwork,
+    ZenohFile,
+    open_day,
+)
 from ground_station.app.cli.stopping import stop_signals
 
 app = typer.Typer()
@@ -22,30 +28,32 @@ def truck(
     ] = Path("leeway-truck"),
     fleet: Annotated[str | None, typer.Option(help="Default: as in the day file.")] = None,
     zenoh: ZenohFile = None,
+    identity: IdentityFolder = None,
+    open_network: OpenNetwork = False,
 ) -> None:
     """The driver's terminal: where to drive, whom to serve, which drones to put out and take in.
 
     Each task is confirmed with a key. Ctrl-C leaves; the same command carries on.
 
-    ground-station truck harbour --zenoh deploy/zenoh/peer.json5
+    ground-station truck harbour --identity /var/lib/leeway/identity
     """
     from rich.console import Console
 
+    from companion.fleet.membership import JoinOptions, join
     from companion.fleet.topics import VehicleKeys
-    from companion.fleet.zenoh_link import ZenohLink, read_config
     from ground_station.app.truck.driver_console import run_console
     from ground_station.app.truck.truck_member import TruckMember
     from ground_station.core.fleet.truck_state import TRUCK
 
     data = open_day(day)
-    keys, config = VehicleKeys(fleet or data.day.fleet, TRUCK), read_config(zenoh)
-    woken = threading.Event()
+    keys, woken = VehicleKeys(fleet or data.day.fleet, TRUCK), threading.Event()
+    membership = join(keys, zenoh, JoinOptions(identity, open_network), woken.set)
     depot = data.day.depot
     try:
         member = TruckMember.open(
             TRUCK,
             folder,
-            lambda life: ZenohLink(config, keys, life, woken.set),
+            membership.open_link,
             stop="depot",
             lat_deg=depot.lat_deg,
             lon_deg=depot.lon_deg,

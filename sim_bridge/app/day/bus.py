@@ -25,7 +25,7 @@ from companion.fleet.messages import (
     decode_state,
     encode,
 )
-from companion.fleet.network import Ask, Asked
+from companion.fleet.network import Ask, Asked, Told
 from ground_station.core.fleet.fleet_link import (
     CommandAnswered,
     EventsReceived,
@@ -136,10 +136,10 @@ class Bus:
 
     def post_track(self, sender: "BusLink", raw: bytes) -> None:
         """Send a track to every other vehicle, with this network's delay and distortion."""
-        spoilt = self.spoil(raw, self.t_s)
+        told = Told(sender.vehicle, self.spoil(raw, self.t_s))
         for link in self.links_of():
             if link.vehicle != sender.vehicle and not self._is_lost():
-                self.later(self.track_delay_s, lambda link=link: link.hear_track(spoilt))
+                self.later(self.track_delay_s, lambda link=link: link.hear_track(told))
 
     def _is_lost(self) -> bool:
         self.sent += 1
@@ -171,7 +171,7 @@ class BusLink:
     life: str
     state: bytes = b""
     _waiting: list[Asked] = field(default_factory=list)
-    _tracks: list[bytes] = field(default_factory=list)
+    _tracks: list[Told] = field(default_factory=list)
 
     def asked(self) -> list[Asked]:
         """Take all pending commands and queries."""
@@ -203,14 +203,14 @@ class BusLink:
         """Send the own position to the neighbours."""
         self.bus.post_track(self, raw)
 
-    def tracks(self) -> list[bytes]:
+    def tracks(self) -> list[Told]:
         """Neighbours' tracks received since the last call."""
         tracks, self._tracks = self._tracks, []
         return tracks
 
-    def hear_track(self, raw: bytes) -> None:
+    def hear_track(self, told: Told) -> None:
         """Queue a neighbour's track."""
-        self._tracks.append(raw)
+        self._tracks.append(told)
 
     def close(self) -> None:
         """Leave the network."""

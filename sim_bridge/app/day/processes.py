@@ -24,7 +24,8 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.messages import State
 from companion.fleet.network import MemberLink
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_link import ZenohLink, read_config
+from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_link import ZenohLink
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import StateReceived
 from ground_station.core.fleet.truck_state import TRUCK

@@ -29,7 +29,8 @@ from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_link import ZenohLink, leave_process, read_config
+from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_link import ZenohLink, leave_process
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet

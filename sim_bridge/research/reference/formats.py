@@ -12,6 +12,7 @@ from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 from companion.fleet.messages import Command, FleetEvent, Result, State
+from companion.fleet.roster import Roster
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.flight.scenario import Fault
@@ -60,6 +61,7 @@ def formats() -> tuple[Format, ...]:
         Format("wind-process/1", WindProcessParams, _read("wind")),
         Format("day/1", Day, _read("days")),
         Format("day-plan/1", DayPlan, _read("days")),
+        Format("roster/1", Roster),
         Format("truth/1", AirframeTruth, _read("truth")),
         Format("delivery-scenario/1", Scenario),
         Format("message state", State),

@@ -131,3 +131,25 @@ def test_an_outcome_is_known_again_after_a_restart(tmp_path):
     assert again.has_outcome("a1")
     assert not again.has_outcome("a2")
     again.close()
+
+
+@pytest.mark.parametrize(
+    "deed", [Launch(assignment="a1"), Assign(assignment="a1", order="o1", flight={})]
+)
+def test_no_flight_begins_that_would_outlast_the_certificate_and_a_recall_is_taken(port, deed):
+    assert ask(port, deed).answer is Answered.DONE
+    port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
+    assert ask(port, deed).answer is Answered.DONE  # answered before: it is known, not begun anew
+    refused = ask(port, deed, "c2")
+    assert (refused.answer, refused.reason) == (
+        Answered.REFUSED,
+        "the certificate of d1 ends in 9 min",
+    )
+    assert ask(port, Recall(), "c3").answer is Answered.DONE
+
+
+def test_what_is_aboard_stays_aboard_when_the_certificate_ends(port):
+    port.take_aboard(fleet_port.Assigned(assignment="a1", order="o1"))
+    port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
+    again = Assign(assignment="a1", order="o1", flight={})
+    assert ask(port, again).answer is Answered.DONE

@@ -28,7 +28,7 @@ from companion.fleet.messages import (
     decode_state,
     encode,
 )
-from companion.fleet.network import Ask, Asked
+from companion.fleet.network import Ask, Asked, Told
 from ground_station.app.truck.driver_console import obey
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import TaskKind
@@ -67,7 +67,7 @@ class Wire:
     def publish_track(self, raw: bytes) -> None:
         del raw
 
-    def tracks(self) -> list[bytes]:
+    def tracks(self) -> list[Told]:
         return []
 
     def close(self) -> None:

@@ -1,0 +1,25 @@
+"""The roles of a fleet's members; loads nothing, so that a command line can list them."""
+
+from enum import Enum
+
+
+class Role(Enum):
+    """What a member may do."""
+
+    DESK = "desk"
+    ROUTER = "router"
+    VEHICLE = "vehicle"
+    TRUCK = "truck"
+    SUPERVISOR = "supervisor"
+    DISPATCHER = "dispatcher"
+    VIEWER = "viewer"
+
+
+COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
+"""Whose commands a vehicle takes."""
+
+SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
+"""Who has a state, events, results and a track of its own."""
+
+LISTENS = frozenset({Role.DESK, Role.ROUTER})
+"""Whom the others call: only their certificates are for a server."""

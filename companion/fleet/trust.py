@@ -1,0 +1,198 @@
+"""Whom a member believes: it signs what it says, and checks what it hears against the roster.
+
+A member expires so that nothing is cut in flight: who has expired may begin nothing (no command but
+a recall is taken of it, and network certificates end by themselves at the next joining), but what
+it tells of a flight is heard to the end. Who is revoked is not heard at all.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
+from companion.fleet.messages import Recall, Refused, decode_command
+from companion.fleet.roles import COMMANDS, SPEAKS
+from companion.fleet.roster import Roster, RosterMember, SignedRoster, decode_signed_roster
+from companion.fleet.signature import is_signed, sign
+
+ROSTER_KIND = "roster"
+DAY_US = 86_400_000_000
+WARN_DAYS = 30
+"""A month: time enough to bring a new certificate to a vehicle that is away."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignedCommand:
+    """A command's bytes that were checked, and the member who signed them."""
+
+    raw: bytes
+    signer: str
+
+
+@dataclass(slots=True)
+class Trust:
+    """One member's view of its fleet. `authorities`: the public keys that may sign rosters.
+
+    `keep` puts a newer roster on the disk.
+    """
+
+    name: str
+    private: bytes
+    authorities: frozenset[str]
+    signed: SignedRoster
+    roster: Roster
+    epoch_us: Callable[[], int]
+    keep: Callable[[SignedRoster], None]
+
+    @property
+    def fleet(self) -> str:
+        """The fleet's name."""
+        return self.roster.fleet
+
+    @property
+    def me(self) -> RosterMember | None:
+        """This member as the roster lists it; None: it does not."""
+        return self.roster.by_name.get(self.name)
+
+    # --- out -----------------------------------------------------------------------------------
+
+    def seal(self, kind: str, raw: bytes) -> bytes:
+        """A message of ours in its envelope."""
+        signature = sign(self.private, kind=kind, fleet=self.fleet, signer=self.name, raw=raw)
+        return put_in_envelope(self.name, signature, raw)
+
+    # --- in ------------------------------------------------------------------------------------
+
+    def told(self, kind: str, raw: bytes, speaker: str | None) -> bytes | Refused:
+        """The message that the vehicle or truck `speaker` itself signed."""
+        found = self._checked(kind, raw)
+        if isinstance(found, Refused):
+            return found
+        envelope, member = found
+        if envelope.signer != speaker:
+            return Refused(f"{kind}: signed by {envelope.signer}")
+        if member.role not in SPEAKS:
+            return Refused(f"{kind}: {speaker} is a {member.role.value}")
+        return envelope.message
+
+    def commanded(self, raw: bytes) -> SignedCommand | Refused:
+        """The command that somebody signed who may command."""
+        found = self._checked("command", raw)
+        if isinstance(found, Refused):
+            return found
+        envelope, member = found
+        if member.role not in COMMANDS:
+            return Refused(f"command: a {member.role.value} may not command ({member.name})")
+        command = decode_command(envelope.message)
+        if isinstance(command, Refused):
+            return command
+        if self.is_over(member) and not isinstance(command.deed, Recall):
+            return Refused(f"command: {member.name}'s certificate has expired")
+        return SignedCommand(envelope.message, member.name)
+
+    def _checked(self, kind: str, raw: bytes) -> tuple[Envelope, RosterMember] | Refused:
+        envelope = read_envelope(kind, raw)
+        if isinstance(envelope, Refused):
+            return envelope
+        member = self.roster.by_name.get(envelope.signer)
+        if member is None:
+            return Refused(f"{kind}: signed by {envelope.signer}, who is not on the roster")
+        if member.revoked:
+            return Refused(f"{kind}: {envelope.signer} is revoked")
+        if not self._is_of(member.key, kind, envelope.signer, envelope.signature, envelope.message):
+            return Refused(f"{kind}: not the signature of {envelope.signer}")
+        return envelope, member
+
+    def _is_of(self, key: str, kind: str, signer: str, signature: bytes, raw: bytes) -> bool:
+        return is_signed(key, signature, kind=kind, fleet=self.fleet, signer=signer, raw=raw)
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def is_over(self, member: RosterMember) -> bool:
+        """Its certificate has ended by our clock. A clock that stands at 1970 finds none ended."""
+        return self.epoch_us() > member.not_after_us
+
+    def days_left(self) -> float:
+        """Days until our own certificate ends; 0 where the roster does not list us."""
+        return 0.0 if self.me is None else (self.me.not_after_us - self.epoch_us()) / DAY_US
+
+    def warning(self) -> str:
+        """What a person should do about our own certificate; empty: nothing."""
+        if self.me is None or self.me.revoked:
+            return f"{self.name} is {'revoked' if self.me else 'not on the roster'}"
+        days = self.days_left()
+        if days > WARN_DAYS:
+            return ""
+        return f"certificate of {self.name}: {days:.0f} days left (ground-station pki renew)"
+
+    def trouble_until(self, seconds: float) -> str:
+        """Why nothing may begin that takes so long: our certificate would end meanwhile."""
+        if self.me is None or self.me.revoked:
+            return self.warning()
+        left_s = (self.me.not_after_us - self.epoch_us()) / 1e6
+        if left_s >= seconds:
+            return ""
+        return (
+            f"the certificate of {self.name} ends in {max(left_s, 0.0) / 60.0:.0f} min,"
+            f" expected at least {seconds / 60.0:.0f} min more"
+        )
+
+    def command_trouble(self) -> str:
+        """Why nobody would take a command of ours; empty: they would."""
+        me = self.me
+        if me is None or me.revoked:
+            return self.warning()
+        if me.role not in COMMANDS:
+            return f"{self.name} is a {me.role.value}: may not command"
+        return f"the certificate of {self.name} has expired" if self.is_over(me) else ""
+
+    # --- rosters -------------------------------------------------------------------------------
+
+    @property
+    def roster_bytes(self) -> bytes:
+        """The roster in force, as it is passed on."""
+        return msgspec.json.encode(self.signed)
+
+    def take_roster(self, raw: bytes) -> Roster | Refused | None:
+        """Put a newer roster in force and on the disk; None where it is not newer."""
+        found = checked_roster(raw, self.authorities)
+        if isinstance(found, Refused):
+            return found
+        signed, roster = found
+        if roster.fleet != self.fleet:
+            return Refused(f"roster: of fleet {roster.fleet}")
+        if roster.number <= self.roster.number:
+            return None
+        self.signed, self.roster = signed, roster
+        self.keep(signed)
+        return roster
+
+
+def checked_roster(
+    raw: bytes, authorities: frozenset[str]
+) -> tuple[SignedRoster, Roster] | Refused:
+    """A roster that at least one of these authorities signed."""
+    found = decode_signed_roster(raw)
+    if isinstance(found, Refused):
+        return found
+    signed, roster = found
+    if any(is_roster_signed(signed, roster.fleet, key) for key in authorities):
+        return found
+    return Refused("roster: not signed by an authority of this fleet")
+
+
+def is_roster_signed(signed: SignedRoster, fleet: str, authority: str) -> bool:
+    """Tell whether this authority signed it."""
+    signature = signed.signatures.get(authority)
+    if signature is None:
+        return False
+    raw = signed.roster.encode()
+    return is_signed(
+        authority,
+        bytes.fromhex(signature),
+        kind=ROSTER_KIND,
+        fleet=fleet,
+        signer=ROSTER_KIND,
+        raw=raw,
+    )

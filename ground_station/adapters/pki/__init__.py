@@ -1,0 +1,1 @@
+"""A fleet's public key infrastructure: its authority, and what each member gets in its folder."""

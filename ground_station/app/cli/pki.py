@@ -1,0 +1,120 @@
+"""`ground-station pki`: who belongs to a fleet, and the folders that make them members."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from companion.core.base.errors import LeewayError
+from companion.fleet.roles import Role
+from ground_station.adapters.clock import epoch_us
+
+if TYPE_CHECKING:
+    from ground_station.adapters.pki.pki_folder import PkiFolder
+
+SOON = 3
+DAYS = 365
+WARN_DAYS = 30
+"""A month: time enough to bring a new certificate to a vehicle that is away."""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help=(
+        "Make and end the identities of a fleet's members (docs/how-to/secure-a-fleet.md).\n\n"
+        "ground-station pki init harbour\n\n"
+        "ground-station pki add d1 --role vehicle"
+    ),
+)
+
+Folder = Annotated[Path, typer.Option("--pki", help="The folder of authority, roster and members.")]
+HERE = Path("fleet-pki")
+Days = Annotated[int, typer.Option(min=1, max=3650, help="How long the certificate is valid.")]
+
+
+@app.command()
+def init(fleet: str, pki: Folder = HERE) -> None:
+    """Make the authority of a new fleet. Keep PKI/authority apart: it can make members."""
+    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+
+    PkiFolder.init(pki, fleet, utc_at(epoch_us()))
+    typer.echo(f"{pki}: the authority of {fleet}; keep {pki / 'authority'} apart")
+
+
+@app.command()
+def add(
+    name: str,
+    role: Annotated[Role, typer.Option(help="What it may do.")],
+    address: Annotated[
+        str, typer.Option(help="HOST:PORT at which the others find a desk or router.")
+    ] = "",
+    days: Days = DAYS,
+    pki: Folder = HERE,
+) -> None:
+    """Make a member: its keys, certificate and network file, in a folder to carry to it."""
+    folder = _open(pki)
+    folder.add(name, role, days, address)
+    typer.echo(f"{pki / 'members' / name}: for {name} only; roster {folder.roster.number}")
+
+
+@app.command()
+def renew(name: str, days: Days = DAYS, pki: Folder = HERE) -> None:
+    """Make a member's certificate valid for longer; its keys stay."""
+    folder = _open(pki)
+    folder.renew(name, days)
+    typer.echo(f"{pki / 'members' / name}: carry tls.pem to {name}; roster {folder.roster.number}")
+
+
+@app.command()
+def revoke(name: str, pki: Folder = HERE) -> None:
+    """End a member: nobody believes it any more once the new roster is with them."""
+    folder = _open(pki)
+    folder.revoke(name)
+    words = f"roster {folder.roster.number}: {name} is revoked; a desk tells it"
+    typer.echo(f"{words} once {pki / 'roster.json'} lies in its folder")
+
+
+@app.command()
+def rotate(pki: Folder = HERE) -> None:
+    """Make a second authority beside the first. Carry all folders to their members, renew all."""
+    folder = _open(pki)
+    folder.rotate()
+    typer.echo(f"{pki}: two authorities count; carry the folders, renew all, then `pki retire`")
+
+
+@app.command()
+def retire(pki: Folder = HERE) -> None:
+    """End the older of two authorities, once every member has the newer one's certificate."""
+    folder = _open(pki)
+    folder.retire()
+    typer.echo(f"{pki}: one authority counts")
+
+
+@app.command()
+def status(pki: Folder = HERE) -> None:
+    """List the members and the days that their certificates are still valid.
+
+    Exit code 3: one has at most 30 days left, or none.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    folder = _open(pki)
+    table = Table("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")
+    soon: list[str] = []
+    for member in folder.roster.members:
+        days = (member.not_after - folder.now).days
+        if not member.revoked and days <= WARN_DAYS:
+            soon.append(member.name)
+        table.add_row(member.name, member.role.value, "revoked" if member.revoked else str(days))
+    Console().print(table)
+    if soon:
+        typer.echo(f"renew: {', '.join(soon)}", err=True)
+        raise typer.Exit(SOON)
+
+
+def _open(pki: Path) -> "PkiFolder":
+    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+
+    if not pki.is_dir():
+        raise LeewayError(f"{pki}: no such folder: expected `ground-station pki init FLEET` first")
+    return PkiFolder.read(pki, utc_at(epoch_us()))

@@ -1,0 +1,285 @@
+"""Who is believed: signatures, roles, revocation, expiry and rosters, with keys made here."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from companion.core.base.errors import LeewayError
+from companion.fleet.command_log import CommandBook
+from companion.fleet.envelope import read_envelope
+from companion.fleet.identity import SIGNING_KEY, Identity, read_identity
+from companion.fleet.messages import (
+    Answered,
+    Command,
+    EventKind,
+    FleetEvent,
+    Recall,
+    Refused,
+    SetLimits,
+    encode,
+)
+from companion.fleet.refusals import Refusals
+from companion.fleet.roles import Role
+from companion.fleet.roster import RosterMember, roster_from_toml, roster_toml
+from companion.fleet.trust import SignedCommand, Trust
+from ground_station.adapters.pki.pki_folder import PkiFolder
+
+NOW = datetime(2026, 11, 23, 9, 0, tzinfo=UTC)
+DAYS = 365
+
+
+@pytest.fixture
+def pki(tmp_path: Path) -> PkiFolder:
+    made = PkiFolder.init(tmp_path / "pki", "harbour", NOW)
+    made.add("desk", Role.DESK, DAYS, "127.0.0.1:7447")
+    for name, role in (("d1", Role.VEHICLE), ("d2", Role.VEHICLE), ("truck", Role.TRUCK)):
+        made.add(name, role, DAYS, "")
+    made.add("anna", Role.DISPATCHER, 10, "")
+    made.add("otto", Role.VIEWER, DAYS, "")
+    return made
+
+
+def identity(pki: PkiFolder, name: str, now: datetime = NOW) -> Identity:
+    return read_identity(pki.folder / "members" / name, lambda: round(now.timestamp() * 1e6))
+
+
+def trust(pki: PkiFolder, name: str, now: datetime = NOW) -> Trust:
+    return identity(pki, name, now).trust
+
+
+def event(vehicle: str = "d1") -> bytes:
+    outcome = {"outcome": "SUC", "delivered": True, "home": True}
+    told = {"vehicle": vehicle, "log": "l", "seq": 1, "epoch_us": 0, "text": "home", **outcome}
+    return encode(FleetEvent(kind=EventKind.OUTCOME, **told))
+
+
+def command(deed: object = None, id_: str = "c1") -> bytes:
+    asked = SetLimits(max_loss=0.1) if deed is None else deed
+    made = {"id": id_, "vehicle": "d1", "life": "x", "as_of_s": 0.0, "by": "desk", "deed": asked}
+    return encode(Command(**made))
+
+
+def why(found: object) -> str:
+    assert isinstance(found, Refused), found
+    return found.reason
+
+
+def test_what_a_vehicle_signs_is_believed_of_it_and_comes_out_as_it_went_in(pki):
+    raw = event()
+    assert trust(pki, "desk").told("event", trust(pki, "d1").seal("event", raw), "d1") == raw
+
+
+def test_nobody_speaks_for_another(pki):
+    desk, forged = trust(pki, "desk"), trust(pki, "d2").seal("event", event("d1"))
+    assert why(desk.told("event", forged, "d1")) == "event: signed by d2"
+    assert why(desk.told("event", trust(pki, "d1").seal("event", event()), None))
+
+
+def test_a_person_who_has_a_vehicles_place_on_the_network_is_no_vehicle(pki):
+    forged = trust(pki, "anna").seal("event", event("anna"))
+    assert why(trust(pki, "desk").told("event", forged, "anna")) == "event: anna is a dispatcher"
+
+
+def test_a_signature_is_for_one_kind_one_fleet_one_signer_and_these_bytes(pki):
+    desk, sealed = trust(pki, "desk"), trust(pki, "d1").seal("event", event())
+    assert "not the signature" in why(desk.told("state", sealed, "d1"))
+    envelope = read_envelope("event", sealed)
+    assert not isinstance(envelope, Refused)
+    other = replace_bytes(sealed, b'"seq":1', b'"seq":2')
+    assert "not the signature" in why(desk.told("event", other, "d1"))
+    elsewhere = msgspec.structs.replace(desk.roster, fleet="inland")
+    assert "not the signature" in why(replace(desk, roster=elsewhere).told("event", sealed, "d1"))
+    renamed = replace_bytes(sealed, b"\xa2d1\xc4", b"\xa2d2\xc4")
+    assert "not the signature of d2" in why(desk.told("event", renamed, "d2"))
+
+
+def replace_bytes(raw: bytes, old: bytes, new: bytes) -> bytes:
+    assert raw.count(old) == 1
+    return raw.replace(old, new)
+
+
+@pytest.mark.parametrize("raw", [b"", b"{}", event(), b"\x94\xa8signed/1", b"\xc1" * 50])
+def test_what_is_in_no_envelope_is_not_believed(pki, raw):
+    assert why(trust(pki, "desk").told("event", raw, "d1")) == "event: not signed"
+
+
+def test_too_many_bytes_are_not_even_read(pki):
+    assert why(trust(pki, "d1").commanded(b"\x94" * (2 << 20))) == "command: 2097152 bytes"
+
+
+@pytest.mark.parametrize(("name", "may"), [("desk", True), ("anna", True), ("otto", False)])
+def test_a_viewer_commands_nobody_a_dispatcher_and_the_desk_do(pki, name, may):
+    found = trust(pki, "d1").commanded(trust(pki, name).seal("command", command()))
+    assert found == (SignedCommand(command(), name) if may else Refused(found.reason))
+    assert may or why(found) == "command: a viewer may not command (otto)"
+
+
+@pytest.mark.parametrize("name", ["d2", "truck"])
+def test_a_vehicles_or_trucks_key_commands_nobody(pki, name):
+    found = trust(pki, "d1").commanded(trust(pki, name).seal("command", command()))
+    assert "may not command" in why(found)
+
+
+def test_of_an_expired_person_only_a_recall_is_taken(pki):
+    late = NOW + timedelta(days=11)
+    d1, anna = trust(pki, "d1", late), trust(pki, "anna")
+    assert why(d1.commanded(anna.seal("command", command()))) == (
+        "command: anna's certificate has expired"
+    )
+    assert isinstance(d1.commanded(anna.seal("command", command(Recall()))), SignedCommand)
+
+
+def test_an_expired_vehicle_is_heard_to_the_end_of_its_flight(pki):
+    desk, sealed = trust(pki, "desk", NOW + timedelta(days=999)), trust(pki, "d1")
+    assert desk.told("event", sealed.seal("event", event()), "d1") == event()
+
+
+def test_a_clock_that_stands_at_1970_finds_nobody_expired(pki):
+    d1 = trust(pki, "d1", datetime(1970, 1, 1, tzinfo=UTC))
+    assert isinstance(d1.commanded(trust(pki, "anna").seal("command", command())), SignedCommand)
+
+
+def test_a_revoked_member_is_refused_as_soon_as_the_new_roster_is_taken_and_after_a_restart(pki):
+    d1, anna = trust(pki, "d1"), trust(pki, "anna")
+    newer = revoked(pki, "anna")
+    assert isinstance(d1.commanded(anna.seal("command", command())), SignedCommand)
+    taken = d1.take_roster(newer)
+    assert taken == pki.roster
+    assert why(d1.commanded(anna.seal("command", command()))) == "command: anna is revoked"
+    assert trust(pki, "d1").roster.number == pki.roster.number
+
+
+def revoked(pki: PkiFolder, name: str) -> bytes:
+    """The roster that revokes it, which no member has on its disk yet."""
+    before = {p: p.read_bytes() for p in (pki.folder / "members").glob("*/roster.json")}
+    pki.revoke(name)
+    for path, content in before.items():
+        path.write_bytes(content)
+    return (pki.folder / "roster.json").read_bytes()
+
+
+def test_an_older_roster_is_not_taken_again(pki):
+    old = (pki.folder / "roster.json").read_bytes()
+    pki.revoke("anna")
+    d1 = trust(pki, "d1")
+    assert d1.take_roster(old) is None
+    assert d1.roster.by_name["anna"].revoked
+
+
+def test_a_roster_of_a_foreign_authority_or_with_a_changed_word_is_not_taken(pki, tmp_path):
+    d1 = trust(pki, "d1")
+    foreign = PkiFolder.init(tmp_path / "foreign", "harbour", NOW)
+    for n in range(9):
+        foreign.add(f"x{n}", Role.DESK, DAYS, "")
+    assert "not signed by an authority" in why(
+        d1.take_roster((foreign.folder / "roster.json").read_bytes())
+    )
+    newer = revoked(pki, "anna")
+    changed = replace_bytes(newer, b"revoked = true", b"revoked = false")
+    assert "not signed by an authority" in why(d1.take_roster(changed))
+
+
+def test_a_roster_that_the_disk_does_not_take_is_in_force_all_the_same(pki):
+    d1 = trust(pki, "d1")
+
+    def full(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    d1.keep = full
+    with pytest.raises(OSError, match="No space"):
+        d1.take_roster(revoked(pki, "anna"))
+    assert d1.roster.by_name["anna"].revoked
+
+
+def test_two_authorities_overlap_and_the_older_ends(pki):
+    old = trust(pki, "d1")  # knows the first authority only
+    pki.rotate()
+    signed = (pki.folder / "roster.json").read_bytes()
+    assert old.take_roster(signed) == pki.roster
+    both = trust(pki, "d2")
+    assert len(both.authorities) == 2
+    with pytest.raises(LeewayError, match="two authorities"):
+        pki.rotate()
+    pki.retire()
+    alone = (pki.folder / "roster.json").read_bytes()
+    assert both.take_roster(alone) == pki.roster
+    assert "not signed" in why(old.take_roster(alone))
+    with pytest.raises(LeewayError, match="one authority only"):
+        pki.retire()
+
+
+def test_a_renewed_member_keeps_its_keys_so_that_nothing_is_cut(pki):
+    before, anna = pki.roster.by_name["anna"], trust(pki, "anna")
+    pki.renew("anna", DAYS)
+    after = pki.roster.by_name["anna"]
+    assert (after.key, after.not_after - before.not_after) == (before.key, timedelta(days=355))
+    late = trust(pki, "d1", NOW + timedelta(days=11))
+    assert isinstance(late.commanded(anna.seal("command", command())), SignedCommand)
+
+
+def test_a_signing_key_that_others_can_read_is_refused(pki):
+    home = pki.folder / "members" / "d1"
+    assert (home / SIGNING_KEY).stat().st_mode & 0o777 == 0o600
+    (home / SIGNING_KEY).chmod(0o640)
+    with pytest.raises(LeewayError, match="others can read it"):
+        read_identity(home)
+
+
+@pytest.mark.parametrize("left", [31, 29, -1])
+def test_a_month_before_its_end_a_member_says_what_is_to_be_done(pki, left):
+    words = trust(pki, "d1", NOW + timedelta(days=DAYS - left)).warning()
+    assert words == (
+        "" if left > 30 else f"certificate of d1: {left} days left (ground-station pki renew)"
+    )
+
+
+def test_nothing_may_begin_that_outlasts_the_certificate(pki):
+    d1 = trust(pki, "d1", NOW + timedelta(days=DAYS) - timedelta(minutes=30))
+    assert d1.trouble_until(1700.0) == ""
+    assert d1.trouble_until(1900.0) == (
+        "the certificate of d1 ends in 30 min, expected at least 32 min more"
+    )
+
+
+def test_a_roster_file_is_read_strictly_and_written_as_it_was(pki):
+    text = (pki.folder / "roster.toml").read_bytes()
+    assert roster_toml(roster_from_toml(text, "roster.toml")).encode() == text
+    for wrong in (b'role = "captain"', b'role = "vehicle"\ncaptain = true'):
+        with pytest.raises(LeewayError, match=r"roster\.toml"):
+            roster_from_toml(text.replace(b'role = "vehicle"', wrong), "roster.toml")
+    twice = text + text[text.index(b"[[members]]") :]
+    with pytest.raises(LeewayError, match="each name once"):
+        roster_from_toml(twice, "roster.toml")
+
+
+def test_a_member_without_an_end_in_a_time_zone_is_refused():
+    bare = {"name": "d1", "role": "vehicle", "key": "0" * 64, "not_after": datetime(2026, 1, 1)}
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert(bare, RosterMember)
+
+
+def test_a_command_that_rests_on_a_state_from_the_future_is_refused():
+    asked = msgspec.structs.replace(
+        msgspec.json.decode(command(), type=Command), as_of_s=1e9, life="x"
+    )
+    verdict = CommandBook().look(asked, "x", 100.0)
+    assert verdict is not None
+    assert verdict.answer is Answered.REFUSED
+    assert "from now" in verdict.reason
+    home = msgspec.structs.replace(asked, deed=Recall())
+    assert CommandBook().look(home, "x", 100.0) is None
+
+
+def test_what_is_not_believed_is_counted_and_said_once_a_minute():
+    heard = Refusals()
+    assert heard.due(0.0) is None
+    for n in range(500):
+        heard.note("forged" if n % 2 else f"made up {n}")
+    assert "forged (250)" in (heard.due(0.0) or "")
+    heard.note("forged")
+    assert heard.due(59.9) is None
+    assert heard.due(60.0) == "not believed: forged (1)"
+    assert heard.total == 501

@@ -1,0 +1,446 @@
+"""Strangers, impostors and members that overstep, over real zenoh. Each attack has a canary: with
+the guard taken out the same attack succeeds.
+
+Where a signature is the guard, the network is a plain one on loopback whose router is the
+attacker's: nothing but the signature is in his way.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from companion.core.separation.track import Track
+from companion.fleet.command_log import CommandBook
+from companion.fleet.envelope import read_envelope
+from companion.fleet.messages import (
+    Answered,
+    Command,
+    EventKind,
+    FleetEvent,
+    Recall,
+    Refused,
+    Result,
+    SetLimits,
+    State,
+    encode,
+)
+from companion.fleet.roles import Role
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.trust import SignedCommand, Trust
+from companion.fleet.zenoh_config import read_config
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.pki import certificates
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    EventsReceived,
+    FleetInput,
+    MessageRejected,
+    StateReceived,
+)
+from tests.fleet.secure_site import SecureSite
+from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
+
+PATIENCE_S = 20.0
+KEPT_OUT_S = 1.5
+"""Who is let in is in within 0.3 s here."""
+
+GUARD = pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: succeeds"])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> SecureSite:
+    return SecureSite(tmp_path_factory.mktemp("site") / "pki")
+
+
+def trust_of(site: SecureSite, name: str) -> Trust:
+    return site.identity(name).trust
+
+
+def hears(fleet: ZenohFleet, wanted: Callable[[FleetInput], Any], wait_s: float) -> Any:
+    limit_s = monotonic_s() + wait_s
+    while monotonic_s() < limit_s:
+        for heard in fleet.receive(0.05):
+            found = wanted(heard)
+            if found:
+                return found
+    return None
+
+
+def answered(heard: FleetInput) -> CommandAnswered | None:
+    return heard if isinstance(heard, CommandAnswered) else None
+
+
+def limits(vehicle: Vehicle, id_: str = "c1", **more: Any) -> Command:
+    port = vehicle.port
+    told = {"id": id_, "vehicle": port.vehicle, "life": port.life, "as_of_s": port.uptime_s}
+    return Command(**{**told, "by": "desk", "deed": SetLimits(max_loss=0.1), **more})
+
+
+# --- the door: certificates ------------------------------------------------------------------
+
+
+def listens_to_all(config: zenoh.Config, wait_s: float) -> list[str]:
+    """The keys of states that a session hears or is answered."""
+    found: list[str] = []
+    with zenoh.open(config) as session:
+        everything = f"leeway/{FLEET}/**"
+        held = session.declare_subscriber(everything, lambda s: found.append(str(s.key_expr)))
+        limit_s = monotonic_s() + wait_s
+        while not found and monotonic_s() < limit_s:
+            for reply in session.get(everything, timeout=0.3):
+                found += [str(reply.ok.key_expr)] if reply.ok is not None else []
+        held.undeclare()
+    return found
+
+
+@GUARD
+def test_a_stranger_without_a_certificate_hears_nothing(tmp_path, guarded):
+    site = SecureSite(tmp_path / "pki")
+    table = json.loads((site.home("desk") / "zenoh.json5").read_text())
+    if not guarded:
+        table["transport"]["link"]["tls"]["enable_mtls"] = False
+        table["access_control"]["enabled"] = False
+        (site.home("desk") / "zenoh.json5").write_text(json.dumps(table))
+    stranger = {"mode": "client", "scouting": {"multicast": {"enabled": False}}}
+    stranger["connect"] = {"endpoints": [f"tls/127.0.0.1:{site.port}"], "exit_on_failure": False}
+    tls = {"root_ca_certificate": str(site.home("desk") / "ca.pem")}
+    stranger["transport"] = {"link": {"tls": tls}}
+    desk, vehicle = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    try:
+        assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        wait_s = KEPT_OUT_S if guarded else PATIENCE_S
+        heard = try_to_listen(zenoh.Config.from_json5(json.dumps(stranger)), wait_s)
+    finally:
+        vehicle.close()
+        desk.close()
+    assert bool(heard) is not guarded
+
+
+def try_to_listen(config: zenoh.Config, wait_s: float) -> list[str]:
+    try:
+        return listens_to_all(config, wait_s)
+    except zenoh.ZError:
+        return []
+
+
+@GUARD
+def test_nobody_stands_at_the_desks_address_with_a_vehicles_certificate(
+    tmp_path, monkeypatch, guarded
+):
+    if not guarded:
+        roles = frozenset(Role)
+        monkeypatch.setattr(certificates, "LISTENS", roles)
+        monkeypatch.setattr(certificates, "public_address_of", lambda member: "127.0.0.1:1")
+    site = SecureSite(tmp_path / "pki")
+    home = site.home("d2")
+    table = {
+        "mode": "router",
+        "scouting": {"multicast": {"enabled": False}},
+        "listen": {"endpoints": [f"tls/127.0.0.1:{site.port}"]},
+        "transport": {
+            "link": {
+                "tls": {
+                    "root_ca_certificate": str(home / "ca.pem"),
+                    "listen_private_key": str(home / "tls.key"),
+                    "listen_certificate": str(home / "tls.pem"),
+                    "enable_mtls": True,
+                }
+            }
+        },
+    }
+    vehicle = site.vehicle("d1", tmp_path / "d1")
+    try:
+        wait_s = KEPT_OUT_S if guarded else PATIENCE_S
+        heard = listens_to_all(zenoh.Config.from_json5(json.dumps(table)), wait_s)
+    finally:
+        vehicle.close()
+    assert bool(heard) is not guarded
+
+
+@GUARD
+def test_an_expired_certificate_is_not_let_in(tmp_path, guarded):
+    site = SecureSite(tmp_path / "pki")
+    if guarded:
+        site.pki.now -= timedelta(days=400)
+        site.pki.renew("d1", 365)
+    desk, vehicle = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    try:
+        wait_s = KEPT_OUT_S if guarded else PATIENCE_S
+        heard = hears(desk, lambda h: isinstance(h, StateReceived), wait_s)
+    finally:
+        vehicle.close()
+        desk.close()
+    assert bool(heard) is not guarded
+
+
+@pytest.mark.parametrize(("name", "may"), [("anna", True), ("otto", False)])
+def test_through_the_desk_a_dispatcher_commands_and_a_viewer_only_looks(tmp_path, name, may):
+    site = SecureSite(tmp_path / "pki")
+    desk, vehicle = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    person = site.person(name)
+    try:
+        assert hears(person, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        person.ask_events("d1", 0, 2.0)
+        person.send(limits(vehicle), PATIENCE_S if may else KEPT_OUT_S)
+        answer = hears(person, answered, PATIENCE_S)
+        assert (answer.result is not None) is may
+        assert [command.by for command in vehicle.done] == (["desk by way of anna"] if may else [])
+    finally:
+        person.close()
+        vehicle.close()
+        desk.close()
+
+
+# --- behind the door: signatures -------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Plain:
+    """A desk and d1 with identities on a network whose router is the attacker's."""
+
+    site: SecureSite
+    desk: ZenohFleet
+    d1: Vehicle
+    rogue: zenoh.Session
+
+    def put(self, kind: str, raw: bytes, vehicle: str = "d1") -> None:
+        self.rogue.put(f"leeway/{FLEET}/vehicle/{vehicle}/{kind}", raw)
+
+    def ask(self, payload: bytes) -> Result:
+        """What d1 answers to these bytes as a command."""
+        key = VehicleKeys(FLEET, "d1").command
+        for reply in self.rogue.get(key, payload=payload, timeout=PATIENCE_S):
+            assert reply.ok is not None
+            envelope = read_envelope("result", reply.ok.payload.to_bytes())
+            assert not isinstance(envelope, Refused)
+            return decoded(envelope.message)
+        raise AssertionError("no answer")
+
+
+def decoded(raw: bytes) -> Result:
+    import msgspec
+
+    return msgspec.json.decode(raw, type=Result)
+
+
+@pytest.fixture
+def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+    port = free_port()
+    router = {"mode": "router", "scouting": {"multicast": {"enabled": False}, "delay": 0}}
+    router["listen"] = {"endpoints": [f"tcp/127.0.0.1:{port}"]}
+    client = config_file(tmp_path / "client.json5", connect=port, mode="client", listen=None)
+    rogue = zenoh.open(zenoh.Config.from_json5(json.dumps(router)))
+    desk = site.person("desk", client)
+    d1 = site.vehicle("d1", tmp_path / "d1", zenoh=client)
+    assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+    yield Plain(site, desk, d1, rogue)
+    d1.close()
+    desk.close()
+    rogue.close()
+
+
+def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guard taken out: whatever lies in an envelope is believed."""
+
+    def told(self: Trust, kind: str, raw: bytes, speaker: str | None) -> bytes:
+        envelope = read_envelope(kind, raw)
+        assert not isinstance(envelope, Refused)
+        return envelope.message
+
+    def commanded(self: Trust, raw: bytes) -> SignedCommand:
+        return SignedCommand(told(self, "command", raw, None), "somebody")
+
+    monkeypatch.setattr(Trust, "told", told)
+    monkeypatch.setattr(Trust, "commanded", commanded)
+
+
+def forged_state() -> bytes:
+    return encode(
+        State(
+            vehicle="d1",
+            life="forged",
+            uptime_s=1.0,
+            epoch_us=0,
+            airframe="m100",
+            max_payload_kg=1.0,
+            phase="standby",
+            log="l",
+            last_seq=0,
+        )
+    )
+
+
+def forged_outcome() -> bytes:
+    return encode(
+        FleetEvent(
+            vehicle="d1",
+            log="forged",
+            seq=1,
+            epoch_us=0,
+            kind=EventKind.OUTCOME,
+            text="home",
+            outcome="SUC",
+            delivered=True,
+            home=True,
+        )
+    )
+
+
+FORGED = {"state": forged_state, "event": forged_outcome}
+
+
+def is_forged(heard: FleetInput) -> bool:
+    if isinstance(heard, EventsReceived):
+        return heard.events[0].log == "forged"
+    return isinstance(heard, StateReceived) and heard.state.life == "forged"
+
+
+SIGNERS = [("d2", True), ("anna", True), ("nobody", True), ("d2", False)]
+"""The last is the canary: the guard is taken out."""
+
+
+@pytest.mark.parametrize(("signer", "guarded"), SIGNERS)
+@pytest.mark.parametrize("kind", ["state", "event"])
+def test_no_state_or_outcome_counts_but_the_vehicles_own(plain, monkeypatch, kind, signer, guarded):
+    if not guarded:
+        believe_all(monkeypatch)
+    raw = FORGED[kind]()
+    author = trust_of(plain.site, "d2" if signer == "nobody" else signer)
+    author.name = "d1" if signer == "nobody" else signer  # a key that is not d1's, as d1
+    plain.put(kind, author.seal(kind, raw))
+
+    def telling(heard: FleetInput) -> FleetInput | None:
+        return heard if is_forged(heard) or isinstance(heard, MessageRejected) else None
+
+    told = hears(plain.desk, telling, PATIENCE_S)
+    assert is_forged(told) is not guarded
+    assert not guarded or "not believed: d1: " in told.reason
+
+
+@GUARD
+def test_a_track_counts_only_from_the_vehicle_that_flies_it(plain, monkeypatch, guarded):
+    if not guarded:
+        believe_all(monkeypatch)
+    zero = {"lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0, "gnss_s": 1.8e9}
+    speed = {"vel_n_mps": 0.0, "vel_e_mps": 0.0, "vel_d_mps": 0.0}
+    errors = {"pos_std_m": 1.0, "alt_std_m": 1.0, "vel_std_mps": 1.0, "aside": False}
+    raw = encode(Track(vehicle="d7", **zero, **speed, **errors))
+    d1 = plain.d1
+    d1.stop()
+    plain.put("track", trust_of(plain.site, "d2").seal("track", raw), "d7")
+    own = encode(Track(vehicle="d2", **zero, **speed, **errors))
+    limit_s, heard = monotonic_s() + PATIENCE_S, []
+    while "d2" not in heard and monotonic_s() < limit_s:
+        plain.put("track", trust_of(plain.site, "d2").seal("track", own), "d2")
+        heard += [event.track.vehicle for event in d1.port.neighbours(1.0)]
+    assert ("d7" in heard) is not guarded
+
+
+def test_a_neighbour_that_publishes_as_another_on_its_own_key_is_nobodys_track(plain):
+    """Without signatures too: the key and the name in the message must agree."""
+    d1, track = plain.d1, {"gnss_s": 1.8e9, "lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0}
+    rest = dict.fromkeys(("pos_std_m", "alt_std_m", "vel_std_mps"), 1.0)
+    still = dict.fromkeys(("vel_n_mps", "vel_e_mps", "vel_d_mps"), 0.0)
+    raw = encode(Track(vehicle="d7", **track, **rest, **still, aside=False))
+    d1.stop()
+    author, limit_s = trust_of(plain.site, "d2"), monotonic_s() + PATIENCE_S
+    while not d1.port.link.link.tracks() and monotonic_s() < limit_s:
+        plain.put("track", author.seal("track", raw), "d2")
+    plain.put("track", author.seal("track", raw), "d2")
+    assert d1.port.neighbours(1.0) == []
+
+
+@GUARD
+def test_nobody_answers_for_a_vehicle(plain, monkeypatch, guarded):
+    if not guarded:
+        believe_all(monkeypatch)
+    d1 = plain.d1
+    command = limits(d1)
+    d1.close()
+    lie = Result(id="c1", vehicle="d1", life=d1.port.life, answer=Answered.DONE)
+    raw = trust_of(plain.site, "d2").seal("result", encode(lie))
+    key = VehicleKeys(FLEET, "d1").command
+
+    def answer(query: zenoh.Query) -> None:
+        query.reply(key, raw)
+        query.drop()
+
+    held = plain.rogue.declare_queryable(key, answer)
+    plain.desk.send(command, PATIENCE_S)
+    told = hears(plain.desk, answered, PATIENCE_S)
+    held.undeclare()
+    assert (told.result is None) is guarded
+
+
+@pytest.mark.parametrize(
+    ("signer", "guarded"), [("d2", True), ("otto", True), ("nobody", True), ("d2", False)]
+)
+def test_a_command_of_who_may_not_command_is_not_carried_out(plain, monkeypatch, signer, guarded):
+    if not guarded:
+        believe_all(monkeypatch)
+    author = trust_of(plain.site, "d2" if signer == "nobody" else signer)
+    author.name = "desk" if signer == "nobody" else signer
+    result = plain.ask(author.seal("command", encode(limits(plain.d1))))
+    assert len(plain.d1.done) == (0 if guarded else 1)
+    expected = ("", Answered.REFUSED) if guarded else ("c1", Answered.DONE)
+    assert (result.id, result.answer) == expected
+
+
+@GUARD
+def test_a_replayed_command_is_carried_out_once(plain, monkeypatch, guarded):
+    if not guarded:
+        monkeypatch.setattr(CommandBook, "look", lambda *_: None)
+    sealed = trust_of(plain.site, "desk").seal("command", encode(limits(plain.d1)))
+    for _ in range(3):
+        assert plain.ask(sealed).answer is Answered.DONE
+    assert len(plain.d1.done) == (1 if guarded else 3)
+
+
+@GUARD
+def test_a_command_from_the_future_is_not_fresh_for_ever(plain, monkeypatch, guarded):
+    if not guarded:
+        monkeypatch.setattr(CommandBook, "look", lambda *_: None)
+    late = encode(limits(plain.d1, as_of_s=1e9))
+    result = plain.ask(trust_of(plain.site, "desk").seal("command", late))
+    assert result.answer is (Answered.REFUSED if guarded else Answered.DONE)
+
+
+def test_a_recall_of_an_honest_person_is_taken_whatever_its_stamp(plain):
+    late = encode(limits(plain.d1, as_of_s=1e9, life="another", by="anna", deed=Recall()))
+    assert plain.ask(trust_of(plain.site, "anna").seal("command", late)).answer is Answered.DONE
+
+
+@GUARD
+def test_a_revoked_person_commands_no_more_once_the_desk_has_the_roster(
+    tmp_path, monkeypatch, guarded
+):
+    site, port = SecureSite(tmp_path / "pki"), free_port()
+    anna = trust_of(site, "anna")
+    if not guarded:
+        monkeypatch.setattr(Trust, "take_roster", lambda self, raw: None)
+    ours = config_file(tmp_path / "desk.json5", listen=port)
+    theirs = config_file(tmp_path / "d1.json5", connect=port)
+    site.keep_rosters_of("d1")
+    desk, vehicle = site.person("desk", ours), site.vehicle("d1", tmp_path / "d1", zenoh=theirs)
+    rogue = zenoh.open(read_config(theirs))
+    try:
+        assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        plain = Plain(site, desk, vehicle, rogue)
+        plain.ask(anna.seal("command", encode(limits(vehicle, "before"))))
+        site.pki.revoke("anna")
+        site.restore_rosters()
+        news = "roster 8 is in force"
+        hears(desk, lambda h: news in str(h), PATIENCE_S if guarded else 1.0)
+        plain.ask(anna.seal("command", encode(limits(vehicle, "after"))))
+        assert [c.id for c in vehicle.done] == (["before"] if guarded else ["before", "after"])
+    finally:
+        rogue.close()
+        vehicle.close()
+        desk.close()

@@ -1,0 +1,142 @@
+"""Without a configuration: the programs of one machine meet, and nothing is open to another."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import zenoh
+from typer.testing import CliRunner
+
+from companion.core.base.errors import LeewayError
+from companion.fleet import zenoh_config
+from companion.fleet.membership import JoinOptions, join
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.zenoh_config import read_config
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.app.cli.main import app
+from ground_station.core.fleet.fleet_link import StateReceived
+from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
+
+PATIENCE_S = 20.0
+
+
+@pytest.fixture(autouse=True)
+def own_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not where other programs of this machine meet."""
+    monkeypatch.setattr(zenoh_config, "MEETING_PORT", free_port())
+
+
+def vehicle_of(name: str, tmp_path: Path) -> Vehicle:
+    return Vehicle.on(name, tmp_path / name, join(VehicleKeys(FLEET, name), None).open_link)
+
+
+def until(wanted: Callable[[], Any]) -> Any:
+    limit_s = monotonic_s() + PATIENCE_S
+    while monotonic_s() < limit_s:
+        found = wanted()
+        if found:
+            return found
+    raise AssertionError(f"not within {PATIENCE_S} s")
+
+
+def names_heard(desk: ZenohFleet) -> set[str]:
+    return {h.state.vehicle for h in desk.receive(0.1) if isinstance(h, StateReceived)}
+
+
+@pytest.mark.parametrize("first", ["desk", "vehicle"])
+def test_who_comes_first_listens_and_when_it_ends_the_others_find_one_another(tmp_path, first):
+    if first == "desk":
+        desk, d1 = ZenohFleet(FLEET, None), vehicle_of("d1", tmp_path)
+    else:
+        d1 = vehicle_of("d1", tmp_path)
+        until(lambda: not d1.port.link.trouble)
+        desk = ZenohFleet(FLEET, None)
+    until(lambda: "d1" in names_heard(desk))
+    if first == "desk":  # the listener ends, and comes back as one that calls
+        desk.close()
+        d2 = vehicle_of("d2", tmp_path)
+        desk = ZenohFleet(FLEET, None)
+    else:
+        d1.close()
+        d2 = vehicle_of("d2", tmp_path)
+        d1 = vehicle_of("d1", tmp_path)
+    heard: set[str] = set()
+    until(lambda: heard.update(names_heard(desk)) or {"d1", "d2"} <= heard)
+    for one in (desk, d1, d2):
+        one.close()
+
+
+def open_ports() -> set[str]:
+    """Where this process can be reached from another machine."""
+    found = psutil.Process().net_connections(kind="inet")
+    open_ = [c for c in found if c.status == psutil.CONN_LISTEN or c.type.name == "SOCK_DGRAM"]
+    return {str(c.laddr.ip) for c in open_ if not c.laddr.ip.startswith("127.")}
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["closed", "canary: --open-network"])
+def test_nothing_listens_beyond_this_machine_unless_a_person_said_so(told):
+    before = open_ports()
+    with zenoh.open(read_config(None, open_network=told)):
+        assert bool(open_ports() - before) is told
+
+
+OPEN = {
+    "found by multicast": {"mode": "peer", "listen": {"endpoints": ["tcp/127.0.0.1:0"]}},
+    r"listens on tcp/\[::\]:0 without TLS": {"mode": "peer"},
+    r"listens on tcp/\[::\]:7447 without TLS": {"mode": "router"},
+    "listens on tcp/0.0.0.0:7447 without TLS": {"listen": {"endpoints": ["tcp/0.0.0.0:7447"]}},
+    "lets in who shows no certificate": {"listen": {"endpoints": ["tls/0.0.0.0:7447"]}},
+    "calls tcp/10.0.0.1:7447 without TLS": {
+        "mode": "client",
+        "connect": {"endpoints": ["tcp/10.0.0.1:7447"]},
+    },
+}
+
+
+@pytest.mark.parametrize("why", OPEN)
+def test_a_configuration_that_lets_strangers_in_is_refused_without_the_word(tmp_path, why):
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    path = tmp_path / "zenoh.json5"
+    path.write_text(json.dumps(OPEN[why] | ({} if "multicast" in why else alone)))
+    with pytest.raises(LeewayError, match=f"{why}.*--open-network"):
+        read_config(path)
+    read_config(path, open_network=True)
+
+
+def test_loopback_and_mutual_tls_need_no_word(tmp_path):
+    read_config(config_file(tmp_path / "a.json5", listen=free_port(), connect=free_port()))
+    tls = {"transport": {"link": {"tls": {"enable_mtls": True}}}}
+    table = {"listen": {"endpoints": ["tls/0.0.0.0:7447"]}, "mode": "router"}
+    away = {"scouting": {"multicast": {"enabled": False}}}
+    (tmp_path / "b.json5").write_text(json.dumps(table | tls | away))
+    read_config(tmp_path / "b.json5")
+
+
+def test_an_open_desk_says_so(tmp_path):
+    config = config_file(tmp_path / "a.json5", listen=free_port())
+    desk = ZenohFleet(FLEET, config, JoinOptions(open_network=True))
+    assert desk.open_network
+    desk.close()
+
+
+def test_every_status_of_an_open_network_says_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = str(config_file(tmp_path / "a.json5", listen=free_port()))
+    words = ["watch", "--fleet", FLEET, "--zenoh", config, "--seconds", "0.1"]
+    assert "OPEN NETWORK" not in CliRunner().invoke(app, words).output
+    assert "OPEN NETWORK" in CliRunner().invoke(app, [*words, "--open-network"]).output
+
+
+def test_a_fleet_without_identities_loads_no_cryptography():
+    code = (
+        "import sys; import companion.app.flight.fleet_run, ground_station.adapters.zenoh_fleet;"
+        "print('cryptography' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
