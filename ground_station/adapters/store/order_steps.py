@@ -17,6 +17,7 @@ from companion.fleet.messages import (
     Serve,
     Withdraw,
 )
+from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
@@ -30,6 +31,13 @@ from ground_station.core.schema.orders import (
     ends_as,
     order_after,
 )
+
+
+def lock(db: sa.Connection) -> None:
+    """One transaction at a time decides who is launched, who is held, where the truck goes
+    (PostgreSQL; SQLite has one writer anyway). It is the first lock of whoever takes it.
+    """
+    db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
 
 
 def order_taken(db: sa.Connection, order_id: str) -> str | None:
@@ -86,6 +94,13 @@ def put_out(
             made_us=now_us,
         )
     )
+    answer = "held back" if held else "in the outbox"
+    audit.note(db, now_us, by, deed_word(deed), f"{vehicle}: {id_}", answer)
+
+
+def deed_word(deed: Deed) -> str:
+    """The name of a deed, as messages have it."""
+    return str(deed.__struct_config__.tag)
 
 
 def in_state(

@@ -14,9 +14,12 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from companion.fleet.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
+from ground_station.adapters.store import audit_steps as audit
+from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -65,14 +68,14 @@ class Store:
 
     # --- orders --------------------------------------------------------------------------------
 
-    def add_orders(self, orders: list[Order]) -> IntakeResult:
+    def add_orders(self, orders: list[Order], by: str = "desk") -> IntakeResult:
         """Take all orders or, where an id comes with other content, none."""
         try:
-            return self._add_orders(orders)
+            return self._add_orders(orders, by)
         except IntegrityError:  # another desk took one of them just now: now it is known
-            return self._add_orders(orders)
+            return self._add_orders(orders, by)
 
-    def _add_orders(self, orders: list[Order]) -> IntakeResult:
+    def _add_orders(self, orders: list[Order], by: str) -> IntakeResult:
         with self._database.write() as db:
             found = db.execute(
                 sa.select(t.orders.c.id, t.orders.c.content).where(
@@ -107,6 +110,9 @@ class Store:
                         for id_, content in fresh.items()
                     ],
                 )
+                first, more = next(iter(fresh)), len(fresh) - 1
+                subject = f"{first} and {more} more" if more else first
+                audit.note(db, self._now(), by, "take_orders", subject, "taken")
         added = () if conflicts else tuple(fresh)
         return IntakeResult(added, tuple(known), tuple(conflicts))
 
@@ -124,7 +130,9 @@ class Store:
             for row in found
         ]
 
-    def move_order(self, order_id: str, before: tuple[OrderState, ...], after: OrderState) -> bool:
+    def move_order(
+        self, order_id: str, before: tuple[OrderState, ...], after: OrderState, by: str
+    ) -> bool:
         """A person's change (cancel, reopen); False where the order is in none of these states."""
         with self._database.write() as db:
             done = db.execute(
@@ -133,9 +141,16 @@ class Store:
                     t.orders.c.id == order_id,
                     t.orders.c.state.in_([state.value for state in before]),
                 )
-                .values(state=after.value, why="by a person", attempts=0)
+                .values(state=after.value, why=f"by {by}", attempts=0)
             )
+            if done.rowcount == 1:
+                audit.note(db, self._now(), by, "order", order_id, after.value)
         return done.rowcount == 1
+
+    def holds(self) -> list[Hold]:
+        """The holds in force, oldest first."""
+        with self._database.read() as db:
+            return holds.in_force(db)
 
     # --- assignments and the outbox ------------------------------------------------------------
 
@@ -144,10 +159,14 @@ class Store:
     ) -> str | None:
         """Assign an open order to a free vehicle and put the command into the outbox.
 
-        Returns the assignment's id; None where the order is not open or the vehicle not free.
+        Returns the assignment's id; None where the order is not open, or the vehicle not free or
+        held.
         """
         try:
             with self._database.write() as db:
+                rows.lock(db)
+                if holds.hold_of(db, vehicle) is not None:
+                    return None
                 id_ = rows.order_taken(db, order_id)
                 if id_ is None:
                     return None
@@ -159,12 +178,15 @@ class Store:
         return id_
 
     def launch(self, assignment: str, by: str) -> bool:
-        """Authorise the launch of an assignment that is aboard; False where it is not, or was asked
-        before.
+        """Authorise the launch of an assignment that is aboard; False where it is not, was asked
+        before, or its vehicle is held.
         """
         with self._database.write() as db:
+            rows.lock(db)
             row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
             if row is None or rows.unanswered(db, assignment):
+                return False
+            if holds.hold_of(db, row.vehicle) is not None:
                 return False
             number = rows.count_commands(db, f"{assignment}:launch") + 1
             deed = Launch(assignment=assignment)
@@ -178,9 +200,24 @@ class Store:
         refused = sa.select(sa.func.count()).where(
             t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
             t.commands.c.answer == Answered.REFUSED.value,
+            t.commands.c.life.is_not(None),  # a launch that a hold has stopped was no refusal
         )
         with self._database.read() as db:
             return db.execute(refused).scalar_one()
+
+    def may_send_launch(self, command: CommandRow) -> bool:
+        """Whether a launch may leave the desk now, decided under the lock that holds take.
+
+        Once it has left it may be carried out, so a hold that comes later does not make it void.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
+            here = t.commands.c.id == command.id
+            answer = db.execute(sa.select(t.commands.c.answer).where(here)).scalar_one_or_none()
+            if answer is not None or holds.hold_of(db, command.vehicle) is not None:
+                return False
+            db.execute(sa.update(t.commands).where(here).values(sent=True))
+        return True
 
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch did not happen (the companion restarted before take-off): aboard again."""
@@ -234,6 +271,8 @@ class Store:
                 .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
                 .values(answer=Answered.REFUSED.value, reason=reason)
             )
+            if done.rowcount == 1:
+                audit.note(db, self._now(), "desk", "give_up", command_id, reason)
         return done.rowcount == 1
 
     def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
@@ -279,7 +318,10 @@ class Store:
             )
             if row is None or done.rowcount != 1:
                 return False
-            rows.follow(db, self._now(), rows.command_row(row), answer, reason)
+            command = rows.command_row(row)
+            rows.follow(db, self._now(), command, answer, reason)
+            said = f"{answer.value}: {reason}" if reason else answer.value
+            audit.note(db, self._now(), command.vehicle, "answer", command_id, said)
         return True
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:

@@ -19,13 +19,15 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    false,
     text,
 )
 
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import IN_FORCE
 
-SCHEMA = 2
+SCHEMA = 3
+"""What `migrations` brings a store to; `about` says which one a store has."""
 
 metadata = MetaData()
 
@@ -85,6 +87,7 @@ commands = Table(
     Column("deed", LargeBinary, nullable=False),
     Column("said_by", String(64), nullable=False),
     Column("held", Boolean, nullable=False, default=False),
+    Column("sent", Boolean, nullable=False, server_default=false()),
     Column("answer", String(16), index=True),
     Column("reason", Text, nullable=False, default=""),
     Column("life", String(64)),
@@ -147,4 +150,30 @@ visits = Table(
     Column("stop", String(64), primary_key=True),
     Column("arrived_us", BigInteger, nullable=False),
     Column("left_us", BigInteger),
+)
+
+holds = Table(
+    "holds",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("scope", String(32), nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("set_by", String(64), nullable=False),
+    Column("set_us", BigInteger, nullable=False),
+    Column("lifted_by", String(64)),
+    Column("lifted_us", BigInteger, index=True),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("n", BigInteger, primary_key=True, autoincrement=False),
+    Column("at_us", BigInteger, nullable=False),
+    Column("who", String(64), nullable=False),
+    Column("login", String(64), nullable=False),
+    Column("deed", String(32), nullable=False),
+    Column("subject", Text, nullable=False),
+    Column("answer", Text, nullable=False),
+    Column("before", String(64), nullable=False),
+    Column("digest", String(64), nullable=False),
 )

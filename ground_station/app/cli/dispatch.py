@@ -12,13 +12,19 @@ from ground_station.app.cli.options import (
     DEFAULT_STORE,
     DayArgument,
     FleetName,
+    StoreFile,
     StoreUrl,
+    UserName,
     ZenohFile,
+    open_at_once,
     open_day,
     open_store,
+    url_of,
+    who,
 )
 from ground_station.app.cli.order import list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
+from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
     from ground_station.app.desk.desk import Desk
@@ -26,6 +32,7 @@ if TYPE_CHECKING:
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
+NOT_HELD = 4
 ORDERS_LEFT = 3
 
 app = typer.Typer()
@@ -35,6 +42,8 @@ app = typer.Typer()
 def dispatch(
     day: DayArgument,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
     zenoh: ZenohFile = None,
     plan: Annotated[
         Path | None,
@@ -70,20 +79,22 @@ def dispatch(
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+    from ground_station.core.people.person import desk_of
 
-    data = open_day(day)
+    data, person = open_day(day), who(user)
     chosen = None if plan is None else read_day_plan(plan)
-    opened = open_store(store)
+    opened = open_store(store, store_file, create=True)
     try:
-        take_orders(opened, data.orders)
+        take_orders(opened, data.orders, person.name)
         impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
-        params = DepotParams(assigns=assign, launches=launch, launch_gap_s=launch_gap)
+        by = desk_of(person)
+        params = DepotParams(by=by, assigns=assign, launches=launch, launch_gap_s=launch_gap)
         fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
             if chosen is None:
                 desk = open_depot_desk(data, opened, fleet, _say, params, impossible)
             elif assign and launch:
-                desk = open_truck_desk(data, chosen, opened, fleet, _say)
+                desk = open_truck_desk(data, chosen, opened, fleet, _say, by=by)
             else:
                 raise LeewayError(
                     "a day with a truck is run whole: expected no --no-assign, no --no-launch"
@@ -132,6 +143,7 @@ def _end(desk: "Desk") -> None:
 def watch(
     fleet: FleetName,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
     zenoh: ZenohFile = None,
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Watch for so long, print once, end.")
@@ -149,7 +161,7 @@ def watch(
     from ground_station.app.desk.exchange import Exchange
     from ground_station.app.views.watch_view import day_shown, watch_view
 
-    opened = open_store(store)
+    opened = open_store(store, store_file)
     ears = ZenohFleet(fleet, zenoh)
     exchange = Exchange(opened, ears, lambda words: None)
     exchange.begin()
@@ -158,7 +170,8 @@ def watch(
     def view() -> RenderableType:
         rows = opened.assignments(in_force=True)
         shown = day_shown(day, epoch_us())
-        return watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown)
+        holds = opened.holds()
+        return watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown, holds)
 
     try:
         with stop_signals() as stopped:
@@ -179,6 +192,8 @@ def recall(
     vehicle: Annotated[str | None, typer.Argument(help="The vehicle, for example d1.")] = None,
     everybody: Annotated[bool, typer.Option("--all", help="Every vehicle that is heard.")] = False,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
     zenoh: ZenohFile = None,
     wait: Annotated[float, typer.Option(min=1.0, help="Time-out of an answer, s.")] = 10.0,
     direct: Annotated[
@@ -192,9 +207,10 @@ def recall(
         float, typer.Option(min=LEAST_SILENT_S, help="Silence that allows --direct, s.")
     ] = 15.0,
 ) -> None:
-    """Recall a vehicle through its companion, which chooses the safe way home.
+    """Recall a vehicle through its companion, which chooses the safe way home, and hold it.
 
-    Exit code 3: at least one has not answered.
+    It is not launched again before `ground-station release`. Exit code 3: at least one has not
+    answered. 4: all have, but the store could not be reached: nobody is held.
 
     ground-station recall d1 --fleet harbour
     """
@@ -204,32 +220,41 @@ def recall(
         raise LeewayError("--direct: expected one vehicle, not --all")
 
     from ground_station.adapters.zenoh_fleet import ZenohFleet
-    from ground_station.app.desk.exchange import Exchange
-    from ground_station.app.desk.recall import NobodyHeardError, recall_past_companion
+    from ground_station.app.desk.recall import NobodyHeardError, Recaller, recall_past_companion
     from ground_station.app.desk.recall import recall as recall_fleet
+    from ground_station.app.desk.recall_record import RecallRecord
+    from ground_station.core.schema.holds import check_vehicle
 
-    opened = open_store(store)
+    if vehicle is not None:
+        check_vehicle(vehicle)
+    url, person = url_of(store, store_file), who(user)
     ears = ZenohFleet(fleet, zenoh)
-    exchange = Exchange(opened, ears, _say)
-    exchange.begin()
+    caller = Recaller(ears, _say, person.name)
+    record = RecallRecord(lambda: open_at_once(url), person.name, _say, caller.clock)
+    caller.begin()
     try:
-        missing = recall_fleet(exchange, vehicle, wait)
+        missing = recall_fleet(caller, record, vehicle, wait)
         if direct is not None and vehicle in missing:
-            missing -= recall_past_companion(exchange, vehicle, direct, silent_for)
+            missing -= recall_past_companion(caller, vehicle, direct, silent_for)
     except NobodyHeardError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(NOT_RECALLED) from None
     finally:
         ears.close()
-        opened.close()
+        record.close()
+        if not record.is_written:
+            typer.echo(f"NOT HELD, not in the audit: {record.why_not}", err=True)
     if missing:
         typer.echo(f"not recalled: {', '.join(sorted(missing))}", err=True)
         raise typer.Exit(NOT_RECALLED)
+    if not record.is_written:
+        raise typer.Exit(NOT_HELD)
 
 
 @app.command()
 def report(
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures into this file.")
     ] = None,
@@ -243,7 +268,7 @@ def report(
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.views.day_report import report_of, report_view
 
-    opened = open_store(store)
+    opened = open_store(store, store_file)
     figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()
     Console().print(report_view(figures))
@@ -252,6 +277,4 @@ def report(
 
 
 def _say(words: str) -> None:
-    seconds = epoch_us() // 1_000_000 % 86_400
-    stamp = f"{seconds // 3600:02d}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}Z"
-    typer.echo(f"{stamp} {words}")
+    typer.echo(f"{time_of_day(epoch_us())} {words}")

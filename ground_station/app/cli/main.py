@@ -6,7 +6,17 @@ from typing import Annotated, NoReturn
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.cli import benchmark, cluster, dispatch, estimate, order, plan, truck
+from ground_station.app.cli import (
+    audit,
+    benchmark,
+    cluster,
+    dispatch,
+    estimate,
+    hold,
+    order,
+    plan,
+    truck,
+)
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
 OURS = ("companion", "ground_station")
@@ -51,6 +61,8 @@ def program_options(
 app.add_typer(estimate.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
+app.add_typer(hold.app)
+app.add_typer(audit.app)
 app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)

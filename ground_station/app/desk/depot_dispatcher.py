@@ -10,6 +10,7 @@ from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDro
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.holds import holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
 
 LAUNCHES = 3
@@ -80,12 +81,12 @@ class DepotDispatcher:
         return Progress.CHANGED if free and self._assign(free) else Progress.NONE
 
     def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
-        held = {row.vehicle for row in self.store.assignments(in_force=True)}
-        now_s = self.clock.monotonic_s()
+        busy = {row.vehicle for row in self.store.assignments(in_force=True)}
+        holds, now_s = self.store.holds(), self.clock.monotonic_s()
         return [
             FreeDrone(seen.vehicle, status.charge_frac_at_rest(seen.vehicle))
             for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle)
-            if seen.free(now_s) and seen.vehicle not in held
+            if seen.free(now_s) and seen.vehicle not in busy and not holding(holds, seen.vehicle)
         ]
 
     def _assign(self, free: list[FreeDrone]) -> bool:

@@ -8,7 +8,7 @@ received again after a restart, so the process may be killed at any moment.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from companion.fleet.messages import FINAL, Command, FleetEvent, Recall, State
+from companion.fleet.messages import FINAL, Command, FleetEvent, Launch, Recall, State
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import (
@@ -170,13 +170,16 @@ class Exchange:
     def _command(self, row: CommandRow, now_s: float) -> Command | None:
         """The command as of the newest state; None: not now.
 
-        A recall is sent also where two companions share the name, or the vehicle is silent.
+        A recall is sent also where two companions share the name, or the vehicle is silent. A
+        launch leaves only where no hold stands against it at that moment.
         """
         seen = self.status.of(row.vehicle)
         state = seen.state
         if state is None or not seen.lives:
             return None
         if not isinstance(row.deed, Recall) and not seen.present(now_s):
+            return None
+        if isinstance(row.deed, Launch) and not self.store.may_send_launch(row):
             return None
         return Command(
             id=row.id,

@@ -50,6 +50,7 @@ def open_truck_desk(
     say: Say,
     clock: Clock | None = None,
     replanner: Replanner | None = None,
+    by: str = "desk",
 ) -> Desk:
     """A desk of drones that ride on a truck, by a plan.
 
@@ -68,7 +69,7 @@ def open_truck_desk(
     in_force = day.plan()
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
-    dispatcher = TruckDispatcher(store, day, active, day_clock, say)
+    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by)
     return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
 
 

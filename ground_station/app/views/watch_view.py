@@ -5,7 +5,7 @@ Made for 80 columns: only what a vehicle last reported is cut off there.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rich import box
@@ -17,6 +17,7 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
@@ -77,8 +78,9 @@ def watch_view(
     orders: list[OrderRow],
     t_s: float,
     day: DayShown | None = None,
+    holds: Sequence[Hold] = (),
 ) -> RenderableType:
-    """Every vehicle with its state, then alarms, then what comes next."""
+    """Every vehicle with its state, then holds and alarms, then what comes next."""
     held = {row.vehicle: row for row in rows if row.state in IN_FORCE}
     names = {*status.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
     lines: list[tuple[tuple[str, ...], bool]] = []
@@ -89,7 +91,8 @@ def watch_view(
         lines.append((line.cells(), bool(alarms)))
         wrong += alarms
     table = _table(_title(orders, day), lines)
-    return Group(table, *(Text(words) for words in _below(status, orders, day, wrong)))
+    below = [*(hold.words for hold in holds), *_below(status, orders, day, wrong)]
+    return Group(table, *map(Text, below))
 
 
 def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:

@@ -10,7 +10,7 @@ from msgspec import Meta
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed
-from ground_station.core.schema.order_states import OrderState, Service
+from ground_station.core.schema.order_states import OrderState, Service, Settled
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
@@ -135,6 +135,18 @@ def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
     if outcome != TAKEN and (outcome in ("DEL", "FAIL") or not home):
         return AssignmentState.LOST
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
+
+
+def settled_as(settled: Settled) -> tuple[AssignmentState, OrderState]:
+    """How a person's word ends an assignment and its order.
+
+    A parcel that is lost is not stuck: nobody is asked any more. One that is back goes out again.
+    """
+    return {
+        Settled.DELIVERED: (AssignmentState.DELIVERED, OrderState.DELIVERED),
+        Settled.LOST: (AssignmentState.LOST, OrderState.CANCELLED),
+        Settled.BACK: (AssignmentState.RETURNED, OrderState.OPEN),
+    }[settled]
 
 
 def order_after(

@@ -12,6 +12,7 @@ from companion.fleet.messages import Answered, Assign, Command, EventKind, Launc
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import LAUNCHES, DepotParams
@@ -120,6 +121,24 @@ def test_the_day_is_flown_each_order_once_and_what_no_drone_can_is_left(day):
     flown = [a.partition(".")[0] for drone in drones for a in drone.launches()]
     assert sorted(flown) == sorted(ground.orders(OrderState.DELIVERED))
     assert all(drone.launches() for drone in drones)
+
+
+def test_what_was_recalled_is_not_launched_again_before_a_person_releases_it(day):
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(), make_vehicle("d1")
+    drone.flies, drone.outcome = False, "ABRT"
+    ground.store.add_orders(DAY.orders[:1])
+    ground.until(lambda: [r.state for r in ground.store.assignments()] == [AssignmentState.FLYING])
+    HoldStore(ground.store.database, lambda: 1).set(["d1"], "recalled", "anna")
+    drone.land()
+    drone.outcome, drone.flies = "SUC", True
+    ground.until(lambda: ground.orders(OrderState.OPEN) == {"H-101"})
+    for _ in range(20):
+        ground.desk.turn(0.02)
+    assert drone.launches() == ["H-101.1"]
+    HoldStore(ground.store.database, lambda: 1).release(["d1"], "anna")
+    ground.until(lambda: ground.orders(OrderState.DELIVERED) == {"H-101"})
+    assert drone.launches() == ["H-101.1", "H-101.2"]
 
 
 def test_a_desk_that_restarts_in_mid_flight_carries_on_where_it_was(day):
