@@ -14,6 +14,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModu
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.store import audit_steps, tables
+from ground_station.adapters.store.outage import Outage
 
 BUSY_MS = 10_000
 """How long a desk waits for another desk's transaction; they take milliseconds."""
@@ -39,15 +40,23 @@ class Database:
     """Transactions on the store's tables."""
 
     def __init__(
-        self, url: str, *, durable: bool = True, create: bool = True, busy_ms: int = BUSY_MS
+        self,
+        url: str,
+        *,
+        durable: bool = True,
+        create: bool = True,
+        busy_ms: int = BUSY_MS,
+        outage: Outage | None = None,
+        any_schema: bool = False,
     ) -> None:
         """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError.
 
         Without `durable`, SQLite does not wait for the disk: faster, but a power cut may lose what
         was acknowledged. Without `create`, a store that is not there is an error, and stays so.
-        `busy_ms`: how long it waits for another desk's transaction.
+        `busy_ms`: how long it waits for another desk's transaction. With `outage`, a store that is
+        away is an error at once, until it is time to try it again. `any_schema`: to upgrade it.
         """
-        self.shown = url
+        self.shown, self.outage = url, None
         try:
             self._engine = _engine(url, "FULL" if durable else "OFF", busy_ms)
             self._unsettled = _engine(url, "NORMAL" if durable else "OFF", busy_ms)
@@ -56,18 +65,26 @@ class Database:
             raise StoreError(
                 f"store {url!r}: expected sqlite:///FILE or postgresql://... ({error})"
             ) from error
+        try:
+            self._open(create, any_schema)
+        except StoreError:
+            self.close()
+            raise
+        self.outage = outage
+
+    def _open(self, create: bool, any_schema: bool) -> None:
         path = sqlite_file(self._engine.url)
         if create:
             self._create()
         elif path is not None and not path.exists():
             check_schema(None, self.shown)
-        with self.read() as db:
-            check_schema(schema_of(db), self.shown)
+        if not any_schema:
+            with self.read() as db:
+                check_schema(schema_of(db), self.shown)
 
     def _create(self) -> None:
         """Make file and tables where there is no store."""
-        with self._translated("written"):
-            _make_file(self._engine.url)
+        _make_file(self._engine.url, self.shown)
         with self.write() as db:
             if self._engine.dialect.name == "postgresql":
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
@@ -102,16 +119,20 @@ class Database:
 
     @contextmanager
     def _translated(self, what: str) -> Iterator[None]:
+        outage = self.outage
+        if outage is not None and outage.is_waiting:
+            raise StoreError(outage.why or "")
         try:
             yield
         except IntegrityError:
             raise
         except DBAPIError as error:
-            words = " ".join(str(error.orig).split())
-            raise StoreError(f"store {self.shown}: nothing {what}: {words}") from error
-        except OSError as error:
-            words = f"unable to open: {error.strerror}"
-            raise StoreError(f"store {self.shown}: nothing {what}: {words}") from error
+            why = f"store {self.shown}: nothing {what}: {' '.join(str(error.orig).split())}"
+            if outage is not None:
+                outage.failed(why)
+            raise StoreError(why) from error
+        if outage is not None:
+            outage.ended()
 
 
 def schema_of(db: sa.Connection) -> int | None:
@@ -146,14 +167,19 @@ def sqlite_file(url: sa.URL) -> Path | None:
     """The file of an SQLite store; None: PostgreSQL."""
     if url.get_backend_name() != "sqlite":
         return None
-    return Path(unquote((url.database or "").removeprefix("file:")))
+    name = url.database or ""
+    return Path(unquote(name.removeprefix("file:")) if name.startswith("file:") else name)
 
 
-def _make_file(url: sa.URL) -> None:
+def _make_file(url: sa.URL, shown: str) -> None:
     """Make SQLite's file, for its owner only: it holds where people live."""
     path = sqlite_file(url)
-    if path is not None:
+    if path is None:
+        return
+    try:
         os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
+    except OSError as error:
+        raise StoreError(f"store {shown}: unable to open: {error.strerror}") from error
 
 
 def _engine(url: str, synchronous: str, busy_ms: int) -> sa.Engine:

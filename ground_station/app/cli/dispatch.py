@@ -83,7 +83,7 @@ def dispatch(
 
     data, person = open_day(day), who(user)
     chosen = None if plan is None else read_day_plan(plan)
-    opened = open_store(store, store_file, create=True)
+    opened = open_store(store, store_file, create=True, goes_on=True)
     try:
         take_orders(opened, data.orders, person.name)
         impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
@@ -159,19 +159,23 @@ def watch(
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.app.desk.exchange import Exchange
-    from ground_station.app.views.watch_view import day_shown, watch_view
+    from ground_station.app.views.watch_view import WatchRows, read_rows, watch_view
 
-    opened = open_store(store, store_file)
+    opened = open_store(store, store_file, goes_on=True)
     ears = ZenohFleet(fleet, zenoh)
     exchange = Exchange(opened, ears, lambda words: None)
     exchange.begin()
     console, day = Console(), DayStore(opened.database, epoch_us)
+    rows = WatchRows()
 
     def view() -> RenderableType:
-        rows = opened.assignments(in_force=True)
-        shown = day_shown(day, epoch_us())
-        holds = opened.holds()
-        return watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown, holds)
+        nonlocal rows
+        with exchange.store_may_be_away():
+            rows = read_rows(opened, day, epoch_us())
+            exchange.store_is_back()
+        notes = [] if exchange.status.vehicles else [f"nobody is heard in fleet {fleet}"]
+        notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
+        return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:
         with stop_signals() as stopped:

@@ -15,6 +15,7 @@ from ground_station.app.cli import (
     hold,
     order,
     plan,
+    store,
     truck,
 )
 
@@ -63,6 +64,7 @@ app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(hold.app)
 app.add_typer(audit.app)
+app.add_typer(store.app, name="store")
 app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.clock import epoch_us, monotonic_s
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
@@ -51,15 +51,20 @@ def open_day(day: str) -> "DayData":
     return read_day(day_file(day))
 
 
-def open_store(url: str, file: Path | None = None, *, create: bool = False) -> "Store":
+def open_store(
+    url: str, file: Path | None = None, *, create: bool = False, goes_on: bool = False
+) -> "Store":
     """The store. StoreError says in one line why it cannot be opened.
 
-    Only a command that begins a day makes a store that is not there (`create`).
+    Only a command that begins a day makes a store that is not there (`create`). `goes_on`: who
+    opens it goes on while it is away, and does not wait for it.
     """
     from ground_station.adapters.store.database import Database
     from ground_station.adapters.store.order_store import Store
+    from ground_station.adapters.store.outage import Outage
 
-    return Store(Database(url_of(url, file), create=create), epoch_us)
+    outage = Outage(monotonic_s) if goes_on else None
+    return Store(Database(url_of(url, file), create=create, outage=outage), epoch_us)
 
 
 def open_at_once(url: str) -> "Store":
