@@ -22,7 +22,7 @@ from ground_station.app.cli.options import (
     url_of,
     who,
 )
-from ground_station.app.cli.order import list_impossible, take_orders
+from ground_station.app.cli.order import assigner_of, list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
@@ -86,13 +86,15 @@ def dispatch(
     opened = open_store(store, store_file, create=True, goes_on=True)
     try:
         take_orders(opened, data.orders, person.name)
-        impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
+        assigner = assigner_of(data)
+        impossible = list_impossible(data, assigner) if chosen is None else []
         by = desk_of(person)
         params = DepotParams(by=by, assigns=assign, launches=launch, launch_gap_s=launch_gap)
         fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
             if chosen is None:
-                desk = open_depot_desk(data, opened, fleet, _say, params, impossible)
+                cannot = frozenset(impossible)
+                desk = open_depot_desk(data, opened, fleet, _say, params, cannot, None, assigner)
             elif assign and launch:
                 desk = open_truck_desk(data, chosen, opened, fleet, _say, by=by)
             else:

@@ -20,6 +20,7 @@ from ground_station.core.schema.order_states import OrderState, Service, Settled
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
+    from ground_station.core.dispatch.depot_assignment import DepotAssigner
     from ground_station.core.schema.day_data import DayData
     from ground_station.core.schema.orders import Order
 
@@ -102,7 +103,7 @@ def import_(
     finally:
         opened.close()
     if data is not None:
-        list_impossible(data)
+        list_impossible(data, assigner_of(data))
 
 
 @app.command(name="list")
@@ -217,14 +218,18 @@ def take_orders(store: "Store", orders: "list[Order]", by: str) -> None:
     typer.echo(f"{len(taken.added)} orders taken{known}")
 
 
-def list_impossible(data: "DayData") -> list[str]:
+def assigner_of(data: "DayData") -> "DepotAssigner":
+    """Who knows what the day's drones can bring from the depot."""
+    from ground_station.core.dispatch.depot_assignment import DepotAssigner
+
+    return DepotAssigner(data.day, data.airframes)
+
+
+def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
     """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
     from rich.console import Console
     from rich.table import Table
 
-    from ground_station.core.dispatch.depot_assignment import DepotAssigner
-
-    assigner = DepotAssigner(data.day, data.airframes)
     found: list[str] = []
     table = Table("order", "no drone from the depot", "possible with")
     for order in data.orders:

@@ -29,15 +29,17 @@ def open_depot_desk(
     params: DepotParams,
     impossible: frozenset[str] = frozenset(),
     clock: Clock | None = None,
+    assigner: DepotAssigner | None = None,
 ) -> Desk:
     """A desk of drones that start from the depot. `impossible`: orders that none of them can bring.
+    `assigner`: one that knows the day already.
 
     Raises LeewayError where the store holds a day with a truck.
     """
     clock = clock or WallClock()
     if DayStore(store.database, clock.epoch_us).plan() is not None:
         raise LeewayError("this store holds a day with a truck: expected --plan")
-    assigner = DepotAssigner(data.day, data.airframes)
+    assigner = assigner or DepotAssigner(data.day, data.airframes)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible)
     return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
 

@@ -14,8 +14,14 @@ from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.dispatch.flight_tables import delivery_table
-from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach, day_energy
-from ground_station.core.schema.day import Day
+from ground_station.core.feasibility.reach import (
+    Feasible,
+    Infeasible,
+    Reach,
+    SortieNeed,
+    day_energy,
+)
+from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.orders import (
     AssignmentRow,
     AssignmentState,
@@ -45,9 +51,16 @@ class DroneAssignment:
     vehicle: str
 
 
+_Kind = tuple[str, float | None, float, float]
+"""Airframe, temperature, health and charge of a drone: all that what it can bring depends on."""
+
+
 class DepotAssigner:
-    """Assigns the orders of one day. Each drone's `Reach` is kept: its energy tables take a
-    moment.
+    """Assigns the orders of one day.
+
+    What a delivery takes is worked out once for each airframe and order and kept, since it takes a
+    thousand times as long as to ask whether a pack pays for it; and what is possible at all once
+    for each kind of drone. A day may have a hundred drones of one kind.
     """
 
     def __init__(self, day: Day, airframes: Mapping[str, Airframe]) -> None:
@@ -58,6 +71,10 @@ class DepotAssigner:
             d.id: Reach(d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe])
             for d in day.drones
         }
+        self._of_kind: dict[_Kind, Reach] = {_kind(r.drone): r for r in self._reach.values()}
+        self._ned: dict[str, Ned] = {}
+        self._need: dict[tuple[str, str], SortieNeed] = {}
+        self._at_best: dict[tuple[_Kind, str], bool] = {}
 
     def assign(
         self, orders: list[OrderRow], assignments: list[AssignmentRow], free: list[FreeDrone]
@@ -96,13 +113,33 @@ class DepotAssigner:
     def _time_s(self, order: Order, drone: FreeDrone) -> float | None:
         """How long this drone takes to bring it; None: it cannot, as it is charged."""
         reach = self._reach.get(drone.vehicle)
-        if reach is None:
+        if reach is None or not self._can_when_full(order, reach):
             return None
-        return reach.time_s(order.mass_kg, self.ground_ned(order), drone.charge_frac)
+        need = self._need_of(order, reach)
+        return need.time_s if reach.pays(need, order.mass_kg, drone.charge_frac) else None
+
+    def _can_when_full(self, order: Order, reach: Reach) -> bool:
+        """Whether a drone of this kind could bring it with a full pack."""
+        key = (_kind(reach.drone), order.id)
+        if key not in self._at_best:
+            mass_kg = order.mass_kg
+            can = reach.lifts(mass_kg) and reach.pays(self._need_of(order, reach), mass_kg, 1.0)
+            self._at_best[key] = can
+        return self._at_best[key]
+
+    def _need_of(self, order: Order, reach: Reach) -> SortieNeed:
+        """What its delivery takes from the depot and back, of drones of this airframe."""
+        key = (reach.drone.airframe, order.id)
+        if key not in self._need:
+            depot = (0.0, 0.0, 0.0)
+            self._need[key] = reach.need(order.mass_kg, depot, self.ground_ned(order), depot)
+        return self._need[key]
 
     def ground_ned(self, order: Order) -> Ned:
         """The ground at an order's place, NED about the depot."""
-        return place_ned(self._frame, place_of(order))
+        if order.id not in self._ned:
+            self._ned[order.id] = place_ned(self._frame, place_of(order))
+        return self._ned[order.id]
 
     def can_bring(
         self, order: Order, vehicle: str, charge_frac: float | None = None
@@ -111,8 +148,14 @@ class DepotAssigner:
         reach = self._reach.get(vehicle)
         if reach is None:
             return Infeasible("not in the day's fleet", "name it under [[drones]]")
+        return self._can_bring(order, reach, charge_frac)
+
+    def _can_bring(
+        self, order: Order, reach: Reach, charge_frac: float | None = None
+    ) -> Feasible | Infeasible:
+        need = self._need_of(order, reach) if reach.lifts(order.mass_kg) else None
         ned = self.ground_ned(order)
-        return reach.can_bring(order.mass_kg, ned, charge_frac=charge_frac)
+        return reach.can_bring(order.mass_kg, ned, charge_frac=charge_frac, need=need)
 
     def impossible(self, order: Order) -> Infeasible | None:
         """Why no drone of the day can bring an order from the depot: the reason that is easiest to
@@ -120,7 +163,7 @@ class DepotAssigner:
         """
         if order.service is Service.TRUCK:
             return None
-        found = [self.can_bring(order, drone.id) for drone in self._day.drones]
+        found = [self._can_bring(order, reach) for reach in self._of_kind.values()]
         cannot = [f for f in found if isinstance(f, Infeasible)]
         if len(cannot) < len(found) or not cannot:
             return None
@@ -133,3 +176,7 @@ class DepotAssigner:
         if drone is None:
             raise LeewayError(f"{vehicle}: not in the day's fleet")
         return delivery_table(self._day, drone, order)
+
+
+def _kind(drone: Drone) -> _Kind:
+    return drone.airframe, drone.temperature_c, drone.battery_health_frac, drone.charge_frac
