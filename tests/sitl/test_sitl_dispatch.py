@@ -88,7 +88,7 @@ class Day:
     def desk(self) -> subprocess.Popen[bytes]:
         return self.start(
             "ground_station", "dispatch", "day.toml", f"--store={self.url}", "--zenoh=desk.json5",
-            "--until-done",
+            "--until-done", "--auto-launch",
         )  # fmt: skip
 
     def phases(self) -> list[str]:

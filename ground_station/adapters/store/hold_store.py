@@ -27,8 +27,8 @@ class HoldStore:
     def set(self, scopes: Iterable[str], reason: str, by: str) -> list[str]:
         """Hold these vehicles (or `ALL`) from now on.
 
-        A launch that was not sent yet is void. Returns the assignments whose launch was sent
-        before and is not answered: these may take off.
+        A launch that was not sent yet is void, and so is a person's word for one. Returns the
+        assignments whose launch was sent before and is not answered: these may take off.
         """
         with self._database.write() as db:
             rows.lock(db)
@@ -47,6 +47,8 @@ class HoldStore:
             .where(mine, t.commands.c.sent.is_(False))
             .values(answer=Answered.REFUSED.value, reason="held before it was sent")
         )
+        held = t.assignments.c.vehicle == scope if scope != ALL else sa.true()
+        db.execute(sa.update(t.assignments).where(held).values(confirmed_by=None))
         sent = db.execute(sa.select(t.commands.c.assignment).where(mine)).scalars()
         return [assignment for assignment in sent if assignment is not None]
 

@@ -139,6 +139,18 @@ def count_commands(db: sa.Connection, prefix: str) -> int:
     return db.execute(asked).scalar_one()
 
 
+def newest_launch(db: sa.Connection) -> int:
+    """The number of the newest launch command, of whichever desk; 0: there is none."""
+    launches = t.commands.c.id.contains(":launch")
+    return db.execute(sa.select(sa.func.max(t.commands.c.n)).where(launches)).scalar() or 0
+
+
+def confirm(db: sa.Connection, assignment: str, by: str | None) -> None:
+    """Note who lets an assignment be launched, once; None: nobody does."""
+    here = t.assignments.c.id == assignment
+    db.execute(sa.update(t.assignments).where(here).values(confirmed_by=by))
+
+
 def end_assignment(
     db: sa.Connection,
     now_us: int,
@@ -289,7 +301,13 @@ def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
 def assignment_row(row: Any) -> AssignmentRow:
     """A row as the core's type."""
     return AssignmentRow(
-        row.id, row.order_id, row.vehicle, AssignmentState(row.state), row.delivered, row.why
+        row.id,
+        row.order_id,
+        row.vehicle,
+        AssignmentState(row.state),
+        row.delivered,
+        row.why,
+        row.confirmed_by,
     )
 
 

@@ -177,9 +177,37 @@ class Store:
             return None
         return id_
 
-    def launch(self, assignment: str, by: str) -> bool:
+    def confirm_launch(self, order_id: str, by: str) -> str | None:
+        """A person lets an order's drone be launched, once; the assignment's id.
+
+        None: it is not aboard a drone, its launch is under way, or the drone is held.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
+            aboard = sa.select(t.assignments.c.id).where(
+                t.assignments.c.order_id == order_id,
+                t.assignments.c.state == AssignmentState.ABOARD.value,
+            )
+            row = rows.in_state(db, db.execute(aboard).scalar() or "", (AssignmentState.ABOARD,))
+            if row is None or rows.unanswered(db, row.id) or holds.hold_of(db, row.vehicle):
+                return None
+            rows.confirm(db, row.id, by)
+            audit.note(db, self._now(), by, "confirm", f"{row.vehicle}: {row.id}", "confirmed")
+        return row.id
+
+    def newest_launch(self) -> int:
+        """The number of the newest launch, of whichever desk; 0: there was none."""
+        with self._database.read() as db:
+            return rows.newest_launch(db)
+
+    def launch(
+        self, assignment: str, by: str, *, after: int | None = None, confirmed: bool = False
+    ) -> bool:
         """Authorise the launch of an assignment that is aboard; False where it is not, was asked
         before, or its vehicle is held.
+
+        `after`: nor where there is a newer launch than this one, since its gap is not over.
+        `confirmed`: nor without a person's word, which this launch uses up.
         """
         with self._database.write() as db:
             rows.lock(db)
@@ -188,6 +216,11 @@ class Store:
                 return False
             if holds.hold_of(db, row.vehicle) is not None:
                 return False
+            if after is not None and rows.newest_launch(db) != after:
+                return False
+            if confirmed and row.confirmed_by is None:
+                return False
+            rows.confirm(db, assignment, None)
             number = rows.count_commands(db, f"{assignment}:launch") + 1
             deed = Launch(assignment=assignment)
             rows.put_out(

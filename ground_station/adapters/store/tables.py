@@ -64,6 +64,7 @@ assignments = Table(
     Column("why", Text, nullable=False, default=""),
     Column("made_us", BigInteger, nullable=False),
     Column("ended_us", BigInteger),
+    Column("confirmed_by", String(64)),
 )
 
 _in_force = text("state IN ({})".format(", ".join(f"'{s.value}'" for s in IN_FORCE)))

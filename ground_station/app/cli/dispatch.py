@@ -54,6 +54,14 @@ def dispatch(
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
     launch: Annotated[bool, typer.Option(help="Authorise launches that are ready.")] = True,
+    confirm_launch: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-launch/--auto-launch",
+            help="Whether each launch from the depot waits for a named person (`ground-station"
+            " order launch`). On a truck its driver says that a drone is placed.",
+        ),
+    ] = True,
     launch_gap: Annotated[
         float, typer.Option(min=0.0, help="Least time between two launches at the depot, s.")
     ] = 20.0,
@@ -89,7 +97,7 @@ def dispatch(
         assigner = assigner_of(data)
         impossible = list_impossible(data, assigner) if chosen is None else []
         by = desk_of(person)
-        params = DepotParams(by=by, assigns=assign, launches=launch, launch_gap_s=launch_gap)
+        params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         fleet = ZenohFleet(data.day.fleet, zenoh)
         try:
             if chosen is None:

@@ -168,6 +168,41 @@ def brought(
 
 
 @app.command()
+def launch(
+    order_id: str,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
+    """Let the drone that has this order be launched, once, when its slot comes.
+
+    Only for who sees the pad: a desk without --auto-launch launches nobody without this word.
+
+    ground-station order launch H-101
+    """
+    person, opened = who(user), open_store(store, store_file)
+    try:
+        id_ = opened.confirm_launch(order_id, person.name)
+        if id_ is None:
+            raise LeewayError(f"order {order_id}: {_why_not_launched(opened, order_id)}")
+    finally:
+        opened.close()
+    typer.echo(f"{id_}: confirmed by {person.name}; it goes when its slot comes")
+
+
+def _why_not_launched(store: "Store", order_id: str) -> str:
+    """Why a launch cannot be confirmed, in words."""
+    from ground_station.core.schema.holds import holding
+
+    rows = (row for row in store.assignments(in_force=True) if row.order_id == order_id)
+    row = next(rows, None)
+    if row is None:
+        return "no drone has it"
+    hold = holding(store.holds(), row.vehicle)
+    return hold.words if hold is not None else f"{row.state.value} with {row.vehicle}, not waiting"
+
+
+@app.command()
 def settle(
     order_id: str,
     reason: Annotated[str, typer.Option(help="How you know it; kept in the audit.")],

@@ -21,13 +21,15 @@ LAUNCHES = 3
 class DepotParams:
     """How the depot is run. `assigns` and `launches` False: orders and launches are a person's.
 
-    `launch_gap_s` is the least time between two launches.
+    `launch_gap_s` is the least time between two launches, by whichever desk. `confirms`: each
+    launch waits for a named person.
     """
 
     by: str = "desk"
     assigns: bool = True
     launches: bool = True
     launch_gap_s: float = 20.0
+    confirms: bool = False
 
 
 @dataclass(slots=True)
@@ -44,10 +46,13 @@ class DepotDispatcher:
     say: Callable[[str], None]
     params: DepotParams = field(default_factory=DepotParams)
     impossible: frozenset[str] = frozenset()
+    _newest_launch: int = 0
     _launched_s: float | None = None
+    _asked: set[str] = field(default_factory=set)
 
     def begin(self) -> None:
         """A launch just before a restart keeps its gap to the next one."""
+        self._newest_launch = self.store.newest_launch()
         if any(r.state is AssignmentState.FLYING for r in self.store.assignments(in_force=True)):
             self._launched_s = self.clock.monotonic_s()
 
@@ -61,13 +66,33 @@ class DepotDispatcher:
             if self.store.withdraw(id_, params.by):
                 self.say(f"{vehicle}: launch refused {LAUNCHES} times: {id_} withdrawn")
             return
-        if not params.launches or self._in_launch_gap():
+        if not params.launches:
             return
-        if self.store.launch(id_, params.by):
-            self._launched_s = self.clock.monotonic_s()
-            self.say(f"{vehicle}: launch of {id_} ordered")
+        if params.confirms and assignment.confirmed_by is None:
+            self._ask_for_a_person(assignment)
+            return
+        if self._in_launch_gap():
+            return
+        after = self._newest_launch
+        if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
+            word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
+            self.say(f"{vehicle}: launch of {id_} ordered{word}")
+            self._asked.discard(id_)
+
+    def _ask_for_a_person(self, assignment: AssignmentRow) -> None:
+        """Say, once for each launch, what lets it go."""
+        if assignment.id not in self._asked:
+            self._asked.add(assignment.id)
+            order = assignment.order_id
+            self.say(
+                f"{assignment.vehicle}: ready: `ground-station order launch {order}` lets it go"
+            )
 
     def _in_launch_gap(self) -> bool:
+        """By the clock of this desk, from when it saw a launch: desks' clocks may differ."""
+        newest = self.store.newest_launch()
+        if newest != self._newest_launch:
+            self._newest_launch, self._launched_s = newest, self.clock.monotonic_s()
         if self._launched_s is None:
             return False
         return self.clock.monotonic_s() - self._launched_s < self.params.launch_gap_s

@@ -104,7 +104,12 @@ def watch_view(
         lines.append((line.cells(), bool(alarms)))
         wrong += alarms
     table = _table(_title(orders, day), lines)
-    below = [*notes, *(hold.words for hold in rows.holds), *_below(status, orders, day, wrong)]
+    below = [
+        *notes,
+        *(hold.words for hold in rows.holds),
+        *_confirmed(rows),
+        *_below(status, orders, day, wrong),
+    ]
     return Group(table, *map(Text, below))
 
 
@@ -126,6 +131,12 @@ def _title(orders: Sequence[OrderRow], day: DayShown | None) -> str:
     counts = Counter(row.state.value for row in orders)
     counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
     return counted if day is None else f"{counted}; {day.title}"
+
+
+def _confirmed(rows: WatchRows) -> Iterator[str]:
+    for row in rows.assignments:
+        if row.confirmed_by is not None:
+            yield f"{row.vehicle}: launch of {row.order_id} confirmed by {row.confirmed_by}"
 
 
 def _below(

@@ -98,7 +98,7 @@ class OrderRow:
 
 @dataclass(frozen=True, slots=True)
 class AssignmentRow:
-    """An assignment: which vehicle brings which order."""
+    """An assignment: which vehicle brings which order. `confirmed_by`: who lets it be launched."""
 
     id: str
     order_id: str
@@ -106,6 +106,7 @@ class AssignmentRow:
     state: AssignmentState
     delivered: bool
     why: str
+    confirmed_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Holds, the audit, and which launches have left the desk.
+"""Holds, the audit, which launches have left the desk, and who has confirmed one.
 
 What is written here stays as it is: `tables` goes on to the next schema, stores of old do not.
 """
@@ -17,6 +17,7 @@ def upgrade() -> None:
     op.add_column(
         "commands", sa.Column("sent", sa.Boolean, nullable=False, server_default=sa.false())
     )
+    op.add_column("assignments", sa.Column("confirmed_by", sa.String(64)))
     # Whether they were is not known: one that may have been sent may be carried out.
     commands = sa.table(
         "commands", sa.column("id"), sa.column("answer"), sa.column("sent", sa.Boolean)
