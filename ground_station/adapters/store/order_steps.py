@@ -55,8 +55,15 @@ def order_taken(db: sa.Connection, order_id: str) -> str | None:
     return assignment_id(order_id, attempt + 1)
 
 
-def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, vehicle: str) -> None:
-    """Insert an assignment. IntegrityError: the drone has another one in force."""
+def make_assignment(
+    db: sa.Connection,
+    now_us: int,
+    id_: str,
+    order_id: str,
+    vehicle: str,
+    layer: int | None = None,
+) -> None:
+    """Insert an assignment. IntegrityError: drone or layer has another one in force."""
     db.execute(
         sa.insert(t.assignments).values(
             id=id_,
@@ -66,6 +73,7 @@ def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, veh
             delivered=False,
             why="",
             made_us=now_us,
+            layer=layer,
         )
     )
 
@@ -308,6 +316,7 @@ def assignment_row(row: Any) -> AssignmentRow:
         row.delivered,
         row.why,
         row.confirmed_by,
+        row.layer,
     )
 
 

@@ -155,12 +155,18 @@ class Store:
     # --- assignments and the outbox ------------------------------------------------------------
 
     def assign(
-        self, order_id: str, vehicle: str, flight: dict[str, Any], obstacles: Any, by: str
+        self,
+        order_id: str,
+        vehicle: str,
+        flight: dict[str, Any],
+        obstacles: Any,
+        by: str,
+        layer: int | None = None,
     ) -> str | None:
         """Assign an open order to a free vehicle and put the command into the outbox.
 
-        Returns the assignment's id; None where the order is not open, or the vehicle not free or
-        held.
+        Returns the assignment's id; None where the order is not open, the vehicle or its layer
+        not free, or the vehicle held.
         """
         try:
             with self._database.write() as db:
@@ -170,10 +176,10 @@ class Store:
                 id_ = rows.order_taken(db, order_id)
                 if id_ is None:
                     return None
-                rows.make_assignment(db, self._now(), id_, order_id, vehicle)
+                rows.make_assignment(db, self._now(), id_, order_id, vehicle, layer)
                 deed = Assign(assignment=id_, order=order_id, flight=flight, obstacles=obstacles)
                 rows.put_out(db, self._now(), f"{id_}:assign", vehicle, id_, deed, by)
-        except IntegrityError:  # the vehicle has another assignment in force
+        except IntegrityError:  # the vehicle, or its layer, has another assignment in force
             return None
         return id_
 

@@ -1,8 +1,8 @@
 """The store's tables (SQLAlchemy Core), the same in SQLite and PostgreSQL.
 
-What must never happen is a constraint here: one assignment in force for each order and for each
-drone, one command for each id, one event for each place in a member's log, one plan for each
-revision.
+What must never happen is a constraint here: one assignment in force for each order, for each drone
+and for each layer over the depot, one command for each id, one event for each place in a member's
+log, one plan for each revision.
 """
 
 from sqlalchemy import (
@@ -65,11 +65,16 @@ assignments = Table(
     Column("made_us", BigInteger, nullable=False),
     Column("ended_us", BigInteger),
     Column("confirmed_by", String(64)),
+    Column("layer", Integer),
 )
 
 _in_force = text("state IN ({})".format(", ".join(f"'{s.value}'" for s in IN_FORCE)))
 _of_a_drone = text(f"{_in_force.text} AND vehicle <> '{TRUCK}'")  # its driver may hold several
-for _column, _when in ((assignments.c.order_id, _in_force), (assignments.c.vehicle, _of_a_drone)):
+for _column, _when in (
+    (assignments.c.order_id, _in_force),
+    (assignments.c.vehicle, _of_a_drone),
+    (assignments.c.layer, _in_force),  # of sorties from a truck the plan has the layer: no number
+):
     Index(
         f"one_in_force_per_{_column.name}",
         _column,

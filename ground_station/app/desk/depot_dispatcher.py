@@ -118,12 +118,14 @@ class DepotDispatcher:
         done = False
         chosen = self.assigner.assign(self.store.orders(), self.store.assignments(), free)
         for choice in chosen:
-            order, vehicle = choice.order.id, choice.vehicle
-            flight = self.assigner.flight_of(choice.order, vehicle)
-            id_ = self.store.assign(order, vehicle, flight, self.data.no_fly, self.params.by)
+            order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
+            flight = self.assigner.flight_of(choice.order, vehicle, layer)
+            no_fly, by = self.data.no_fly, self.params.by
+            id_ = self.store.assign(order, vehicle, flight, no_fly, by, layer)
             if id_ is not None:
                 done = True
-                self.say(f"{vehicle}: assigned {order} ({id_})")
+                height_m = self.assigner.layers.mission_in(layer).cruise_height_m
+                self.say(f"{vehicle}: assigned {order} ({id_}), out at {height_m:.0f} m")
         return done
 
     @property

@@ -9,10 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
+from ground_station.core.deconfliction.depot_layers import DepotLayers
 from ground_station.core.dispatch.flight_tables import delivery_table
 from ground_station.core.feasibility.reach import (
     Feasible,
@@ -21,8 +24,10 @@ from ground_station.core.feasibility.reach import (
     SortieNeed,
     day_energy,
 )
+from ground_station.core.planning.day_problem import TOP_M
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.orders import (
+    IN_FORCE,
     AssignmentRow,
     AssignmentState,
     Order,
@@ -45,10 +50,11 @@ class FreeDrone:
 
 @dataclass(frozen=True, slots=True)
 class DroneAssignment:
-    """This order goes to this drone."""
+    """This order goes to this drone, in this layer over the depot."""
 
     order: Order
     vehicle: str
+    layer: int = 0
 
 
 _Kind = tuple[str, float | None, float, float]
@@ -73,7 +79,8 @@ class DepotAssigner:
         }
         self._of_kind: dict[_Kind, Reach] = {_kind(r.drone): r for r in self._reach.values()}
         self._ned: dict[str, Ned] = {}
-        self._need: dict[tuple[str, str], SortieNeed] = {}
+        self._need: dict[tuple[str, str, int], SortieNeed] = {}
+        self.layers = DepotLayers(day.mission, TOP_M)
         self._at_best: dict[tuple[_Kind, str], bool] = {}
 
     def assign(
@@ -90,32 +97,42 @@ class DepotAssigner:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        return self._nearest(waiting, refused, list(free))
+        # Without a number it was assigned before there were layers: at the mission's own heights.
+        taken = {row.layer or 0 for row in assignments if row.state in IN_FORCE}
+        return self._nearest(waiting, refused, list(free), taken)
 
     def _nearest(
-        self, waiting: list[Order], refused: set[tuple[str, str]], free: list[FreeDrone]
+        self,
+        waiting: list[Order],
+        refused: set[tuple[str, str]],
+        free: list[FreeDrone],
+        taken: set[int],
     ) -> list[DroneAssignment]:
         chosen: list[DroneAssignment] = []
         for order in sorted(waiting, key=lambda o: (math.hypot(*self.ground_ned(o)[:2]), o.id)):
             if not free:
                 break
+            layer = self.layers.lowest_free(taken, -self.ground_ned(order)[2])
+            if layer is None:
+                continue
             able: list[tuple[float, str, FreeDrone]] = []
             for drone in free:
-                time_s = self._time_s(order, drone)
+                time_s = self._time_s(order, drone, layer)
                 if time_s is not None and (order.id, drone.vehicle) not in refused:
                     able.append((time_s, drone.vehicle, drone))
             if able:
                 _, vehicle, drone = min(able, key=lambda a: a[:2])
                 free.remove(drone)
-                chosen.append(DroneAssignment(order, vehicle))
+                taken.add(layer)
+                chosen.append(DroneAssignment(order, vehicle, layer))
         return chosen
 
-    def _time_s(self, order: Order, drone: FreeDrone) -> float | None:
-        """How long this drone takes to bring it; None: it cannot, as it is charged."""
+    def _time_s(self, order: Order, drone: FreeDrone, layer: int) -> float | None:
+        """How long this drone takes to bring it in a layer; None: it cannot, as it is charged."""
         reach = self._reach.get(drone.vehicle)
         if reach is None or not self._can_when_full(order, reach):
             return None
-        need = self._need_of(order, reach)
+        need = self._need_of(order, reach, layer)
         return need.time_s if reach.pays(need, order.mass_kg, drone.charge_frac) else None
 
     def _can_when_full(self, order: Order, reach: Reach) -> bool:
@@ -127,12 +144,13 @@ class DepotAssigner:
             self._at_best[key] = can
         return self._at_best[key]
 
-    def _need_of(self, order: Order, reach: Reach) -> SortieNeed:
+    def _need_of(self, order: Order, reach: Reach, layer: int = 0) -> SortieNeed:
         """What its delivery takes from the depot and back, of drones of this airframe."""
-        key = (reach.drone.airframe, order.id)
+        key = (reach.drone.airframe, order.id, layer)
         if key not in self._need:
-            depot = (0.0, 0.0, 0.0)
-            self._need[key] = reach.need(order.mass_kg, depot, self.ground_ned(order), depot)
+            depot, there = (0.0, 0.0, 0.0), self.ground_ned(order)
+            up_m = self.layers.mission_in(layer).cruise_height_m
+            self._need[key] = reach.need(order.mass_kg, depot, there, depot, up_m)
         return self._need[key]
 
     def ground_ned(self, order: Order) -> Ned:
@@ -170,12 +188,13 @@ class DepotAssigner:
         # A stop of the truck can mend "out of reach", not "too heavy".
         return max(cannot, key=lambda f: "short" in f.why)
 
-    def flight_of(self, order: Order, vehicle: str) -> dict[str, Any]:
-        """The `flight/1` table of an order for a drone."""
+    def flight_of(self, order: Order, vehicle: str, layer: int = 0) -> dict[str, Any]:
+        """The `flight/1` table of an order for a drone, in a layer over the depot."""
         drone = self._day.drone(vehicle)
         if drone is None:
             raise LeewayError(f"{vehicle}: not in the day's fleet")
-        return delivery_table(self._day, drone, order)
+        mission = self.layers.mission_in(layer)
+        return delivery_table(msgspec.structs.replace(self._day, mission=mission), drone, order)
 
 
 def _kind(drone: Drone) -> _Kind:

@@ -98,7 +98,10 @@ class OrderRow:
 
 @dataclass(frozen=True, slots=True)
 class AssignmentRow:
-    """An assignment: which vehicle brings which order. `confirmed_by`: who lets it be launched."""
+    """An assignment: which vehicle brings which order. `confirmed_by`: who lets it be launched.
+
+    `layer`: over the depot, from 0; None: its plan has the height.
+    """
 
     id: str
     order_id: str
@@ -107,6 +110,7 @@ class AssignmentRow:
     delivered: bool
     why: str
     confirmed_by: str | None = None
+    layer: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

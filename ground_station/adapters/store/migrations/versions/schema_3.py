@@ -1,4 +1,4 @@
-"""Holds, the audit, which launches have left the desk, and who has confirmed one.
+"""Holds, the audit, layers, which launches have left the desk, and who has confirmed one.
 
 What is written here stays as it is: `tables` goes on to the next schema, stores of old do not.
 """
@@ -18,6 +18,16 @@ def upgrade() -> None:
         "commands", sa.Column("sent", sa.Boolean, nullable=False, server_default=sa.false())
     )
     op.add_column("assignments", sa.Column("confirmed_by", sa.String(64)))
+    op.add_column("assignments", sa.Column("layer", sa.Integer))
+    in_force = sa.text("state IN ('ordered', 'aboard', 'flying', 'withdrawing')")
+    op.create_index(
+        "one_in_force_per_layer",
+        "assignments",
+        ["layer"],
+        unique=True,
+        sqlite_where=in_force,
+        postgresql_where=in_force,
+    )
     # Whether they were is not known: one that may have been sent may be carried out.
     commands = sa.table(
         "commands", sa.column("id"), sa.column("answer"), sa.column("sent", sa.Boolean)
