@@ -49,6 +49,7 @@ class DepotDispatcher:
     _newest_launch: int = 0
     _launched_s: float | None = None
     _asked: set[str] = field(default_factory=set)
+    _is_full: bool = False
 
     def begin(self) -> None:
         """A launch just before a restart keeps its gap to the next one."""
@@ -115,8 +116,9 @@ class DepotDispatcher:
         ]
 
     def _assign(self, free: list[FreeDrone]) -> bool:
-        done = False
-        chosen = self.assigner.assign(self.store.orders(), self.store.assignments(), free)
+        done, rows = False, self.store.assignments()
+        self._say_full(self.assigner.is_full(rows))
+        chosen = self.assigner.assign(self.store.orders(), rows, free)
         for choice in chosen:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
             flight = self.assigner.flight_of(choice.order, vehicle, layer)
@@ -127,6 +129,12 @@ class DepotDispatcher:
                 height_m = self.assigner.layers.mission_in(layer).cruise_height_m
                 self.say(f"{vehicle}: assigned {order} ({id_}), out at {height_m:.0f} m")
         return done
+
+    def _say_full(self, is_full: bool) -> None:
+        """Say, each time that it begins, that drones wait for a layer."""
+        if is_full and not self._is_full:
+            self.say("every layer over the depot is taken: drones wait for one")
+        self._is_full = is_full
 
     @property
     def is_done(self) -> bool:

@@ -97,9 +97,11 @@ class DepotAssigner:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        # Without a number it was assigned before there were layers: at the mission's own heights.
-        taken = {row.layer or 0 for row in assignments if row.state in IN_FORCE}
-        return self._nearest(waiting, refused, list(free), taken)
+        return self._nearest(waiting, refused, list(free), _taken(assignments))
+
+    def is_full(self, assignments: list[AssignmentRow]) -> bool:
+        """Whether every layer is taken over ground as high as the depot's."""
+        return self.layers.lowest_free(_taken(assignments), 0.0) is None
 
     def _nearest(
         self,
@@ -195,6 +197,13 @@ class DepotAssigner:
             raise LeewayError(f"{vehicle}: not in the day's fleet")
         mission = self.layers.mission_in(layer)
         return delivery_table(msgspec.structs.replace(self._day, mission=mission), drone, order)
+
+
+def _taken(assignments: list[AssignmentRow]) -> set[int]:
+    """Layers that are taken; an assignment without one is of a time before there were layers, and
+    flies at the mission's own heights.
+    """
+    return {row.layer or 0 for row in assignments if row.state in IN_FORCE}
 
 
 def _kind(drone: Drone) -> _Kind:

@@ -47,6 +47,10 @@ def test_each_drone_is_given_the_lowest_layer_that_is_free_and_its_flight_is_in_
     assert [choice.layer for choice in chosen] == [0, 1, 2]
     of_old = AssignmentRow("o.1", "o", "d9", AssignmentState.FLYING, False, "")
     assert [choice.layer for choice in assigner.assign(rows, [of_old], free)] == [1, 2, 3]
+    crowd = [AssignmentRow("o", "o", "d", of_old.state, False, "", None, n) for n in range(7)]
+    assert assigner.assign(rows, crowd, free) == []
+    assert assigner.is_full(crowd)
+    assert not assigner.is_full(crowd[:6])
     tables = [assigner.flight_of(c.order, c.vehicle, c.layer)["mission"] for c in chosen]
     assert [table["cruise_height_m"] for table in tables] == [40.0, 52.0, 64.0]
 
