@@ -62,6 +62,7 @@ def check(tmp_path, short_flight):
         settings: dict[str, float],
         *,
         charge_frac: float = 0.9,
+        armed: bool = False,
         **changes: dict,
     ) -> Checked:
         parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", settings)
@@ -75,6 +76,7 @@ def check(tmp_path, short_flight):
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         before = served.autopilot.params.digest()
+        served.autopilot.state.is_armed = armed
         with Host(SPEEDUP) as host:
             host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
             with host.running():
@@ -134,6 +136,20 @@ def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_k
         f"MISSING  a low-battery action of the autopilot's own: {name} is 0, set {wanted:g}"
     )
     assert checked.said.splitlines()[-1] == "NOT READY"
+
+
+STAYS_ARMED = {"px4": {"COM_DISARM_PRFLT": -1.0}, "ardupilot": {"DISARM_DELAY": 0.0}}
+
+
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_safety_rule_1_a_check_of_an_armed_vehicle_says_so_and_ends(check, autopilot_kind):
+    checked = check(autopilot_kind, STAYS_ARMED[autopilot_kind], armed=True)
+    assert checked.code == 3
+    missing, verdict = checked.said.splitlines()[-2:]
+    assert missing.startswith("MISSING  the vehicle is armed in ")
+    assert verdict == "NOT READY"
+    assert checked.armed  # it was left as it was
+    assert checked.settings_after == checked.settings_before
 
 
 def test_an_empty_battery_is_called_empty(check):

@@ -81,7 +81,7 @@ class Day:
     def desk(self) -> subprocess.Popen[bytes]:
         return self.start(
             "ground_station", "dispatch", "day.toml", f"--store={self.url}",
-            f"--identity={self.site.home('desk')}", "--until-done",
+            f"--identity={self.site.home('desk')}", "--until-done", "--auto-launch",
         )  # fmt: skip
 
     def phases(self) -> list[str]:

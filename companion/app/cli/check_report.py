@@ -28,6 +28,15 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
     return lines, not blocked
 
 
+def why_not_checked(pilot: Pilot) -> str:
+    """Why a check has ended before its first finding."""
+    state = pilot.telemetry.state
+    mode = "" if state is None else f" in {state.mode_name}"
+    if pilot.telemetry.armed:
+        return f"the vehicle is armed{mode}: it is checked disarmed, on the ground"
+    return f"somebody else has the vehicle{mode}: nothing was checked"
+
+
 def _word(finding: Finding) -> str:
     return "WAITING" if finding.waits else "MISSING" if finding.blocks else "off    "
 

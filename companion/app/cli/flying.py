@@ -9,8 +9,8 @@ import typer
 from companion.adapters.autopilots.codec import MavlinkCodec, read_signing_key
 from companion.adapters.autopilots.link import open_link
 from companion.adapters.files.params import flight_path, read_flight
-from companion.app.cli.check_report import report
-from companion.app.flight.run import DONE, GROUNDED, NO_LINK, RunOptions, run
+from companion.app.cli.check_report import report, why_not_checked
+from companion.app.flight.run import DONE, GROUNDED, NO_LINK, NOT_TO_BE_CHECKED, RunOptions, run
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
@@ -107,6 +107,9 @@ def put_settings_back(
 def check(options: RunOptions) -> int:
     """Ask the vehicle, print what is missing for this mission; the exit code."""
     code, pilot = run(options, on_action=_show_check)
+    if pilot.phase in NOT_TO_BE_CHECKED:
+        typer.echo(f"MISSING  {why_not_checked(pilot)}\nNOT READY")
+        return code
     if pilot.phase is not Phase.GROUNDED:
         silent = f"no answer from an autopilot on {options.link}"
         typer.echo(silent if code == NO_LINK else "the check was cut short")

@@ -80,14 +80,22 @@ def run(
     return fly_to_the_end(flown), flown.pilot
 
 
+NOT_TO_BE_CHECKED = (Phase.RECOGNISE, Phase.SUSPENDED, Phase.PASSIVE)
+"""Phases out of which a check never comes by itself: it flies, or another hand has it."""
+
+
 @dataclass(slots=True)
 class Run:
-    """One flight: `step` until that returns an exit code, then `end` with it."""
+    """One flight: `step` until that returns an exit code, then `end` with it.
+
+    `check_only`: it ends also where there is nothing to be checked.
+    """
 
     loop: Loop
     recorder: Recorder
     pilot: Pilot
     lock: FolderLock
+    check_only: bool = False
 
     @classmethod
     def begin(
@@ -161,7 +169,7 @@ class Run:
             recorder.note(pilot.telemetry.t_s, "GATE OFF: never turns back, for comparison only")
         if kept is not None and continues:
             recorder.note(pilot.telemetry.t_s, f"going on from a checkpoint in phase {kept.phase}")
-        return cls(loop, recorder, pilot, lock)
+        return cls(loop, recorder, pilot, lock, options.pilot.check_only)
 
     def step(self) -> int | None:
         """Handle what one wait brings; the exit code once the mission is over or the link lost."""
@@ -171,6 +179,8 @@ class Run:
         if self.loop.lost:
             self.recorder.note(self.loop.clock.t_s, "no autopilot heard: giving up the link")
             return NO_LINK
+        if self.check_only and self.pilot.phase in NOT_TO_BE_CHECKED:
+            return GROUNDED
         return None
 
     def end(self, code: int) -> None:

@@ -1,19 +1,32 @@
 """A database by its URL, SQLite (WAL) or PostgreSQL: transactions, and errors in words."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.store import tables
+from ground_station.adapters.store import audit_steps, tables
+from ground_station.adapters.store.outage import Outage
 
 BUSY_MS = 10_000
 """How long a desk waits for another desk's transaction; they take milliseconds."""
+
+SOON_MS = 1_000
+"""And how long where somebody waits for more than the store: a recall that is under way."""
+
+CONNECT_S = 2
+"""Time-out of a connection to PostgreSQL; the least that its library takes for more than none."""
+
+UNHEARD = {"tcp_user_timeout": BUSY_MS, "keepalives_idle": 5, "keepalives_interval": 2}
+"""libpq: a server that has gone without a word is away after `BUSY_MS`, not after two hours."""
 
 SCHEMA_LOCK = 0x4C454557
 """PostgreSQL's advisory lock: desks that start together create the tables once."""
@@ -24,28 +37,59 @@ class StoreError(LeewayError):
 
 
 class Database:
-    """Transactions on the store's tables, which are created where they are missing."""
+    """Transactions on the store's tables."""
 
-    def __init__(self, url: str, *, durable: bool = True) -> None:
+    def __init__(
+        self,
+        url: str,
+        *,
+        durable: bool = True,
+        create: bool = True,
+        busy_ms: int = BUSY_MS,
+        outage: Outage | None = None,
+        any_schema: bool = False,
+    ) -> None:
         """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError.
 
         Without `durable`, SQLite does not wait for the disk: faster, but a power cut may lose what
-        was acknowledged.
+        was acknowledged. Without `create`, a store that is not there is an error, and stays so.
+        `busy_ms`: how long it waits for another desk's transaction. With `outage`, a store that is
+        away is an error at once, until it is time to try it again. `any_schema`: to upgrade it.
         """
-        self.shown = url
+        self.shown, self.outage = url, None
         try:
-            self._engine = _engine(url, "FULL" if durable else "OFF")
-            self._unsettled = _engine(url, "NORMAL" if durable else "OFF")
-            self.shown = self._engine.url.render_as_string(hide_password=True)
+            self._engine = _engine(url, "FULL" if durable else "OFF", busy_ms)
+            self._unsettled = _engine(url, "NORMAL" if durable else "OFF", busy_ms)
+            self.shown = sa.make_url(url).render_as_string(hide_password=True)
         except (ArgumentError, NoSuchModuleError) as error:
             raise StoreError(
                 f"store {url!r}: expected sqlite:///FILE or postgresql://... ({error})"
             ) from error
+        try:
+            self._open(create, any_schema)
+        except StoreError:
+            self.close()
+            raise
+        self.outage = outage
+
+    def _open(self, create: bool, any_schema: bool) -> None:
+        path = sqlite_file(self._engine.url)
+        if create:
+            self._create()
+        elif path is not None and not path.exists():
+            check_schema(None, self.shown)
+        if not any_schema:
+            with self.read() as db:
+                check_schema(schema_of(db), self.shown)
+
+    def _create(self) -> None:
+        """Make file and tables where there is no store."""
+        _make_file(self._engine.url, self.shown)
         with self.write() as db:
             if self._engine.dialect.name == "postgresql":
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
-            tables.metadata.create_all(db)
-            self._check_schema(db)
+            if schema_of(db) is None:
+                _make_tables(db)
 
     def close(self) -> None:
         """Give the connections back."""
@@ -63,7 +107,9 @@ class Database:
         with self._translated("written"), engine.begin() as db:
             if not settle and engine.dialect.name == "postgresql":
                 db.exec_driver_sql("SET LOCAL synchronous_commit TO off")
+            audit_steps.begin(db)
             yield db
+            audit_steps.write(db)
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
@@ -73,44 +119,93 @@ class Database:
 
     @contextmanager
     def _translated(self, what: str) -> Iterator[None]:
+        outage = self.outage
+        if outage is not None and outage.is_waiting:
+            raise StoreError(outage.why or "")
         try:
             yield
         except IntegrityError:
             raise
         except DBAPIError as error:
-            words = " ".join(str(error.orig).split())
-            raise StoreError(f"store {self.shown}: nothing {what}: {words}") from error
-
-    def _check_schema(self, db: sa.Connection) -> None:
-        about = tables.about
-        found = db.execute(
-            sa.select(about.c.value).where(about.c.name == "schema")
-        ).scalar_one_or_none()
-        if found is None:
-            db.execute(sa.insert(about).values(name="schema", value=str(tables.SCHEMA)))
-        elif found != str(tables.SCHEMA):
-            raise StoreError(f"store {self.shown}: schema {found}, expected {tables.SCHEMA}")
+            why = f"store {self.shown}: nothing {what}: {' '.join(str(error.orig).split())}"
+            if outage is not None:
+                outage.failed(why)
+            raise StoreError(why) from error
+        if outage is not None:
+            outage.ended()
 
 
-def _engine(url: str, synchronous: str) -> sa.Engine:
+def schema_of(db: sa.Connection) -> int | None:
+    """The schema of a store; None: there is no store in this database."""
+    if not sa.inspect(db).has_table(tables.about.name):
+        return None
+    query = sa.select(tables.about.c.value).where(tables.about.c.name == "schema")
+    found = db.execute(query).scalar_one_or_none()
+    return None if found is None else int(found)
+
+
+def check_schema(found: int | None, shown: str) -> None:
+    """Raise StoreError, with what to do, where a desk of today cannot work on this schema."""
+    if found is None:
+        raise StoreError(f"store {shown}: there is none; `ground-station order import` makes one")
+    if found == tables.SCHEMA:
+        return
+    remedy = "a newer ground-station made it"
+    if found < tables.SCHEMA:
+        remedy = "`ground-station store upgrade` brings it there"
+    raise StoreError(f"store {shown}: schema {found}, expected {tables.SCHEMA}: {remedy}")
+
+
+def _make_tables(db: sa.Connection) -> None:
+    tables.metadata.create_all(db)
+    facts = {"schema": str(tables.SCHEMA), audit_steps.HEAD: audit_steps.first_head()}
+    rows = [{"name": name, "value": value} for name, value in facts.items()]
+    db.execute(sa.insert(tables.about), rows)
+
+
+def sqlite_file(url: sa.URL) -> Path | None:
+    """The file of an SQLite store; None: PostgreSQL."""
+    if url.get_backend_name() != "sqlite":
+        return None
+    name = url.database or ""
+    return Path(unquote(name.removeprefix("file:")) if name.startswith("file:") else name)
+
+
+def _make_file(url: sa.URL, shown: str) -> None:
+    """Make SQLite's file, for its owner only: it holds where people live."""
+    path = sqlite_file(url)
+    if path is None:
+        return
+    try:
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
+    except OSError as error:
+        raise StoreError(f"store {shown}: unable to open: {error.strerror}") from error
+
+
+def _engine(url: str, synchronous: str, busy_ms: int) -> sa.Engine:
     parsed = sa.make_url(url)
     if parsed.drivername in ("postgresql", "postgres"):
         parsed = parsed.set(drivername="postgresql+psycopg")
     kind = parsed.drivername.partition("+")[0]
-    if kind not in ("sqlite", "postgresql"):
-        raise ArgumentError(f"unknown kind {kind}")
-    engine = sa.create_engine(parsed, pool_pre_ping=kind == "postgresql")
-    if kind == "sqlite":
-        event.listen(engine, "connect", partial(_prepare_sqlite, synchronous))
-        event.listen(engine, "begin", _begin_sqlite)
+    if kind not in ("sqlite", "postgresql") or not parsed.database:
+        raise ArgumentError(f"unknown kind {kind}, or no name")
+    if kind == "sqlite":  # SQLite would create a file that is not there
+        file = "file:" + quote(parsed.database)
+        parsed = parsed.set(database=file, query={"mode": "rw", "uri": "true"})
+    if kind == "postgresql":
+        told = {"connect_timeout": CONNECT_S, "options": f"-c lock_timeout={busy_ms}"}
+        return sa.create_engine(parsed, pool_pre_ping=True, connect_args=told | UNHEARD)
+    engine = sa.create_engine(parsed)
+    event.listen(engine, "connect", partial(_prepare_sqlite, synchronous, busy_ms))
+    event.listen(engine, "begin", _begin_sqlite)
     return engine
 
 
-def _prepare_sqlite(synchronous: str, raw: Any, record: Any) -> None:
+def _prepare_sqlite(synchronous: str, busy_ms: int, raw: Any, record: Any) -> None:
     raw.isolation_level = None  # `_begin_sqlite` begins transactions
     cursor = raw.cursor()
     for pragma in (
-        f"busy_timeout = {BUSY_MS}",
+        f"busy_timeout = {busy_ms}",
         "journal_mode = WAL",
         f"synchronous = {synchronous}",  # FULL: an acknowledged order survives a power cut
         "foreign_keys = ON",

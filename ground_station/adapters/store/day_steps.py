@@ -14,11 +14,6 @@ from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def lock(db: sa.Connection) -> None:
-    """One transaction at a time decides where the truck goes and what is promised (PostgreSQL)."""
-    db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
-
-
 def drives(db: sa.Connection) -> list[tuple[Drive, Answered | None]]:
     """The truck's drive commands that it has not refused, oldest first."""
     query = sa.select(t.commands.c.deed, t.commands.c.answer).where(t.commands.c.id.like("drive-%"))
@@ -71,7 +66,7 @@ def held(db: sa.Connection, assignment: str) -> bool:
 
 def sortie_row(row: Any, answers: Any) -> SortieRow:
     """A row as the core's type, with the answers to its commands."""
-    launches = [a.answer for a in answers if a.id.startswith(f"{row.id}:launch")]
+    mine = [a for a in answers if a.id.startswith(f"{row.id}:launch")]
     return SortieRow(
         row=rows.assignment_row(row),
         sortie=msgspec.json.decode(row.content, type=PlannedSortie),
@@ -85,7 +80,7 @@ def sortie_row(row: Any, answers: Any) -> SortieRow:
         launched_us=row.launched_us,
         landed_us=row.landed_us,
         used_wh=row.used_wh,
-        launching=any(answer is None for answer in launches),
-        refused=sum(answer == Answered.REFUSED.value for answer in launches),
+        launching=any(a.answer is None for a in mine),
+        refused=sum(a.answer == Answered.REFUSED.value and a.life is not None for a in mine),
         recovering=any(a.id == f"{row.id}:recover" for a in answers),
     )

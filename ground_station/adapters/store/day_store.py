@@ -23,6 +23,7 @@ from companion.fleet.messages import (
     Withdraw,
 )
 from ground_station.adapters.store import day_steps as steps
+from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
@@ -129,13 +130,15 @@ class DayStore:
         that is done.
 
         `flight_of(assignment)` makes the `flight/1` table. None: the order is not open, the
-        drone not free, or the truck not at the launch stop.
+        drone not free or held, or the truck not at the launch stop.
         """
         try:
             with self._database.write() as db:
-                steps.lock(db)
+                rows.lock(db)
                 last = steps.last_drive(db)
                 if last is not None and last != sortie.launch:
+                    return None
+                if holds.hold_of(db, sortie.vehicle) is not None:
                     return None
                 id_ = rows.order_taken(db, sortie.order)
                 if id_ is None:
@@ -239,7 +242,7 @@ class DayStore:
         """
         here = t.sorties.c.assignment == assignment
         with self._database.write() as db:
-            steps.lock(db)
+            rows.lock(db)
             row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
             sortie = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
             last = steps.last_drive(db)
@@ -274,7 +277,7 @@ class DayStore:
             .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
             .order_by(t.assignments.c.n)
         )
-        told = sa.select(t.commands.c.id, t.commands.c.answer).where(
+        told = sa.select(t.commands.c.id, t.commands.c.answer, t.commands.c.life).where(
             sa.or_(t.commands.c.id.like("%:launch%"), t.commands.c.id.like("%:recover"))
         )
         with self._database.read() as db:
@@ -301,7 +304,7 @@ class DayStore:
         False where something binds it to `here`, or it was ordered to drive before.
         """
         with self._database.write() as db:
-            steps.lock(db)
+            rows.lock(db)
             told = steps.drives(db)
             if told and (told[-1][1] is None or told[-1][0].stop != here):
                 return False

@@ -17,6 +17,7 @@ from companion.fleet.messages import (
     Serve,
     Withdraw,
 )
+from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
@@ -30,6 +31,13 @@ from ground_station.core.schema.orders import (
     ends_as,
     order_after,
 )
+
+
+def lock(db: sa.Connection) -> None:
+    """One transaction at a time decides who is launched, who is held, where the truck goes
+    (PostgreSQL; SQLite has one writer anyway). It is the first lock of whoever takes it.
+    """
+    db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
 
 
 def order_taken(db: sa.Connection, order_id: str) -> str | None:
@@ -47,8 +55,15 @@ def order_taken(db: sa.Connection, order_id: str) -> str | None:
     return assignment_id(order_id, attempt + 1)
 
 
-def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, vehicle: str) -> None:
-    """Insert an assignment. IntegrityError: the drone has another one in force."""
+def make_assignment(
+    db: sa.Connection,
+    now_us: int,
+    id_: str,
+    order_id: str,
+    vehicle: str,
+    layer: int | None = None,
+) -> None:
+    """Insert an assignment. IntegrityError: drone or layer has another one in force."""
     db.execute(
         sa.insert(t.assignments).values(
             id=id_,
@@ -58,6 +73,7 @@ def make_assignment(db: sa.Connection, now_us: int, id_: str, order_id: str, veh
             delivered=False,
             why="",
             made_us=now_us,
+            layer=layer,
         )
     )
 
@@ -86,6 +102,13 @@ def put_out(
             made_us=now_us,
         )
     )
+    answer = "held back" if held else "in the outbox"
+    audit.note(db, now_us, by, deed_word(deed), f"{vehicle}: {id_}", answer)
+
+
+def deed_word(deed: Deed) -> str:
+    """The name of a deed, as messages have it."""
+    return str(deed.__struct_config__.tag)
 
 
 def in_state(
@@ -122,6 +145,18 @@ def count_commands(db: sa.Connection, prefix: str) -> int:
     """How many commands have an id with this prefix."""
     asked = sa.select(sa.func.count()).where(t.commands.c.id.startswith(prefix, autoescape=True))
     return db.execute(asked).scalar_one()
+
+
+def newest_launch(db: sa.Connection) -> int:
+    """The number of the newest launch command, of whichever desk; 0: there is none."""
+    launches = t.commands.c.id.contains(":launch")
+    return db.execute(sa.select(sa.func.max(t.commands.c.n)).where(launches)).scalar() or 0
+
+
+def confirm(db: sa.Connection, assignment: str, by: str | None) -> None:
+    """Note who lets an assignment be launched, once; None: nobody does."""
+    here = t.assignments.c.id == assignment
+    db.execute(sa.update(t.assignments).where(here).values(confirmed_by=by))
 
 
 def end_assignment(
@@ -274,7 +309,14 @@ def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
 def assignment_row(row: Any) -> AssignmentRow:
     """A row as the core's type."""
     return AssignmentRow(
-        row.id, row.order_id, row.vehicle, AssignmentState(row.state), row.delivered, row.why
+        row.id,
+        row.order_id,
+        row.vehicle,
+        AssignmentState(row.state),
+        row.delivered,
+        row.why,
+        row.confirmed_by,
+        row.layer,
     )
 
 

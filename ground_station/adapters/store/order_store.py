@@ -14,9 +14,12 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from companion.fleet.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
+from ground_station.adapters.store import audit_steps as audit
+from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -65,14 +68,14 @@ class Store:
 
     # --- orders --------------------------------------------------------------------------------
 
-    def add_orders(self, orders: list[Order]) -> IntakeResult:
+    def add_orders(self, orders: list[Order], by: str = "desk") -> IntakeResult:
         """Take all orders or, where an id comes with other content, none."""
         try:
-            return self._add_orders(orders)
+            return self._add_orders(orders, by)
         except IntegrityError:  # another desk took one of them just now: now it is known
-            return self._add_orders(orders)
+            return self._add_orders(orders, by)
 
-    def _add_orders(self, orders: list[Order]) -> IntakeResult:
+    def _add_orders(self, orders: list[Order], by: str) -> IntakeResult:
         with self._database.write() as db:
             found = db.execute(
                 sa.select(t.orders.c.id, t.orders.c.content).where(
@@ -107,6 +110,9 @@ class Store:
                         for id_, content in fresh.items()
                     ],
                 )
+                first, more = next(iter(fresh)), len(fresh) - 1
+                subject = f"{first} and {more} more" if more else first
+                audit.note(db, self._now(), by, "take_orders", subject, "taken")
         added = () if conflicts else tuple(fresh)
         return IntakeResult(added, tuple(known), tuple(conflicts))
 
@@ -124,7 +130,9 @@ class Store:
             for row in found
         ]
 
-    def move_order(self, order_id: str, before: tuple[OrderState, ...], after: OrderState) -> bool:
+    def move_order(
+        self, order_id: str, before: tuple[OrderState, ...], after: OrderState, by: str
+    ) -> bool:
         """A person's change (cancel, reopen); False where the order is in none of these states."""
         with self._database.write() as db:
             done = db.execute(
@@ -133,39 +141,92 @@ class Store:
                     t.orders.c.id == order_id,
                     t.orders.c.state.in_([state.value for state in before]),
                 )
-                .values(state=after.value, why="by a person", attempts=0)
+                .values(state=after.value, why=f"by {by}", attempts=0)
             )
+            if done.rowcount == 1:
+                audit.note(db, self._now(), by, "order", order_id, after.value)
         return done.rowcount == 1
+
+    def holds(self) -> list[Hold]:
+        """The holds in force, oldest first."""
+        with self._database.read() as db:
+            return holds.in_force(db)
 
     # --- assignments and the outbox ------------------------------------------------------------
 
     def assign(
-        self, order_id: str, vehicle: str, flight: dict[str, Any], obstacles: Any, by: str
+        self,
+        order_id: str,
+        vehicle: str,
+        flight: dict[str, Any],
+        obstacles: Any,
+        by: str,
+        layer: int | None = None,
     ) -> str | None:
         """Assign an open order to a free vehicle and put the command into the outbox.
 
-        Returns the assignment's id; None where the order is not open or the vehicle not free.
+        Returns the assignment's id; None where the order is not open, the vehicle or its layer
+        not free, or the vehicle held.
         """
         try:
             with self._database.write() as db:
+                rows.lock(db)
+                if holds.hold_of(db, vehicle) is not None:
+                    return None
                 id_ = rows.order_taken(db, order_id)
                 if id_ is None:
                     return None
-                rows.make_assignment(db, self._now(), id_, order_id, vehicle)
+                rows.make_assignment(db, self._now(), id_, order_id, vehicle, layer)
                 deed = Assign(assignment=id_, order=order_id, flight=flight, obstacles=obstacles)
                 rows.put_out(db, self._now(), f"{id_}:assign", vehicle, id_, deed, by)
-        except IntegrityError:  # the vehicle has another assignment in force
+        except IntegrityError:  # the vehicle, or its layer, has another assignment in force
             return None
         return id_
 
-    def launch(self, assignment: str, by: str) -> bool:
-        """Authorise the launch of an assignment that is aboard; False where it is not, or was asked
-        before.
+    def confirm_launch(self, order_id: str, by: str) -> str | None:
+        """A person lets an order's drone be launched, once; the assignment's id.
+
+        None: it is not aboard a drone, its launch is under way, or the drone is held.
         """
         with self._database.write() as db:
+            rows.lock(db)
+            aboard = sa.select(t.assignments.c.id).where(
+                t.assignments.c.order_id == order_id,
+                t.assignments.c.state == AssignmentState.ABOARD.value,
+            )
+            row = rows.in_state(db, db.execute(aboard).scalar() or "", (AssignmentState.ABOARD,))
+            if row is None or rows.unanswered(db, row.id) or holds.hold_of(db, row.vehicle):
+                return None
+            rows.confirm(db, row.id, by)
+            audit.note(db, self._now(), by, "confirm", f"{row.vehicle}: {row.id}", "confirmed")
+        return row.id
+
+    def newest_launch(self) -> int:
+        """The number of the newest launch, of whichever desk; 0: there was none."""
+        with self._database.read() as db:
+            return rows.newest_launch(db)
+
+    def launch(
+        self, assignment: str, by: str, *, after: int | None = None, confirmed: bool = False
+    ) -> bool:
+        """Authorise the launch of an assignment that is aboard; False where it is not, was asked
+        before, or its vehicle is held.
+
+        `after`: nor where there is a newer launch than this one, since its gap is not over.
+        `confirmed`: nor without a person's word, which this launch uses up.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
             row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
             if row is None or rows.unanswered(db, assignment):
                 return False
+            if holds.hold_of(db, row.vehicle) is not None:
+                return False
+            if after is not None and rows.newest_launch(db) != after:
+                return False
+            if confirmed and row.confirmed_by is None:
+                return False
+            rows.confirm(db, assignment, None)
             number = rows.count_commands(db, f"{assignment}:launch") + 1
             deed = Launch(assignment=assignment)
             rows.put_out(
@@ -178,9 +239,24 @@ class Store:
         refused = sa.select(sa.func.count()).where(
             t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
             t.commands.c.answer == Answered.REFUSED.value,
+            t.commands.c.life.is_not(None),  # a launch that a hold has stopped was no refusal
         )
         with self._database.read() as db:
             return db.execute(refused).scalar_one()
+
+    def may_send_launch(self, command: CommandRow) -> bool:
+        """Whether a launch may leave the desk now, decided under the lock that holds take.
+
+        Once it has left it may be carried out, so a hold that comes later does not make it void.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
+            here = t.commands.c.id == command.id
+            answer = db.execute(sa.select(t.commands.c.answer).where(here)).scalar_one_or_none()
+            if answer is not None or holds.hold_of(db, command.vehicle) is not None:
+                return False
+            db.execute(sa.update(t.commands).where(here).values(sent=True))
+        return True
 
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch did not happen (the companion restarted before take-off): aboard again."""
@@ -234,6 +310,8 @@ class Store:
                 .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
                 .values(answer=Answered.REFUSED.value, reason=reason)
             )
+            if done.rowcount == 1:
+                audit.note(db, self._now(), "desk", "give_up", command_id, reason)
         return done.rowcount == 1
 
     def answers(self, command_ids: list[str]) -> dict[str, Answered | None]:
@@ -279,7 +357,10 @@ class Store:
             )
             if row is None or done.rowcount != 1:
                 return False
-            rows.follow(db, self._now(), rows.command_row(row), answer, reason)
+            command = rows.command_row(row)
+            rows.follow(db, self._now(), command, answer, reason)
+            said = f"{answer.value}: {reason}" if reason else answer.value
+            audit.note(db, self._now(), command.vehicle, "answer", command_id, said)
         return True
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:

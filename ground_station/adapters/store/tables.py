@@ -1,8 +1,8 @@
 """The store's tables (SQLAlchemy Core), the same in SQLite and PostgreSQL.
 
-What must never happen is a constraint here: one assignment in force for each order and for each
-drone, one command for each id, one event for each place in a member's log, one plan for each
-revision.
+What must never happen is a constraint here: one assignment in force for each order, for each drone
+and for each layer over the depot, one command for each id, one event for each place in a member's
+log, one plan for each revision.
 """
 
 from sqlalchemy import (
@@ -19,13 +19,15 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    false,
     text,
 )
 
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import IN_FORCE
 
-SCHEMA = 2
+SCHEMA = 3
+"""What `migrations` brings a store to; `about` says which one a store has."""
 
 metadata = MetaData()
 
@@ -62,11 +64,17 @@ assignments = Table(
     Column("why", Text, nullable=False, default=""),
     Column("made_us", BigInteger, nullable=False),
     Column("ended_us", BigInteger),
+    Column("confirmed_by", String(64)),
+    Column("layer", Integer),
 )
 
 _in_force = text("state IN ({})".format(", ".join(f"'{s.value}'" for s in IN_FORCE)))
 _of_a_drone = text(f"{_in_force.text} AND vehicle <> '{TRUCK}'")  # its driver may hold several
-for _column, _when in ((assignments.c.order_id, _in_force), (assignments.c.vehicle, _of_a_drone)):
+for _column, _when in (
+    (assignments.c.order_id, _in_force),
+    (assignments.c.vehicle, _of_a_drone),
+    (assignments.c.layer, _in_force),  # of sorties from a truck the plan has the layer: no number
+):
     Index(
         f"one_in_force_per_{_column.name}",
         _column,
@@ -85,6 +93,7 @@ commands = Table(
     Column("deed", LargeBinary, nullable=False),
     Column("said_by", String(64), nullable=False),
     Column("held", Boolean, nullable=False, default=False),
+    Column("sent", Boolean, nullable=False, server_default=false()),
     Column("answer", String(16), index=True),
     Column("reason", Text, nullable=False, default=""),
     Column("life", String(64)),
@@ -147,4 +156,30 @@ visits = Table(
     Column("stop", String(64), primary_key=True),
     Column("arrived_us", BigInteger, nullable=False),
     Column("left_us", BigInteger),
+)
+
+holds = Table(
+    "holds",
+    metadata,
+    Column("n", _count, primary_key=True, autoincrement=True),
+    Column("scope", String(32), nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("set_by", String(64), nullable=False),
+    Column("set_us", BigInteger, nullable=False),
+    Column("lifted_by", String(64)),
+    Column("lifted_us", BigInteger, index=True),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("n", BigInteger, primary_key=True, autoincrement=False),
+    Column("at_us", BigInteger, nullable=False),
+    Column("who", String(64), nullable=False),
+    Column("login", String(64), nullable=False),
+    Column("deed", String(32), nullable=False),
+    Column("subject", Text, nullable=False),
+    Column("answer", Text, nullable=False),
+    Column("before", String(64), nullable=False),
+    Column("digest", String(64), nullable=False),
 )

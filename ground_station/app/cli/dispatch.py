@@ -15,15 +15,21 @@ from ground_station.app.cli.options import (
     FleetName,
     IdentityFolder,
     OpenNetwork,
+    StoreFile,
     StoreUrl,
+    UserName,
     ZenohFile,
+    open_at_once,
     open_commanding_fleet,
     open_day,
     open_fleet,
     open_store,
+    url_of,
+    who,
 )
-from ground_station.app.cli.order import list_impossible, take_orders
+from ground_station.app.cli.order import assigner_of, list_impossible, take_orders
 from ground_station.app.cli.stopping import stop_signals
+from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
     from ground_station.app.desk.desk import Desk
@@ -31,6 +37,7 @@ if TYPE_CHECKING:
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
+NOT_HELD = 4
 ORDERS_LEFT = 3
 
 app = typer.Typer()
@@ -40,6 +47,8 @@ app = typer.Typer()
 def dispatch(
     day: DayArgument,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
     zenoh: ZenohFile = None,
     identity: IdentityFolder = None,
     open_network: OpenNetwork = False,
@@ -52,6 +61,14 @@ def dispatch(
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
     launch: Annotated[bool, typer.Option(help="Authorise launches that are ready.")] = True,
+    confirm_launch: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-launch/--auto-launch",
+            help="Whether each launch from the depot waits for a named person (`ground-station"
+            " order launch`). On a truck its driver says that a drone is placed.",
+        ),
+    ] = True,
     launch_gap: Annotated[
         float, typer.Option(min=0.0, help="Least time between two launches at the depot, s.")
     ] = 20.0,
@@ -76,21 +93,25 @@ def dispatch(
     from ground_station.adapters.files.plan_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+    from ground_station.core.people.person import desk_of
 
-    data = open_day(day)
+    data, person = open_day(day), who(user)
     chosen = None if plan is None else read_day_plan(plan)
-    opened = open_store(store)
+    opened = open_store(store, store_file, create=True, goes_on=True)
     try:
-        take_orders(opened, data.orders)
-        impossible = frozenset(list_impossible(data)) if chosen is None else frozenset()
-        params = DepotParams(assigns=assign, launches=launch, launch_gap_s=launch_gap)
+        take_orders(opened, data.orders, person.name)
+        assigner = assigner_of(data)
+        impossible = list_impossible(data, assigner) if chosen is None else []
+        by = desk_of(person)
+        params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         fleet = open_commanding_fleet(data.day.fleet, zenoh, identity, open_network)
         say = _say_open if open_network else _say
         try:
             if chosen is None:
-                desk = open_depot_desk(data, opened, fleet, say, params, impossible)
+                cannot = frozenset(impossible)
+                desk = open_depot_desk(data, opened, fleet, say, params, cannot, None, assigner)
             elif assign and launch:
-                desk = open_truck_desk(data, chosen, opened, fleet, say)
+                desk = open_truck_desk(data, chosen, opened, fleet, say, by=by)
             else:
                 raise LeewayError(
                     "a day with a truck is run whole: expected no --no-assign, no --no-launch"
@@ -141,6 +162,7 @@ def _end(desk: "Desk") -> None:
 def watch(
     fleet: FleetName,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
     zenoh: ZenohFile = None,
     identity: IdentityFolder = None,
     open_network: OpenNetwork = False,
@@ -152,24 +174,29 @@ def watch(
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
-    from rich.console import Console, Group, RenderableType
+    from rich.console import Console, RenderableType
     from rich.live import Live
 
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
-    from ground_station.app.views.watch_view import day_shown, watch_view
+    from ground_station.app.views.watch_view import WatchRows, read_rows, watch_view
 
-    opened = open_store(store)
+    opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, lambda words: None)
     exchange.begin()
     console, day = Console(), DayStore(opened.database, epoch_us)
+    rows = WatchRows()
 
     def view() -> RenderableType:
-        rows = opened.assignments(in_force=True)
-        shown = day_shown(day, epoch_us())
-        seen = watch_view(exchange.status, rows, opened.orders(), monotonic_s(), shown)
-        return Group(f"[bold red]{OPEN_WORDS}[/]", seen) if open_network else seen
+        nonlocal rows
+        with exchange.store_may_be_away():
+            rows = read_rows(opened, day, epoch_us())
+            exchange.store_is_back()
+        notes = [OPEN_WORDS] if open_network else []
+        notes += [] if exchange.status.vehicles else [f"nobody is heard in fleet {fleet}"]
+        notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
+        return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:
         with stop_signals() as stopped:
@@ -190,6 +217,8 @@ def recall(
     vehicle: Annotated[str | None, typer.Argument(help="The vehicle, for example d1.")] = None,
     everybody: Annotated[bool, typer.Option("--all", help="Every vehicle that is heard.")] = False,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
     zenoh: ZenohFile = None,
     identity: IdentityFolder = None,
     open_network: OpenNetwork = False,
@@ -205,9 +234,10 @@ def recall(
         float, typer.Option(min=LEAST_SILENT_S, help="Silence that allows --direct, s.")
     ] = 15.0,
 ) -> None:
-    """Recall a vehicle through its companion, which chooses the safe way home.
+    """Recall a vehicle through its companion, which chooses the safe way home, and hold it.
 
-    Exit code 3: at least one has not answered.
+    It is not launched again before `ground-station release`. Exit code 3: at least one has not
+    answered. 4: all have, but the store could not be reached: nobody is held.
 
     ground-station recall d1 --fleet harbour
     """
@@ -216,32 +246,41 @@ def recall(
     if direct is not None and vehicle is None:
         raise LeewayError("--direct: expected one vehicle, not --all")
 
-    from ground_station.app.desk.exchange import Exchange
-    from ground_station.app.desk.recall import NobodyHeardError, recall_past_companion
+    from ground_station.app.desk.recall import NobodyHeardError, Recaller, recall_past_companion
     from ground_station.app.desk.recall import recall as recall_fleet
+    from ground_station.app.desk.recall_record import RecallRecord
+    from ground_station.core.schema.holds import check_vehicle
 
-    opened = open_store(store)
+    if vehicle is not None:
+        check_vehicle(vehicle)
+    url, person = url_of(store, store_file), who(user)
     ears = open_commanding_fleet(fleet, zenoh, identity, open_network)
-    exchange = Exchange(opened, ears, _say)
-    exchange.begin()
+    caller = Recaller(ears, _say, person.name)
+    record = RecallRecord(lambda: open_at_once(url), person.name, _say, caller.clock)
+    caller.begin()
     try:
-        missing = recall_fleet(exchange, vehicle, wait)
+        missing = recall_fleet(caller, record, vehicle, wait)
         if direct is not None and vehicle in missing:
-            missing -= recall_past_companion(exchange, vehicle, direct, silent_for)
+            missing -= recall_past_companion(caller, vehicle, direct, silent_for)
     except NobodyHeardError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(NOT_RECALLED) from None
     finally:
         ears.close()
-        opened.close()
+        record.close()
+        if not record.is_written:
+            typer.echo(f"NOT HELD, not in the audit: {record.why_not}", err=True)
     if missing:
         typer.echo(f"not recalled: {', '.join(sorted(missing))}", err=True)
         raise typer.Exit(NOT_RECALLED)
+    if not record.is_written:
+        raise typer.Exit(NOT_HELD)
 
 
 @app.command()
 def report(
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures into this file.")
     ] = None,
@@ -255,7 +294,7 @@ def report(
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.views.day_report import report_of, report_view
 
-    opened = open_store(store)
+    opened = open_store(store, store_file)
     figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()
     Console().print(report_view(figures))
@@ -268,6 +307,4 @@ def _say_open(words: str) -> None:
 
 
 def _say(words: str) -> None:
-    seconds = epoch_us() // 1_000_000 % 86_400
-    stamp = f"{seconds // 3600:02d}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}Z"
-    typer.echo(f"{stamp} {words}")
+    typer.echo(f"{time_of_day(epoch_us())} {words}")

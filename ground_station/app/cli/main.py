@@ -6,7 +6,19 @@ from typing import Annotated, NoReturn
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.cli import benchmark, cluster, dispatch, estimate, order, pki, plan, truck
+from ground_station.app.cli import (
+    audit,
+    benchmark,
+    cluster,
+    dispatch,
+    estimate,
+    hold,
+    order,
+    pki,
+    plan,
+    store,
+    truck,
+)
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
 OURS = ("companion", "ground_station")
@@ -52,6 +64,9 @@ app.add_typer(estimate.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(pki.app, name="pki")
+app.add_typer(hold.app)
+app.add_typer(audit.app)
+app.add_typer(store.app, name="store")
 app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.clock import epoch_us, monotonic_s
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
     from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.core.people.person import Person
     from ground_station.core.schema.day_data import DayData
 
 DayArgument = Annotated[
@@ -23,6 +24,17 @@ StoreUrl = Annotated[
     ),
 ]
 DEFAULT_STORE = "sqlite:///leeway-desk.db"
+
+StoreFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="A file (mode 0600) whose one line is the store's URL, for one with a password."
+    ),
+]
+UserName = Annotated[
+    str | None,
+    typer.Option("--user", help="Who does this, for the audit. Default: the login name."),
+]
 
 ZenohFile = Annotated[
     Path | None,
@@ -85,9 +97,43 @@ def open_commanding_fleet(
     return open_fleet(fleet, zenoh, identity, open_network)
 
 
-def open_store(url: str) -> "Store":
-    """The store. StoreError says in one line why it cannot be opened."""
+def open_store(
+    url: str, file: Path | None = None, *, create: bool = False, goes_on: bool = False
+) -> "Store":
+    """The store. StoreError says in one line why it cannot be opened.
+
+    Only a command that begins a day makes a store that is not there (`create`). `goes_on`: who
+    opens it goes on while it is away, and does not wait for it.
+    """
     from ground_station.adapters.store.database import Database
     from ground_station.adapters.store.order_store import Store
+    from ground_station.adapters.store.outage import Outage
 
-    return Store(Database(url), epoch_us)
+    outage = Outage(monotonic_s) if goes_on else None
+    return Store(Database(url_of(url, file), create=create, outage=outage), epoch_us)
+
+
+def open_at_once(url: str) -> "Store":
+    """A store that is there, or StoreError without a long wait: for what cannot wait for it."""
+    from ground_station.adapters.store.database import SOON_MS, Database
+    from ground_station.adapters.store.order_store import Store
+
+    return Store(Database(url, create=False, busy_ms=SOON_MS), epoch_us)
+
+
+def url_of(url: str, file: Path | None) -> str:
+    """The store's URL, of a file where one is named. Raises LeewayError where it is not safe."""
+    from ground_station.adapters.files.store_file import read_store_file, refuse_password
+
+    if file is not None:
+        return read_store_file(file)
+    refuse_password(url)
+    return url
+
+
+def who(user: str | None) -> "Person":
+    """The person who runs this command."""
+    from ground_station.adapters.login import login_name
+    from ground_station.core.people.person import person_of
+
+    return person_of(user or login_name())

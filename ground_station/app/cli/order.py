@@ -7,11 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.cli.options import DEFAULT_STORE, StoreUrl, open_day, open_store
-from ground_station.core.schema.order_states import OrderState, Service
+from ground_station.app.cli.options import (
+    DEFAULT_STORE,
+    StoreFile,
+    StoreUrl,
+    UserName,
+    open_day,
+    open_store,
+    who,
+)
+from ground_station.core.schema.order_states import OrderState, Service, Settled
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
+    from ground_station.core.dispatch.depot_assignment import DepotAssigner
     from ground_station.core.schema.day_data import DayData
     from ground_station.core.schema.orders import Order
 
@@ -34,6 +43,8 @@ def add(
     service: Annotated[Service, typer.Option(help="Who may deliver it.")] = Service.ANY,
     note: Annotated[str, typer.Option(help="A note for people.")] = "",
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
 ) -> None:
     """Take one order; when this returns it is on the disk. Taking it again changes nothing.
 
@@ -56,9 +67,10 @@ def add(
         order = msgspec.convert(table, Order)
     except msgspec.ValidationError as error:
         raise LeewayError(f"order {order_id!r}: {error}") from error
-    opened = open_store(store)
+    person = who(user)
+    opened = open_store(store, store_file, create=True)
     try:
-        take_orders(opened, [order])
+        take_orders(opened, [order], person.name)
     finally:
         opened.close()
 
@@ -72,6 +84,8 @@ def import_(
         ),
     ],
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
 ) -> None:
     """Take all orders of a file, or none. Everything that is wrong in it is listed at once.
 
@@ -82,25 +96,27 @@ def import_(
     path = Path(file)
     data = None if path.suffix and path.suffix != ".toml" else open_day(file)
     orders = read_orders(path, None) if data is None else data.orders
-    opened = open_store(store)
+    person = who(user)
+    opened = open_store(store, store_file, create=True)
     try:
-        take_orders(opened, orders)
+        take_orders(opened, orders, person.name)
     finally:
         opened.close()
     if data is not None:
-        list_impossible(data)
+        list_impossible(data, assigner_of(data))
 
 
 @app.command(name="list")
 def list_(
     state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
     store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
 ) -> None:
     """List the orders with their states."""
     from rich.console import Console
     from rich.table import Table
 
-    opened = open_store(store)
+    opened = open_store(store, store_file)
     rows = [row for row in opened.orders() if state is None or row.state is state]
     opened.close()
     table = Table("order", "kg", "service", "state", "flights", "why")
@@ -114,28 +130,122 @@ def list_(
 
 
 @app.command()
-def cancel(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+def cancel(
+    order_id: str,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
     """Cancel an order that no vehicle has yet."""
-    _move(order_id, (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED, store)
+    before = (OrderState.OPEN, OrderState.STUCK)
+    _move(order_id, before, OrderState.CANCELLED, open_store(store, store_file), user)
 
 
 @app.command()
-def reopen(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+def reopen(
+    order_id: str,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
     """Dispatch a stuck or cancelled order again. Only for who knows where the parcel is."""
-    _move(order_id, (OrderState.STUCK, OrderState.CANCELLED), OrderState.OPEN, store)
+    before = (OrderState.STUCK, OrderState.CANCELLED)
+    _move(order_id, before, OrderState.OPEN, open_store(store, store_file), user)
 
 
 @app.command()
-def brought(order_id: str, store: StoreUrl = DEFAULT_STORE) -> None:
+def brought(
+    order_id: str,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
     """Mark a stuck order as delivered. Only for who has asked the customer or looked at the
     drone.
     """
-    _move(order_id, (OrderState.STUCK,), OrderState.DELIVERED, store)
+    before = (OrderState.STUCK,)
+    _move(order_id, before, OrderState.DELIVERED, open_store(store, store_file), user)
 
 
-def take_orders(store: "Store", orders: "list[Order]") -> None:
+@app.command()
+def launch(
+    order_id: str,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
+    """Let the drone that has this order be launched, once, when its slot comes.
+
+    Only for who sees the pad: a desk without --auto-launch launches nobody without this word.
+
+    ground-station order launch H-101
+    """
+    person, opened = who(user), open_store(store, store_file)
+    try:
+        id_ = opened.confirm_launch(order_id, person.name)
+        if id_ is None:
+            raise LeewayError(f"order {order_id}: {_why_not_launched(opened, order_id)}")
+    finally:
+        opened.close()
+    typer.echo(f"{id_}: confirmed by {person.name}; it goes when its slot comes")
+
+
+def _why_not_launched(store: "Store", order_id: str) -> str:
+    """Why a launch cannot be confirmed, in words."""
+    from ground_station.core.schema.holds import holding
+
+    rows = (row for row in store.assignments(in_force=True) if row.order_id == order_id)
+    row = next(rows, None)
+    if row is None:
+        return "no drone has it"
+    hold = holding(store.holds(), row.vehicle)
+    return hold.words if hold is not None else f"{row.state.value} with {row.vehicle}, not waiting"
+
+
+@app.command()
+def settle(
+    order_id: str,
+    reason: Annotated[str, typer.Option(help="How you know it; kept in the audit.")],
+    delivered: Annotated[
+        bool, typer.Option("--delivered", help="The customer has the parcel.")
+    ] = False,
+    lost: Annotated[
+        bool, typer.Option("--lost", help="Parcel and drone are lost; the drone is held.")
+    ] = False,
+    back: Annotated[
+        bool, typer.Option("--back", help="The parcel is back, and goes out again.")
+    ] = False,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+) -> None:
+    """Close an order whose vehicle cannot tell any more what has become of it.
+
+    Its assignment ends with it. Only for who knows where parcel and drone are.
+
+    ground-station order settle H-101 --back --reason "drone and parcel stand in the hangar"
+    """
+    from ground_station.adapters.clock import epoch_us
+    from ground_station.adapters.store.settle import SETTLED_FROM
+    from ground_station.adapters.store.settle import settle as settle_order
+
+    said = {Settled.DELIVERED: delivered, Settled.LOST: lost, Settled.BACK: back}
+    chosen = [one for one, is_so in said.items() if is_so]
+    if len(chosen) != 1:
+        raise LeewayError("settle: expected one of --delivered, --lost, --back")
+    person, opened = who(user), open_store(store, store_file)
+    try:
+        done = settle_order(opened.database, epoch_us, order_id, chosen[0], reason, person.name)
+        if done is None:
+            raise _not_in(opened, order_id, SETTLED_FROM)
+    finally:
+        opened.close()
+    typer.echo(done)
+
+
+def take_orders(store: "Store", orders: "list[Order]", by: str) -> None:
     """Put orders into the store, and say which are new."""
-    taken = store.add_orders(orders)
+    taken = store.add_orders(orders, by)
     if taken.conflicts:
         words = ", ".join(taken.conflicts)
         raise LeewayError(f"orders {words}: known with other content; none was taken")
@@ -143,14 +253,18 @@ def take_orders(store: "Store", orders: "list[Order]") -> None:
     typer.echo(f"{len(taken.added)} orders taken{known}")
 
 
-def list_impossible(data: "DayData") -> list[str]:
+def assigner_of(data: "DayData") -> "DepotAssigner":
+    """Who knows what the day's drones can bring from the depot."""
+    from ground_station.core.dispatch.depot_assignment import DepotAssigner
+
+    return DepotAssigner(data.day, data.airframes)
+
+
+def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
     """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
     from rich.console import Console
     from rich.table import Table
 
-    from ground_station.core.dispatch.depot_assignment import DepotAssigner
-
-    assigner = DepotAssigner(data.day, data.airframes)
     found: list[str] = []
     table = Table("order", "no drone from the depot", "possible with")
     for order in data.orders:
@@ -163,14 +277,22 @@ def list_impossible(data: "DayData") -> list[str]:
     return found
 
 
-def _move(order_id: str, before: tuple[OrderState, ...], after: OrderState, url: str) -> None:
-    store = open_store(url)
+def _move(
+    order_id: str,
+    before: tuple[OrderState, ...],
+    after: OrderState,
+    store: "Store",
+    user: str | None,
+) -> None:
     try:
-        if store.move_order(order_id, before, after):
-            typer.echo(f"{order_id}: {after.value}")
-            return
-        state = next((r.state.value for r in store.orders() if r.order.id == order_id), None)
+        if not store.move_order(order_id, before, after, who(user).name):
+            raise _not_in(store, order_id, before)
     finally:
         store.close()
+    typer.echo(f"{order_id}: {after.value}")
+
+
+def _not_in(store: "Store", order_id: str, before: tuple[OrderState, ...]) -> LeewayError:
+    state = next((r.state.value for r in store.orders() if r.order.id == order_id), None)
     expected = " or ".join(s.value for s in before)
-    raise LeewayError(f"order {order_id}: {state or 'not known'}, expected {expected}")
+    return LeewayError(f"order {order_id}: {state or 'not known'}, expected {expected}")

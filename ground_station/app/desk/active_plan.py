@@ -163,10 +163,9 @@ class ActivePlan:
         start = self._standing_state(request.snapshot)
         wrong = made.reason if isinstance(made, NoPlan) else broken_promise(made, start)
         refused = wrong is not None or isinstance(made, NoPlan)
-        self.attempt = ReplanAttempt(
-            snapshot.now_s, request.snapshot.situation, request.why, refused
-        )
+        attempt = ReplanAttempt(snapshot.now_s, request.snapshot.situation, request.why, refused)
         if refused or isinstance(made, NoPlan):
+            self.attempt = attempt
             self.say(f"no new plan ({wrong}): the old one goes on")
             return
         is_for_wind = request.why.cause is ReplanCause.WIND
@@ -175,6 +174,7 @@ class ActivePlan:
         late = shifted(made, start, request.snapshot.now_s, took_s)
         self.day.take_plan(late, request.why.words, wind)
         in_force = self.day.plan()
+        self.attempt = attempt  # only now: a plan that the store did not take is asked for again
         assert in_force is not None
         self.plan = in_force
         self.version += 1

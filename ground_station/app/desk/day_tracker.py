@@ -14,6 +14,7 @@ from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.holds import Hold, holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
@@ -35,6 +36,7 @@ class _Rows:
     told: str | None
     visits: dict[str, Visit]
     plan_made_us: int
+    holds: tuple[Hold, ...]
 
 
 @dataclass(slots=True)
@@ -123,6 +125,7 @@ class DayTracker:
             waited_s=self._waited(rows.sorties, drones, now_s),
             wind_off_sigmas=self._wind.off_sigmas(now_s, self.active.data.day.forecast),
             desk_from_s=(self._from_us - began_us) / 1e6,
+            held=frozenset(vehicle for vehicle in drones if holding(rows.holds, vehicle)),
         )
         return self.snapshot
 
@@ -143,6 +146,7 @@ class DayTracker:
             told=self.day.told(),
             visits={visit.stop: visit for visit in self.day.visits()},
             plan_made_us=self.day.plan_made_us(),
+            holds=tuple(self.store.holds()),
         )
 
     def _waited(

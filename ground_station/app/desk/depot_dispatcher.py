@@ -10,6 +10,7 @@ from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDro
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.holds import holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
 
 LAUNCHES = 3
@@ -20,13 +21,15 @@ LAUNCHES = 3
 class DepotParams:
     """How the depot is run. `assigns` and `launches` False: orders and launches are a person's.
 
-    `launch_gap_s` is the least time between two launches.
+    `launch_gap_s` is the least time between two launches, by whichever desk. `confirms`: each
+    launch waits for a named person.
     """
 
     by: str = "desk"
     assigns: bool = True
     launches: bool = True
     launch_gap_s: float = 20.0
+    confirms: bool = False
 
 
 @dataclass(slots=True)
@@ -43,10 +46,14 @@ class DepotDispatcher:
     say: Callable[[str], None]
     params: DepotParams = field(default_factory=DepotParams)
     impossible: frozenset[str] = frozenset()
+    _newest_launch: int = 0
     _launched_s: float | None = None
+    _asked: set[str] = field(default_factory=set)
+    _is_full: bool = False
 
     def begin(self) -> None:
         """A launch just before a restart keeps its gap to the next one."""
+        self._newest_launch = self.store.newest_launch()
         if any(r.state is AssignmentState.FLYING for r in self.store.assignments(in_force=True)):
             self._launched_s = self.clock.monotonic_s()
 
@@ -60,13 +67,33 @@ class DepotDispatcher:
             if self.store.withdraw(id_, params.by):
                 self.say(f"{vehicle}: launch refused {LAUNCHES} times: {id_} withdrawn")
             return
-        if not params.launches or self._in_launch_gap():
+        if not params.launches:
             return
-        if self.store.launch(id_, params.by):
-            self._launched_s = self.clock.monotonic_s()
-            self.say(f"{vehicle}: launch of {id_} ordered")
+        if params.confirms and assignment.confirmed_by is None:
+            self._ask_for_a_person(assignment)
+            return
+        if self._in_launch_gap():
+            return
+        after = self._newest_launch
+        if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
+            word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
+            self.say(f"{vehicle}: launch of {id_} ordered{word}")
+            self._asked.discard(id_)
+
+    def _ask_for_a_person(self, assignment: AssignmentRow) -> None:
+        """Say, once for each launch, what lets it go."""
+        if assignment.id not in self._asked:
+            self._asked.add(assignment.id)
+            order = assignment.order_id
+            self.say(
+                f"{assignment.vehicle}: ready: `ground-station order launch {order}` lets it go"
+            )
 
     def _in_launch_gap(self) -> bool:
+        """By the clock of this desk, from when it saw a launch: desks' clocks may differ."""
+        newest = self.store.newest_launch()
+        if newest != self._newest_launch:
+            self._newest_launch, self._launched_s = newest, self.clock.monotonic_s()
         if self._launched_s is None:
             return False
         return self.clock.monotonic_s() - self._launched_s < self.params.launch_gap_s
@@ -80,25 +107,34 @@ class DepotDispatcher:
         return Progress.CHANGED if free and self._assign(free) else Progress.NONE
 
     def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
-        held = {row.vehicle for row in self.store.assignments(in_force=True)}
-        now_s = self.clock.monotonic_s()
+        busy = {row.vehicle for row in self.store.assignments(in_force=True)}
+        holds, now_s = self.store.holds(), self.clock.monotonic_s()
         return [
             FreeDrone(seen.vehicle, status.charge_frac_at_rest(seen.vehicle))
             for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle)
-            if seen.free(now_s) and seen.vehicle not in held
+            if seen.free(now_s) and seen.vehicle not in busy and not holding(holds, seen.vehicle)
         ]
 
     def _assign(self, free: list[FreeDrone]) -> bool:
-        done = False
-        chosen = self.assigner.assign(self.store.orders(), self.store.assignments(), free)
+        done, rows = False, self.store.assignments()
+        self._say_full(self.assigner.is_full(rows))
+        chosen = self.assigner.assign(self.store.orders(), rows, free)
         for choice in chosen:
-            order, vehicle = choice.order.id, choice.vehicle
-            flight = self.assigner.flight_of(choice.order, vehicle)
-            id_ = self.store.assign(order, vehicle, flight, self.data.no_fly, self.params.by)
+            order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
+            flight = self.assigner.flight_of(choice.order, vehicle, layer)
+            no_fly, by = self.data.no_fly, self.params.by
+            id_ = self.store.assign(order, vehicle, flight, no_fly, by, layer)
             if id_ is not None:
                 done = True
-                self.say(f"{vehicle}: assigned {order} ({id_})")
+                height_m = self.assigner.layers.mission_in(layer).cruise_height_m
+                self.say(f"{vehicle}: assigned {order} ({id_}), out at {height_m:.0f} m")
         return done
+
+    def _say_full(self, is_full: bool) -> None:
+        """Say, each time that it begins, that drones wait for a layer."""
+        if is_full and not self._is_full:
+            self.say("every layer over the depot is taken: drones wait for one")
+        self._is_full = is_full
 
     @property
     def is_done(self) -> bool:

@@ -62,6 +62,15 @@ class Desk:
         if changed:
             self.moved_s = now_s
         exchange.changed, self._turned_s = False, now_s
+        with exchange.store_may_be_away():
+            self._decide(now_s, changed)
+            exchange.store_is_back()
+            return
+        exchange.changed, self.moved_s = True, now_s  # the day is not idle: it waits
+
+    def _decide(self, now_s: float, changed: bool) -> None:
+        """Do what is due; each decision is written before it is sent, or not taken."""
+        exchange = self.exchange
         for row in self.store.assignments(in_force=True):
             self._review(row)
         match self.dispatcher.turn(exchange.status, changed=changed):
@@ -133,7 +142,9 @@ class Desk:
     @property
     def is_done(self) -> bool:
         """Whether nothing is open or under way that this desk can do."""
-        return not self.store.outbox() and self.dispatcher.is_done
+        with self.exchange.store_may_be_away():
+            return not self.store.outbox() and self.dispatcher.is_done
+        return False
 
     def is_idle(self, idle_s: float) -> bool:
         """Whether nothing has brought the day on for this long."""

@@ -1,15 +1,19 @@
 """The desk's exchange with its fleet: messages into the store, commands out of its outbox.
 
-It decides nothing: `watch` and `recall` use it without a dispatcher. Whatever must survive is in
+A store that is away loses nothing: what could not be written is asked for again when it is back,
+events by their number, answers by sending the command again. Until then only the fleet's status is
+kept. It decides nothing: `watch` uses it without a dispatcher. Whatever must survive is in
 the store before it is sent. What is only in memory (who is alive, which command is under way) is
 received again after a restart, so the process may be killed at any moment.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from companion.fleet.messages import FINAL, Command, FleetEvent, Recall, State
+from companion.fleet.messages import FINAL, Command, FleetEvent, Launch, Recall, State
 from ground_station.adapters.clock import WallClock
+from ground_station.adapters.store.database import StoreError
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import (
     Clock,
@@ -33,7 +37,10 @@ RETRY_S = 1.0
 
 @dataclass(slots=True)
 class Exchange:
-    """One desk's exchange. `on_state` is told each state; `changed`: something new has come."""
+    """One desk's exchange. `on_state` is told each state; `changed`: something new has come.
+
+    `away`: why the store cannot be reached; None: it can.
+    """
 
     store: Store
     fleet: FleetLink
@@ -42,6 +49,7 @@ class Exchange:
     clock: Clock = field(default_factory=WallClock)
     on_state: Callable[[State], None] = lambda state: None
     changed: bool = True
+    away: str | None = None
     _sent: set[str] = field(default_factory=set)
     _retry_s: dict[str, float] = field(default_factory=dict)
     _events_asked_s: dict[str, float] = field(default_factory=dict)
@@ -55,8 +63,26 @@ class Exchange:
     def listen(self, wait_s: float) -> None:
         """Take what has come, waiting this long for the first; ask for events that were missed."""
         for received in self.fleet.receive(wait_s):
-            self._take(received)
-        self._ask_for_missed_events()
+            with self.store_may_be_away():
+                self._take(received)
+        with self.store_may_be_away():
+            self._ask_for_missed_events()
+
+    @contextmanager
+    def store_may_be_away(self) -> Iterator[None]:
+        """What is inside ends where the store cannot be reached, and that is said, once."""
+        try:
+            yield
+        except StoreError as error:
+            if self.away is None:
+                self.say(f"STORE AWAY: nothing new is decided, what flies goes on: {error}")
+            self.away = str(error)
+
+    def store_is_back(self) -> None:
+        """The store has done all that it was asked for."""
+        if self.away is not None:
+            self.say("store back")
+            self.away, self.changed = None, True
 
     def say_once(self, words: str) -> None:
         """Say it, unless it has been said before."""
@@ -170,13 +196,16 @@ class Exchange:
     def _command(self, row: CommandRow, now_s: float) -> Command | None:
         """The command as of the newest state; None: not now.
 
-        A recall is sent also where two companions share the name, or the vehicle is silent.
+        A recall is sent also where two companions share the name, or the vehicle is silent. A
+        launch leaves only where no hold stands against it at that moment.
         """
         seen = self.status.of(row.vehicle)
         state = seen.state
         if state is None or not seen.lives:
             return None
         if not isinstance(row.deed, Recall) and not seen.present(now_s):
+            return None
+        if isinstance(row.deed, Launch) and not self.store.may_send_launch(row):
             return None
         return Command(
             id=row.id,

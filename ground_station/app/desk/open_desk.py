@@ -29,15 +29,17 @@ def open_depot_desk(
     params: DepotParams,
     impossible: frozenset[str] = frozenset(),
     clock: Clock | None = None,
+    assigner: DepotAssigner | None = None,
 ) -> Desk:
     """A desk of drones that start from the depot. `impossible`: orders that none of them can bring.
+    `assigner`: one that knows the day already.
 
     Raises LeewayError where the store holds a day with a truck.
     """
     clock = clock or WallClock()
     if DayStore(store.database, clock.epoch_us).plan() is not None:
         raise LeewayError("this store holds a day with a truck: expected --plan")
-    assigner = DepotAssigner(data.day, data.airframes)
+    assigner = assigner or DepotAssigner(data.day, data.airframes)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible)
     return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
 
@@ -50,6 +52,7 @@ def open_truck_desk(
     say: Say,
     clock: Clock | None = None,
     replanner: Replanner | None = None,
+    by: str = "desk",
 ) -> Desk:
     """A desk of drones that ride on a truck, by a plan.
 
@@ -68,7 +71,7 @@ def open_truck_desk(
     in_force = day.plan()
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
-    dispatcher = TruckDispatcher(store, day, active, day_clock, say)
+    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by)
     return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
 
 

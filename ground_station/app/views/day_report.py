@@ -36,6 +36,7 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "p_home_decided_min": min(p_home, default=None),
         "commands": dict(Counter(c.answer.value if c.answer else "waiting" for c in commands)),
         "events": len(events),
+        "held": [hold.words for hold in store.holds()],
         "by_vehicle": _by_vehicle(outcomes),
         "left": [
             {"order": row.order.id, "state": row.state.value, "why": row.why}

@@ -5,7 +5,7 @@ Made for 80 columns: only what a vehicle last reported is cut off there.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rich import box
@@ -14,9 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
@@ -66,20 +68,33 @@ def day_shown(day: DayStore, now_us: int) -> DayShown | None:
     return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
 
 
+@dataclass(frozen=True, slots=True)
+class WatchRows:
+    """What the store says of the day, read at one moment."""
+
+    assignments: Sequence[AssignmentRow] = ()
+    orders: Sequence[OrderRow] = ()
+    day: DayShown | None = None
+    holds: Sequence[Hold] = ()
+
+
+def read_rows(store: Store, day: DayStore, now_us: int) -> WatchRows:
+    """The rows that are shown."""
+    assignments = store.assignments(in_force=True)
+    return WatchRows(assignments, store.orders(), day_shown(day, now_us), store.holds())
+
+
 def _clock(seconds: float) -> str:
     minutes, rest = divmod(max(0, round(seconds)), 60)
     return f"{minutes}:{rest:02d}"
 
 
 def watch_view(
-    status: FleetStatus,
-    rows: list[AssignmentRow],
-    orders: list[OrderRow],
-    t_s: float,
-    day: DayShown | None = None,
+    status: FleetStatus, rows: WatchRows, t_s: float, notes: Sequence[str] = ()
 ) -> RenderableType:
-    """Every vehicle with its state, then alarms, then what comes next."""
-    held = {row.vehicle: row for row in rows if row.state in IN_FORCE}
+    """Every vehicle with its state, then notes, holds and alarms, then what comes next."""
+    day, orders = rows.day, rows.orders
+    held = {row.vehicle: row for row in rows.assignments if row.state in IN_FORCE}
     names = {*status.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
     lines: list[tuple[tuple[str, ...], bool]] = []
     wrong: list[str] = []
@@ -89,7 +104,13 @@ def watch_view(
         lines.append((line.cells(), bool(alarms)))
         wrong += alarms
     table = _table(_title(orders, day), lines)
-    return Group(table, *(Text(words) for words in _below(status, orders, day, wrong)))
+    below = [
+        *notes,
+        *(hold.words for hold in rows.holds),
+        *_confirmed(rows),
+        *_below(status, orders, day, wrong),
+    ]
+    return Group(table, *map(Text, below))
 
 
 def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
@@ -106,14 +127,20 @@ def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
     return table
 
 
-def _title(orders: list[OrderRow], day: DayShown | None) -> str:
+def _title(orders: Sequence[OrderRow], day: DayShown | None) -> str:
     counts = Counter(row.state.value for row in orders)
     counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
     return counted if day is None else f"{counted}; {day.title}"
 
 
+def _confirmed(rows: WatchRows) -> Iterator[str]:
+    for row in rows.assignments:
+        if row.confirmed_by is not None:
+            yield f"{row.vehicle}: launch of {row.order_id} confirmed by {row.confirmed_by}"
+
+
 def _below(
-    status: FleetStatus, orders: list[OrderRow], day: DayShown | None, wrong: list[str]
+    status: FleetStatus, orders: Sequence[OrderRow], day: DayShown | None, wrong: list[str]
 ) -> Iterator[str]:
     yield from (f"LOOK: {words}" for words in wrong)
     stuck = [row for row in orders if row.state is OrderState.STUCK]

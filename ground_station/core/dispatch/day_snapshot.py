@@ -48,7 +48,7 @@ class DaySnapshot:
     the last re-planning ended, and `tried`: from which `situation`. `waited_s`: by assignment, how
     long a drone on its pad has not been ready. `wind_off_sigmas`: distance of the measured wind
     from the planned one, in the forecast's standard deviations. `desk_from_s`: since when this desk
-    listens.
+    listens. `held`: drones that are under a hold.
     """
 
     now_s: float
@@ -68,6 +68,7 @@ class DaySnapshot:
     waited_s: Mapping[str, float] = field(default_factory=dict)
     wind_off_sigmas: float = 0.0
     desk_from_s: float = 0.0
+    held: frozenset[str] = frozenset()
 
     def drone(self, vehicle: str) -> DroneStatus:
         """The status of a drone, heard or not."""

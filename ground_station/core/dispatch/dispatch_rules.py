@@ -194,7 +194,7 @@ class DispatchRules:
     def _launch_is_due(self, row: SortieRow, day: DaySnapshot, here: PlannedStop) -> bool:
         drone = day.drone(row.vehicle)
         ready = drone.present and drone.ready and drone.assignment == row.id
-        if not ready or drone.doubtful or row.sortie.launch != here.id:
+        if not ready or drone.doubtful or row.sortie.launch != here.id or row.vehicle in day.held:
             return False
         if row.sortie.home == here.id:
             return True
@@ -212,7 +212,8 @@ class DispatchRules:
         for sortie in day.pending():
             first = sortie.vehicle not in busy
             busy.add(sortie.vehicle)
-            if first and sortie.launch == here.id and day.free(sortie.vehicle):
+            may_go = sortie.vehicle not in day.held and day.free(sortie.vehicle)
+            if first and sortie.launch == here.id and may_go:
                 actions.append(PutDroneOut(sortie))
         return actions
 
@@ -231,7 +232,7 @@ class DispatchRules:
             words.append("the driver is bringing an order")
         words += [f"{o} is to be brought" for o in here.serves if o in day.open]
         words += [
-            f"{s.vehicle} is to be launched with {s.order}"
+            f"{s.vehicle} is to be launched with {s.order}{' (held)' * (s.vehicle in day.held)}"
             for s in day.pending()
             if s.launch == here.id and day.free(s.vehicle)
         ]

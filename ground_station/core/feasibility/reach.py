@@ -6,6 +6,7 @@ return budget in flight are the companion's: it may still refuse, and then says 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,6 +22,9 @@ from ground_station.core.schema.day import Day, Drone, Forecast
 
 Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a route around obstacles."""
+
+FITS_M = 1.0
+"""A distance that people read, in whole metres."""
 
 PAYLOAD_STEP_KG = 0.1
 """Payloads are rounded up to this step, so that few power tables are made."""
@@ -119,8 +123,12 @@ class Reach:
         start: Ned = (0.0, 0.0, 0.0),
         end: Ned = (0.0, 0.0, 0.0),
         charge_frac: float | None = None,
+        need: SortieNeed | None = None,
     ) -> Feasible | Infeasible:
-        """Whether payload, wind and energy allow this delivery at the accepted loss."""
+        """Whether payload, wind and energy allow this delivery at the accepted loss.
+
+        `need`: what it takes, where that is known already.
+        """
         most_kg = self.airframe.mass.max_payload_kg
         if payload_kg > most_kg:
             return Infeasible(
@@ -129,24 +137,20 @@ class Reach:
             )
         if trouble := self.energy.lift_trouble(payload_kg):
             return Infeasible(trouble, "a lighter parcel, cooler air, or the truck")
-        need = self.need(payload_kg, start, customer, end)
+        need = need or self.need(payload_kg, start, customer, end)
         spare_wh = self._spare_wh(need, payload_kg, charge_frac)
         if need.flyable and spare_wh >= 0.0:
             return Feasible(spare_wh, need.time_s)
         return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
 
-    def time_s(
-        self, payload_kg: float, customer: Ned, charge_frac: float | None = None
-    ) -> float | None:
-        """Time of a delivery from the depot; None: infeasible. Faster than `can_bring`: no
-        reasons.
-        """
-        if payload_kg > self.airframe.mass.max_payload_kg or self.energy.lift_trouble(payload_kg):
-            return None
-        depot = (0.0, 0.0, 0.0)
-        need = self.need(payload_kg, depot, customer, depot)
-        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
-        return need.time_s if need.flyable and spare_wh >= 0.0 else None
+    def lifts(self, payload_kg: float) -> bool:
+        """Whether it may carry this parcel, and can in this air."""
+        too_heavy = payload_kg > self.airframe.mass.max_payload_kg
+        return not (too_heavy or self.energy.lift_trouble(payload_kg))
+
+    def pays(self, need: SortieNeed, payload_kg: float, charge_frac: float | None) -> bool:
+        """Whether a pack with this charge pays for a delivery at the accepted loss."""
+        return need.flyable and self._spare_wh(need, payload_kg, charge_frac) >= 0.0
 
     def affordable(
         self,
@@ -199,15 +203,14 @@ class Reach:
     def radius_m(self, payload_kg: float, customer: Ned, charge_frac: float = 1.0) -> float:
         """How far from this customer, towards the depot, it may start and land."""
         far_m = math.hypot(customer[0], customer[1])
-        low, high = 0.0, far_m
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            share = 1.0 - middle / far_m if far_m > 0.0 else 0.0
+
+        def spare_wh(middle_m: float) -> float:
+            share = 1.0 - middle_m / far_m
             stop = (share * customer[0], share * customer[1], customer[2])
             need = self.need(payload_kg, stop, customer, stop)
-            fits = need.flyable and self._spare_wh(need, payload_kg, charge_frac) >= 0.0
-            low, high = (middle, high) if fits else (low, middle)
-        return low
+            return self._spare_wh(need, payload_kg, charge_frac) if need.flyable else -math.inf
+
+        return last_that_fits(spare_wh, far_m) if far_m > 0.0 else 0.0
 
     def _legs(
         self,
@@ -237,6 +240,34 @@ class Reach:
     def settle_s(self) -> float:
         """How long it loiters over its pad before it leaves."""
         return self.mission.wind_settle_s + SETTLE_SLACK_S
+
+
+def last_that_fits(spare: Callable[[float], float], far: float) -> float:
+    """Where `spare`, which falls over 0 to `far`, reaches zero: `FITS_M` below that at most.
+
+    Energy is almost linear in the distance, so the chord finds the place and a step beyond it
+    proves it; where that does not halve what is left, the middle does.
+    """
+    low, high = (0.0, spare(0.0)), (far, spare(far))
+    if low[1] < 0.0 or high[1] >= 0.0:
+        return 0.0 if low[1] < 0.0 else far
+    halves = False
+    while (width := high[0] - low[0]) > FITS_M:
+        middle = 0.5 * (low[0] + high[0]) if halves else _beside_chord(low, high)
+        at = (middle, spare(middle))
+        low, high = (at, high) if at[1] >= 0.0 else (low, at)
+        halves = high[0] - low[0] > 0.5 * width
+    return low[0]
+
+
+def _beside_chord(low: tuple[float, float], high: tuple[float, float]) -> float:
+    """Half of `FITS_M` beside the chord's zero, on the side of the end that is farther from it."""
+    width = high[0] - low[0]
+    if not math.isfinite(high[1]):
+        return low[0] + 0.5 * width
+    chord = low[0] + width * low[1] / (low[1] - high[1])
+    beside = 0.5 * FITS_M if chord - low[0] < high[0] - chord else -0.5 * FITS_M
+    return min(max(chord + beside, low[0] + 0.25 * FITS_M), high[0] - 0.25 * FITS_M)
 
 
 def _cruise(start: Ned, via: Waypoints, end: Ned, payload_kg: float) -> list[Leg]:

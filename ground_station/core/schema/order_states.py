@@ -11,6 +11,14 @@ class Service(Enum):
     TRUCK = "truck"
 
 
+class Settled(Enum):
+    """What a person says has become of a parcel, where no vehicle can tell it any more."""
+
+    DELIVERED = "delivered"
+    LOST = "lost"
+    BACK = "back"
+
+
 class OrderState(Enum):
     """`stuck` waits for a person: too many attempts, its vehicle was lost or landed by a person
     elsewhere, or nothing proved the drop.

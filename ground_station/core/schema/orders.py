@@ -10,7 +10,7 @@ from msgspec import Meta
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.fleet.messages import Answered, Deed
-from ground_station.core.schema.order_states import OrderState, Service
+from ground_station.core.schema.order_states import OrderState, Service, Settled
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
@@ -98,7 +98,10 @@ class OrderRow:
 
 @dataclass(frozen=True, slots=True)
 class AssignmentRow:
-    """An assignment: which vehicle brings which order."""
+    """An assignment: which vehicle brings which order. `confirmed_by`: who lets it be launched.
+
+    `layer`: over the depot, from 0; None: its plan has the height.
+    """
 
     id: str
     order_id: str
@@ -106,6 +109,8 @@ class AssignmentRow:
     state: AssignmentState
     delivered: bool
     why: str
+    confirmed_by: str | None = None
+    layer: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +140,18 @@ def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
     if outcome != TAKEN and (outcome in ("DEL", "FAIL") or not home):
         return AssignmentState.LOST
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
+
+
+def settled_as(settled: Settled) -> tuple[AssignmentState, OrderState]:
+    """How a person's word ends an assignment and its order.
+
+    A parcel that is lost is not stuck: nobody is asked any more. One that is back goes out again.
+    """
+    return {
+        Settled.DELIVERED: (AssignmentState.DELIVERED, OrderState.DELIVERED),
+        Settled.LOST: (AssignmentState.LOST, OrderState.CANCELLED),
+        Settled.BACK: (AssignmentState.RETURNED, OrderState.OPEN),
+    }[settled]
 
 
 def order_after(

@@ -64,7 +64,9 @@ def test_help_loads_nothing_that_plans_or_flies(asked: str, not_even: tuple[str,
 
 
 def test_a_list_of_orders_loads_no_planner_and_no_network(tmp_path) -> None:
-    asked = f"order list --store sqlite:///{tmp_path}/d.db"
+    url = f"sqlite:///{tmp_path}/d.db"
+    run("order", "import", "harbour", "--store", url)
+    asked = f"order list --store {url}"
     assert loaded(asked, ("numba", "scipy.stats", "networkx", "zenoh", "httpx")) == ""
 
 

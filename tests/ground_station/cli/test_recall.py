@@ -1,8 +1,10 @@
 """`ground-station recall`: by the companion, and past it only when it has long been silent."""
 
 import socket
+import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +15,8 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Recall
+from ground_station.adapters.store.database import SOON_MS, Database
+from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.dispatch import app
 from sim_bridge.app.serve.server import Host, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
@@ -33,6 +37,7 @@ def recall(
     ours = config_file(tmp_path / "desk.json5", listen=port)
     theirs = config_file(tmp_path / "vehicle.json5", connect=port)
     made: list[Vehicle] = []
+    Database(f"sqlite:///{tmp_path}/d.db").close()
 
     def run(*arguments: str) -> tuple[int, str]:
         common = ("--fleet", FLEET, "--zenoh", str(ours), "--store", f"sqlite:///{tmp_path}/d.db")
@@ -60,6 +65,72 @@ def test_a_recall_is_taken_by_the_companion_and_answered(recall):
     code, said = run("--all")
     assert code == 0, said
     assert [type(command.deed) for command in vehicle.done] == [Recall]
+
+
+def holds(folder: Path) -> list[str]:
+    store = Store(Database(f"sqlite:///{folder}/d.db", create=False), lambda: 1)
+    try:
+        return [hold.words for hold in store.holds()]
+    finally:
+        store.close()
+
+
+def test_what_is_recalled_is_held_by_the_person_who_did_it(recall, tmp_path: Path):
+    run, make_vehicle = recall
+    make_vehicle()
+    code, said = run("d1", "--user", "anna")
+    assert code == 0, said
+    assert holds(tmp_path) == ["d1 is held by anna: recalled"]
+
+
+def test_a_recall_of_all_holds_every_drone_though_nobody_is_heard(recall, tmp_path: Path):
+    run, _ = recall
+    assert run("--all", "--user", "anna", "--wait", "1")[0] == 3
+    assert holds(tmp_path) == ["every drone is held by anna: recalled"]
+
+
+def test_a_recall_goes_out_though_there_is_no_store_and_says_that_nobody_is_held(
+    recall, tmp_path: Path
+):
+    run, make_vehicle = recall
+    vehicle = make_vehicle()
+    (tmp_path / "d.db").unlink()
+    code, said = run("d1", "--wait", "2")
+    assert code == 4
+    assert "NOT HELD, not in the audit: store" in said
+    assert [type(command.deed) for command in vehicle.done] == [Recall]
+    assert not (tmp_path / "d.db").exists()
+
+
+def test_a_recall_is_written_as_soon_as_the_store_is_back(recall, tmp_path: Path):
+    run, make_vehicle = recall
+    vehicle = make_vehicle()
+    with sqlite3.connect(tmp_path / "d.db", check_same_thread=False) as raw:
+        raw.execute("BEGIN IMMEDIATE")  # another desk's transaction that does not end
+        back = threading.Thread(target=_let_go, args=(vehicle, raw))
+        back.start()
+        code, said = run("d1", "--user", "anna", "--wait", "60")
+        back.join()
+    raw.close()
+    assert code == 0, said
+    assert "recalled without the store, NOT HELD yet" in said
+    assert holds(tmp_path) == ["d1 is held by anna: recalled"]
+
+
+def _let_go(vehicle: Vehicle, raw: sqlite3.Connection) -> None:
+    """Give the store back well after the recall was carried out without it."""
+    while not vehicle.done:
+        time.sleep(0.05)
+    time.sleep(3 * SOON_MS / 1000.0)
+    raw.rollback()
+
+
+def test_a_vehicle_that_is_not_there_is_said_within_a_second(recall):
+    run, make_vehicle = recall
+    make_vehicle()
+    code, said = run("d9", "--wait", "2")
+    assert code == 3
+    assert "d9: not heard yet; heard: d1" in said
 
 
 def test_a_recall_of_all_that_nobody_hears_is_no_success(recall):

@@ -12,6 +12,7 @@ from companion.fleet.messages import Answered, Assign, Command, EventKind, Launc
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import LAUNCHES, DepotParams
@@ -65,12 +66,12 @@ class Obedient(Vehicle):
 class Ground:
     """A desk that may be stopped and started again over the same store."""
 
-    def __init__(self, folder: Path, config: Path) -> None:
+    def __init__(self, folder: Path, config: Path, **params: Any) -> None:
         self.said: list[str] = []
         self.store = Store(Database(f"sqlite:///{folder}/desk.db"), lambda: 1)
         self._fleet = ZenohFleet(FLEET, config)
-        params = DepotParams(launch_gap_s=0.0)
-        self.desk = open_depot_desk(DAY, self.store, self._fleet, self.said.append, params)
+        given = DepotParams(**({"launch_gap_s": 0.0} | params))
+        self.desk = open_depot_desk(DAY, self.store, self._fleet, self.said.append, given)
         self.desk.begin()
 
     def until(self, true: Callable[[], Any]) -> None:
@@ -95,8 +96,8 @@ def day(tmp_path: Path) -> Iterator[tuple[Callable[..., Ground], Callable[..., O
     theirs = config_file(tmp_path / "vehicle.json5", connect=port)
     made: list[Any] = []
 
-    def ground() -> Ground:
-        made.append(Ground(tmp_path, ours))
+    def ground(**params: Any) -> Ground:
+        made.append(Ground(tmp_path, ours, **params))
         return made[-1]
 
     def vehicle(name: str, folder: str | None = None) -> Obedient:
@@ -120,6 +121,40 @@ def test_the_day_is_flown_each_order_once_and_what_no_drone_can_is_left(day):
     flown = [a.partition(".")[0] for drone in drones for a in drone.launches()]
     assert sorted(flown) == sorted(ground.orders(OrderState.DELIVERED))
     assert all(drone.launches() for drone in drones)
+
+
+def test_nobody_is_launched_without_a_person_and_each_word_is_for_one_launch(day):
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(confirms=True), make_vehicle("d1")
+    drone.outcome = "ABRT"
+    ground.store.add_orders(DAY.orders[:1])
+    asks = "d1: ready: `ground-station order launch H-101` lets it go"
+    ground.until(lambda: asks in ground.said)
+    for _ in range(20):
+        ground.desk.turn(0.02)
+    assert drone.launches() == []
+    assert ground.store.confirm_launch("H-101", "anna") == "H-101.1"
+    ground.until(lambda: "d1: launch of H-101.1 ordered, confirmed by anna" in ground.said)
+    ground.until(lambda: ground.said.count(asks) == 2)  # it came back, and waits anew
+    assert drone.launches() == ["H-101.1"]
+
+
+def test_what_was_recalled_is_not_launched_again_before_a_person_releases_it(day):
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(), make_vehicle("d1")
+    drone.flies, drone.outcome = False, "ABRT"
+    ground.store.add_orders(DAY.orders[:1])
+    ground.until(lambda: [r.state for r in ground.store.assignments()] == [AssignmentState.FLYING])
+    HoldStore(ground.store.database, lambda: 1).set(["d1"], "recalled", "anna")
+    drone.land()
+    drone.outcome, drone.flies = "SUC", True
+    ground.until(lambda: ground.orders(OrderState.OPEN) == {"H-101"})
+    for _ in range(20):
+        ground.desk.turn(0.02)
+    assert drone.launches() == ["H-101.1"]
+    HoldStore(ground.store.database, lambda: 1).release(["d1"], "anna")
+    ground.until(lambda: ground.orders(OrderState.DELIVERED) == {"H-101"})
+    assert drone.launches() == ["H-101.1", "H-101.2"]
 
 
 def test_a_desk_that_restarts_in_mid_flight_carries_on_where_it_was(day):

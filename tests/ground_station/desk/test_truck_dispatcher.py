@@ -355,7 +355,7 @@ def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brough
     assert states.pop("H-108") is OrderState.STUCK
     assert set(states.values()) == {OrderState.DELIVERED}
     told.world.quits = set()
-    assert told.store.move_order("H-108", (OrderState.STUCK,), OrderState.OPEN)
+    assert told.store.move_order("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
     told.run()
     assert told.states()["H-108"] is OrderState.DELIVERED
 

@@ -4,12 +4,15 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import pytest
 
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
-from ground_station.core.feasibility.reach import Reach, day_energy
+from ground_station.core.feasibility.reach import Infeasible, Reach, day_energy
+from ground_station.core.schema.day import Day
+from ground_station.core.schema.orders import OrderRow, OrderState, Service
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 
@@ -52,3 +55,47 @@ def test_a_drone_is_judged_by_the_speeds_that_it_flies_with():
     as_flown = reach.can_bring(order.mass_kg, assigner.ground_ned(order))
     assert assigner.can_bring(order, drone.id) == as_flown
     assert DepotAssigner(DAY.day, DAY.airframes).can_bring(order, drone.id) != as_flown
+
+
+def a_day(drones: int, **changes: Any) -> Day:
+    """The harbour's day with so many drones of one kind, and one more with an emptier pack."""
+    first = msgspec.structs.replace(DAY.day.drones[0], charge_frac=1.0)
+    crowd = [msgspec.structs.replace(first, id=f"d{k}") for k in range(drones)]
+    tired = msgspec.structs.replace(first, id="tired", charge_frac=0.3, **changes)
+    return msgspec.structs.replace(DAY.day, drones=[*crowd, tired])
+
+
+def prices(monkeypatch: pytest.MonkeyPatch, drones: int) -> int:
+    """How many deliveries are priced to list what is impossible, and to assign twice."""
+    with monkeypatch.context() as patch:
+        asked = 0
+        price = Reach.need
+
+        def counted(*arguments: Any, **named: Any) -> Any:
+            nonlocal asked
+            asked += 1
+            return price(*arguments, **named)
+
+        patch.setattr(Reach, "need", counted)
+        assigner = DepotAssigner(a_day(drones), DAY.airframes)
+        open_rows = [OrderRow(order, OrderState.OPEN, 0, "") for order in DAY.orders]
+        free = [FreeDrone(f"d{k}", 0.01 * (k % 7)) for k in range(drones)]
+        for order in DAY.orders:
+            assigner.impossible(order)
+        for _ in range(2):
+            assigner.assign(open_rows, [], free)
+    return asked
+
+
+def test_an_order_is_priced_once_for_an_airframe_however_many_drones_there_are(monkeypatch):
+    assert prices(monkeypatch, 1) == prices(monkeypatch, 60)
+
+
+def test_what_is_impossible_for_a_kind_is_what_is_impossible_for_each_of_its_drones():
+    day = a_day(3)
+    assigner = DepotAssigner(day, DAY.airframes)
+    for order in DAY.orders:
+        if order.service is Service.TRUCK:
+            continue
+        each = [isinstance(assigner.can_bring(order, d.id), Infeasible) for d in day.drones]
+        assert (assigner.impossible(order) is not None) == all(each)

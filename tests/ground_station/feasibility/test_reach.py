@@ -1,13 +1,24 @@
 """Which orders a drone can bring, and what would make an order possible."""
 
+import math
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_file import Mission
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
-from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach, day_energy
+from ground_station.core.feasibility.reach import (
+    FITS_M,
+    Feasible,
+    Infeasible,
+    Reach,
+    day_energy,
+    last_that_fits,
+)
 from ground_station.core.schema.day import Day, Depot, Drone, Forecast
 
 
@@ -77,4 +88,25 @@ def test_a_parcel_that_thin_air_does_not_carry_is_refused_with_its_reason(m100):
     found = reach.can_bring(1.0, at(200.0))
     assert isinstance(found, Infeasible)
     assert "in air of 0.44 kg/m3" in found.why
-    assert reach.time_s(1.0, at(200.0)) is None
+    assert not reach.lifts(1.0)
+
+
+@given(
+    zero=st.floats(0.5, 4999.0),
+    bend=st.floats(0.0, 3.0),
+    wall=st.floats(1.0, 1.5),
+)
+def test_the_last_place_that_fits_is_found_within_a_metre_and_few_tries(zero, bend, wall):
+    """Against the closed form, for slopes that bend, and with a wall behind which none flies."""
+    tries = 0
+
+    def spare(metres: float) -> float:
+        nonlocal tries
+        tries += 1
+        if metres > wall * zero:
+            return -math.inf
+        return (zero - metres) * (1.0 + bend * metres / 5000.0)
+
+    found = last_that_fits(spare, 5000.0)
+    assert zero - FITS_M <= found <= zero
+    assert tries <= 26  # halving alone, in both turns: 2 log2(5000)

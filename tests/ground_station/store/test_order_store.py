@@ -186,7 +186,7 @@ def test_an_order_that_keeps_coming_back_is_left_to_a_person(tmp_path):
         for attempt in range(1, ATTEMPTS + 1):
             store.take_events([an_outcome(flown(store), "ABRT", seq=attempt)])
         assert states(store)["o1"] is OrderState.STUCK
-        assert store.move_order("o1", (OrderState.STUCK,), OrderState.OPEN)
+        assert store.move_order("o1", (OrderState.STUCK,), OrderState.OPEN, "anna")
         assert store.assign("o1", "d1", FLIGHT, None, "desk") == f"o1.{ATTEMPTS + 1}"
 
 
@@ -283,7 +283,7 @@ def test_a_store_of_another_schema_is_left_alone(tmp_path):
     with sqlite3.connect(path) as raw:
         raw.execute("UPDATE about SET value = '9'")
     raw.close()
-    with pytest.raises(StoreError, match="schema 9, expected 2"):
+    with pytest.raises(StoreError, match="schema 9, expected 3"):
         Database(f"sqlite:///{path}")
 
 

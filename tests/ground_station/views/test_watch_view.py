@@ -8,9 +8,10 @@ import msgspec
 from rich.console import Console
 
 from companion.fleet.messages import State
-from ground_station.app.views.watch_view import DayShown, watch_view
+from ground_station.app.views.watch_view import DayShown, WatchRows, watch_view
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentState, Order, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 from tests.ground_station.hand_made_day import TWO_STOPS, flight
@@ -46,11 +47,9 @@ def shown(rows: list[SortieRow]) -> list[str]:
     order = Order(id="O-d2", lat_deg=55.47, lon_deg=8.45, alt_amsl_m=12.0, mass_kg=0.5)
     out = io.StringIO()
     console = Console(width=80, file=out, color_system=None)
-    console.print(
-        watch_view(
-            seen(), [row.row for row in rows], [OrderRow(order, OrderState.OPEN, 0, "")], NOW_S, day
-        )
-    )
+    orders = [OrderRow(order, OrderState.OPEN, 0, "")]
+    told = WatchRows([row.row for row in rows], orders, day, [Hold("d3", "propeller", "anna", 0)])
+    console.print(watch_view(seen(), told, NOW_S, ["STORE AWAY"]))
     return out.getvalue().splitlines()
 
 
@@ -82,3 +81,9 @@ def test_it_says_why_the_truck_waits_and_what_comes_next():
     waits = lines.index("the truck waits at depot for:")
     assert lines[waits + 1] == "  d1 (O-d1.1) is promised this stop"
     assert lines[waits + 2] == "next: 11:40  O-d2 by d2 from depot to stop-1"
+
+
+def test_holds_and_a_store_that_is_away_are_said_below_the_vehicles():
+    lines = shown([flight("d1", "depot", 60.0, 60.0)])
+    away = lines.index("STORE AWAY")
+    assert lines[away + 1] == "d3 is held by anna: propeller"

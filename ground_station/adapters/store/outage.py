@@ -1,0 +1,37 @@
+"""A store that is away: since when, and when it is tried again, so that nobody waits for it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+FIRST_S, MOST_S = 1.0, 30.0
+"""Waits before a store that is away is tried again: doubled from the first to the longest. Each try
+may block its caller for some seconds, and the desk has vehicles to listen to; when it is back, half
+a minute more is little beside the outage."""
+
+
+@dataclass(slots=True)
+class Outage:
+    """Whether a store is away. Who opens it to go on without it hands one to its `Database`."""
+
+    clock_s: Callable[[], float]
+    why: str | None = None
+    since_s: float | None = None
+    _wait_s: float = FIRST_S
+    _again_s: float = 0.0
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether it is too soon for another try."""
+        return self.why is not None and self.clock_s() < self._again_s
+
+    def failed(self, why: str) -> None:
+        """It could not be reached, or could not write."""
+        now_s = self.clock_s()
+        if self.since_s is None:
+            self.since_s = now_s
+        self.why, self._again_s = why, now_s + self._wait_s
+        self._wait_s = min(2.0 * self._wait_s, MOST_S)
+
+    def ended(self) -> None:
+        """It has done something for us."""
+        self.why, self.since_s, self._wait_s = None, None, FIRST_S

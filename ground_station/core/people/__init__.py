@@ -1,0 +1,1 @@
+"""Who does something at the desk, and the record of what was done."""

@@ -1,0 +1,81 @@
+"""Where the store is: never made by a reader, never with a password that others can read."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.store_file import read_store_file
+from ground_station.adapters.store.database import Database
+from ground_station.app.cli.main import app
+
+CODE = "from ground_station.app.cli.main import main; main()"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["report"],
+        ["watch", "--fleet", "harbour", "--seconds", "1"],
+        ["order", "list"],
+        ["audit"],
+        ["hold", "d1", "--reason", "x"],
+        ["release", "d1"],
+        ["store", "check"],
+        ["order", "cancel", "H-1"],
+    ],
+    ids=" ".join,
+)
+def test_a_store_that_is_not_there_is_said_and_not_made(command: list[str], tmp_path: Path):
+    done = CliRunner().invoke(app, [*command, "--store", f"sqlite:///{tmp_path}/mistyped.db"])
+    assert isinstance(done.exception, LeewayError)
+    assert "there is none" in str(done.exception)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_database_is_no_store_either(store_url: str, tmp_path: Path):
+    if store_url.startswith("sqlite"):
+        (tmp_path / "desk.db").touch()
+    done = CliRunner().invoke(app, ["report", "--store", store_url])
+    assert "there is none" in str(done.exception)
+
+
+def test_a_store_is_its_owners_only(tmp_path: Path):
+    Database(f"sqlite:///{tmp_path}/d.db").close()
+    assert (tmp_path / "d.db").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_password_on_the_command_line_is_refused_with_what_to_do(tmp_path: Path):
+    url = "postgresql://desk:secret@db/day"
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, "report", "--store", url],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "~/.pgpass" in done.stderr
+    assert "--store-file" in done.stderr
+    assert "secret" not in done.stderr
+
+
+def test_a_store_file_is_read_where_only_its_owner_can_read_it(tmp_path: Path):
+    Database(f"sqlite:///{tmp_path}/d.db").close()
+    file = tmp_path / "store.url"
+    file.write_text(f"sqlite:///{tmp_path}/d.db\n")
+    file.chmod(0o640)
+    with pytest.raises(LeewayError, match="mode 0640, expected 0600: chmod 600"):
+        read_store_file(file)
+    file.chmod(0o600)
+    done = CliRunner().invoke(app, ["order", "list", "--store-file", str(file)])
+    assert (done.exit_code, done.output.splitlines()[-1]) == (0, "no orders")
+
+
+@pytest.mark.parametrize("text", ["", "one two", "sqlite:///a.db\nsqlite:///b.db"])
+def test_a_store_file_holds_one_url(text: str, tmp_path: Path):
+    file = tmp_path / "store.url"
+    file.write_text(text)
+    file.chmod(0o600)
+    with pytest.raises(LeewayError, match="expected one URL"):
+        read_store_file(file)

@@ -1,0 +1,115 @@
+"""A store that is away stops nobody who flies, loses nothing, and does not end the desk."""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground_station.adapters.store.database import Database, StoreError
+from ground_station.adapters.store.outage import FIRST_S, MOST_S, Outage
+from ground_station.app.desk.exchange import Exchange
+from ground_station.core.schema.orders import OrderState
+from tests.ground_station.desk.test_truck_dispatcher import DayTold
+
+AWAY_S = 40.0
+
+
+@dataclass(slots=True)
+class Gone(Outage):
+    """A store that goes away between any two of its transactions, drawn, for `AWAY_S`."""
+
+    rng: np.random.Generator | None = None
+    share: float = 0.01
+    until_s: float = 0.0
+    times: int = 0
+
+    @property
+    def is_waiting(self) -> bool:
+        now_s = self.clock_s()
+        if self.rng is not None and now_s > self.until_s and self.rng.random() < self.share:
+            self.times, self.until_s = self.times + 1, now_s + AWAY_S
+        return now_s < self.until_s
+
+
+@pytest.fixture
+def told(tmp_path: Path) -> Iterator[tuple[DayTold, Gone]]:
+    made = DayTold(f"sqlite:///{tmp_path}/desk.db", 3, 0.1)
+    gone = Gone(made.world.clock.monotonic_s, rng=np.random.default_rng(1))
+    made.database.outage = gone
+    yield made, gone
+    made.store.close()
+
+
+def test_a_day_whose_store_is_away_now_and_then_is_brought_home_each_order_once(told):
+    day, gone = told
+    day.run()
+    day.database.outage = None
+    assert gone.times > 3
+    assert set(day.states().values()) == {OrderState.DELIVERED}
+    assert sorted(day.world.delivered) == sorted(day.states())
+    assert day.world.on_truck == {"d1", "d2"}
+    assert sum(words.startswith("STORE AWAY") for words in day.said) > 3
+    assert "store back" in day.said
+
+
+def test_a_desk_that_minds_a_store_that_is_away_would_end(told, monkeypatch):
+    day, _ = told
+    monkeypatch.setattr(Exchange, "store_may_be_away", lambda self: nullcontext())
+    with pytest.raises(StoreError):
+        day.run()
+
+
+def test_nothing_is_sent_that_could_not_be_written(told):
+    day, gone = told
+    gone.rng, gone.until_s = None, float("inf")
+    for _ in range(200):
+        day.world.step()
+        day.desk.turn(0.0)
+    assert day.desk.exchange.away is not None
+    assert day.world.flown == []
+    gone.until_s = 0.0
+    day.run()
+    assert day.desk.exchange.away is None
+
+
+def test_a_store_that_is_away_is_tried_again_ever_more_seldom(tmp_path: Path):
+    now_s = 0.0
+    outage, tried_s = Outage(lambda: now_s), []
+    while now_s < 200.0:
+        if not outage.is_waiting:
+            tried_s.append(now_s)
+            outage.failed("gone")
+        now_s += 0.5
+    waits_s = list(np.diff(tried_s))
+    assert waits_s[:5] == [FIRST_S, 2.0, 4.0, 8.0, 16.0]
+    assert set(waits_s[5:]) == {MOST_S}
+    outage.ended()
+    assert not outage.is_waiting
+
+
+def test_a_store_that_another_process_locks_is_away_and_nobody_waits_for_it_twice(tmp_path: Path):
+    now_s = 0.0
+    url = f"sqlite:///{tmp_path}/d.db"
+    database = Database(url, busy_ms=1, outage=Outage(lambda: now_s))
+    other = sqlite3.connect(tmp_path / "d.db", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+
+    def write() -> None:
+        with database.write() as db:
+            db.exec_driver_sql("UPDATE about SET value = value")
+
+    with pytest.raises(StoreError, match="database is locked"):
+        write()
+    other.execute("ROLLBACK")
+    with pytest.raises(StoreError, match="database is locked"):
+        write()  # it was not asked: too soon
+    now_s = FIRST_S
+    write()
+    assert database.outage is not None
+    assert database.outage.why is None
+    other.close()
+    database.close()

@@ -1,0 +1,184 @@
+"""The audit: everything that was done is in it, once, and what is altered is named."""
+
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from companion.fleet.messages import Answered
+from ground_station.adapters.login import login_name
+from ground_station.adapters.store import audit_steps
+from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.store.database import Database, StoreError
+from ground_station.app.cli.main import app
+from ground_station.core.people import audit_chain
+from tests.ground_station.store.test_order_store import FLIGHT, an_order, flown, opened
+
+
+def ground_station(*arguments: str) -> tuple[int, str]:
+    done = CliRunner().invoke(app, arguments)
+    return done.exit_code, done.output + (str(done.exception) if done.exception else "")
+
+
+def deeds(url: str) -> list[tuple[str, str, str]]:
+    database = Database(url)
+    rows, _ = read_audit(database)
+    database.close()
+    return [(row.entry.who, row.entry.deed, row.entry.subject) for row in rows]
+
+
+def a_day(url: str) -> None:
+    with opened(url) as store:
+        store.add_orders([an_order("o1"), an_order("o2")], "anna")
+        flown(store)
+
+
+def test_every_command_to_a_vehicle_and_its_answer_are_in_it(store_url: str):
+    a_day(store_url)
+    assert deeds(store_url) == [
+        ("anna", "take_orders", "o1 and 1 more"),
+        ("desk", "assign", "d1: o1.1:assign"),
+        ("d1", "answer", "o1.1:assign"),
+        ("desk", "launch", "d1: o1.1:launch1"),
+        ("d1", "answer", "o1.1:launch1"),
+    ]
+
+
+def test_every_writing_command_of_a_person_is_in_it_with_the_name(tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    place = ["--lat=55", "--lon=8", "--alt=3", "--mass=0.4"]
+    for command in (
+        ["order", "add", "H-1", *place], ["order", "cancel", "H-1"], ["order", "reopen", "H-1"],
+        ["hold", "d1", "--reason=propeller"], ["release", "d1"],
+    ):  # fmt: skip
+        code, said = ground_station(*command, "--store", url, "--user", "anna")
+        assert code == 0, said
+    assert deeds(url) == [
+        ("anna", "take_orders", "H-1"),
+        ("anna", "order", "H-1"),
+        ("anna", "order", "H-1"),
+        ("anna", "hold", "d1"),
+        ("anna", "release", "d1"),
+    ]
+    assert ground_station("order", "cancel", "H-1", "--store", url)[0] == 0
+    assert deeds(url)[-1][0] == login_name()
+
+
+def test_what_was_undone_is_not_in_it(tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    a_day(url)
+    before = deeds(url)
+
+    def fail() -> None:
+        with opened(url) as store, store.database.write() as db:
+            audit_steps.note(db, 1, "anna", "hold", "d1", "")
+            db.exec_driver_sql("INSERT INTO nowhere VALUES (1)")
+
+    with pytest.raises(StoreError):
+        fail()
+    assert deeds(url) == before
+
+
+ALTERED = {
+    "the name": ("UPDATE audit SET who = 'ben' WHERE n = 1", "row 1: altered"),
+    "the answer": ("UPDATE audit SET answer = '' WHERE n = 3", "row 3: altered"),
+    "the time": ("UPDATE audit SET at_us = at_us - 1 WHERE n = 2", "row 2: altered"),
+    "a row gone": ("DELETE FROM audit WHERE n = 2", "row 3: follows row 1, expected row 2"),
+    "the newest gone": (
+        "DELETE FROM audit WHERE n = 5",
+        "row 4: is the newest there, row 5 was written last",
+    ),
+    "two exchanged": (
+        "UPDATE audit SET n = CASE n WHEN 2 THEN -3 WHEN 3 THEN -2 END WHERE n IN (2, 3);"
+        "UPDATE audit SET n = -n WHERE n < 0",
+        "row 2: altered",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", ALTERED)
+def test_a_row_that_was_altered_is_named_by_verify(what: str, tmp_path: Path):
+    path, (statement, words) = tmp_path / "d.db", ALTERED[what]
+    url = f"sqlite:///{path}"
+    a_day(url)
+    code, said = ground_station("audit", "--verify", "--store", url)
+    assert code == 0
+    assert said.startswith("5 rows, whole; the newest is ")
+    raw = sqlite3.connect(path)
+    raw.executescript(statement)
+    raw.close()
+    code, said = ground_station("audit", "--verify", "--store", url)
+    assert code == 3
+    assert words in said
+
+
+def test_a_row_whose_digest_was_made_anew_does_not_fit_the_next_one(tmp_path: Path):
+    path = tmp_path / "d.db"
+    a_day(f"sqlite:///{path}")
+    database = Database(f"sqlite:///{path}")
+    rows, _ = read_audit(database)
+    entry = audit_chain.AuditEntry(1, "ben", "x", "hold", "d1", "")
+    with database.write() as db:
+        digest = audit_chain.digest_of(2, rows[0].digest, entry)
+        db.exec_driver_sql(
+            f"UPDATE audit SET at_us=1, who='ben', login='x', deed='hold', subject='d1',"
+            f" answer='', digest='{digest}' WHERE n = 2"
+        )
+    found = list(audit_chain.faults(*read_audit(database)))
+    database.close()
+    assert found == ["row 3: does not fit what is now row 2"]
+
+
+def test_without_the_chain_an_altered_row_would_not_be_noticed(tmp_path: Path, monkeypatch):
+    path = tmp_path / "d.db"
+    monkeypatch.setattr(audit_chain, "digest_of", lambda n, before, entry: "same")
+    a_day(f"sqlite:///{path}")
+    raw = sqlite3.connect(path)
+    raw.executescript("UPDATE audit SET who = 'ben' WHERE n = 2; UPDATE audit SET before = 'same'")
+    raw.executescript(f"UPDATE audit SET before = '{audit_chain.FIRST}' WHERE n = 1")
+    raw.close()
+    code, _ = ground_station("audit", "--verify", "--store", f"sqlite:///{path}")
+    assert code == 0
+
+
+def test_two_desks_append_to_one_chain(store_url: str):
+    count = 15
+
+    def desk(name: str) -> None:
+        with opened(store_url) as mine:
+            for k in range(count):
+                mine.add_orders([an_order(f"{name}-{k}")], name)
+
+    with opened(store_url):
+        threads = [threading.Thread(target=desk, args=(name,)) for name in ("anna", "ben")]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    database = Database(store_url)
+    rows, head = read_audit(database)
+    database.close()
+    assert [row.n for row in rows] == list(range(1, 2 * count + 1))
+    assert list(audit_chain.faults(rows, head)) == []
+
+
+def test_a_command_that_nobody_answered_is_in_it_too(tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    with opened(url) as store:
+        store.add_orders([an_order("o1")])
+        assert store.assign("o1", "d1", FLIGHT, None, "desk")
+        assert store.give_up("o1.1:assign", "not answered in time")
+        assert not store.answered("o1.1:assign", Answered.DONE, "", "life")
+    assert deeds(url)[-1] == ("desk", "give_up", "o1.1:assign")
+
+
+@pytest.mark.parametrize("name", ["", "anna b", "[red]", "-x", "a" * 41, "anna\n"])
+def test_a_name_that_could_be_mistaken_for_something_else_is_refused(name: str, tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    with opened(url):
+        pass
+    code, said = ground_station("release", "d1", "--store", url, "--user", name or " ")
+    assert code != 0
+    assert "expected 1 to 40 letters" in said
