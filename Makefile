@@ -21,8 +21,9 @@ test: $(VENV)/.test  ## lint, types, layers and the tests, of large families a d
 	@$(MAKE) --no-print-directory -j2 lint sample
 
 # Three workers on two cores: some tests wait for real time. Each takes a file at a time, those that
-# fly first, so that nobody is left with a long one at the end. DRAW=N draws an earlier sample again.
-WORKERS := -n 3 --dist loadfile --no-loadscope-reorder
+# fly first, so that nobody is left with a long one at the end. A worker that dies ends the run, and
+# is named: a new one in its place can wait for ever. DRAW=N draws an earlier sample again.
+WORKERS := -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 DRAW := new
 sample: $(VENV)/.test
 	@$(BIN)/python -m pytest $(WORKERS) -m "not night" --draw-seed $(DRAW) $(PYTEST_ARGS)

@@ -72,6 +72,7 @@ app.add_typer(research.app, name="research")
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
     stop_by_signal(signal.SIGTERM)
+    LEAVES_AT_ONCE.clear()  # this command's word: an earlier one's may have been in the process
     try:
         _run()
     except SystemExit as ended:

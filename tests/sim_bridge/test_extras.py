@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from sim_bridge import main as cli
+from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE
 
 
 @pytest.mark.parametrize(
@@ -27,6 +28,7 @@ def test_a_missing_library_is_named_with_its_extra(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cli, "stop_by_signal", lambda number: None)  # the test's own process
     monkeypatch.setattr(sys, "argv", ["sim-bridge", *command])
+    LEAVES_AT_ONCE.set()  # as if a day had been flown in this process: no word for this command
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2

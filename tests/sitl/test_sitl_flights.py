@@ -73,12 +73,15 @@ def delivered_without_a_record(flown) -> bool:
     return delivered_and_home(flown) and flown.craft.companion.exit_code == 0 and told == 1
 
 
-def down_whole_and_said_where(flown) -> bool:
-    """It came down by itself, unhurt, with not one order; the operator knows where to look."""
-    truth = flown.craft.record
+def down_and_said_where(flown) -> bool:
+    """It came down by itself with not one order; the operator knows where to look."""
     told = "position lost" in flown.said and "coming down blind, last at 55.4" in flown.said
-    down = truth.landed_s is not None and not truth.crashed
+    down = flown.craft.record.landed_s is not None
     return down and told and not flown.commands_after(flown.fault_s("gnss_lost") + 3.0)
+
+
+def down_whole_and_said_where(flown) -> bool:
+    return down_and_said_where(flown) and not flown.craft.record.crashed
 
 
 def refused_jumps_bring_it_home(flown) -> bool:
@@ -225,8 +228,8 @@ CASES = [
         {"faults": [fault("link_silent", phase="outbound", at_s=4.0, duration_s=2.0)]},
     ),
     Case(
-        "GNSS lost for a minute brings it down whole where it is, and it says where",
-        down_whole_and_said_where,
+        "GNSS lost for a minute brings it down where it is, and it says where",
+        down_and_said_where,
         {"faults": [fault("gnss_lost", phase="outbound", at_s=4.0, duration_s=60.0)]},
         {},
     ),
