@@ -8,7 +8,8 @@ import typer
 
 from companion.adapters.files.params import flight_path, read_flight
 from companion.app.cli.check_report import report
-from companion.app.flight.run import DONE, GROUNDED, NO_LINK, RunOptions, run
+from companion.app.flight.loaded_flight import RunOptions
+from companion.app.flight.run import DONE, GROUNDED, NO_LINK, run
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
