@@ -1,6 +1,7 @@
 """A companion that serves a fleet: assignment after assignment, through restarts, until stopped."""
 
 import gc
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from companion.app.flight.run import DONE, GROUNDED, STOPPED, Run, fly_to_the_en
 from companion.app.flight.standby import Standby, StopSignals
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action
+from companion.fleet.messages import AIRFRAME
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_link import ZenohLink, read_config
 
@@ -31,10 +33,13 @@ def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> F
     """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
     keys = VehicleKeys(fleet.fleet, fleet.vehicle)
     config = read_config(fleet.zenoh)
+    airframe = Path(options.airframe).stem
+    if re.match(AIRFRAME, airframe) is None:
+        raise LeewayError(f"airframe {airframe!r}: no name that a fleet's messages may carry")
     try:
         return FleetPort.open(
             fleet.vehicle,
-            Path(options.airframe).stem,
+            airframe,
             settings.airframe,
             options.run_dir,
             lambda life: ZenohLink(config, keys, life, lambda: None),
