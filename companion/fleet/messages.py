@@ -32,6 +32,11 @@ Author = Annotated[str, Meta(min_length=1, max_length=64)]
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+EpochUs = Annotated[int, Meta(ge=-(2**53), le=2**53)]
+"""As large as every reader of JSON, and every database, takes a whole number."""
+
+
 class State(WireMessage, frozen=True, kw_only=True):
     """A vehicle as its companion sees it now. Unknown is absent.
 
@@ -44,7 +49,7 @@ class State(WireMessage, frozen=True, kw_only=True):
     """Name of this life of the companion: a new one after each start."""
     uptime_s: Annotated[float, Meta(ge=0.0)]
     """Seconds since this life began."""
-    epoch_us: int
+    epoch_us: EpochUs
     """The sender's wall clock, for people."""
     airframe: AirframeName
     """The airframe's name; "truck" is a truck."""
@@ -54,7 +59,7 @@ class State(WireMessage, frozen=True, kw_only=True):
     """`standby` between missions, else the mission's phase; of a truck `driving` or `at_stop`."""
     log: Id
     """Name of the event log."""
-    last_seq: Annotated[int, Meta(ge=0)]
+    last_seq: Count
     """Newest event of that log: who has seen less asks for the rest."""
     assignment: Id | None = None
     """The assignment that it holds."""
@@ -120,9 +125,9 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     """Who tells it."""
     log: Id
     """The event log, which outlives restarts."""
-    seq: Annotated[int, Meta(ge=1)]
+    seq: Annotated[int, Meta(ge=1, le=2**53)]
     """Counts up in `log`."""
-    epoch_us: int
+    epoch_us: EpochUs
     """The sender's wall clock, for people."""
     kind: EventKind
     """What the event tells."""

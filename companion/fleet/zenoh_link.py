@@ -9,7 +9,6 @@ import os
 import queue
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,7 +23,7 @@ OPEN_AGAIN_S = 5.0
 WAITING = 256
 LEAVING = 4096
 TRACKS = 256
-"""Two seconds of 25 neighbours; the oldest go first."""
+"""Neighbours whose newest place is kept; a flood by one takes the room of none."""
 AFTER = "after"
 
 
@@ -52,7 +51,7 @@ class ZenohLink:
         self._life = life
         self._wake = wake
         self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
-        self._tracks: deque[bytes] = deque(maxlen=TRACKS)
+        self._tracks: dict[str, bytes] = {}
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -97,15 +96,14 @@ class ZenohLink:
             self.put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
 
     def tracks(self) -> list[bytes]:
-        """What neighbours told since the last call."""
-        found: list[bytes] = []
-        while self._tracks:
-            found.append(self._tracks.popleft())
-        return found
+        """The newest that each neighbour told since the last call."""
+        told, self._tracks = self._tracks, {}
+        return list(told.values())
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
-        if str(sample.key_expr) != self._keys.track:
-            self._tracks.append(sample.payload.to_bytes())
+        tracks, key = self._tracks, str(sample.key_expr)
+        if key != self._keys.track and (key in tracks or len(tracks) < TRACKS):
+            tracks[key] = sample.payload.to_bytes()
 
     def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
         def answer(replies: list[bytes]) -> None:

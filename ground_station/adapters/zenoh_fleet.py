@@ -1,39 +1,19 @@
-"""The desk's end of a fleet over zenoh: everything that arrives is decoded into one queue.
+"""The desk's end of a fleet over zenoh: what arrives goes into the inbox, as bytes.
 
-zenoh's threads only put into the queue; the desk's one thread takes from it. Nothing that asks
-blocks: answers come through the same queue.
+Nothing that asks blocks: answers come by way of the inbox too.
 """
 
-import queue
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.messages import (
-    Command,
-    FleetEvent,
-    Refused,
-    Result,
-    State,
-    decode_event,
-    decode_result,
-    decode_state,
-    encode,
-)
+from companion.fleet.event_log import BATCH
+from companion.fleet.messages import Command, Refused, Result, decode_result, encode
 from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
-from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
-    EventsReceived,
-    FleetInput,
-    LivelinessChanged,
-    MessageRejected,
-    StateReceived,
-)
-
-QUEUE_SIZE = 100_000
+from ground_station.adapters.fleet_inbox import FleetInbox
+from ground_station.core.fleet.fleet_link import FleetInput
 
 
 class ZenohFleet:
@@ -46,7 +26,7 @@ class ZenohFleet:
         """
         self._keys = VehicleKeys(fleet, "*")
         self._fleet = fleet
-        self._queue: queue.Queue[FleetInput] = queue.Queue(QUEUE_SIZE)
+        self.inbox = FleetInbox()
         where = str(config) if config is not None else "zenoh"
         try:
             settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
@@ -62,13 +42,7 @@ class ZenohFleet:
 
     def receive(self, wait_s: float) -> list[FleetInput]:
         """Everything that has come; waits this long for the first."""
-        found: list[FleetInput] = []
-        try:
-            found.append(self._queue.get(timeout=wait_s))
-            while True:
-                found.append(self._queue.get_nowait())
-        except queue.Empty:
-            return found
+        return self.inbox.receive(wait_s)
 
     def ask_states(self, wait_s: float) -> None:
         """Ask every member for its newest state."""
@@ -76,17 +50,18 @@ class ZenohFleet:
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         """Ask a member for the events that it keeps after this number."""
-        events: list[FleetEvent] = []
+        raws: list[bytes] = []
 
         def take(reply: zenoh.Reply) -> None:
-            event = self._decoded(reply, vehicle, decode_event)
-            if isinstance(event, FleetEvent):
-                events.append(event)
+            sample = reply.ok
+            if sample is None or vehicle_of(str(sample.key_expr)) != vehicle:
+                return
+            if len(raws) < BATCH:
+                raws.append(sample.payload.to_bytes())
 
         def done() -> None:
-            events.sort(key=lambda event: event.seq)
-            if events:
-                self._queue.put(EventsReceived(vehicle, events, replayed=True))
+            if raws:
+                self.inbox.hear_replay(vehicle, raws)
 
         selector = f"{VehicleKeys(self._fleet, vehicle).event}?after={after}"
         self._session.get(
@@ -101,12 +76,12 @@ class ZenohFleet:
         results: list[Result] = []
 
         def take(reply: zenoh.Reply) -> None:
-            result = self._decoded(reply, command.vehicle, decode_result)
-            if isinstance(result, Result) and result.id == command.id:
+            result = self._result(reply, command.vehicle)
+            if result is not None and result.id == command.id and not results:
                 results.append(result)
 
         def done() -> None:
-            self._queue.put(CommandAnswered(command.id, results[0] if results else None))
+            self.inbox.hear_answer(command.id, results[0] if results else None)
 
         key = VehicleKeys(self._fleet, command.vehicle).command
         self._session.get(
@@ -126,44 +101,28 @@ class ZenohFleet:
     def _on_liveliness(self, sample: zenoh.Sample) -> None:
         seen = life_of(str(sample.key_expr))
         if seen is not None:
-            self._queue.put(LivelinessChanged(*seen, up=sample.kind == zenoh.SampleKind.PUT))
+            self.inbox.hear_life(*seen, up=sample.kind == zenoh.SampleKind.PUT)
 
     def _on_state(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        state = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_state)
-        if isinstance(state, State):
-            self._queue.put(StateReceived(state))
+        self.inbox.hear_state(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_event(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        event = self._decoded_from(key, sample.payload.to_bytes(), vehicle_of(key), decode_event)
-        if isinstance(event, FleetEvent):
-            self._queue.put(EventsReceived(event.vehicle, [event]))
+        self.inbox.hear_event(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_state_reply(self, reply: zenoh.Reply) -> None:
-        sample = reply.ok
-        vehicle = vehicle_of(str(sample.key_expr)) if sample is not None else None
-        state = self._decoded(reply, vehicle, decode_state)
-        if isinstance(state, State):
-            self._queue.put(StateReceived(state))
+        if reply.ok is not None:
+            self._on_state(reply.ok)
 
-    def _decoded(
-        self, reply: zenoh.Reply, vehicle: str | None, decode: Callable[[bytes], Any]
-    ) -> Any:
+    def _result(self, reply: zenoh.Reply, vehicle: str) -> Result | None:
+        """The answer of the vehicle that was asked; anything else is rejected."""
         sample = reply.ok
         if sample is None:
             return None
-        return self._decoded_from(str(sample.key_expr), sample.payload.to_bytes(), vehicle, decode)
-
-    def _decoded_from(
-        self, key: str, raw: bytes, vehicle: str | None, decode: Callable[[bytes], Any]
-    ) -> Any:
-        """A message of the vehicle whose key it came by; anything else is rejected."""
-        message = decode(raw)
-        if isinstance(message, Refused):
-            self._queue.put(MessageRejected(key, message.reason))
+        result: Any = decode_result(sample.payload.to_bytes())
+        if isinstance(result, Refused):
+            self.inbox.reject(vehicle, result.reason)
             return None
-        if message.vehicle != vehicle:
-            self._queue.put(MessageRejected(key, f"speaks for {message.vehicle}"))
+        if not result.vehicle == vehicle == vehicle_of(str(sample.key_expr)):
+            self.inbox.reject(vehicle, f"an answer speaks for {result.vehicle}")
             return None
-        return message
+        return result
