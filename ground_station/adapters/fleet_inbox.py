@@ -175,15 +175,15 @@ class FleetInbox:
     def receive(self, wait_s: float) -> list[FleetInput]:
         """What has come, of each member a turn's worth; waits this long for the first.
 
-        Who is there comes first, then answers, then events, then the states that count them.
+        Who is there comes first, then events, then answers (a vehicle tells what happened before it
+        answers), then the states that count the events.
         """
         with self._news:
             if self._news.wait_for(lambda: self._has_news, timeout=wait_s):
                 self._news.wait_for(lambda: self._is_urgent, timeout=GATHER_S)
             self._has_news = self._is_urgent = False
             found = self._taken_lives()
-            found += self._answers
-            self._answers.clear()
+            answers, self._answers = self._answers, deque()
             replays, self._replays = self._replays, deque()
             events, states = self._taken_messages()
         for vehicle, raws in replays:
@@ -192,6 +192,7 @@ class FleetInbox:
             event = self._decoded(vehicle, raw, decode_event)
             if isinstance(event, FleetEvent):
                 found.append(EventsReceived(vehicle, [event]))
+        found += answers
         for vehicle, raw in states:
             state = self._decoded(vehicle, raw, decode_state)
             if isinstance(state, State):

@@ -77,10 +77,11 @@ class Exchange:
         for received in self.fleet.receive(wait_s):
             if isinstance(received, EventsReceived):
                 batches.append(received)
-            else:
-                self._take(received)
-        if batches:
-            self._take_events(batches)
+                continue
+            self._take_events(batches)  # in the order in which things came
+            batches = []
+            self._take(received)
+        self._take_events(batches)
         self._ask_for_missed_events()
         self._ask_states()
 
@@ -118,7 +119,9 @@ class Exchange:
         self.say(f"{who}: {number} rejected: {received.reason}")
 
     def _take_events(self, batches: list[EventsReceived]) -> None:
-        """All that a turn has brought, in one transaction."""
+        """All that came together, in one transaction."""
+        if not batches:
+            return
         new = self.store.take_event_batches([(b.events, b.replayed) for b in batches])
         for received in batches:
             for log in {event.log for event in received.events}:
