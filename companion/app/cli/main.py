@@ -143,6 +143,16 @@ def run_command(
     params: Params = None,
     signing_key: Key = None,
     system: System = None,
+    operator: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1,
+            max=255,
+            help="MAVLink system whose orders count where nothing is signed, and only by the way"
+            " that the autopilot was found on; may be repeated. Default: 255 (ground stations); the"
+            " vehicle's own always counts.",
+        ),
+    ] = None,
     authorise: Annotated[
         bool,
         typer.Option(
@@ -247,6 +257,8 @@ def run_command(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(pilot, policy=policy)
     asked = replace(asked, record_at_once=lockstep)
+    if operator:
+        asked = replace(asked, operators=tuple(operator))
     if fleet is None or vehicle is None:
         raise typer.Exit(fly(asked))
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import open_link
 from companion.app.flight.assignment import take_up
 from companion.app.flight.fleet_port import FleetPort
@@ -122,9 +121,10 @@ def _stand_by(port: FleetPort, options: RunOptions, settings: Settings) -> bool:
     """Wait for work; False when a signal came first."""
     link = open_link(options.link)
     try:
-        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=settings.signing_key)
+        codec, stamps = settings.codec(datagrams=link.datagrams)
         with StopSignals() as signals:
             standby = Standby(port, link, codec, options, settings)
+            standby.stamps = stamps
             return standby.wait(lambda: bool(signals.seen)) is not None
     finally:
         link.close()

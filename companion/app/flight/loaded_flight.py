@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
-from companion.adapters.autopilots.codec import read_signing_key
+from companion.adapters.autopilots.codec import MavlinkCodec
+from companion.adapters.autopilots.operator_port import GROUND_STATION
 from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.files.checkpoint_file import read_checkpoint
 from companion.adapters.files.params import (
@@ -21,6 +22,7 @@ from companion.adapters.files.params import (
     read_wind_process,
 )
 from companion.adapters.files.policy_file import read_policy
+from companion.adapters.files.signing_files import StampKeeper, read_signing_key
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_file import Flight
@@ -48,6 +50,8 @@ class RunOptions:
     system_id: int | None = None
     silence_limit_s: float = 300.0
     policy: str | None = None
+    operators: tuple[int, ...] = (GROUND_STATION,)
+    """MAVLink systems whose orders count where nothing is signed."""
     record_at_once: bool = False
     """The flight waits for the disk: what a killed companion leaves is the same in every run."""
     pilot: PilotOptions = field(default_factory=PilotOptions)
@@ -65,6 +69,8 @@ class Settings:
     wind_process: WindProcessParams | None
     policy: AvoidancePolicy | None
     signing_key: bytes | None
+    folder: Path
+    """Where the vehicle's time stamps are kept: the same for all its flights."""
 
     @classmethod
     def read(cls, options: RunOptions) -> "Settings":
@@ -75,7 +81,13 @@ class Settings:
             read_wind_process(process, options.params) if process is not None else None,
             flying_policy(options.policy) if options.policy is not None else None,
             read_signing_key(key) if key is not None else None,
+            options.run_dir,
         )
+
+    def codec(self, *, datagrams: bool) -> tuple[MavlinkCodec, StampKeeper | None]:
+        """A codec for the vehicle's link; with a key, who keeps the time stamps heard."""
+        codec = MavlinkCodec(datagrams=datagrams, signing_key=self.signing_key)
+        return codec, None if self.signing_key is None else StampKeeper(self.folder, codec)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.codec import mavlink
 from companion.adapters.autopilots.link import Link, open_link
+from companion.adapters.autopilots.operator_port import OperatorTrust
 from companion.adapters.clock import wall_s
 from companion.adapters.files.folder_lock import FolderLock
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
@@ -83,7 +84,7 @@ class Run:
             keep_checkpoints=not options.pilot.check_only,
             at_once=options.record_at_once,
         )
-        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=settings.signing_key)
+        codec, stamps = settings.codec(datagrams=link.datagrams)
         if options.system_id is not None:
             codec.be_system(options.system_id)
         loop = Loop.wire(
@@ -94,12 +95,16 @@ class Run:
             system_id=options.system_id,
             silence_limit_s=options.silence_limit_s,
             wall_clock_s=wall_clock_s,
+            trust=OperatorTrust(frozenset(options.operators)),
         )
+        loop.stamps = stamps
         loop.on_action = on_action
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
         recorder.note(pilot.telemetry.t_s, loaded.names)
+        if stamps is not None and stamps.trouble:
+            recorder.note(pilot.telemetry.t_s, stamps.trouble)
         if trouble:
             recorder.note(pilot.telemetry.t_s, trouble)
         if not options.pilot.gate_on:

@@ -5,6 +5,7 @@ sends no position unless asked, and a dispatcher gives no mission to a drone tha
 pad. No other command is sent here.
 """
 
+import contextlib
 import signal
 from collections.abc import Callable
 from types import FrameType
@@ -14,6 +15,7 @@ from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, wall_s
+from companion.adapters.files.signing_files import StampKeeper
 from companion.app.flight.assignment import write_assignment
 from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
 from companion.app.flight.loaded_flight import RunOptions, Settings
@@ -60,6 +62,7 @@ class Standby:
         self._heard_s = clock_s()
         self._ticked_s: float | None = None
         self._asked_s: float | None = None
+        self.stamps: StampKeeper | None = None
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
@@ -83,9 +86,17 @@ class Standby:
         for message in self._codec.parse(incoming.data) if incoming is not None else []:
             self._hear(message, incoming.peer if incoming is not None else None)
         self._mind_telemetry()
+        self._keep_stamps(now_s)
         self._port.turn(self._carry_out)
         self._port.publish(STANDBY, self._now)
         return self._taken
+
+    def _keep_stamps(self, now_s: float) -> None:
+        """On the ground nothing is lost by waiting for the disk, nor by one that is full."""
+        write = self.stamps.due(now_s) if self.stamps is not None else None
+        if write is not None:
+            with contextlib.suppress(OSError):
+                write()
 
     def _mind_telemetry(self) -> None:
         """Ask for what tells where it stands, and again while it does not come (a reboot)."""
