@@ -33,6 +33,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.events import Event, LinkBack, LinkSilent, Tick
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
+from companion.fleet.service_manager import Watchdog
 
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
@@ -106,6 +107,7 @@ class Loop:
     _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
     _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
+    _watchdog: Watchdog = field(default_factory=Watchdog)
 
     @classmethod
     def wire(
@@ -158,6 +160,7 @@ class Loop:
 
     def step(self) -> None:
         """Wait a moment for bytes and handle them."""
+        self._watchdog.turn(self.wall_clock_s())
         alone = self._silent or not self._system_known
         if alone and is_due(self._beat_wall_s, HEARTBEAT_S, self.wall_clock_s()):
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there

@@ -25,6 +25,7 @@ from companion.core.mission.events import ClockStepped
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Assign, Command, Launch, Recall, Withdraw
+from companion.fleet.service_manager import Watchdog
 
 WAIT_S = 0.1
 HEARTBEAT_S = 1.0
@@ -62,6 +63,7 @@ class Standby:
         self._heard_s = clock_s()
         self._ticked_s: float | None = None
         self._asked_s: float | None = None
+        self._watchdog = Watchdog()
         self.stamps: StampKeeper | None = None
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
@@ -77,6 +79,7 @@ class Standby:
         No more turns after that.
         """
         now_s = self._clock_s()
+        self._watchdog.turn(now_s)
         if is_due(self._beat_s, HEARTBEAT_S, now_s):
             self._beat_s = now_s
             self._send(_heartbeat())

@@ -100,10 +100,14 @@ def dispatch(
 
 def _run(desk: "Desk", idle_s: float | None) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
+    from companion.fleet.service_manager import Watchdog
+
     desk.begin()
+    watchdog = Watchdog()
     try:
         with stop_signals() as stopped:
             while not stopped:
+                watchdog.turn(monotonic_s())
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)
