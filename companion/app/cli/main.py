@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from companion.app.cli import calibrate, fit_wind, replay
+from companion.app.cli import calibrate, fit_wind, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
@@ -293,6 +293,7 @@ def check(
 
 for part in (replay.app, fit_wind.app, calibrate.app):
     app.registered_commands += part.registered_commands
+app.add_typer(signing.app, name="signing")
 
 
 @app.command()
