@@ -168,8 +168,7 @@ def test_canary_without_limit_and_batch_the_flood_is_taken_whole_and_one_by_one(
     inbox = exchange.fleet.inbox
     monkeypatch.setattr(fleet_inbox, "EVENTS_A_TURN", FLOOD)
     monkeypatch.setattr(fleet_inbox.RateLimit, "take", lambda *_: True)
-    inbox.hear_event(key("d1", "event"), event("d1", 1))
-    inbox._boxes["d1"].events = fleet_inbox.deque()  # without its bound
+    monkeypatch.setattr(fleet_inbox, "EVENTS_BURST", FLOOD)
     for seq in range(1, 501):
         inbox.hear_event(key("d1", "event"), event("d1", seq))
 
