@@ -29,6 +29,9 @@ from companion.fleet.messages import (
 )
 from companion.fleet.network import Ask, Asked, MemberLink
 
+TWIN_S = 60.0
+"""Another companion of our name is told of so often at most."""
+
 BOOK, EVENTS = "commands.json", "events.jsonl"
 
 # What a member keeps in its folder, as JSON: a record is written whole or not at all, with a
@@ -50,6 +53,7 @@ class FleetMember:
     born_s: float
     epoch_us: Callable[[], int] = epoch_us
     remark: str = ""
+    _twin_told_s: float | None = None
 
     @classmethod
     def open(
@@ -88,13 +92,21 @@ class FleetMember:
                 case Ask.EVENTS:
                     asked.answer([encode(event) for event in self.log.after(asked.after)])
                 case Ask.TWIN:
-                    self.remark = f"another life of {self.vehicle} is on the network"
-                    self.tell(EventKind.SAID, self.remark)
+                    self._hear_twin()
                 case Ask.NOTICE:
                     self.remark = asked.payload.decode()
                     self.tell(EventKind.SAID, self.remark)
                 case Ask.ROSTER:
                     pass  # without a roster of its own this member believes everybody
+
+    def _hear_twin(self) -> None:
+        """Say it; a flood of namesakes must not push flights out of the log of events."""
+        now_s = self.clock_s()
+        if self._twin_told_s is not None and now_s - self._twin_told_s < TWIN_S:
+            return
+        self._twin_told_s = now_s
+        self.remark = f"another life of {self.vehicle} is on the network"
+        self.tell(EventKind.SAID, self.remark)
 
     def _answered(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> Result:
         command = decode_command(asked.payload)

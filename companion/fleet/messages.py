@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, WireMessage
 from companion.core.separation.track import Track
 
@@ -21,8 +22,19 @@ LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 409
 """A command may carry a site's obstacles; the others are a few hundred bytes."""
 
 Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*\Z")]
+AIRFRAME = r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,63}\Z"
+AnyId = Annotated[str, Meta(max_length=64, pattern=r"^([A-Za-z0-9][A-Za-z0-9._:-]*)?\Z")]
+AirframeName = Annotated[str, Meta(pattern=AIRFRAME)]
+PhaseName = Annotated[str, Meta(max_length=40, pattern=r"^[a-z][a-z0-9_ ]*\Z")]
 Words = Annotated[str, Meta(max_length=500)]
+"""For people. `WORDS` lists the fields: what is decoded of them is safe to show."""
+Author = Annotated[str, Meta(min_length=1, max_length=64)]
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+EpochUs = Annotated[int, Meta(ge=-(2**53), le=2**53)]
+"""As large as every reader of JSON, and every database, takes a whole number."""
 
 
 class State(WireMessage, frozen=True, kw_only=True):
@@ -37,17 +49,17 @@ class State(WireMessage, frozen=True, kw_only=True):
     """Name of this life of the companion: a new one after each start."""
     uptime_s: Annotated[float, Meta(ge=0.0)]
     """Seconds since this life began."""
-    epoch_us: int
+    epoch_us: EpochUs
     """The sender's wall clock, for people."""
-    airframe: Annotated[str, Meta(max_length=64)]
+    airframe: AirframeName
     """The airframe's name; "truck" is a truck."""
     max_payload_kg: Annotated[float, Meta(ge=0.0)]
     """Heaviest parcel."""
-    phase: Annotated[str, Meta(max_length=40)]
+    phase: PhaseName
     """`standby` between missions, else the mission's phase; of a truck `driving` or `at_stop`."""
     log: Id
     """Name of the event log."""
-    last_seq: Annotated[int, Meta(ge=0)]
+    last_seq: Count
     """Newest event of that log: who has seen less asks for the rest."""
     assignment: Id | None = None
     """The assignment that it holds."""
@@ -113,9 +125,9 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     """Who tells it."""
     log: Id
     """The event log, which outlives restarts."""
-    seq: Annotated[int, Meta(ge=1)]
+    seq: Annotated[int, Meta(ge=1, le=2**53)]
     """Counts up in `log`."""
-    epoch_us: int
+    epoch_us: EpochUs
     """The sender's wall clock, for people."""
     kind: EventKind
     """What the event tells."""
@@ -277,7 +289,7 @@ class Command(WireMessage, frozen=True, kw_only=True):
     """`life` of the newest state that the sender has heard."""
     as_of_s: Annotated[float, Meta(ge=0.0)]
     """`uptime_s` of that state: a command from too long ago is answered `stale`."""
-    by: Annotated[str, Meta(min_length=1, max_length=64)]
+    by: Author
     """Who asks, for people and for the audit."""
     deed: Deed
     """What is asked for."""
@@ -299,8 +311,8 @@ FINAL = (Answered.DONE, Answered.REFUSED, Answered.INTERRUPTED)
 class Result(WireMessage, frozen=True, kw_only=True):
     """The answer to a command. `interrupted`: begun before a restart; the state tells the rest."""
 
-    id: Annotated[str, Meta(max_length=64)]
-    """The command's id."""
+    id: AnyId
+    """The command's id; empty where that could not be read."""
     vehicle: Name
     """Who answers."""
     life: Id
@@ -330,6 +342,14 @@ _KINDS: dict[str, type[WireMessage]] = {
     "result": Result,
     "track": Track,
 }
+WORDS: dict[type[WireMessage], tuple[str, ...]] = {
+    State: ("text",),
+    FleetEvent: ("text",),
+    Command: ("by",),
+    Result: ("reason",),
+}
+"""Fields that hold a person's words. Every other text of a message is a name with a pattern."""
+
 _decoders = {kind: msgspec.json.Decoder(type_) for kind, type_ in _KINDS.items()}
 
 
@@ -374,6 +394,13 @@ def _decode(kind: str, raw: bytes) -> Any:
         version = _head.decode(raw).v
         if version != VERSION:
             return Refused(f"{kind}: version {version}, expected {VERSION}")
-        return _decoders[kind].decode(raw)
+        return with_safe_words(_decoders[kind].decode(raw))
     except (msgspec.DecodeError, LeewayError, UnicodeDecodeError, RecursionError) as error:
-        return Refused(f"{kind}: {error}"[:300])
+        return Refused(safe_text(f"{kind}: {error}"[:300]))  # it quotes what was sent
+
+
+def with_safe_words(message: WireMessage) -> WireMessage:
+    """The message, with its words as they may be shown."""
+    words = {name: getattr(message, name) for name in WORDS.get(type(message), ())}
+    safe = {name: safe_text(text) for name, text in words.items()}
+    return message if safe == words else msgspec.structs.replace(message, **safe)

@@ -15,6 +15,7 @@ from companion.core.base.errors import LeewayError
 
 ROOT = "leeway"
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+LIFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
 
 
 def checked_name(what: str, name: str) -> str:
@@ -78,7 +79,8 @@ def life_of(key: str) -> tuple[str, str] | None:
     parts = key.split("/")
     if len(parts) != 6 or parts[0] != ROOT or (parts[2], parts[4]) != ("vehicle", "alive"):
         return None
-    return (parts[3], parts[5]) if NAME.fullmatch(parts[3]) else None
+    ours = NAME.fullmatch(parts[3]) and LIFE.fullmatch(parts[5])
+    return (parts[3], parts[5]) if ours else None
 
 
 def vehicle_of(key: str) -> str | None:

@@ -9,7 +9,6 @@ import os
 import queue
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any, NoReturn
 
@@ -22,7 +21,7 @@ OPEN_AGAIN_S = 5.0
 WAITING = 256
 LEAVING = 4096
 TRACKS = 256
-"""Two seconds of 25 neighbours; the oldest go first."""
+"""Neighbours whose newest place is kept; a flood by one takes the room of none."""
 AFTER = "after"
 ROSTER_WAIT_S = 5.0
 """As long as a desk waits for an answer. Who misses it hears the next that the desk tells."""
@@ -39,7 +38,7 @@ class ZenohLink:
         self._life = life
         self._wake = wake
         self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
-        self._tracks: deque[Told] = deque(maxlen=TRACKS)
+        self._tracks: dict[str, Told] = {}
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -84,16 +83,16 @@ class ZenohLink:
             self.put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
 
     def tracks(self) -> list[Told]:
-        """What neighbours told since the last call."""
-        found: list[Told] = []
-        while self._tracks:
-            found.append(self._tracks.popleft())
-        return found
+        """The newest that each neighbour told since the last call."""
+        told, self._tracks = self._tracks, {}
+        return list(told.values())
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
-        speaker = vehicle_of(str(sample.key_expr))
-        if speaker is not None and speaker != self._keys.vehicle:
-            self._tracks.append(Told(speaker, sample.payload.to_bytes()))
+        tracks, speaker = self._tracks, vehicle_of(str(sample.key_expr))
+        if speaker in (None, self._keys.vehicle):
+            return
+        if speaker in tracks or len(tracks) < TRACKS:
+            tracks[speaker] = Told(speaker, sample.payload.to_bytes())
 
     def _hear_roster(self, sample: zenoh.Sample) -> None:
         self.put(Asked(Ask.ROSTER, lambda replies: None, sample.payload.to_bytes()))

@@ -1,10 +1,8 @@
-"""The desk's end of a fleet over zenoh: everything that arrives is decoded into one queue.
+"""The desk's end of a fleet over zenoh: what arrives goes into the inbox, as bytes.
 
-zenoh's threads only put into the queue; the desk's one thread takes from it. Nothing that asks
-blocks: answers come through the same queue.
+Nothing that asks blocks: answers come by way of the inbox too.
 """
 
-import queue
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,41 +10,18 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.event_log import BATCH
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions
-from companion.fleet.messages import (
-    Command,
-    FleetEvent,
-    Refused,
-    Result,
-    State,
-    decode_event,
-    decode_result,
-    decode_state,
-    encode,
-)
-from companion.fleet.refusals import Refusals
+from companion.fleet.messages import Command, Refused, Result, decode_result, encode
 from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
-from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
-    EventsReceived,
-    FleetInput,
-    LivelinessChanged,
-    MessageRejected,
-    StateReceived,
-)
+from ground_station.adapters.fleet_inbox import FleetInbox
+from ground_station.core.fleet.fleet_link import FleetInput
 
 if TYPE_CHECKING:
     from companion.fleet.identity import Identity
     from ground_station.adapters.roster_share import RosterShare
-
-QUEUE_SIZE = 100_000
-DECODERS: dict[str, Callable[[bytes], Any]] = {
-    "state": decode_state,
-    "event": decode_event,
-    "result": decode_result,
-}
 
 
 class ZenohFleet:
@@ -60,16 +35,15 @@ class ZenohFleet:
         self.open_network = options.open_network
         self._keys = VehicleKeys(fleet, "*")
         self._fleet = fleet
-        self._queue: queue.Queue[FleetInput] = queue.Queue(QUEUE_SIZE)
-        self._refusals = Refusals()
         identity = _identity(fleet, options)
         self._trust = identity.trust if identity is not None else None
+        self.inbox = FleetInbox(self._opened)
         file = config or (identity.zenoh if identity is not None else None)
         try:
             self._session = zenoh.open(read_config(file, open_network=options.open_network))
         except zenoh.ZError as error:
             raise LeewayError(f"{file or 'zenoh'}: {error}") from error
-        self._roster = _share_of(self._session, identity, self._refusals.note)
+        self._roster = _share_of(self._session, identity, self._refuse_roster)
         liveliness = self._session.liveliness()
         self._held = (  # zenoh undeclares what nobody holds
             self._session.declare_subscriber(self._keys.state, self._on_state),
@@ -79,21 +53,9 @@ class ZenohFleet:
 
     def receive(self, wait_s: float) -> list[FleetInput]:
         """Everything that has come; waits this long for the first."""
-        found: list[FleetInput] = self._turn()
-        try:
-            found.append(self._queue.get(timeout=wait_s))
-            while True:
-                found.append(self._queue.get_nowait())
-        except queue.Empty:
-            return found
-
-    def _turn(self) -> list[FleetInput]:
-        """What this end itself has to tell: what was not believed, and a warning for its owner."""
-        now_s = monotonic_s()
         if self._roster is not None:
-            self._roster.turn(now_s)
-        said = self._refusals.due(now_s)
-        return [] if said is None else [MessageRejected("fleet", said)]
+            self._roster.turn(monotonic_s())
+        return self.inbox.receive(wait_s)
 
     @property
     def warning(self) -> str:
@@ -106,17 +68,18 @@ class ZenohFleet:
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         """Ask a member for the events that it keeps after this number."""
-        events: list[FleetEvent] = []
+        raws: list[bytes] = []
 
         def take(reply: zenoh.Reply) -> None:
-            event = self._decoded(reply, vehicle, "event")
-            if isinstance(event, FleetEvent):
-                events.append(event)
+            sample = reply.ok
+            if sample is None or vehicle_of(str(sample.key_expr)) != vehicle:
+                return
+            if len(raws) < BATCH:
+                raws.append(sample.payload.to_bytes())
 
         def done() -> None:
-            events.sort(key=lambda event: event.seq)
-            if events:
-                self._queue.put(EventsReceived(vehicle, events, replayed=True))
+            if raws:
+                self.inbox.hear_replay(vehicle, raws)
 
         selector = f"{VehicleKeys(self._fleet, vehicle).event}?after={after}"
         self._session.get(
@@ -131,14 +94,16 @@ class ZenohFleet:
         results: list[Result] = []
 
         def take(reply: zenoh.Reply) -> None:
-            result = self._decoded(reply, command.vehicle, "result")
-            if isinstance(result, Result) and result.id == command.id:
+            result = self._result(reply, command.vehicle)
+            if result is None or results:
+                return
+            if result.id == command.id:
                 results.append(result)
-            elif isinstance(result, Result):
-                self._refusals.note(f"{command.vehicle} did not take a command: {result.reason}")
+            else:
+                self.inbox.reject(command.vehicle, f"did not take a command: {result.reason}")
 
         def done() -> None:
-            self._queue.put(CommandAnswered(command.id, results[0] if results else None))
+            self.inbox.hear_answer(command.id, results[0] if results else None)
 
         key = VehicleKeys(self._fleet, command.vehicle).command
         self._session.get(
@@ -164,51 +129,42 @@ class ZenohFleet:
         if seen is not None:
             if self._roster is not None and sample.kind == zenoh.SampleKind.PUT:
                 self._roster.somebody_joined()
-            self._queue.put(LivelinessChanged(*seen, up=sample.kind == zenoh.SampleKind.PUT))
+            self.inbox.hear_life(*seen, up=sample.kind == zenoh.SampleKind.PUT)
 
     def _on_state(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        state = self._decoded_from(key, sample.payload.to_bytes(), "state")
-        if isinstance(state, State):
-            self._queue.put(StateReceived(state))
+        self.inbox.hear_state(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_event(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        event = self._decoded_from(key, sample.payload.to_bytes(), "event")
-        if isinstance(event, FleetEvent):
-            self._queue.put(EventsReceived(event.vehicle, [event]))
+        self.inbox.hear_event(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_state_reply(self, reply: zenoh.Reply) -> None:
-        state = self._decoded(reply, None, "state")
-        if isinstance(state, State):
-            self._queue.put(StateReceived(state))
+        if reply.ok is not None:
+            self._on_state(reply.ok)
 
-    def _decoded(self, reply: zenoh.Reply, vehicle: str | None, kind: str) -> Any:
-        """A message of the vehicle that was asked; of anybody who answered, where all were."""
+    def _result(self, reply: zenoh.Reply, vehicle: str) -> Result | None:
+        """The answer of the vehicle that was asked; anything else is rejected."""
         sample = reply.ok
         if sample is None:
             return None
-        key = str(sample.key_expr)
-        if vehicle is not None and vehicle_of(key) != vehicle:
-            self._refusals.note(f"{vehicle}: {kind}: answered by {vehicle_of(key)}")
+        told = self._opened("result", sample.payload.to_bytes(), vehicle)
+        result: Any = told if isinstance(told, Refused) else decode_result(told)
+        if isinstance(result, Refused):
+            self.inbox.reject(vehicle, result.reason)
             return None
-        return self._decoded_from(key, sample.payload.to_bytes(), kind)
+        if not result.vehicle == vehicle == vehicle_of(str(sample.key_expr)):
+            self.inbox.reject(vehicle, f"an answer speaks for {result.vehicle}")
+            return None
+        return result
 
-    def _decoded_from(self, key: str, raw: bytes, kind: str) -> Any:
-        """A message of the vehicle whose key it came by; anything else is refused."""
-        vehicle = vehicle_of(key)
-        told = raw if self._trust is None else self._trust.told(kind, raw, vehicle)
-        if isinstance(told, Refused):
-            self._refusals.note(f"{vehicle}: {told.reason}")
-            return None
-        message = DECODERS[kind](told)
-        if isinstance(message, Refused):
-            self._queue.put(MessageRejected(key, message.reason))
-            return None
-        if message.vehicle != vehicle:
-            self._refusals.note(f"{vehicle}: {kind}: speaks for {message.vehicle}")
-            return None
-        return message
+    def _refuse_roster(self, why: str) -> None:
+        self.inbox.reject("roster", why)
+
+    def _opened(self, kind: str, raw: bytes, vehicle: str) -> bytes | Refused:
+        """The message itself, if `vehicle` has signed it; without an identity, as it came."""
+        if self._trust is None:
+            return raw
+        told = self._trust.told(kind, raw, vehicle)
+        return Refused(f"not believed: {told.reason}") if isinstance(told, Refused) else told
 
 
 def _identity(fleet: str, options: JoinOptions) -> "Identity | None":

@@ -63,6 +63,7 @@ class Inbox:
             "MANUAL_CONTROL": self._manual_control,
             "REQUEST_DATA_STREAM": self._request_data_stream,
             "FILE_TRANSFER_PROTOCOL": self._file_transfer,
+            "SETUP_SIGNING": self._setup_signing,
         }
 
     def handle(self, link_id: int, message: Message) -> None:
@@ -89,6 +90,14 @@ class Inbox:
             self._radio.send(link_id, "TIMESYNC", tc1=self._state.time_boot_ns, ts1=message.ts1)
         else:
             self.timesync_echoes[link_id, message.src_system, message.src_component] = message.ts1
+
+    def _setup_signing(self, link_id: int, message: Message) -> None:
+        """SETUP_SIGNING: from now on every link signs and hears only what is signed.
+
+        On the ground only, as ArduPilot has it.
+        """
+        if not self._state.is_armed:
+            self._radio.sign(bytes(message.secret_key), message.initial_timestamp)
 
     def _ping(self, link_id: int, message: Message) -> None:
         """PING request: sent back to its sender, by PX4; ArduCopter does not answer."""

@@ -17,9 +17,9 @@ from companion.adapters.files.params import (
     read_flight,
     read_wind_process,
 )
+from companion.app.flight.loaded_flight import requirements
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.run import requirements
 from companion.core.mission.actions import Action, Decision
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot

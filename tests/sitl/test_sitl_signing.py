@@ -15,6 +15,7 @@ FORGED = {"faults": [{"kind": "forger", "phase": "climb", "at_s": 0.0}]}
 def key(tmp_path):
     path = tmp_path / "key"
     path.write_bytes(bytes(range(32)))
+    path.chmod(0o600)
     return path
 
 

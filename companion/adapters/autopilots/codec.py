@@ -7,18 +7,20 @@ os.environ.setdefault("MAVLINK20", "1")  # before pymavlink is imported: it choo
 import hashlib
 import hmac
 import struct
-from pathlib import Path
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.clock import epoch_us
-from companion.core.base.errors import LeewayError
 
 COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: who we are on the vehicle's system."""
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
+LINK_ID = 191
+Stream = tuple[int, int, int]
+"""Link, system, component: who signs counts time stamps up for each of these."""
+
 SIGNING_EPOCH_US = 1_420_070_400_000_000
 """2015-01-01, where MAVLink's signing clock starts."""
 
@@ -101,15 +103,31 @@ class MavlinkCodec:
         self.mav.robust_parsing = True
         self.bad_frames = 0
         if signing_key is not None:
-            self.mav.signing.secret_key = bytes(signing_key)
-            self.mav.signing.sign_outgoing = True
-            self.mav.signing.link_id = 191
-            self.mav.signing.timestamp = (epoch_us() - SIGNING_EPOCH_US) // 10
+            signing = self.mav.signing
+            signing.secret_key = bytes(signing_key)
+            signing.sign_outgoing = True
+            signing.link_id = LINK_ID
+            signing.timestamp = (epoch_us() - SIGNING_EPOCH_US) // 10
 
     @property
     def signed(self) -> bool:
         """True when a key is in use."""
         return self.mav.signing.secret_key is not None
+
+    def remember(self, streams: dict[Stream, int]) -> None:
+        """Take up the newest time stamps that an earlier process heard: older frames are replays.
+
+        Our own stamps go on after the newest of all, also where this computer's clock stood still.
+        """
+        self.mav.signing.stream_timestamps.update(streams)
+        newest = max(streams.values(), default=0)
+        self.mav.signing.timestamp = max(self.mav.signing.timestamp, newest)
+
+    @property
+    def streams(self) -> dict[Stream, int]:
+        """The newest time stamp heard of each stream, and of our own."""
+        own = (LINK_ID, self.mav.srcSystem, COMPONENT)
+        return {**self.mav.signing.stream_timestamps, own: self.mav.signing.timestamp}
 
     @property
     def clocks_apart_us(self) -> tuple[int, int] | None:
@@ -160,20 +178,3 @@ class MavlinkCodec:
         frame = bytes(message.pack(self.mav))
         self.mav.seq = (self.mav.seq + 1) % 256
         return frame
-
-
-def read_signing_key(path: Path) -> bytes:
-    """Read a 32-byte key: raw bytes, or 64 hexadecimal digits."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    if len(raw) == 32:
-        return raw
-    try:
-        key = bytes.fromhex(raw.decode("ascii").strip())
-    except ValueError as error:
-        raise LeewayError(f"{path}: expected 32 bytes, or 64 hexadecimal digits") from error
-    if len(key) != 32:
-        raise LeewayError(f"{path}: {len(key)} bytes of key, expected 32")
-    return key

@@ -1,7 +1,7 @@
 """What is addressed to us: commands and parameters of an operator, answered as a component does.
 
-An operator is whoever names our system and component 191 and is neither an autopilot nor an
-onboard computer. PX4 itself sends 1000, 1001 and 2003: those are answered UNSUPPORTED.
+An operator names our system and component 191, is neither an autopilot nor an onboard computer, and
+is trusted (`OperatorTrust`). PX4 itself sends 1000, 1001 and 2003: those are answered UNSUPPORTED.
 """
 
 from collections.abc import Callable
@@ -35,6 +35,49 @@ ACK = {
     Reply.DENIED: mavlink.MAV_RESULT_DENIED,
 }
 NAME_LENGTH = 16
+GROUND_STATION = 255
+"""The system that ground stations speak as unless told otherwise."""
+
+MOST_TOLD = 16
+"""Strangers that the operator hears of: a flood of made-up sources is told no further."""
+
+
+class OperatorTrust:
+    """Whose orders count: anybody's that are signed with our key, since others are not heard then;
+    without a key those of declared systems, and of the vehicle's own, by the way that the autopilot
+    was found on. A stranger who sends to our port comes from another address.
+    """
+
+    def __init__(self, operators: frozenset[int] = frozenset({GROUND_STATION})) -> None:
+        self._operators = operators
+        self._host: Any = None
+        self._is_found = False
+        self._told: set[tuple[int, int]] = set()
+
+    def found(self, peer: Any) -> None:
+        """The autopilot was identified by frames from this peer: its host stays the one."""
+        if not self._is_found:
+            self._host, self._is_found = _host_of(peer), True
+
+    def trusts(self, message: Any, system_id: int, peer: Any, *, signed: bool) -> bool:
+        """Whether an order that came by this peer counts."""
+        if signed:
+            return True
+        declared = message.get_srcSystem() in (*self._operators, system_id)
+        return declared and self._is_found and _host_of(peer) == self._host
+
+    def is_new_stranger(self, message: Any) -> bool:
+        """Whether to tell of this source, which is not trusted: once, and not of a flood."""
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if source in self._told or len(self._told) >= MOST_TOLD:
+            return False
+        self._told.add(source)
+        return True
+
+
+def _host_of(peer: Any) -> Any:
+    """UDP's address without its port, which a router's restart changes; `None` on a wire."""
+    return peer[0] if isinstance(peer, tuple) else peer
 
 
 class OperatorPort:
@@ -49,14 +92,20 @@ class OperatorPort:
         ask: Callable[[Event], Reply],
         limits: Callable[[], Limits],
         say: Callable[[str], None],
+        trust: OperatorTrust | None = None,
     ) -> None:
         self._send = send
         self._ask = ask
         self._limits = limits
         self._say = say
+        self.trust = trust or OperatorTrust()
 
-    def on_message(self, message: Any, system_id: int, t_s: float) -> bool:
-        """Take a message; tells whether it was addressed to us and is dealt with."""
+    def on_message(
+        self, message: Any, system_id: int, t_s: float, peer: Any = None, *, signed: bool = False
+    ) -> bool:
+        """Take a message that came by `peer` (`signed`: its signature was checked); tells whether
+        it was addressed to us and is dealt with.
+        """
         kind = message.get_type()
         if kind not in (
             "COMMAND_LONG",
@@ -68,17 +117,21 @@ class OperatorPort:
             return False
         if message.target_system != system_id or message.target_component != COMPONENT:
             return False
+        trusted = self.trust.trusts(message, system_id, peer, signed=signed)
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._command(message, t_s)
-        else:
+            self._command(message, t_s, trusted=trusted)
+        elif trusted or kind != "PARAM_SET":
             self._parameter(message, kind, t_s)
+        if not trusted and self.trust.is_new_stranger(message):
+            source = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
+            self._say(f"{source} is no operator here (--operator)")
         return True
 
-    def _command(self, message: Any, t_s: float) -> None:
+    def _command(self, message: Any, t_s: float, *, trusted: bool) -> None:
         event = self._order(message, t_s)
         if event is None:
             result = mavlink.MAV_RESULT_UNSUPPORTED
-        elif message.get_srcComponent() in NOT_OPERATORS:
+        elif not trusted or message.get_srcComponent() in NOT_OPERATORS:
             result = mavlink.MAV_RESULT_DENIED
         else:
             result = ACK[self._ask(event)]

@@ -4,6 +4,7 @@ import math
 from typing import Any, Protocol
 
 from companion.adapters.autopilots.codec import mavlink
+from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
@@ -162,7 +163,7 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
         case "WIND" | "WIND_COV":
             return profile.wind(message, values, t_s)
         case "STATUSTEXT":
-            text = message.text.strip().replace("\t", " ")
+            text = safe_text(message.text.strip())
             events: list[Event] = [AutopilotText(t_s, message.severity, text)]
             if text.startswith(MISSION_CHANGED):
                 events.append(MissionTouched(t_s, text))

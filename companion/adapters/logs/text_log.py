@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from companion.adapters.clock import local_time
+from companion.core.base.safe_text import log_text
 
 
 class TextLog:
@@ -22,5 +23,5 @@ class TextLog:
 
 
 def dated(t_s: float, text: str) -> str:
-    """One line: local time, the autopilot's seconds, the words."""
-    return f"{local_time()} {t_s:9.2f}  {text}"
+    """An entry: local time, the autopilot's seconds, the words (its further lines indented)."""
+    return f"{local_time()} {t_s:9.2f}  {log_text(text)}"

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import typer
 
-from companion.adapters.autopilots.codec import MavlinkCodec, read_signing_key
+from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import open_link
 from companion.adapters.files.params import flight_path, read_flight
+from companion.adapters.files.signing_files import read_signing_key
 from companion.app.cli.check_report import report, why_not_checked
-from companion.app.flight.run import DONE, GROUNDED, NO_LINK, NOT_TO_BE_CHECKED, RunOptions, run
+from companion.app.flight.loaded_flight import RunOptions
+from companion.app.flight.run import DONE, GROUNDED, NO_LINK, NOT_TO_BE_CHECKED, run
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from companion.app.cli import calibrate, fit_wind, replay
+from companion.app.cli import calibrate, fit_wind, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
@@ -151,6 +151,16 @@ def run_command(
     params: Params = None,
     signing_key: Key = None,
     system: System = None,
+    operator: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1,
+            max=255,
+            help="MAVLink system whose orders count where nothing is signed, and only by the way"
+            " that the autopilot was found on; may be repeated. Default: 255 (ground stations); the"
+            " vehicle's own always counts.",
+        ),
+    ] = None,
     authorise: Annotated[
         bool,
         typer.Option(
@@ -274,6 +284,8 @@ def run_command(
     asked = replace(
         asked, record_at_once=lockstep, settings_folder=settings_folder(vehicle_settings)
     )
+    if operator:
+        asked = replace(asked, operators=tuple(operator))
     if fleet is None or vehicle is None:
         raise typer.Exit(fly(asked))
 
@@ -336,6 +348,7 @@ def settings_folder(named: Path | None) -> Path:
 
 for part in (replay.app, fit_wind.app, calibrate.app):
     app.registered_commands += part.registered_commands
+app.add_typer(signing.app, name="signing")
 
 
 @app.command()

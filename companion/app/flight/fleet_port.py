@@ -115,12 +115,13 @@ class FleetPort:
         Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
         not take new ones.
         """
-        table = read_whole(folder / CURRENT, "assignment")
-        current = None if table is None else msgspec.convert(table, Assigned)
+        current, trouble = _read_current(folder / CURRENT)
         member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
         longest_s = longest_flight_s(airframe)
         port = cls(member, airframe_name, airframe.mass.max_payload_kg, current)
         port.begin_trouble = lambda: trouble_until(longest_s)
+        if trouble:
+            port.tell(EventKind.SAID, trouble)
         return port
 
     @property
@@ -192,6 +193,17 @@ class FleetPort:
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None
+
+    def give_back(self, why: str, *, flew: bool) -> None:
+        """The assignment aboard cannot be taken up: its outcome says why.
+
+        `flew`: an earlier life began it, and nobody knows where vehicle and parcel are; the mission
+        aboard the autopilot ends at home by itself.
+        """
+        outcome = "FAIL" if flew else "ABRT"
+        told = {"delivered": False, "home": not flew, "drop_unproven": flew or None}
+        self.tell(EventKind.OUTCOME, f"cannot be flown: {why}", outcome=outcome, **told)
+        self.put_ashore()
 
     # --- out -----------------------------------------------------------------------------------
 
@@ -316,6 +328,20 @@ class FleetPort:
             return Verdict(answer, reason)
 
         return carry_out
+
+
+def _read_current(path: Path) -> tuple[Assigned | None, str]:
+    """The assignment aboard, and what is wrong with the file: then it is moved aside.
+
+    The desk sees that the assignment is not aboard, and asks a person. A companion that ended here
+    would end again at every restart.
+    """
+    try:
+        table = read_whole(path, "assignment")
+        return (None if table is None else msgspec.convert(table, Assigned)), ""
+    except (LeewayError, msgspec.ValidationError) as error:
+        path.replace(path.with_suffix(".broken"))
+        return None, f"{path.name} is broken and was moved aside: {error}"
 
 
 def _event_of(deed: Any, t_s: float, by: str) -> Event:

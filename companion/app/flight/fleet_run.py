@@ -1,19 +1,21 @@
 """A companion that serves a fleet: assignment after assignment, through restarts, until stopped."""
 
 import gc
+import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from companion.adapters.autopilots.codec import MavlinkCodec, read_signing_key
 from companion.adapters.autopilots.link import open_link
-from companion.adapters.files.params import read_airframe
+from companion.app.flight.assignment import take_up
 from companion.app.flight.fleet_port import FleetPort
-from companion.app.flight.run import DONE, GROUNDED, STOPPED, RunOptions, run
-from companion.app.flight.standby import MISSION, Standby, StopSignals
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
+from companion.app.flight.run import DONE, GROUNDED, STOPPED, Run, fly_to_the_end
+from companion.app.flight.standby import Standby, StopSignals
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions, join
+from companion.fleet.messages import AIRFRAME
 from companion.fleet.topics import VehicleKeys
 
 
@@ -27,15 +29,17 @@ class FleetOptions:
     join: JoinOptions = ON_ITS_OWN
 
 
-def open_port(fleet: FleetOptions, options: RunOptions) -> FleetPort:
+def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> FleetPort:
     """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
     membership = join(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
-    airframe = read_airframe(options.airframe, options.params)
+    airframe = Path(options.airframe).stem
+    if re.match(AIRFRAME, airframe) is None:
+        raise LeewayError(f"airframe {airframe!r}: no name that a fleet's messages may carry")
     try:
         return FleetPort.open(
             fleet.vehicle,
-            Path(options.airframe).stem,
             airframe,
+            settings.airframe,
             options.run_dir,
             membership.open_link,
             trouble_until=membership.trouble_until,
@@ -56,23 +60,17 @@ def serve(
     An assignment that is aboard after a restart is gone on with before anything else: the flight's
     own checkpoint decides what is left of it.
     """
-    port = open_port(fleet, options)
+    settings = Settings.read(options)
+    port = open_port(fleet, options, settings)
     try:
         while True:
             if port.current is None:
                 say(f"standing by as {fleet.vehicle} of {fleet.fleet}")
-                if not _stand_by(port, options):
+                if not _stand_by(port, options, settings):
                     return STOPPED
-            assert port.current is not None
-            assignment = port.current.assignment
-            if not port.log.has_outcome(assignment):
-                say(f"assignment {assignment}")
-                folder = port.folder_of(assignment)
-                flight = replace(options, mission=folder / MISSION, run_dir=folder)
-                code = run(flight, on_action=on_action, port=port)[0]
-                if code not in (DONE, GROUNDED):
-                    return code
-            port.put_ashore()
+            code = _fly_assignment(port, options, settings, say, on_action)
+            if code not in (DONE, GROUNDED):
+                return code
             _let_go()
     finally:
         port.close()
@@ -82,11 +80,33 @@ def fly_one(
     fleet: FleetOptions, options: RunOptions, on_action: Callable[[Action], None] | None = None
 ) -> int:
     """Fly a mission of one's own, seen and recalled by the fleet's desk."""
-    port = open_port(fleet, options)
+    loaded = LoadedFlight.read(options)
+    port = open_port(fleet, options, loaded.settings)
     try:
-        return run(options, on_action=on_action, port=port)[0]
+        return fly_to_the_end(Run.begin(loaded, open_link, on_action=on_action, port=port))
     finally:
         port.close()
+
+
+def _fly_assignment(
+    port: FleetPort,
+    options: RunOptions,
+    settings: Settings,
+    say: Callable[[str], None],
+    on_action: Callable[[Action], None] | None,
+) -> int:
+    """Fly what is aboard to its end; the exit code. What cannot be loaded is GROUNDED."""
+    assert port.current is not None
+    assignment = port.current.assignment
+    loaded = take_up(port, options, settings)
+    if loaded is None:
+        say(f"assignment {assignment}: over, or refused: see its outcome")
+        return GROUNDED
+    say(f"assignment {assignment}")
+    code = fly_to_the_end(Run.begin(loaded, open_link, on_action=on_action, port=port))
+    if code in (DONE, GROUNDED):
+        port.put_ashore()
+    return code
 
 
 def _let_go() -> None:
@@ -98,14 +118,14 @@ def _let_go() -> None:
     gc.collect()
 
 
-def _stand_by(port: FleetPort, options: RunOptions) -> bool:
+def _stand_by(port: FleetPort, options: RunOptions, settings: Settings) -> bool:
     """Wait for work; False when a signal came first."""
-    key = read_signing_key(options.signing_key) if options.signing_key is not None else None
     link = open_link(options.link)
     try:
-        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
+        codec, stamps = settings.codec(datagrams=link.datagrams)
         with StopSignals() as signals:
-            standby = Standby(port, link, codec, options.system_id)
+            standby = Standby(port, link, codec, options, settings)
+            standby.stamps = stamps
             return standby.wait(lambda: bool(signals.seen)) is not None
     finally:
         link.close()

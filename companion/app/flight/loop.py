@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
-from companion.adapters.autopilots.operator_port import OperatorPort
+from companion.adapters.autopilots.operator_port import OperatorPort, OperatorTrust
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
+from companion.adapters.files.signing_files import STAMPS, StampKeeper
 from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.settings_keeper import SettingsKeeper
@@ -42,6 +43,7 @@ from companion.core.mission.events import (
 )
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
+from companion.fleet.service_manager import Watchdog
 
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
@@ -95,6 +97,8 @@ class Loop:
     on_action: Callable[[Action], None] | None = None
     port: "FleetPort | None" = None
     """None: no dispatcher's desk; operators still speak MAVLink."""
+    stamps: StampKeeper | None = None
+    """Of signed frames; None: nothing is signed."""
     wall_clock_s: Callable[[], float] = wall_s
     """For silences; a world that simulates many companions at once brings its own."""
     _system_known: bool = False
@@ -114,6 +118,7 @@ class Loop:
     _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
     _outgoing: list[_Outgoing] = field(default_factory=list)
     _outgoing_bytes: int = 0
+    _watchdog: Watchdog = field(default_factory=Watchdog)
 
     @classmethod
     def wire(
@@ -127,6 +132,7 @@ class Loop:
         silence_limit_s: float,
         wall_clock_s: Callable[[], float] = wall_s,
         settings_folder: Path | None = None,
+        trust: OperatorTrust | None = None,
     ) -> "Loop":
         """Connect the parts."""
         clock = AutopilotClock()
@@ -153,7 +159,7 @@ class Loop:
             clock=clock,
             silence_limit_s=silence_limit_s,
             autopilot=AutopilotPort(order, clock, system_id),
-            operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say),
+            operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say, trust),
             hearing=Hearing(link, lambda: made[0].wall_clock_s()),
             settings=SettingsKeeper(
                 settings_folder,
@@ -171,6 +177,7 @@ class Loop:
 
     def step(self) -> None:
         """Wait a moment for bytes and handle them."""
+        self._watchdog.turn(self.wall_clock_s())
         alone = self._silent or not self._system_known
         if alone and is_due(self._beat_wall_s, HEARTBEAT_S, self.wall_clock_s()):
             self._heartbeat()  # a caller must speak first, or nobody knows that it is there
@@ -202,7 +209,7 @@ class Loop:
             return  # the wiring echoes: it is nobody else
         if not known or source[0] == system:
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
-        if known and self.operator.on_message(message, system, self.clock.t_s):
+        if known and self._to_operator_port(message, system, peer):
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
@@ -226,10 +233,15 @@ class Loop:
         events = self.autopilot.on_message(message)
         if not self._system_known and self.autopilot.system_id is not None:
             self._system_known = True
+            self.operator.trust.found(peer)
             self.codec.be_system(self.autopilot.system_id)
             self._heard(peer)
         self._give(events)
         self._tick_between()
+
+    def _to_operator_port(self, message: Any, system: int, peer: Any) -> bool:
+        signed, t_s = self.codec.signed, self.clock.t_s
+        return self.operator.on_message(message, system, t_s, peer, signed=signed)
 
     def _timesync(self, message: Any) -> None:
         """Tick, let everything out, answer last. A repeated request is only answered."""
@@ -332,6 +344,9 @@ class Loop:
     def _mind_signing(self) -> None:
         """Nothing that is rightly signed is accepted: the operator hears which clock says what."""
         apart_us = self.codec.clocks_apart_us
+        write = self.stamps.due(self.wall_clock_s()) if self.stamps is not None else None
+        if write is not None:
+            self.recorder.keep(STAMPS, write)
         if apart_us is None:
             self._refused_wall_s = None
             return

@@ -237,6 +237,10 @@ class Recorder:
         line = dated(t_s, text)
         self._disk.do(TEXT, lambda: self._write_text(line))
 
+    def keep(self, record: str, deed: Callable[[], None]) -> None:
+        """Write a record of somebody else's beside ours; of several that wait, the newest."""
+        self._disk.do(record, deed, newest_only=True)
+
     def trouble(self, t_s: float, error: BaseException) -> None:
         """Write what broke the loop, with its traceback."""
         self.note(t_s, f"broken: {error!r}\n{''.join(traceback.format_exception(error))}")

@@ -2,37 +2,22 @@
 
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from companion.adapters.autopilots.ardupilot import ArduPilot
-from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
+from companion.adapters.autopilots.codec import mavlink
 from companion.adapters.autopilots.link import Link, open_link
-from companion.adapters.autopilots.px4 import Px4
+from companion.adapters.autopilots.operator_port import OperatorTrust
 from companion.adapters.clock import wall_s
-from companion.adapters.files.checkpoint_file import read_checkpoint
 from companion.adapters.files.folder_lock import FolderLock
-from companion.adapters.files.params import (
-    digest_of,
-    read_airframe,
-    read_flight,
-    read_obstacle_document,
-    read_wind_process,
-)
-from companion.adapters.files.policy_file import read_policy
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
-from companion.core.mission.events import AutopilotKind
-from companion.core.mission.preflight_checks import Requirement, RouteFacts
-from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import Phase
-from companion.core.separation.learned_policy import AvoidancePolicy
 
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
@@ -41,27 +26,6 @@ DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED, LINK_CLOSED = 0, 1, 2, 3, 4, 5,
 """Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
 (for `check`: something is missing); no autopilot, or lost for good; stopped by a signal; the link
 did not open, and may later."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunOptions:
-    """What the command line asks."""
-
-    link: str
-    airframe: str
-    mission: Path
-    run_dir: Path
-    wind_process: str | None = None
-    params: Path | None = None
-    signing_key: Path | None = None
-    system_id: int | None = None
-    silence_limit_s: float = 300.0
-    policy: str | None = None
-    settings_folder: Path | None = None
-    """Where it stands what was changed on a vehicle and not put back; None: nowhere."""
-    record_at_once: bool = False
-    """The flight waits for the disk: what a killed companion leaves is the same in every run."""
-    pilot: PilotOptions = field(default_factory=PilotOptions)
 
 
 def run(
@@ -76,7 +40,8 @@ def run(
 
     Raises LeewayError for a mistake in the input, before anything is opened.
     """
-    flown = Run.begin(options, open_link, on_action=on_action, port=port)
+    loaded = LoadedFlight.read(options)
+    flown = Run.begin(loaded, open_link, on_action=on_action, port=port)
     return fly_to_the_end(flown), flown.pilot
 
 
@@ -100,37 +65,20 @@ class Run:
     @classmethod
     def begin(
         cls,
-        options: RunOptions,
+        loaded: LoadedFlight,
         open_link: Callable[[str], Link],
         *,
         on_action: Callable[[Action], None] | None = None,
         port: "FleetPort | None" = None,
         wall_clock_s: Callable[[], float] = wall_s,
     ) -> "Run":
-        """Read the files, take up what an earlier run kept, open link and record.
+        """Take up what an earlier run kept, open link and record.
 
-        Raises LeewayError for a mistake in the input, before anything is opened.
+        Raises LeewayError where another companion flies it, or the link stays shut.
         """
-        flight = read_flight(options.mission)
-        airframe = read_airframe(options.airframe, options.params)
-        wind_process = read_wind_process(
-            options.wind_process or flight.mission.wind_process, options.params
-        )
-        obstacles = read_obstacle_document(flight, options.mission)
-        key = read_signing_key(options.signing_key) if options.signing_key is not None else None
-        digest = digest_of(options.mission, airframe, wind_process)
-        kept, trouble = _kept(options, digest)
-        pilot = Pilot(
-            flight,
-            airframe,
-            wind_process,
-            obstacles=obstacles,
-            requirements=requirements,
-            digest=digest,
-            options=options.pilot,
-            checkpoint=kept,
-            policy=flying_policy(options.policy) if options.policy is not None else None,
-        )
+        options, settings = loaded.options, loaded.settings
+        kept, trouble = loaded.kept()
+        pilot = loaded.pilot(kept)
         lock = FolderLock.take(options.run_dir)
         try:
             link = open_link(options.link)
@@ -144,7 +92,7 @@ class Run:
             keep_checkpoints=not options.pilot.check_only,
             at_once=options.record_at_once,
         )
-        codec = MavlinkCodec(datagrams=link.datagrams, signing_key=key)
+        codec, stamps = settings.codec(datagrams=link.datagrams)
         if options.system_id is not None:
             codec.be_system(options.system_id)
         loop = Loop.wire(
@@ -156,13 +104,16 @@ class Run:
             silence_limit_s=options.silence_limit_s,
             wall_clock_s=wall_clock_s,
             settings_folder=options.settings_folder,
+            trust=OperatorTrust(frozenset(options.operators)),
         )
+        loop.stamps = stamps
         loop.on_action = on_action
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
-        names = f"mission {flight.name}, airframe {airframe.name}, wind process {wind_process.name}"
-        recorder.note(pilot.telemetry.t_s, names)
+        recorder.note(pilot.telemetry.t_s, loaded.names)
+        if stamps is not None and stamps.trouble:
+            recorder.note(pilot.telemetry.t_s, stamps.trouble)
         if trouble:
             recorder.note(pilot.telemetry.t_s, trouble)
         if not options.pilot.gate_on:
@@ -197,30 +148,6 @@ class Run:
         loop.link.close()
         recorder.close()
         self.lock.release()
-
-
-def requirements(autopilot_kind: AutopilotKind, facts: RouteFacts) -> tuple[Requirement, ...]:
-    """What the promise asks of this autopilot's parameters."""
-    profile = ArduPilot() if autopilot_kind is AutopilotKind.ARDUPILOT else Px4()
-    return profile.requirements(facts)
-
-
-def flying_policy(name: str) -> AvoidancePolicy:
-    """A learned actor, by name or by its card; only one whose view this companion draws."""
-    policy, card = read_policy(name)
-    if card.frame != "goal":
-        raise LeewayError(f"policy {name}: its frame is {card.frame!r}, expected 'goal'")
-    return policy
-
-
-def _kept(options: RunOptions, digest: str) -> tuple[Checkpoint | None, str]:
-    """The checkpoint, and what is wrong with it: a broken one must not stop a flight from home."""
-    if options.pilot.check_only:
-        return None, ""
-    try:
-        return read_checkpoint(options.run_dir, digest), ""
-    except LeewayError as error:
-        return None, f"checkpoint not used: {error}"
 
 
 def fly_to_the_end(flown: Run) -> int:

@@ -5,29 +5,27 @@ sends no position unless asked, and a dispatcher gives no mission to a drone tha
 pad. No other command is sent here.
 """
 
-import json
-import os
+import contextlib
 import signal
 from collections.abc import Callable
-from pathlib import Path
 from types import FrameType
 from typing import Any
-
-import msgspec
 
 from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock, is_due, wall_s
-from companion.adapters.files.atomic_file import settle_folder
-from companion.adapters.files.params import read_flight, read_obstacle_document
+from companion.adapters.files.signing_files import StampKeeper
+from companion.app.flight.assignment import write_assignment
 from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
+from companion.app.flight.loaded_flight import RunOptions, Settings
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import AskTelemetry
 from companion.core.mission.events import ClockStepped
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Assign, Command, Launch, Recall, Withdraw
+from companion.fleet.service_manager import Watchdog
 
 WAIT_S = 0.1
 HEARTBEAT_S = 1.0
@@ -39,8 +37,6 @@ POSITION_SILENT_S = 5.0
 ASK_AGAIN_S = 10.0
 """Of the autopilot's time: longer than a dozen requests take, each sent again twice."""
 
-MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
-
 
 class Standby:
     """Waits on a link for an assignment; `wait` returns it, or `None` when told to stop."""
@@ -50,14 +46,16 @@ class Standby:
         port: FleetPort,
         link: Link,
         codec: MavlinkCodec,
-        system_id: int | None = None,
+        options: RunOptions,
+        settings: Settings,
         clock_s: Callable[[], float] = wall_s,
     ) -> None:
         self._port = port
+        self._options, self._settings = options, settings
         self._link = link
         self._codec = codec
         self._clock = AutopilotClock()
-        self._autopilot = AutopilotPort(self._send, self._clock, system_id)
+        self._autopilot = AutopilotPort(self._send, self._clock, options.system_id)
         self._now = TelemetryState()
         self._beat_s: float | None = None
         self._taken: Assigned | None = None
@@ -65,6 +63,8 @@ class Standby:
         self._heard_s = clock_s()
         self._ticked_s: float | None = None
         self._asked_s: float | None = None
+        self._watchdog = Watchdog()
+        self.stamps: StampKeeper | None = None
 
     def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
         """Until an assignment is aboard."""
@@ -79,6 +79,7 @@ class Standby:
         No more turns after that.
         """
         now_s = self._clock_s()
+        self._watchdog.turn(now_s)
         if is_due(self._beat_s, HEARTBEAT_S, now_s):
             self._beat_s = now_s
             self._send(_heartbeat())
@@ -88,9 +89,17 @@ class Standby:
         for message in self._codec.parse(incoming.data) if incoming is not None else []:
             self._hear(message, incoming.peer if incoming is not None else None)
         self._mind_telemetry()
+        self._keep_stamps(now_s)
         self._port.turn(self._carry_out)
         self._port.publish(STANDBY, self._now)
         return self._taken
+
+    def _keep_stamps(self, now_s: float) -> None:
+        """On the ground nothing is lost by waiting for the disk, nor by one that is full."""
+        write = self.stamps.due(now_s) if self.stamps is not None else None
+        if write is not None:
+            with contextlib.suppress(OSError):
+                write()
 
     def _mind_telemetry(self) -> None:
         """Ask for what tells where it stands, and again while it does not come (a reboot)."""
@@ -148,7 +157,7 @@ class Standby:
             return Verdict(Answered.LATER, f"taking {self._taken.assignment} aboard")
         taken = Assigned(assignment=deed.assignment, order=deed.order)
         try:
-            write_mission(deed, self._port)
+            write_assignment(deed, self._port, self._options, self._settings)
             self._port.take_aboard(taken)
         except LeewayError as error:
             return Verdict(Answered.REFUSED, str(error))
@@ -156,47 +165,6 @@ class Standby:
             return Verdict(Answered.LATER, f"cannot write the mission down: {error.strerror}")
         self._taken = taken
         return Verdict(Answered.DONE, "aboard, to be planned")
-
-
-def write_mission(deed: Assign, port: FleetPort) -> Path:
-    """Put an assigned flight into its folder, once it is one that this vehicle may fly.
-
-    Raises LeewayError with what is wrong with it.
-    """
-    folder = port.folder_of(deed.assignment)
-    folder.mkdir(parents=True, exist_ok=True)
-    flight = dict(deed.flight)
-    site = dict(flight.get("site") or {})
-    if site.get("obstacles") is not None:
-        raise LeewayError("site.obstacles: expected none, the command carries them itself")
-    if deed.obstacles is not None:
-        _settled(folder / OBSTACLES, json.dumps(deed.obstacles).encode())
-        site["obstacles"] = OBSTACLES
-    flight["site"] = site
-    path = folder / MISSION
-    _settled(path, msgspec.json.encode(flight))
-    settle_folder(folder)
-    settle_folder(folder.parent)
-    loaded = read_flight(path)
-    read_obstacle_document(loaded, path)
-    vehicle = loaded.vehicle
-    if vehicle.airframe != port.airframe_name:
-        raise LeewayError(f"vehicle.airframe {vehicle.airframe}: this is {port.airframe_name}")
-    if vehicle.payload_kg > port.max_payload_kg:
-        raise LeewayError(
-            f"vehicle.payload_kg = {vehicle.payload_kg:g}: at most {port.max_payload_kg:g}"
-        )
-    if loaded.site.depot is None:
-        raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
-    return path
-
-
-def _settled(path: Path, content: bytes) -> None:
-    """On the disk before `current.json` says that it is there, even after a power cut."""
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _heartbeat() -> Any:

@@ -16,6 +16,7 @@ import shapely
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
+from companion.core.base.safe_text import LONGEST_NAME, safe_text
 
 Ned = tuple[float, float, float]
 Angle = TypeVar("Angle", float, Floats)
@@ -126,7 +127,7 @@ def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obst
         raise LeewayError(
             f"{where}: expected a Polygon of [lon, lat] with a height_m property, got {error!r}"
         ) from error
-    name = str(properties.get("name", f"obstacle {index}"))
+    name = safe_text(str(properties.get("name", f"obstacle {index}"))[:LONGEST_NAME])
     obstacles: list[Obstacle] = []
     for ring in rings:
         finite = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)

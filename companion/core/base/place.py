@@ -3,6 +3,7 @@
 import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
+from companion.core.base.safe_text import check_name
 
 
 class Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -27,6 +28,7 @@ class Place(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Height of the ground above the depot's, beside `east_m` and `north_m`."""
 
     def __post_init__(self) -> None:
+        check_name("name", self.name)
         geodetic = (self.lat_deg, self.lon_deg, self.alt_amsl_m)
         relative = (self.east_m, self.north_m)
         where = self.name or "place"

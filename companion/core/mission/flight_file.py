@@ -10,6 +10,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
+from companion.core.base.safe_text import check_name
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C
 from companion.core.vehicle.speed_to_fly import SpeedRule
 
@@ -180,3 +181,6 @@ class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The true wind, for the simulator; the companion never reads it. Absent: still air."""
     faults: list[dict[str, Any]] = []
     """What goes wrong, for the simulator; the companion never reads it."""
+
+    def __post_init__(self) -> None:
+        check_name("name", self.name)

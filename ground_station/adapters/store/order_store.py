@@ -378,16 +378,24 @@ class Store:
         `replayed`: they are all that the member still has after `seen_to`, so none that can
         still be had is missing before the last.
         """
-        try:
-            return self._take_all(events, replayed)
-        except IntegrityError:  # another desk took them just now: now they are known
-            return self._take_all(events, replayed)
+        return self.take_event_batches([(events, replayed)])
 
-    def _take_all(self, events: list[FleetEvent], replayed: bool) -> list[FleetEvent]:
+    def take_event_batches(self, batches: list[tuple[list[FleetEvent], bool]]) -> list[FleetEvent]:
+        """The same for all that one turn has brought, (events, replayed) each, in one
+        transaction: who floods the desk with events costs one wait for the disk, as all do.
+        """
+        try:
+            return self._take_all(batches)
+        except IntegrityError:  # another desk took them just now: now they are known
+            return self._take_all(batches)
+
+    def _take_all(self, batches: list[tuple[list[FleetEvent], bool]]) -> list[FleetEvent]:
+        new: list[FleetEvent] = []
         with self._database.write() as db:
-            new = [event for event in events if self._take(db, event)]
-            for event in events:
-                self._see(db, event, replayed)
+            for events, replayed in batches:
+                new += [event for event in events if self._take(db, event)]
+                for event in events:
+                    self._see(db, event, replayed)
         return new
 
     def seen_to(self, vehicle: str, log: str) -> int:

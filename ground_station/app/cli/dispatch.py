@@ -130,10 +130,14 @@ def dispatch(
 
 def _run(desk: "Desk", idle_s: float | None) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
+    from companion.fleet.service_manager import Watchdog
+
     desk.begin()
+    watchdog = Watchdog()
     try:
         with stop_signals() as stopped:
             while not stopped:
+                watchdog.turn(monotonic_s())
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)
@@ -144,8 +148,9 @@ def _run(desk: "Desk", idle_s: float | None) -> bool:
 
 def _end(desk: "Desk") -> None:
     """Say what is left over; that decides the exit code."""
-    from rich.console import Console
     from rich.table import Table
+
+    from ground_station.app.views.terminal import terminal
 
     left = desk.left_over()
     if not left:
@@ -154,7 +159,7 @@ def _end(desk: "Desk") -> None:
     table = Table("order", "state", "why", title="left over")
     for row in left:
         table.add_row(row.order.id, row.state.value, desk.why_left(row))
-    Console().print(table)
+    terminal().print(table)
     raise typer.Exit(ORDERS_LEFT)
 
 
@@ -174,18 +179,19 @@ def watch(
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
-    from rich.console import Console, RenderableType
+    from rich.console import RenderableType
     from rich.live import Live
 
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.views.terminal import terminal
     from ground_station.app.views.watch_view import WatchRows, read_rows, watch_view
 
     opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, lambda words: None)
     exchange.begin()
-    console, day = Console(), DayStore(opened.database, epoch_us)
+    console, day = terminal(), DayStore(opened.database, epoch_us)
     rows = WatchRows()
 
     def view() -> RenderableType:
@@ -289,15 +295,14 @@ def report(
 
     ground-station report --store sqlite:///desk.db
     """
-    from rich.console import Console
-
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.views.day_report import report_of, report_view
+    from ground_station.app.views.terminal import terminal
 
     opened = open_store(store, store_file)
     figures = report_of(opened, DayStore(opened.database, epoch_us))
     opened.close()
-    Console().print(report_view(figures))
+    terminal().print(report_view(figures))
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=1))
 

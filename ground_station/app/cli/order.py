@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.safe_text import safe_text
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
     StoreFile,
@@ -61,7 +62,7 @@ def add(
         "alt_amsl_m": alt,
         "mass_kg": mass,
         "service": service.value,
-        "note": note,
+        "note": safe_text(note),
     }
     try:
         order = msgspec.convert(table, Order)
@@ -113,8 +114,9 @@ def list_(
     store_file: StoreFile = None,
 ) -> None:
     """List the orders with their states."""
-    from rich.console import Console
     from rich.table import Table
+
+    from ground_station.app.views.terminal import terminal
 
     opened = open_store(store, store_file)
     rows = [row for row in opened.orders() if state is None or row.state is state]
@@ -124,7 +126,7 @@ def list_(
         order = row.order
         cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
         table.add_row(*cells, str(row.attempts), row.why)
-    Console().print(table)
+    terminal().print(table)
     counts = Counter(row.state.value for row in rows)
     typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
 
@@ -262,8 +264,9 @@ def assigner_of(data: "DayData") -> "DepotAssigner":
 
 def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
     """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
-    from rich.console import Console
     from rich.table import Table
+
+    from ground_station.app.views.terminal import terminal
 
     found: list[str] = []
     table = Table("order", "no drone from the depot", "possible with")
@@ -273,7 +276,7 @@ def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
             found.append(order.id)
             table.add_row(order.id, cannot.why, cannot.remedy)
     if found:
-        Console().print(table)
+        terminal().print(table)
     return found
 
 

@@ -37,12 +37,11 @@ def truck(
 
     ground-station truck harbour --identity /var/lib/leeway/identity
     """
-    from rich.console import Console
-
     from companion.fleet.membership import JoinOptions, join
     from companion.fleet.topics import VehicleKeys
     from ground_station.app.truck.driver_console import run_console
     from ground_station.app.truck.truck_member import TruckMember
+    from ground_station.app.views.terminal import terminal
     from ground_station.core.fleet.truck_state import TRUCK
 
     data = open_day(day)
@@ -65,6 +64,6 @@ def truck(
         raise LeewayError(f"{folder}: {error.strerror}") from error
     try:
         with stop_signals() as stopped:
-            run_console(member, Console(), woken, stopped)
+            run_console(member, terminal(), woken, stopped)
     finally:
         member.close()

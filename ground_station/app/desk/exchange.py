@@ -7,6 +7,7 @@ the store before it is sent. What is only in memory (who is alive, which command
 received again after a restart, so the process may be killed at any moment.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,7 +27,19 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.rate_limit import RateLimit
 from ground_station.core.schema.orders import CommandRow
+
+STATES_S = 2.0
+"""All are asked for their states at most so often, however many join: each arrival asked all once,
+and 500 at a time kept the desk from hearing anything else for 25 s.
+"""
+
+REJECTED_S = 60.0
+"""A member's rejected messages are said at most so often, with their number."""
+
+REPLAYS_HZ, REPLAYS_BURST = 20.0, 4000.0
+"""Events that are asked for again, of one member: twice what a member keeps, at once."""
 
 ANSWER_S = 5.0
 """Time-out of an answer. Loopback takes milliseconds, a bad radio a second or two."""
@@ -55,18 +68,34 @@ class Exchange:
     _events_asked_s: dict[str, float] = field(default_factory=dict)
     _complete_to: dict[tuple[str, str], int] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
+    _states_wanted: bool = False
+    _states_asked_s: float | None = None
+    _rejected: Counter[str] = field(default_factory=Counter)
+    _rejected_said_s: dict[str, float] = field(default_factory=dict)
+    _replays: dict[str, RateLimit] = field(default_factory=dict)
 
     def begin(self) -> None:
         """Ask for the state of the whole fleet."""
-        self.fleet.ask_states(ANSWER_S)
+        self._states_wanted = True
+        self._ask_states()
 
     def listen(self, wait_s: float) -> None:
-        """Take what has come, waiting this long for the first; ask for events that were missed."""
+        """Take what has come, waiting this long for the first; ask for what was missed."""
+        batches: list[EventsReceived] = []
         for received in self.fleet.receive(wait_s):
+            if isinstance(received, EventsReceived):
+                batches.append(received)
+                continue
+            with self.store_may_be_away():  # in the order in which things came
+                self._take_events(batches)
+            batches = []
             with self.store_may_be_away():
                 self._take(received)
         with self.store_may_be_away():
+            self._take_events(batches)
+        with self.store_may_be_away():
             self._ask_for_missed_events()
+        self._ask_states()
 
     @contextmanager
     def store_may_be_away(self) -> Iterator[None]:
@@ -99,16 +128,35 @@ class Exchange:
             case StateReceived():
                 self._take_state(received.state)
             case EventsReceived():
-                self._take_events(received)
+                self._take_events([received])
             case CommandAnswered():
                 self._take_answer(received)
             case MessageRejected():
-                self.say_once(f"{received.key}: message rejected: {received.reason}")
+                self._take_rejected(received)
 
-    def _take_events(self, received: EventsReceived) -> None:
-        new = self.store.take_events(received.events, replayed=received.replayed)
-        for log in {event.log for event in received.events}:
-            self._complete_to.pop((received.vehicle, log), None)
+    def _take_rejected(self, received: MessageRejected) -> None:
+        """Say it, and how many there were since it was said last."""
+        who, now_s = received.key, self.clock.monotonic_s()
+        self._rejected[who] += received.count
+        said_s = self._rejected_said_s.get(who)
+        if said_s is not None and now_s - said_s < REJECTED_S:
+            return
+        self._rejected_said_s[who] = now_s
+        count = self._rejected.pop(who)
+        number = "message" if count == 1 else f"{count} messages"
+        self.say(f"{who}: {number} rejected: {received.reason}")
+
+    def _take_events(self, batches: list[EventsReceived]) -> None:
+        """All that came together, in one transaction."""
+        if not batches:
+            return
+        new = self.store.take_event_batches([(b.events, b.replayed) for b in batches])
+        for received in batches:
+            for log in {event.log for event in received.events}:
+                self._complete_to.pop((received.vehicle, log), None)
+            if received.replayed:
+                replays, now_s = self._replays_of(received.vehicle), self.clock.monotonic_s()
+                replays.spend(now_s, len(received.events))
         for event in new:
             self._say_event(event)
         self.changed = self.changed or bool(new)
@@ -133,6 +181,14 @@ class Exchange:
             return
         self.say(f"{vehicle}: joined the network")
         self._events_asked_s.pop(vehicle, None)
+        self._states_wanted = True
+
+    def _ask_states(self) -> None:
+        """Ask all for their states, once for all who joined since the last time."""
+        now_s, asked_s = self.clock.monotonic_s(), self._states_asked_s
+        if not self._states_wanted or (asked_s is not None and now_s - asked_s < STATES_S):
+            return
+        self._states_wanted, self._states_asked_s = False, now_s
         self.fleet.ask_states(ANSWER_S)
 
     def _take_answer(self, received: CommandAnswered) -> None:
@@ -162,9 +218,13 @@ class Exchange:
             if asked_s is not None and now_s - asked_s < RETRY_S:
                 continue
             complete_to = self._log_complete_to(seen.vehicle, state)
-            if complete_to < state.last_seq:
+            if complete_to < state.last_seq and self._replays_of(seen.vehicle).take(now_s, 0.0):
                 self._events_asked_s[seen.vehicle] = now_s
                 self.fleet.ask_events(seen.vehicle, complete_to, ANSWER_S)
+
+    def _replays_of(self, vehicle: str) -> RateLimit:
+        """How many more events this member may be asked for."""
+        return self._replays.setdefault(vehicle, RateLimit(REPLAYS_HZ, REPLAYS_BURST))
 
     def has_all_events(self, state: State) -> bool:
         """Whether the store holds every event up to this state."""

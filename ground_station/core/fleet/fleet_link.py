@@ -41,10 +41,11 @@ class CommandAnswered:
 
 @dataclass(frozen=True, slots=True)
 class MessageRejected:
-    """Bytes that are no valid message, and why."""
+    """Bytes that are no valid message, and why; `count` of them since the last time."""
 
     key: str
     reason: str
+    count: int = 1
 
 
 FleetInput = LivelinessChanged | StateReceived | EventsReceived | CommandAnswered | MessageRejected

@@ -8,6 +8,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
+from companion.core.base.safe_text import one_line
 from companion.core.mission.flight_file import Mission, Terrain
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C, Air, standard_air
 from companion.fleet.topics import checked_name
@@ -25,7 +26,7 @@ class FileProblem:
     def __str__(self) -> str:
         row = f", row {self.row}" if self.row is not None else ""
         column = f", column {self.column}" if self.column else ""
-        return f"{self.file}{row}{column}: {self.words}"
+        return one_line(f"{self.file}{row}{column}: {self.words}")
 
 
 class DayFilesError(LeewayError):

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from companion.core.base.geo import EARTH_RADIUS_M
+from companion.core.base.safe_text import safe_text
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.orders import BOUNDS, Order, Service
@@ -69,7 +70,7 @@ def order_of(
         wrong("note", f"{len(note)} characters, expected at most 500")
     if problems:
         return problems
-    return Order(id=id_, service=Service(service), note=note, **numbers)
+    return Order(id=id_, service=Service(service), note=safe_text(note), **numbers)
 
 
 def duplicates(file_rows: list[tuple[str, int, Order]]) -> list[FileProblem]:

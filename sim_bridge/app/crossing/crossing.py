@@ -16,7 +16,8 @@ import numpy as np
 
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
-from companion.app.flight.run import Run, RunOptions
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
+from companion.app.flight.run import Run
 from companion.core.base.geo import LocalFrame, moved_deg
 from companion.core.mission.events import Authorised
 from companion.core.pilot.context import PilotOptions
@@ -278,7 +279,7 @@ class Crossing:
             ),
         )
         run = Run.begin(
-            options,
+            LoadedFlight.read(options),
             lambda url: link,
             port=port,
             wall_clock_s=self.clock.monotonic_s,

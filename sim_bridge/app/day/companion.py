@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 
 from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import Incoming, Link
+from companion.app.flight.assignment import take_up
 from companion.app.flight.fleet_port import FleetPort
-from companion.app.flight.run import DONE, GROUNDED, Run, RunOptions
-from companion.app.flight.standby import MISSION, Standby
+from companion.app.flight.loaded_flight import RunOptions, Settings
+from companion.app.flight.run import DONE, GROUNDED, Run
+from companion.app.flight.standby import Standby
 from companion.core.pilot.context import PilotOptions
 
 
@@ -64,6 +66,19 @@ class SteppedCompanion:
     ended: int | None = None
     _standby: Standby | None = None
     _run: Run | None = None
+    _options: RunOptions = field(init=False)
+    _settings: Settings = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._options = RunOptions(
+            link="memory",
+            airframe=self.airframe,
+            mission=self.port.folder,
+            run_dir=self.port.folder,
+            record_at_once=True,
+            pilot=PilotOptions(configure=True),
+        )
+        self._settings = Settings.read(self._options)
 
     @property
     def running(self) -> bool:
@@ -109,31 +124,17 @@ class SteppedCompanion:
     def _stand_by(self) -> None:
         if self._standby is None:
             codec = MavlinkCodec(datagrams=True)
-            self._standby = Standby(self.port, self.link, codec, clock_s=self.clock_s)
+            options, settings = self._options, self._settings
+            self._standby = Standby(
+                self.port, self.link, codec, options, settings, clock_s=self.clock_s
+            )
         if self._standby.turn() is not None:
             self._standby = None
 
     def _begin(self) -> None:
-        assert self.port.current is not None
-        assignment = self.port.current.assignment
-        if self.port.log.has_outcome(assignment):
-            self.port.put_ashore()
-            return
-        folder = self.port.folder_of(assignment)
-        options = RunOptions(
-            link="memory",
-            airframe=self.airframe,
-            mission=folder / MISSION,
-            run_dir=folder,
-            record_at_once=True,
-            pilot=PilotOptions(configure=True),
-        )
-        self._run = Run.begin(
-            options,
-            self._opened,
-            port=self.port,
-            wall_clock_s=self.clock_s,
-        )
+        loaded = take_up(self.port, self._options, self._settings)
+        if loaded is not None:
+            self._run = Run.begin(loaded, self._opened, port=self.port, wall_clock_s=self.clock_s)
 
     def _opened(self, url: str) -> Link:
         return self.link

@@ -22,7 +22,8 @@ import numpy as np
 
 from companion.adapters.autopilots.link import Incoming, Link
 from companion.adapters.files.params import read_flight
-from companion.app.flight.run import Run, RunOptions
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
+from companion.app.flight.run import Run
 from companion.core.base.errors import LeewayError
 from companion.core.pilot.context import PilotOptions
 from sim_bridge.app.faults.authority import TOLD_PILOT_S
@@ -173,7 +174,9 @@ class StallWorld:
             record_at_once=True,
             pilot=PilotOptions(configure=True),
         )
-        self.run = Run.begin(run_options, self._opened, wall_clock_s=self.clock_s)
+        self.run = Run.begin(
+            LoadedFlight.read(run_options), self._opened, wall_clock_s=self.clock_s
+        )
 
     def _opened(self, url: str) -> Link:
         del url

@@ -11,6 +11,7 @@ from sim_bridge.autopilot.mavlink.enums import MavResult, Severity
 from sim_bridge.autopilot.mavlink.links import LinkState
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mavlink.router import Router
+from sim_bridge.autopilot.mavlink.signing import Signing
 from sim_bridge.autopilot.state import VehicleState
 
 Fields = dict[str, Any]
@@ -80,6 +81,12 @@ class Radio:
         self.links[link_id] = link
         self._router.add_link(link_id)
         self._start_streams(link)
+
+    def sign(self, secret_key: bytes, timestamp_10us: int) -> None:
+        """Sign on every link with this key."""
+        signing = Signing(secret_key, timestamp_10us)
+        for link_id, link in self.links.items():
+            link.encoder.signing = link.decoder.signing = signing.on_link(link_id)
 
     def drop_link(self, link_id: int) -> None:
         """Take a link down."""

@@ -53,6 +53,39 @@ def dispatch(
     bench_now(vehicles, orders, seed, json_file)
 
 
+fleet = typer.Typer()
+
+
+@fleet.command("bench-fleet")
+def bench_fleet(
+    vehicles: Annotated[int, typer.Option(min=1, max=5000, help="Members of the fleet.")] = 50,
+    minutes: Annotated[float, typer.Option(min=0.1, help="How long they fly orders.")] = 2.0,
+    routers: Annotated[
+        int, typer.Option(min=0, max=16, help="zenoh routers between members and desk.")
+    ] = 0,
+    store: Annotated[
+        str | None, typer.Option(help="An empty store; default: SQLite in a folder of its own.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="How long each flight takes.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """A desk with many vehicles that fly orders: time to acknowledgement, load, nothing lost.
+
+    sim-bridge research bench-fleet --vehicles 200 --minutes 2 --json fleet.json
+    """
+    try:
+        from sim_bridge.research.benchmarks.fleet_bench import bench as bench_now
+    except ImportError as error:
+        raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
+    from companion.fleet.zenoh_link import leave_process
+
+    figures = json.dumps(bench_now(vehicles, minutes, routers, store, seed), indent=1)
+    typer.echo(figures)
+    if json_file is not None:
+        json_file.write_text(figures + "\n")
+    leave_process(0)
+
+
 @app.command("planner")
 def planner(
     out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False

@@ -14,6 +14,7 @@ app = typer.Typer(
 
 for part in (campaign, tables, promise, avoid, results):
     app.registered_commands += part.app.registered_commands
+app.registered_commands += bench.fleet.registered_commands
 app.add_typer(bench.app, name="bench")
 
 _SAME_NAME = (

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from companion.core.base.safe_text import csv_cell
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -29,7 +31,9 @@ class Sheet:
         page, table = folder / f"{stem}.md", folder / f"{stem}.csv"
         page.write_text(self.markdown(), encoding="utf-8")
         with table.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows([self.head, *self.rows])
+            csv.writer(file).writerows(
+                [csv_cell(cell) for cell in row] for row in (self.head, *self.rows)
+            )
         return [page, table]
 
 

@@ -7,16 +7,23 @@ import random
 import socket
 import struct
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.adapters.autopilots import link as link_module
-from companion.adapters.autopilots.codec import MavlinkCodec, mavlink, read_signing_key
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import TcpLink, UdpLink, open_link
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import LEAP_S, AutopilotClock
+from companion.adapters.files.signing_files import (
+    STAMPS,
+    StampKeeper,
+    read_signing_key,
+    write_signing_key,
+)
 from companion.core.base.errors import LeewayError
 from companion.core.mission import events as ev
 
@@ -456,8 +463,81 @@ def test_what_goes_out_is_signed_and_pymavlink_believes_it():
     assert heard[0].get_type() == "HEARTBEAT"
 
 
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o666])
+def test_a_key_that_group_or_others_may_read_is_refused(tmp_path, mode):
+    path = tmp_path / "key"
+    write_signing_key(path, KEY)
+    assert read_signing_key(path) == KEY
+    path.chmod(mode)
+    with pytest.raises(LeewayError, match="group or others may read it"):
+        read_signing_key(path)
+
+
+def test_a_new_key_takes_the_place_of_none_that_is_there(tmp_path):
+    write_signing_key(tmp_path / "key", KEY)
+    with pytest.raises(LeewayError, match="File exists"):
+        write_signing_key(tmp_path / "key", bytes(32))
+    assert read_signing_key(tmp_path / "key") == KEY
+
+
+def test_a_key_may_lie_among_systemds_credentials(tmp_path, monkeypatch):
+    named = Path("${CREDENTIALS_DIRECTORY}/key")
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    with pytest.raises(LeewayError, match="LoadCredential"):
+        read_signing_key(named)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    write_signing_key(tmp_path / "key", KEY)
+    assert read_signing_key(named) == KEY
+
+
+def restarted(folder: Path) -> tuple[MavlinkCodec, StampKeeper]:
+    codec = MavlinkCodec(datagrams=True, signing_key=KEY)
+    return codec, StampKeeper(folder, codec)
+
+
+def signed_ago(seconds: float) -> bytes:
+    mav = sender(key=KEY)
+    mav.signing.timestamp -= round(seconds * 1e5)
+    return frame(mav, attitude(1))
+
+
+def heard_before_a_restart(folder: Path) -> bytes:
+    """A frame of 50 s ago; a newer one of its stream was heard and kept."""
+    codec, stamps = restarted(folder)
+    old = signed_ago(50.0)
+    assert len(codec.parse(old)) == 1
+    assert len(codec.parse(signed_ago(1.0))) == 1
+    write = stamps.due(0.0)
+    assert write is not None
+    write()
+    assert stamps.due(0.5) is None
+    return old
+
+
+def test_a_frame_of_50_s_ago_is_refused_after_a_restart_too(tmp_path):
+    old = heard_before_a_restart(tmp_path)
+    codec, _ = restarted(tmp_path)
+    assert codec.parse(old) == []
+    assert len(codec.parse(signed_ago(0.0))) == 1
+
+
+def test_canary_without_the_stamps_kept_a_restart_hears_a_frame_of_50_s_ago(tmp_path):
+    old = heard_before_a_restart(tmp_path)
+    (tmp_path / STAMPS).unlink()
+    codec, _ = restarted(tmp_path)
+    assert len(codec.parse(old)) == 1
+
+
+def test_a_broken_record_of_stamps_is_moved_aside_and_stops_nobody(tmp_path):
+    (tmp_path / STAMPS).write_text("torn")
+    codec, stamps = restarted(tmp_path)
+    assert "moved aside" in stamps.trouble
+    assert len(codec.parse(signed_ago(0.0))) == 1
+
+
 def test_a_key_file_holds_32_bytes_or_64_digits(tmp_path):
     path = tmp_path / "key"
+    path.touch(mode=0o600)
     path.write_bytes(KEY)
     assert read_signing_key(path) == KEY
     path.write_text(KEY.hex() + "\n")

@@ -13,7 +13,7 @@ import pytest
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.mission_wire import wire_items
-from companion.adapters.autopilots.operator_port import OperatorPort
+from companion.adapters.autopilots.operator_port import MOST_TOLD, OperatorPort, OperatorTrust
 from companion.adapters.autopilots.parameters import (
     ParameterClient,
     decode_bytewise,
@@ -593,6 +593,9 @@ def test_a_fence_that_the_mission_leaves_blocks():
 # --- what is addressed to us ---------------------------------------------------------------------
 
 
+HERE, ELSEWHERE = ("10.0.0.1", 14550), ("10.0.0.66", 14550)
+
+
 class Desk:
     """An operator port with a mission that answers as it is told."""
 
@@ -604,15 +607,24 @@ class Desk:
         self.port = OperatorPort(
             self.sent.append, self.ask, lambda: Limits(0.01, 0.15), self.said.append
         )
+        self.port.trust.found(HERE)
 
     def ask(self, event: ev.Event) -> Reply:
         self.asked.append(event)
         return self.reply
 
-    def hear(self, message: Any, system: int = 255, component: int = 190) -> bool:
+    def hear(
+        self,
+        message: Any,
+        system: int = 255,
+        component: int = 190,
+        peer: Any = None,
+        *,
+        signed: bool = False,
+    ) -> bool:
         mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         (heard,) = MavlinkCodec(datagrams=True).parse(bytes(message.pack(mav)))
-        return self.port.on_message(heard, 1, 5.0)
+        return self.port.on_message(heard, 1, 5.0, peer or HERE, signed=signed)
 
 
 def command(number: int, param1: float = 0.0, system: int = 1, component: int = 191) -> Any:
@@ -637,6 +649,60 @@ def test_an_operators_orders_are_understood_and_answered(number, param1, kind):
     (ack,) = desk.sent
     assert (ack.command, ack.result) == (number, mavlink.MAV_RESULT_ACCEPTED)
     assert (ack.target_system, ack.target_component) == (255, 190)
+
+
+STRANGERS = [(254, HERE), (255, ELSEWHERE), (1, ELSEWHERE)]
+
+
+@pytest.mark.parametrize(("system", "peer"), STRANGERS)
+def test_safety_rule_1_unsigned_a_stranger_launches_nothing_and_changes_no_limit(system, peer):
+    desk = Desk()
+    for _ in range(3):
+        assert desk.hear(command(300), system, 190, peer)
+    name = b"MAX_LOSS".ljust(16, b"\0")
+    desk.hear(mavlink.MAVLink_param_set_message(1, 191, name, 0.4, 9), system, 190, peer)
+    assert desk.asked == []
+    assert [ack.result for ack in desk.sent] == [mavlink.MAV_RESULT_DENIED] * 3
+    assert desk.said == [f"{system}/190 is no operator here (--operator)"]
+
+
+@pytest.mark.parametrize(("system", "peer"), STRANGERS)
+def test_canary_without_the_question_of_trust_any_stranger_launches(system, peer, monkeypatch):
+    monkeypatch.setattr(OperatorTrust, "trusts", lambda *_, **__: True)
+    desk = Desk()
+    desk.hear(command(300), system, 190, peer)
+    assert [type(event) for event in desk.asked] == [ev.Authorised]
+
+
+@pytest.mark.parametrize(("system", "peer"), STRANGERS)
+def test_whoever_signs_with_our_key_is_an_operator_from_anywhere(system, peer):
+    desk = Desk()
+    desk.hear(command(300), system, 190, peer, signed=True)
+    assert [type(event) for event in desk.asked] == [ev.Authorised]
+
+
+def test_operators_are_the_declared_systems_and_the_vehicles_own_whatever_their_port():
+    desk = Desk()
+    desk.port.trust = OperatorTrust(frozenset({200}))
+    desk.port.trust.found(HERE)
+    for system in (200, 1):
+        desk.hear(command(20), system, 190, (HERE[0], 5))
+    desk.hear(command(20), 255, 190)
+    assert len(desk.asked) == 2
+
+
+def test_the_first_peer_of_the_autopilot_stays_the_one():
+    desk = Desk()
+    desk.port.trust.found(ELSEWHERE)
+    desk.hear(command(300), 255, 190, ELSEWHERE)
+    assert desk.asked == []
+
+
+def test_a_flood_of_made_up_strangers_is_told_of_a_few_times():
+    desk = Desk()
+    for system in range(2, 200):
+        desk.hear(command(300), system, 190)
+    assert len(desk.said) == MOST_TOLD
 
 
 @pytest.mark.parametrize("number", [1000, 1001, 2003, 400])

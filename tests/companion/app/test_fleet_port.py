@@ -1,14 +1,18 @@
 """The vehicle's side of the desk without a network: what it keeps, and what if it cannot."""
 
+import contextlib
 import errno
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from companion.app.flight import fleet_port
-from companion.app.flight.standby import write_mission
+from companion.app.flight.assignment import MISSION, take_up, write_assignment
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.core.base.errors import LeewayError
 from companion.fleet import member as fleet_member
 from companion.fleet.command_log import Verdict
@@ -32,6 +36,8 @@ from ground_station.core.dispatch.flight_tables import delivery_table
 from tests.fleet.zenoh_net import Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
+OPTIONS = RunOptions("memory", "m100", Path(), Path())
+SETTINGS = Settings.read(OPTIONS)
 
 
 def an_event(text: str, kind: EventKind = EventKind.SAID) -> FleetEvent:
@@ -76,10 +82,14 @@ def test_on_a_full_disk_nothing_is_launched_but_a_recall_is_taken(port, monkeypa
     assert ask(port, Launch(assignment="a1")).answer is Answered.DONE
 
 
+def written(port: fleet_port.FleetPort, deed: Assign) -> LoadedFlight:
+    return write_assignment(deed, port, OPTIONS, SETTINGS)
+
+
 def test_a_flight_that_the_vehicle_may_not_fly_is_refused_in_words(port):
     good = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
     deed = Assign(assignment="a1", order="o1", flight=good, obstacles=DAY.no_fly)
-    path = write_mission(deed, port)
+    path = written(port, deed).options.mission
     assert json.loads(path.read_text())["site"]["obstacles"] == "obstacles.geojson"
     for change, words in (
         ({"vehicle": good["vehicle"] | {"airframe": "octo8"}}, "this is m100"),
@@ -87,10 +97,97 @@ def test_a_flight_that_the_vehicle_may_not_fly_is_refused_in_words(port):
         ({"site": good["site"] | {"obstacles": "/etc/passwd"}}, "site.obstacles"),
         ({"colour": "red"}, "colour"),
         ({"mission": good["mission"] | {"max_loss": 3.0}}, "mission.max_loss"),
+        ({"mission": good["mission"] | {"wind_process": "moon"}}, "no such wind process"),
+        ({"site": "here"}, "expected a table"),
     ):
         deed = Assign(assignment="a2", order="o1", flight=good | change)
         with pytest.raises(LeewayError, match=words):
-            write_mission(deed, port)
+            written(port, deed)
+
+
+NASTY = st.sampled_from(
+    [None, True, -1, 0, 1e308, -1e308, 10**30, "", "moon", "../../etc/passwd", "\x00", [], {}, [[]]]
+)
+
+
+def replaced(tree: Any, path: list[int], value: Any) -> Any:
+    """The tree with one of its branches, found by numbers, replaced."""
+    if not isinstance(tree, dict | list) or not tree or not path:
+        return value
+    keys = list(tree) if isinstance(tree, dict) else list(range(len(tree)))
+    key, copy = keys[path[0] % len(keys)], tree.copy()
+    copy[key] = replaced(tree[key], path[1:], value)
+    return copy
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    in_flight=st.booleans(), path=st.lists(st.integers(0, 30), min_size=1, max_size=6), value=NASTY
+)
+def test_a_mutated_assignment_is_loaded_whole_or_refused_in_words(port, in_flight, path, value):
+    flight = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    assert DAY.no_fly is not None
+    flight = replaced(flight, path, value) if in_flight else flight
+    no_fly = DAY.no_fly if in_flight else replaced(DAY.no_fly, path, value)
+    if not isinstance(flight, dict) or not isinstance(no_fly, dict | None):
+        return
+    with contextlib.suppress(LeewayError):
+        written(port, Assign(assignment="a1", order="o1", flight=flight, obstacles=no_fly))
+
+
+def aboard(port: fleet_port.FleetPort, **mission: object) -> Path:
+    """An assignment in the folder, as an earlier version may have left it; its flight file."""
+    table = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    table["mission"] |= mission
+    port.take_aboard(fleet_port.Assigned(assignment="a1", order="o1"))
+    path = port.folder_of("a1") / MISSION
+    path.parent.mkdir()
+    path.write_text(json.dumps(table))
+    return path
+
+
+def taken_up(port: fleet_port.FleetPort) -> Any:
+    return take_up(port, OPTIONS, SETTINGS)
+
+
+def test_a_bad_assignment_aboard_at_a_restart_is_refused_and_the_companion_stands_by(port):
+    aboard(port, wind_process="moon")
+    assert taken_up(port) is None
+    assert port.current is None
+    (told,) = [e for e in port.log.after(0) if e.kind is EventKind.OUTCOME]
+    assert (told.outcome, told.home, told.assignment) == ("ABRT", True, "a1")
+    assert "no such wind process" in told.text
+    again = ask(port, Launch(assignment="a1"))
+    assert (again.answer, again.reason) == (Answered.REFUSED, "assignment a1 is over")
+
+
+def test_a_flight_that_began_and_cannot_be_read_any_more_is_not_said_to_be_home(port):
+    path = aboard(port)
+    (path.parent / "checkpoint.json").write_text("{}")
+    path.write_text("torn")
+    assert taken_up(port) is None
+    (told,) = [e for e in port.log.after(0) if e.kind is EventKind.OUTCOME]
+    assert (told.outcome, told.home, told.drop_unproven) == ("FAIL", False, True)
+
+
+def test_a_good_assignment_aboard_at_a_restart_is_gone_on_with(port):
+    aboard(port)
+    assert taken_up(port).flight.mission.wind_process == "coast"
+    assert port.current is not None
+
+
+def test_a_record_of_the_assignment_that_is_torn_is_moved_aside(tmp_path):
+    folder = tmp_path / "d1"
+    folder.mkdir()
+    (folder / fleet_port.CURRENT).write_text('{"content": "{}", "crc32": 1}')
+    nowhere = config_file(tmp_path / "v.json5", connect=free_port())
+    vehicle = Vehicle("d1", folder, nowhere)
+    vehicle.close()
+    assert vehicle.port.current is None
+    assert (folder / "current.broken").exists()
+    assert "moved aside" in vehicle.port.log.after(0)[0].text
 
 
 def test_events_outlive_a_kill_and_a_torn_last_line_is_left_out(tmp_path):

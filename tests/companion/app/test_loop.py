@@ -16,9 +16,10 @@ from companion.adapters.autopilots.link import Incoming
 from companion.adapters.files.folder_lock import FolderLock
 from companion.adapters.files.params import digest_of, read_airframe, read_flight, read_wind_process
 from companion.app.flight import run as run_module
+from companion.app.flight.loaded_flight import requirements
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.run import BROKEN, requirements
+from companion.app.flight.run import BROKEN
 from companion.core.mission.actions import (
     DropOrders,
     Publish,

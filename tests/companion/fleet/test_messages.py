@@ -54,7 +54,9 @@ def a_state(**more: object) -> State:
 
 
 def test_every_message_comes_back_as_it_went():
-    event = FleetEvent(vehicle="d1", log="l", seq=3, epoch_us=1, kind=EventKind.SAID, text="é\n")
+    event = FleetEvent(
+        vehicle="d1", log="l", seq=3, epoch_us=1, kind=EventKind.SAID, text="é -> [0]"
+    )
     result = Result(id="c1", vehicle="d1", life=LIFE, answer=Answered.LATER, reason="busy")
     command = a_command(Assign(assignment="a1", order="o1", flight={"format": "flight/1"}))
     assert decode_state(encode(a_state(p_home=0.99))) == a_state(p_home=0.99)

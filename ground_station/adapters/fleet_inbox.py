@@ -1,0 +1,262 @@
+"""What has come for the desk: a small box for each member, so that none can crowd out another.
+
+zenoh's threads only put bytes in; the desk's one thread takes them out and decodes them. Of a state
+only the newest counts. Events are held to a rate, a size and a number in a turn: what is left out
+is asked for again, since every state tells how many events there are. Answers to commands have a
+queue of their own.
+"""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from companion.core.base.safe_text import LONGEST_NAME, safe_text
+from companion.fleet.envelope import OVERHEAD_BYTES
+from companion.fleet.messages import (
+    LARGEST_BYTES,
+    FleetEvent,
+    Refused,
+    Result,
+    State,
+    decode_event,
+    decode_state,
+)
+from companion.fleet.topics import vehicle_of
+from ground_station.adapters.clock import monotonic_s
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    EventsReceived,
+    FleetInput,
+    LivelinessChanged,
+    MessageRejected,
+    StateReceived,
+)
+from ground_station.core.fleet.rate_limit import RateLimit
+
+EVENTS_HZ = 20.0
+"""A flight tells some 50 events in 20 minutes, and a handful at once when it ends."""
+
+EVENTS_BURST = 200
+EVENTS_A_TURN = 50
+"""Of one member: a transaction of 50 events of each of 100 members takes about a second."""
+
+GATHER_S = 0.05
+"""States and events that come within it are taken together: of a thousand vehicles, 50 at a time.
+Answers, and who comes and goes, wait for nothing.
+"""
+
+MOST_LIVES = 16
+"""Of one name at once. Two are one too many already; a flood of them is not worth more room."""
+
+MOST_MEMBERS = 5000
+"""Names that are kept: five times what one desk is meant for."""
+
+
+Opened = Callable[[str, bytes, str], bytes | Refused]
+Clock = Callable[[], float]
+
+_Raw = tuple[str, bytes]
+"""A member, and the bytes that came by its key."""
+
+
+_DECODERS: dict[str, Callable[[bytes], State | FleetEvent | Refused]] = {
+    "state": decode_state,
+    "event": decode_event,
+}
+
+
+@dataclass(slots=True)
+class _Box:
+    """One member's."""
+
+    events: deque[bytes] = field(default_factory=lambda: deque(maxlen=EVENTS_BURST))
+    limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
+    state: bytes | None = None
+    lives: set[str] = field(default_factory=set)
+    lives_told: set[str] = field(default_factory=set)
+    rejected: Counter[str] = field(default_factory=Counter)
+
+    def reject(self, why: str) -> None:
+        """Count it; of many reasons the first few are kept."""
+        self.rejected[why if why in self.rejected or len(self.rejected) < 8 else "other"] += 1
+
+
+class FleetInbox:
+    """Thread-safe. `hear_*` return at once; `receive` waits for the first."""
+
+    def __init__(
+        self, opened: Opened = lambda kind, raw, vehicle: raw, clock_s: Clock = monotonic_s
+    ) -> None:
+        """`opened(kind, raw, vehicle)`: the message that the vehicle itself has signed."""
+        self._opened = opened
+        self._clock_s = clock_s
+        self._news = threading.Condition()
+        self._boxes: dict[str, _Box] = {}
+        self._answers: deque[CommandAnswered] = deque()
+        self._replays: deque[tuple[str, list[bytes]]] = deque()
+        self._has_news = False
+        self._is_urgent = False
+
+    # --- in, from any thread -------------------------------------------------------------------
+
+    def hear_state(self, key: str, raw: bytes) -> None:
+        """A state came by this key: it takes the place of the one before."""
+        with self._news:
+            box = self._box_of(key, raw, "state")
+            if box is not None:
+                box.state = raw
+            self._wake()
+
+    def hear_event(self, key: str, raw: bytes) -> None:
+        """An event came by this key."""
+        with self._news:
+            box = self._box_of(key, raw, "event")
+            if box is not None and box.limit.take(self._clock_s()):
+                box.events.append(raw)
+            elif box is not None:
+                box.reject(f"more than {EVENTS_HZ:g} events a second: asked for again later")
+            self._wake()
+
+    def hear_replay(self, vehicle: str, raws: list[bytes]) -> None:
+        """All events that a member was asked for."""
+        with self._news:
+            self._replays.append((vehicle, raws))
+            self._wake()
+
+    def hear_answer(self, command_id: str, result: Result | None) -> None:
+        """The answer to a command of this desk, or `None` for none."""
+        with self._news:
+            self._answers.append(CommandAnswered(command_id, result))
+            self._wake(urgent=True)
+
+    def hear_life(self, vehicle: str, life: str, *, up: bool) -> None:
+        """A life of a member has come or gone."""
+        with self._news:
+            box = self._of(vehicle)
+            if box is None:
+                return
+            if up and life not in box.lives and len(box.lives) >= MOST_LIVES:
+                box.reject(f"more than {MOST_LIVES} lives of one name")
+            else:
+                (box.lives.add if up else box.lives.discard)(life)
+            self._wake(urgent=True)
+
+    def reject(self, vehicle: str | None, why: str) -> None:
+        """Something came that is no message of a member."""
+        with self._news:
+            box = self._of(vehicle or "")
+            if box is not None:
+                box.reject(why)
+            self._wake()
+
+    def _box_of(self, key: str, raw: bytes, kind: str) -> _Box | None:
+        """Where a message goes that came by this key; `None`: nowhere."""
+        vehicle = vehicle_of(key)
+        box = self._of(vehicle or "")
+        if box is None:
+            return None
+        if vehicle is None:
+            box.reject(f"{safe_text(key)[:LONGEST_NAME]}: no key of a member")
+            return None
+        if len(raw) > LARGEST_BYTES[kind] + OVERHEAD_BYTES:
+            box.reject(f"{kind}: {len(raw)} bytes, expected at most {LARGEST_BYTES[kind]}")
+            return None
+        return box
+
+    def _of(self, vehicle: str) -> _Box | None:
+        box = self._boxes.get(vehicle)
+        if box is None and len(self._boxes) < MOST_MEMBERS:
+            box = self._boxes[vehicle] = _Box()
+        return box
+
+    def _wake(self, *, urgent: bool = False) -> None:
+        wakes = not self._has_news or (urgent and not self._is_urgent)
+        self._has_news = True
+        self._is_urgent = self._is_urgent or urgent
+        if wakes:
+            self._news.notify()
+
+    # --- out, by the desk's thread -------------------------------------------------------------
+
+    @property
+    def waiting(self) -> int:
+        """Answers, replays and events that have not been received."""
+        with self._news:
+            events = sum(len(box.events) for box in self._boxes.values())
+            return len(self._answers) + len(self._replays) + events
+
+    def receive(self, wait_s: float) -> list[FleetInput]:
+        """What has come, of each member a turn's worth; waits this long for the first.
+
+        Who is there comes first, then events, then answers (a vehicle tells what happened before it
+        answers), then the states that count the events.
+        """
+        with self._news:
+            if self._news.wait_for(lambda: self._has_news, timeout=wait_s):
+                self._news.wait_for(lambda: self._is_urgent, timeout=GATHER_S)
+            self._has_news = self._is_urgent = False
+            found = self._taken_lives()
+            answers, self._answers = self._answers, deque()
+            replays, self._replays = self._replays, deque()
+            events, states = self._taken_messages()
+        for vehicle, raws in replays:
+            found += self._replayed(vehicle, raws)
+        for vehicle, raw in events:
+            event = self._decoded(vehicle, "event", raw)
+            if isinstance(event, FleetEvent):
+                found.append(EventsReceived(vehicle, [event]))
+        found += answers
+        for vehicle, raw in states:
+            state = self._decoded(vehicle, "state", raw)
+            if isinstance(state, State):
+                found.append(StateReceived(state))
+        return found + self._taken_rejections()
+
+    def _taken_lives(self) -> list[FleetInput]:
+        """Who is there now and was not at the last call, and the other way round."""
+        found: list[FleetInput] = []
+        for vehicle, box in self._boxes.items():
+            changed = box.lives ^ box.lives_told
+            found += [LivelinessChanged(vehicle, x, up=x in box.lives) for x in sorted(changed)]
+            box.lives_told = set(box.lives)
+        return found
+
+    def _taken_messages(self) -> tuple[list[_Raw], list[_Raw]]:
+        """(events, states), of each member at most a turn's worth; the rest is news again."""
+        events: list[_Raw] = []
+        states: list[_Raw] = []
+        for vehicle, box in self._boxes.items():
+            count = min(len(box.events), EVENTS_A_TURN)
+            events += [(vehicle, box.events.popleft()) for _ in range(count)]
+            self._has_news = self._has_news or bool(box.events)
+            if box.state is not None:
+                states.append((vehicle, box.state))
+                box.state = None
+        return events, states
+
+    def _taken_rejections(self) -> list[FleetInput]:
+        found: list[FleetInput] = []
+        with self._news:
+            for vehicle, box in self._boxes.items():
+                counted, box.rejected = box.rejected, Counter()
+                found += [MessageRejected(vehicle, why, n) for why, n in counted.items()]
+        return found
+
+    def _replayed(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
+        decoded = [self._decoded(vehicle, "event", raw) for raw in raws]
+        events = [event for event in decoded if isinstance(event, FleetEvent)]
+        events.sort(key=lambda event: event.seq)
+        return [EventsReceived(vehicle, events, replayed=True)] if events else []
+
+    def _decoded(self, vehicle: str, kind: str, raw: bytes) -> State | FleetEvent | None:
+        """A message of the vehicle whose key it came by; anything else is rejected."""
+        told = self._opened(kind, raw, vehicle)
+        message = told if isinstance(told, Refused) else _DECODERS[kind](told)
+        if isinstance(message, Refused):
+            self.reject(vehicle, message.reason)
+            return None
+        if message.vehicle != vehicle:
+            self.reject(vehicle, f"speaks for {message.vehicle}")
+            return None
+        return message
