@@ -18,6 +18,7 @@ from companion.fleet.membership import JoinOptions, join
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.store.database import Database
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
 from ground_station.core.fleet.fleet_link import StateReceived
@@ -128,7 +129,9 @@ def test_an_open_desk_says_so(tmp_path):
 def test_every_status_of_an_open_network_says_so(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = str(config_file(tmp_path / "a.json5", listen=free_port()))
+    Database("sqlite:///desk.db").close()
     words = ["watch", "--fleet", FLEET, "--zenoh", config, "--seconds", "0.1"]
+    words += ["--store", "sqlite:///desk.db"]
     assert "OPEN NETWORK" not in CliRunner().invoke(app, words).output
     assert "OPEN NETWORK" in CliRunner().invoke(app, [*words, "--open-network"]).output
 

@@ -44,7 +44,7 @@ from companion.fleet.messages import (
     encode,
 )
 from ground_station.app.views.terminal import terminal
-from ground_station.app.views.watch_view import watch_view
+from ground_station.app.views.watch_view import WatchRows, watch_view
 from ground_station.core.fleet.fleet_status import FleetStatus
 
 ATTACKS = (
@@ -136,7 +136,7 @@ def watched(raw: bytes) -> str:
     assert isinstance(state, State), state
     status = FleetStatus()
     status.on_state(state, 0.0, 0)
-    console.print(watch_view(status, [], [], 0.0))
+    console.print(watch_view(status, WatchRows(), 0.0))
     return out.getvalue()
 
 

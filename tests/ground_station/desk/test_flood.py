@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from companion.fleet.envelope import OVERHEAD_BYTES
 from companion.fleet.messages import (
     LARGEST_BYTES,
     Answered,
@@ -78,7 +79,7 @@ class Inboxed:
     """A network whose messages are handed to the desk's inbox; what is asked for is counted."""
 
     def __init__(self, clock: Clock) -> None:
-        self.inbox = FleetInbox(clock.monotonic_s)
+        self.inbox = FleetInbox(clock_s=clock.monotonic_s)
         self.states_asked = 0
         self.events_asked: list[tuple[str, int]] = []
 
@@ -128,7 +129,7 @@ def counted(database: Database, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_of_a_flood_a_turn_takes_a_few_and_everything_of_the_others():
-    inbox = FleetInbox(lambda: 0.0)
+    inbox = FleetInbox(clock_s=lambda: 0.0)
     flood(inbox)
     inbox.hear_event(key("d2", "event"), event("d2", 1))
     inbox.hear_state(key("d2", "state"), state("d2", 1.0, 1))
@@ -239,7 +240,7 @@ def test_canary_asked_at_each_arrival_500_that_join_are_asked_500_times(desk, mo
 
 
 def test_lives_names_and_sizes_are_bounded():
-    inbox = FleetInbox(lambda: 0.0)
+    inbox = FleetInbox(clock_s=lambda: 0.0)
     for number in range(1000):
         inbox.hear_life("d1", f"life-{number}", up=True)
     joined = [x for x in inbox.receive(0.0) if isinstance(x, LivelinessChanged)]
@@ -251,12 +252,12 @@ def test_lives_names_and_sizes_are_bounded():
     for number in range(MOST_MEMBERS + 100):
         inbox.hear_state(key(f"x{number}", "state"), b"{}")
     assert len(inbox.receive(0.0)) <= MOST_MEMBERS + 1
-    inbox.hear_event(key("d1", "event"), b" " * (LARGEST_BYTES["event"] + 1))
+    inbox.hear_event(key("d1", "event"), b" " * (LARGEST_BYTES["event"] + OVERHEAD_BYTES + 1))
     assert inbox.waiting == 0
 
 
 def test_who_comes_and_goes_between_two_turns_was_never_there():
-    inbox = FleetInbox(lambda: 0.0)
+    inbox = FleetInbox(clock_s=lambda: 0.0)
     inbox.hear_life("d1", "a", up=True)
     inbox.hear_life("d1", "a", up=False)
     assert inbox.receive(0.0) == []
