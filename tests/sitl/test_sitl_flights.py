@@ -237,6 +237,7 @@ CASES = [
         "GNSS lost for good brings it down whole where it is, and it says where",
         down_whole_and_said_where,
         {"faults": [fault("gnss_lost", phase="return", at_s=4.0)]},
+        {},
     ),
     Case(
         "garbage, torn, doubled, late and foreign frames and unknown fields lose nothing",

@@ -18,6 +18,7 @@ class Sample:
     usable_wh: float
     energy_used_wh: float = 0.0
     power_w: float = 400.0
+    crashed: bool = False
     vel_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wind_to_ned_mps: tuple[float, float, float] = (1.0, 2.0, 0.0)
 
