@@ -143,3 +143,36 @@ def test_a_fleet_without_identities_loads_no_cryptography():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+JOIN_400 = """
+import os, sys, zenoh
+from pathlib import Path
+from companion.fleet.zenoh_config import read_config
+ours = lambda path: read_config(Path(path))
+opened = {"ours": ours, "zenoh's": zenoh.Config.from_file}[sys.argv[1]]
+held = [zenoh.open(opened(sys.argv[2]))]
+try:
+    for number in range(400):
+        held.append(zenoh.open(opened(sys.argv[3])))
+except zenoh.ZError:
+    pass
+print(len(held) - 1, flush=True)
+os._exit(0)
+"""
+
+
+def test_a_desk_is_joined_by_400_members(tmp_path):
+    """The canary: with what zenoh itself does about shared memory the 352nd is refused."""
+    port = free_port()
+    desk, member = config_file(tmp_path / "desk.json5", listen=port), tmp_path / "member.json5"
+    calls = {"connect": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    member.write_text(json.dumps({"mode": "client", **calls, **alone}))
+    joined: dict[str, int] = {}
+    for whose in ("ours", "zenoh's"):
+        words = [sys.executable, "-c", JOIN_400, whose, str(desk), str(member)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        joined[whose] = int(done.stdout)
+    assert joined["ours"] == 400
+    assert joined["zenoh's"] < 400

@@ -28,7 +28,10 @@ def zenoh_json(roster: Roster, member: RosterMember) -> str:
     listens = member.role in LISTENS and bool(member.address)
     table = _listener(roster, member) if listens else _client(roster)
     table["scouting"] = {"multicast": {"enabled": False}}
-    table["transport"] = {"link": {"tx": {"lease": LEASE_MS}, "tls": _tls(listens=listens)}}
+    table["transport"] = {
+        "link": {"tx": {"lease": LEASE_MS}, "tls": _tls(listens=listens)},
+        "shared_memory": {"enabled": False},  # as `read_config` has it: for zenoh's own router
+    }
     if listens:
         table["transport"]["unicast"] = MANY_CALLERS
     return json.dumps(table, indent=2) + "\n"

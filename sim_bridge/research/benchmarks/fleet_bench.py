@@ -102,7 +102,11 @@ class Member:
 
 
 def _members(first: int, count: int, config_file: Path, folder: Path, seed: int) -> None:
-    """Serve until standard input ends, then tell what was flown."""
+    """Say that it is loaded; join at a word; serve until standard input ends, then tell what was
+    flown.
+    """
+    print("loaded", flush=True)
+    sys.stdin.readline()
     config, airframe = read_config(config_file), read_airframe("m100")
     stop = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
@@ -203,7 +207,7 @@ class Bench:
         fleet = ZenohFleet(FLEET, config)
         desk = Desk(Exchange(store, fleet, self._hear), GiveAll(store))
         desk.begin()
-        begun_s = wall_s()
+        begun_s = _let_join(members)
         joined_s = self._join(desk)
         cpu_s, since_s, bytes_before = _cpu_s(), wall_s(), self._store_bytes()
         while wall_s() - since_s < 60.0 * self.minutes:
@@ -339,6 +343,19 @@ def _python(*arguments: str) -> "subprocess.Popen[str]":
     )
 
 
+def _let_join(members: list["subprocess.Popen[str]"]) -> float:
+    """All join at the same moment, when each has loaded its programs; returns that moment."""
+    for process in members:
+        assert process.stdout is not None
+        process.stdout.readline()
+    begun_s = wall_s()
+    for process in members:
+        assert process.stdin is not None
+        process.stdin.write("join\n")
+        process.stdin.flush()
+    return begun_s
+
+
 def _flown(process: "subprocess.Popen[str]") -> list[str]:
     """What its members have flown; ends the process."""
     out, _ = process.communicate("", timeout=60.0)
@@ -387,7 +404,7 @@ def _route(config_file: Path) -> None:
     """A router: zenoh's own, until standard input ends."""
     import zenoh
 
-    with zenoh.open(zenoh.Config.from_file(str(config_file))):
+    with zenoh.open(read_config(config_file)):
         sys.stdin.read()
     os._exit(0)
 
