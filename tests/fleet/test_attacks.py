@@ -393,6 +393,12 @@ def test_a_command_of_who_may_not_command_is_not_carried_out(plain, monkeypatch,
     assert (result.id, result.answer) == expected
 
 
+def test_who_is_named_by_way_of_the_signer_already_is_named_so_once(plain):
+    told = encode(limits(plain.d1, by="ben by way of anna"))
+    plain.ask(trust_of(plain.site, "anna").seal("command", told))
+    assert [command.by for command in plain.d1.done] == ["ben by way of anna"]
+
+
 @GUARD
 def test_a_replayed_command_is_carried_out_once(plain, monkeypatch, guarded):
     if not guarded:
