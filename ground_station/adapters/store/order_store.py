@@ -258,6 +258,22 @@ class Store:
             db.execute(sa.update(t.commands).where(here).values(sent=True))
         return True
 
+    def seen_flying(self, assignment: str, life: str) -> bool:
+        """Its vehicle flies, and a launch that a hold kept from being sent again is not answered:
+        it was carried out. False where there is none.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
+            row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
+            launch = None if row is None else rows.launch_on_its_way(db, assignment)
+            if row is None or launch is None:
+                return False
+            if launch.answer is None and holds.hold_of(db, row.vehicle) is None:
+                return False  # it is sent again, and answered
+            rows.carried_out(db, self._now(), launch, life)
+            audit.note(db, self._now(), row.vehicle, "answer", launch.id, "done: seen in flight")
+        return True
+
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch did not happen (the companion restarted before take-off): aboard again."""
         with self._database.write() as db:
@@ -338,6 +354,7 @@ class Store:
     def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
         """Note a final answer and what follows from it; False where it was answered before.
 
+        A launch that left the desk and was then made void there is answered by its vehicle still.
         It does not wait for the disk: after a power cut the command is sent again, and answered
         the same.
         """
@@ -347,7 +364,7 @@ class Store:
             ).one_or_none()
             done = db.execute(
                 sa.update(t.commands)
-                .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
+                .where(t.commands.c.id == command_id, rows.awaits_its_vehicle())
                 .values(
                     answer=answer.value,
                     reason=reason,
