@@ -7,6 +7,7 @@ attacker's: nothing but the signature is in his way.
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -230,8 +231,9 @@ def decoded(raw: bytes) -> Result:
     return msgspec.json.decode(raw, type=Result)
 
 
-@pytest.fixture
-def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+@contextmanager
+def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+    """Desk and d1 on it."""
     port = free_port()
     router = {"mode": "router", "scouting": {"multicast": {"enabled": False}, "delay": 0}}
     router["listen"] = {"endpoints": [f"tcp/127.0.0.1:{port}"]}
@@ -240,10 +242,18 @@ def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
     desk = site.person("desk", client)
     d1 = site.vehicle("d1", tmp_path / "d1", zenoh=client)
     assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
-    yield Plain(site, desk, d1, rogue)
-    d1.close()
-    desk.close()
-    rogue.close()
+    try:
+        yield Plain(site, desk, d1, rogue)
+    finally:
+        d1.close()
+        desk.close()
+        rogue.close()
+
+
+@pytest.fixture
+def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+    with plain_network(site, tmp_path) as made:
+        yield made
 
 
 def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
