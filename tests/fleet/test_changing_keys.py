@@ -135,7 +135,7 @@ def rejected(heard: FleetInput) -> str:
 
 def turn(desk: ZenohFleet, vehicle: Vehicle) -> None:
     desk.receive(0.02)
-    vehicle.port.turn(vehicle._carry_out)
+    vehicle.port.turn(lambda command: vehicle.answer)
 
 
 def taken(desk: ZenohFleet, vehicle: Vehicle, number: int) -> None:
