@@ -21,6 +21,7 @@ from companion.core.mission.mission_items import Part
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import FlightContext, HomeMoves, ReturnBudget
 from companion.core.pilot.transitions import OUTWARD_PHASES, Phase
+from companion.core.return_budget.budget import told_apart
 from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
 
 ASSESS_S = 1.0
@@ -177,7 +178,8 @@ class LandingSite:
         if ahead.stages and seen.turn_back:
             return Reply.DENIED, f"{words}: {seen.reason}"
         if not ahead.stages and seen.p_home < promise:
-            return Reply.DENIED, f"{words} is under {promise:.3f}"
+            low, high = told_apart(seen.p_home, promise)
+            return Reply.DENIED, f"P(home) {low} by way of {name} is under {high}"
         return Reply.ACCEPTED, words
 
     def _ending_at(self, context: FlightContext, here: Ned, name: str) -> Ahead | None:

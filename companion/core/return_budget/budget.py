@@ -32,6 +32,14 @@ _WORTH_TIE = 0.0005  # of probability: the samples' own noise where nothing is a
 _TIE = 0.002  # of probability: turning must be so much worse for flying on to be the way out
 
 
+def told_apart(low: float, high: float) -> tuple[str, str]:
+    """Two probabilities as words, with as many digits as it takes to see which is the lower."""
+    for digits in range(3, 7):
+        if f"{low:.{digits}f}" != f"{high:.{digits}f}":
+            return f"{low:.{digits}f}", f"{high:.{digits}f}"
+    return f"{low:.9f}", f"{high:.9f}"
+
+
 @dataclass(frozen=True, slots=True)
 class GateParams:
     """The operator's risk and ours. `reserve_wh` must still be there after landing.
@@ -180,17 +188,29 @@ class Gate:
     def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> GateDecision:
         promise = 1.0 - accepted
         if seen.p_onward < promise and seen.p_now >= seen.p_onward - _TIE:
-            words = f"P(home) from the next point {seen.p_onward:.3f} is under {promise:.3f}"
+            words = f"P(home) from the next point {self._is_under(seen.p_onward, promise)}"
             return GateDecision(True, seen.p_now, 0.0, words)
         p_home, p_success = seen.of_flying_on(promise)
         if weighs_worth and (words := self._not_worth_it(seen, promise, p_home, p_success)):
             return GateDecision(True, seen.p_now, 0.0, words)
-        words = KEEPS_PROMISE
+        return GateDecision(False, p_home, p_success, self._why_on(seen, promise, p_home))
+
+    def _why_on(self, seen: Chances, promise: float, p_home: float) -> str:
+        whole = 1.0 - self.params.max_loss
         if seen.p_onward < promise:
-            words = (
-                f"P(home) {seen.p_onward:.3f} is under {promise:.3f}, but turning here is no better"
+            return (
+                f"P(home) {self._is_under(seen.p_onward, promise)}, but turning here is no better"
             )
-        return GateDecision(False, p_home, p_success, words)
+        if min(p_home, seen.p_onward) < whole:
+            least, has = told_apart(promise, seen.p_onward)
+            words = f"at one decision at least {least}, over the mission {whole:.3f}"
+            return f"P(home) from the next point {has}: {words}"
+        return KEEPS_PROMISE
+
+    def _is_under(self, p: float, promise: float) -> str:
+        low, high = told_apart(p, promise)
+        one = "" if promise == 1.0 - self.params.max_loss else ", the least at one decision"
+        return f"{low} is under {high}{one}"
 
     def _not_worth_it(
         self, seen: Chances, promise: float, p_home: float, p_success: float

@@ -15,6 +15,11 @@ from companion.fleet.zenoh_config import LEASE_MS
 
 TLS_CERTIFICATE, TLS_KEY, TLS_AUTHORITIES = "tls.pem", "tls.key", "ca.pem"
 
+MANY_CALLERS = {"max_sessions": 5000, "accept_pending": 1000}
+"""zenoh's own limits are 1000 members, and 100 of them calling at the same moment: a fleet that
+comes back after a cut would wait for its turn.
+"""
+
 Rule = dict[str, Any]
 
 
@@ -24,6 +29,8 @@ def zenoh_json(roster: Roster, member: RosterMember) -> str:
     table = _listener(roster, member) if listens else _client(roster)
     table["scouting"] = {"multicast": {"enabled": False}}
     table["transport"] = {"link": {"tx": {"lease": LEASE_MS}, "tls": _tls(listens=listens)}}
+    if listens:
+        table["transport"]["unicast"] = MANY_CALLERS
     return json.dumps(table, indent=2) + "\n"
 
 

@@ -13,7 +13,16 @@ import msgspec
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from companion.fleet.messages import Answered, Assign, Deed, EventKind, FleetEvent, Launch, Withdraw
+from companion.fleet.messages import (
+    Answered,
+    Assign,
+    Deed,
+    EventKind,
+    FleetEvent,
+    Launch,
+    Result,
+    Withdraw,
+)
 from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
@@ -352,33 +361,19 @@ class Store:
             )
 
     def answered(self, command_id: str, answer: Answered, reason: str, life: str) -> bool:
-        """Note a final answer and what follows from it; False where it was answered before.
+        """Note one final answer; False where it was answered before."""
+        result = Result(id=command_id, vehicle="", life=life, answer=answer, reason=reason)
+        return bool(self.take_answers([result]))
+
+    def take_answers(self, results: list[Result]) -> set[str]:
+        """Note final answers and what follows from them; the ids of commands that had none before.
 
         A launch that left the desk and was then made void there is answered by its vehicle still.
         It does not wait for the disk: after a power cut the command is sent again, and answered
         the same.
         """
         with self._database.write(settle=False) as db:
-            row = db.execute(
-                sa.select(t.commands).where(t.commands.c.id == command_id)
-            ).one_or_none()
-            done = db.execute(
-                sa.update(t.commands)
-                .where(t.commands.c.id == command_id, rows.awaits_its_vehicle())
-                .values(
-                    answer=answer.value,
-                    reason=reason,
-                    life=life,
-                    answered_us=self._now(),
-                )
-            )
-            if row is None or done.rowcount != 1:
-                return False
-            command = rows.command_row(row)
-            rows.follow(db, self._now(), command, answer, reason)
-            said = f"{answer.value}: {reason}" if reason else answer.value
-            audit.note(db, self._now(), command.vehicle, "answer", command_id, said)
-        return True
+            return {result.id for result in results if self._take_answer(db, result)}
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
         """All assignments, oldest first; with `in_force` only those that are not over."""
@@ -430,6 +425,27 @@ class Store:
         return [msgspec.json.decode(row, type=FleetEvent) for row in found]
 
     # --- inside a transaction ------------------------------------------------------------------
+
+    def _take_answer(self, db: sa.Connection, result: Result) -> bool:
+        here = t.commands.c.id == result.id
+        row = db.execute(sa.select(t.commands).where(here)).one_or_none()
+        done = db.execute(
+            sa.update(t.commands)
+            .where(here, rows.awaits_its_vehicle())
+            .values(
+                answer=result.answer.value,
+                reason=result.reason,
+                life=result.life,
+                answered_us=self._now(),
+            )
+        )
+        if row is None or done.rowcount != 1:
+            return False
+        command, answer = rows.command_row(row), result.answer
+        rows.follow(db, self._now(), command, answer, result.reason)
+        said = f"{answer.value}: {result.reason}" if result.reason else answer.value
+        audit.note(db, self._now(), command.vehicle, "answer", result.id, said)
+        return True
 
     def _take(self, db: sa.Connection, event: FleetEvent) -> bool:
         there = db.execute(

@@ -11,8 +11,18 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
 
-from companion.fleet.messages import FINAL, Command, FleetEvent, Launch, Recall, State
+from companion.fleet.messages import (
+    FINAL,
+    Command,
+    FleetEvent,
+    Launch,
+    Recall,
+    Result,
+    State,
+)
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.store.database import StoreError
 from ground_station.adapters.store.order_store import Store
@@ -81,18 +91,9 @@ class Exchange:
 
     def listen(self, wait_s: float) -> None:
         """Take what has come, waiting this long for the first; ask for what was missed."""
-        batches: list[EventsReceived] = []
-        for received in self.fleet.receive(wait_s):
-            if isinstance(received, EventsReceived):
-                batches.append(received)
-                continue
-            with self.store_may_be_away():  # in the order in which things came
-                self._take_events(batches)
-            batches = []
+        for kind, run in groupby(self.fleet.receive(wait_s), key=type):  # in the order they came
             with self.store_may_be_away():
-                self._take(received)
-        with self.store_may_be_away():
-            self._take_events(batches)
+                self._take(kind, list(run))
         with self.store_may_be_away():
             self._ask_for_missed_events()
         self._ask_states()
@@ -121,18 +122,26 @@ class Exchange:
 
     # --- in ------------------------------------------------------------------------------------
 
-    def _take(self, received: FleetInput) -> None:
+    def _take(self, kind: type, run: list[Any]) -> None:
+        """Inputs of one kind: what the store must note of them is one transaction."""
+        if kind is EventsReceived:
+            self._take_events(run)
+        elif kind is CommandAnswered:
+            self._take_answers(run)
+        else:
+            for received in run:
+                self._take_one(received)
+
+    def _take_one(self, received: FleetInput) -> None:
         match received:
             case LivelinessChanged():
                 self._take_liveliness(received)
             case StateReceived():
                 self._take_state(received.state)
-            case EventsReceived():
-                self._take_events([received])
-            case CommandAnswered():
-                self._take_answer(received)
             case MessageRejected():
                 self._take_rejected(received)
+            case EventsReceived() | CommandAnswered():
+                pass  # taken together
 
     def _take_rejected(self, received: MessageRejected) -> None:
         """Say it, and how many there were since it was said last. Where somebody sends what is not
@@ -151,8 +160,6 @@ class Exchange:
 
     def _take_events(self, batches: list[EventsReceived]) -> None:
         """All that came together, in one transaction."""
-        if not batches:
-            return
         new = self.store.take_event_batches([(b.events, b.replayed) for b in batches])
         for received in batches:
             for log in {event.log for event in received.events}:
@@ -196,17 +203,25 @@ class Exchange:
         self._states_wanted, self._states_asked_s = False, now_s
         self.fleet.ask_states(ANSWER_S)
 
-    def _take_answer(self, received: CommandAnswered) -> None:
-        id_, result = received.command_id, received.result
-        self._sent.discard(id_)
-        if result is None or result.answer not in FINAL:
-            why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
-            self._retry_s[id_] = self.clock.monotonic_s() + RETRY_S
-            self.store.tried(id_, why)
-            return
-        if self.store.answered(id_, result.answer, result.reason, result.life):
-            self.say(f"{result.vehicle}: {id_}: {result.answer.value} {result.reason}")
-            self.changed = True
+    def _take_answers(self, answers: list[CommandAnswered]) -> None:
+        self._sent -= {received.command_id for received in answers}
+        final: list[Result] = []
+        for received in answers:
+            if received.result is not None and received.result.answer in FINAL:
+                final.append(received.result)
+            else:
+                self._try_again(received)
+        new = self.store.take_answers(final) if final else set[str]()
+        for result in final:
+            if result.id in new:
+                self.say(f"{result.vehicle}: {result.id}: {result.answer.value} {result.reason}")
+                self.changed = True
+
+    def _try_again(self, received: CommandAnswered) -> None:
+        result = received.result
+        why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
+        self._retry_s[received.command_id] = self.clock.monotonic_s() + RETRY_S
+        self.store.tried(received.command_id, why)
 
     def _say_event(self, event: FleetEvent) -> None:
         order = f" [{event.order}]" if event.order else ""

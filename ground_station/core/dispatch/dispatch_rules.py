@@ -163,6 +163,9 @@ class DispatchRules:
         return [RequestHomeChange(row.id, here.id, why)]
 
     def _recover(self, row: SortieRow, day: DaySnapshot) -> list[DispatchAction]:
+        drone = day.drone(row.vehicle)
+        if drone.present and drone.assignment == row.id:
+            return []  # its last state is of before the landing: it was still in the air there
         where = landed_at(row, day)
         if where is None:
             return [DeclareOffSite(row.id)]

@@ -73,7 +73,7 @@ def print_day(console: Console, row: dict[str, Any]) -> None:
         ("landed at", "left"),
         ("outcome", "left"),
         ("used\nWh", "right"),
-        ("margin\nWh", "right"),
+        ("above\nreserve", "right"),
     )
     for flight in row["flights"]:
         land_s = flight["land_s"]
@@ -147,7 +147,7 @@ def print_days(console: Console, rows: list[dict[str, Any]]) -> None:
         ("twice", "right"),
         ("promises\nbroken", "right"),
         ("nearest\nm", "right"),
-        ("least\nmargin Wh", "right"),
+        ("least above\nreserve Wh", "right"),
         ("minutes", "right"),
         ("x real\ntime", "right"),
     )

@@ -143,7 +143,7 @@ def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
         ("\nvehicle", "left"),
         ("\nend", "left"),
         ("used\nWh", "right"),
-        ("margin\nWh", "right"),
+        ("above\nreserve", "right"),
         ("time\ns", "right"),
         ("wind\nRMSE", "right"),
         ("\nNEES", "right"),

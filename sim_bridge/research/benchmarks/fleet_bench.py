@@ -32,6 +32,7 @@ from companion.fleet.messages import Answered, Assign, Command, EventKind, Launc
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_config import read_config
 from companion.fleet.zenoh_link import ZenohLink
+from ground_station.adapters.pki.access_rules import MANY_CALLERS
 from ground_station.adapters.store import tables
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
@@ -45,13 +46,17 @@ from ground_station.core.schema.orders import AssignmentRow, Order, OrderState
 FLEET = "bench"
 A_PROCESS = 50
 TURN_S = 0.1
-FLIGHT_S = (20.0, 40.0)
-"""How long a member is in the air, drawn: a vehicle takes two orders a minute, many times a real
-one's rate.
-"""
+FLIGHT_S = (50.0, 70.0)
+"""How long a member is in the air, drawn."""
+
+ORDER_EVERY_S = 100.0
+"""Of each vehicle, while orders come in at a steady rate: ten times as often as a real one's."""
+
+A_TURN = 10
+"""Assignments of one turn; then the desk listens again."""
 
 JOIN_LIMIT_S = 180.0
-SETTLE_S = 45.0
+SETTLE_S = 90.0
 """After the last assignment, until every flight has landed and told of it."""
 
 FLIGHT: dict[str, Any] = {"format": "flight/1", "site": {"customer": {"name": "x"}}}
@@ -145,8 +150,10 @@ class GiveAll:
         del changed
         if not self.assigns:
             return Progress.NONE
+        opened = [r.order.id for r in self.store.orders() if r.state is OrderState.OPEN][:A_TURN]
+        if not opened:
+            return Progress.NONE
         held = {row.vehicle for row in self.store.assignments(in_force=True)}
-        opened = [r.order.id for r in self.store.orders() if r.state is OrderState.OPEN]
         idle = [s.vehicle for s in status.vehicles.values() if _is_idle(s.state)]
         free = [name for name in idle if name not in held]
         for order, vehicle in zip(opened, free, strict=False):
@@ -183,6 +190,7 @@ class Bench:
     folder: Path
     seed: int
     gone: int = 0
+    taken: int = 0
 
     def run(self) -> dict[str, Any]:
         """Start everything, let it fly, and count."""
@@ -197,10 +205,9 @@ class Bench:
         desk.begin()
         begun_s = wall_s()
         joined_s = self._join(desk)
-        count = max(1, round(self.vehicles * self.minutes * 2))
-        store.add_orders([_order(n) for n in range(count)])
         cpu_s, since_s, bytes_before = _cpu_s(), wall_s(), self._store_bytes()
         while wall_s() - since_s < 60.0 * self.minutes:
+            self._take_orders((wall_s() - since_s) * self.vehicles / ORDER_EVERY_S)
             desk.turn(0.2)
         busy = (_cpu_s() - cpu_s) / (wall_s() - since_s)
         hours, grown = (wall_s() - since_s) / 3600, self._store_bytes() - bytes_before
@@ -223,6 +230,13 @@ class Bench:
             "joined_s": None if joined_s is None else round(joined_s - begun_s, 1),
             **self._orders(flown),
         }
+
+    def _take_orders(self, due: float) -> None:
+        """Orders that have come in by now."""
+        fresh = [_order(number) for number in range(self.taken, int(due) + 1)]
+        if fresh:
+            self.store.add_orders(fresh)
+            self.taken += len(fresh)
 
     def _hear(self, words: str) -> None:
         """A member that leaves while all are alive is falsely gone."""
@@ -268,8 +282,7 @@ class Bench:
     def _store_bytes(self) -> int:
         if self.store_file is None:
             return 0
-        files = self.store_file.parent.glob(f"{self.store_file.name}*")
-        return sum(file.stat().st_size for file in files)
+        return self.store_file.stat().st_size  # beside it lie at most 4 MB of its journal
 
     # --- processes and configurations ---------------------------------------------------------
 
@@ -277,7 +290,8 @@ class Bench:
         """The desk's: it listens, or calls every router."""
         ends = [f"tcp/127.0.0.1:{port}" for port in ports]
         how = {"connect": {"endpoints": ends}} if self.routers else {"listen": {"endpoints": ends}}
-        return _write(self.folder / "desk.json5", {"mode": "peer", **how})
+        many = {"transport": {"unicast": MANY_CALLERS}}
+        return _write(self.folder / "desk.json5", {"mode": "peer", **how, **many})
 
     @contextlib.contextmanager
     def _processes(self, ports: list[int]) -> Iterator[list["subprocess.Popen[str]"]]:
@@ -297,7 +311,8 @@ class Bench:
                         pipe.close()
 
     def _router(self, port: int) -> "subprocess.Popen[str]":
-        table = {"mode": "router", "listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
+        listens = {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
+        table = {"mode": "router", **listens, "transport": {"unicast": MANY_CALLERS}}
         config = _write(self.folder / f"router-{port}.json5", table)
         return _python("router", str(config))
 

@@ -1,6 +1,7 @@
 """The gate: closed forms, brute force, monotony, and calibration in a toy world of its own."""
 
 import math
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams, Stage, WayHome
+from companion.core.return_budget.budget import (
+    KEEPS_PROMISE,
+    Ahead,
+    Assessment,
+    Gate,
+    GateParams,
+    Stage,
+    WayHome,
+    told_apart,
+)
 from companion.core.return_budget.outcomes import Budget
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import airframe_from_dict
@@ -219,6 +229,44 @@ def test_when_all_is_nearly_lost_the_better_chance_is_taken() -> None:
     assert not answer.turn_back
     assert answer.p_home > answer.p_home_now + 0.02
     assert "turning here is no better" in answer.reason
+
+
+def test_the_figures_of_a_reason_differ_as_its_words_say() -> None:
+    """What is "under" is lower as it is printed, and the bound that is named is the one that held:
+    one decision's, or the whole mission's."""
+    gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=15.0))
+    ahead, seen = mission(1800.0, 6, 5), set[str]()
+    for left_wh in np.arange(67.0, 75.0, 0.05):
+        answer = gate.assess(
+            ahead, believed(0.0, -8.0, 0.5), followed(0.0, -8.0), energy(left_wh),
+            accepted_loss=0.03, weighs_worth=False,
+        )  # fmt: skip
+        figures = [float(figure) for figure in re.findall(r"0\.\d+", answer.reason)]
+        if " is under " in answer.reason:
+            seen.add("under")
+            assert figures[0] < figures[1] == 0.97
+            assert answer.reason.endswith(("the least at one decision", "is no better"))
+        elif figures:
+            seen.add("between")
+            assert figures[0] > figures[1] == 0.97
+            assert figures[2] == 0.99
+        else:
+            seen.add("kept")
+            assert answer.reason == KEEPS_PROMISE
+            assert answer.p_home >= 0.99
+    assert seen == {"under", "between", "kept"}
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.95, 0.97, ("0.950", "0.970")),
+        (0.9697, 0.97, ("0.9697", "0.9700")),
+        (0.96999999, 0.97, ("0.969999990", "0.970000000")),
+    ],
+)
+def test_two_figures_have_as_many_digits_as_it_takes_to_tell_them_apart(low, high, words) -> None:
+    assert told_apart(low, high) == words
 
 
 def test_a_stronger_headwind_home_or_a_less_certain_one_lowers_the_margin() -> None:

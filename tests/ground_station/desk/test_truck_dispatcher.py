@@ -141,9 +141,9 @@ def test_a_planned_day_is_carried_out_and_ends_with_everybody_aboard(day):
     assert [plan.revision for plan, _ in DayStore(told.database, lambda: 1).plans()] == [0]
 
 
-@pytest.mark.parametrize(
-    ("store_url", "seed"), [("sqlite", 0), ("sqlite", 1), ("postgresql", 0)], indirect=["store_url"]
-)
+@pytest.mark.drawn(keep=1, of="seed")
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("store_url", ["sqlite", "postgresql"], indirect=True)
 def test_killed_anywhere_with_lost_messages_no_order_is_lost_or_flown_twice(day, seed, store_url):
     told = day(seed, loss=0.2, url=store_url)
     told.run(kill_every=12)

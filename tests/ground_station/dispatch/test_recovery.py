@@ -1,0 +1,63 @@
+"""Where a drone is that has told of its landing: `DispatchRules` on hand-made days."""
+
+from dataclasses import replace
+
+import pytest
+
+from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
+from ground_station.core.dispatch.dispatch_actions import (
+    DeclareOffSite,
+    DispatchAction,
+    RecoverDrone,
+)
+from ground_station.core.dispatch.dispatch_rules import DispatchParams, DispatchRules
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.orders import AssignmentState
+from tests.ground_station.hand_made_day import TWO_STOPS, flight
+
+LANDED = flight("d1", "depot", 60.0, 60.0)
+PAD = LANDED.pads["depot"]
+FAR_LAT_DEG = PAD.lat_deg + 0.01
+"""1.1 km away."""
+
+
+def actions(
+    lat_deg: float, *, assignment: str | None, present: bool = True
+) -> list[DispatchAction]:
+    """What is due when d1 has told of its outcome, and was last seen there."""
+    row = replace(LANDED, row=replace(LANDED.row, state=AssignmentState.DELIVERED))
+    seen = DroneStatus(
+        "d1", present=present, assignment=assignment, lat_deg=lat_deg, lon_deg=PAD.lon_deg
+    )
+    plan = DayPlan(
+        format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
+        makespan_s=540.0, stops=TWO_STOPS, sorties=[row.sortie],
+    )  # fmt: skip
+    day = DaySnapshot(
+        now_s=270.0, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
+        drones={"d1": seen}, open=frozenset(), sorties=(row,), serves=(), told=None,
+    )  # fmt: skip
+    rules = DispatchRules(
+        DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True
+    )
+    return rules.decide(day)
+
+
+def test_who_is_down_at_a_stop_is_taken_in_and_who_is_down_elsewhere_is_to_be_fetched():
+    assert actions(PAD.lat_deg, assignment=None) == [RecoverDrone(LANDED.id, PAD)]
+    assert actions(FAR_LAT_DEG, assignment=None)[0] == DeclareOffSite(LANDED.id)
+
+
+@pytest.mark.parametrize("lat_deg", [PAD.lat_deg, FAR_LAT_DEG])
+def test_a_state_of_before_the_landing_is_no_place_to_judge_by(lat_deg):
+    """The outcome was heard, the next state was lost: the truck waits for the one after it. A truck
+    that took the last place in the air for the end drove off without its drone.
+    """
+    due = actions(lat_deg, assignment=LANDED.id)
+    assert due == []  # nor does the truck drive
+
+
+def test_who_is_not_heard_any_more_is_looked_for_where_it_was_promised():
+    assert actions(FAR_LAT_DEG, assignment=LANDED.id, present=False) == [
+        RecoverDrone(LANDED.id, PAD)
+    ]
