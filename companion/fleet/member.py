@@ -198,9 +198,10 @@ def _named_by_signer(command: Command, signer: str) -> Command:
     """The command by whom it is proven to come from: the desk may send in a person's name, and that
     name is told beside the desk's.
     """
-    if not signer or command.by == signer:
+    behind = f" by way of {signer}"
+    if not signer or command.by == signer or command.by.endswith(behind):
         return command
-    return msgspec.structs.replace(command, by=f"{command.by} by way of {signer}"[:64])
+    return msgspec.structs.replace(command, by=f"{command.by}{behind}"[:64])
 
 
 def _name_of(command: Command) -> str:

@@ -14,7 +14,7 @@ from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
 from companion.fleet.roles import COMMANDS, SPEAKS
 from companion.fleet.roster import Roster, RosterMember, SignedRoster, decode_signed_roster
-from companion.fleet.signature import is_signed, sign
+from companion.fleet.signature import is_signed, public_key_of, sign
 
 ROSTER_KIND = "roster"
 DAY_US = 86_400_000_000
@@ -117,10 +117,18 @@ class Trust:
         """Days until our own certificate ends; 0 where the roster does not list us."""
         return 0.0 if self.me is None else (self.me.not_after_us - self.epoch_us()) / DAY_US
 
+    def _trouble(self, me: RosterMember | None) -> str:
+        """Why nobody believes anything of ours; empty: they do."""
+        if me is None or me.revoked:
+            return f"{self.name} is {'revoked' if me else 'not on the roster'}"
+        if me.key != public_key_of(self.private):
+            return f"the signing key is not the one of {self.name} on the roster"
+        return ""
+
     def warning(self) -> str:
         """What a person should do about our own certificate; empty: nothing."""
-        if self.me is None or self.me.revoked:
-            return f"{self.name} is {'revoked' if self.me else 'not on the roster'}"
+        if trouble := self._trouble(self.me):
+            return trouble
         days = self.days_left()
         if days > WARN_DAYS:
             return ""
@@ -128,9 +136,10 @@ class Trust:
 
     def trouble_until(self, seconds: float) -> str:
         """Why nothing may begin that takes so long: our certificate would end meanwhile."""
-        if self.me is None or self.me.revoked:
-            return self.warning()
-        left_s = (self.me.not_after_us - self.epoch_us()) / 1e6
+        me = self.me
+        if me is None or self._trouble(me):
+            return self._trouble(me)
+        left_s = (me.not_after_us - self.epoch_us()) / 1e6
         if left_s >= seconds:
             return ""
         return (
@@ -141,8 +150,8 @@ class Trust:
     def command_trouble(self) -> str:
         """Why nobody would take a command of ours; empty: they would."""
         me = self.me
-        if me is None or me.revoked:
-            return self.warning()
+        if me is None or self._trouble(me):
+            return self._trouble(me)
         if me.role not in COMMANDS:
             return f"{self.name} is a {me.role.value}: may not command"
         return f"the certificate of {self.name} has expired" if self.is_over(me) else ""

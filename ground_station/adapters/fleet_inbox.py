@@ -1,9 +1,10 @@
 """What has come for the desk: a small box for each member, so that none can crowd out another.
 
-zenoh's threads only put bytes in; the desk's one thread takes them out and decodes them. Of a state
-only the newest counts. Events are held to a rate, a size and a number in a turn: what is left out
-is asked for again, since every state tells how many events there are. Answers to commands have a
-queue of their own.
+zenoh's threads only put bytes in; the desk's one thread takes them out and decodes them. Of a
+life's states only its newest counts; who signed them is not known before they are taken out, so a
+few are kept, and forged ones that come faster do not hide the true one. Events are held to a rate,
+a size and a number in a turn: what is left out is asked for again, since every state tells how many
+events there are. Answers to commands have a queue of their own.
 """
 
 import threading
@@ -41,6 +42,16 @@ EVENTS_BURST = 200
 EVENTS_A_TURN = 50
 """Of one member: a transaction of 50 events of each of 100 members takes about a second."""
 
+STATES_A_TURN = 64
+"""Of one member. It sends one a second: more are somebody else's, and each costs a look at its
+signature (0.1 ms). So many at once are looked at without gathering more, 8 ms of them.
+"""
+
+ASKED_A_TURN = 8
+"""States of one member that came because this desk asked for them: it answers once, and who sends
+without being asked cannot push that out.
+"""
+
 GATHER_S = 0.05
 """States and events that come within it are taken together: of a thousand vehicles, 50 at a time.
 Answers, and who comes and goes, wait for nothing.
@@ -72,7 +83,8 @@ class _Box:
 
     events: deque[bytes] = field(default_factory=lambda: deque(maxlen=EVENTS_BURST))
     limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
-    state: bytes | None = None
+    states: deque[bytes] = field(default_factory=lambda: deque(maxlen=STATES_A_TURN))
+    asked_states: list[bytes] = field(default_factory=list)
     lives: set[str] = field(default_factory=set)
     lives_told: set[str] = field(default_factory=set)
     rejected: Counter[str] = field(default_factory=Counter)
@@ -80,6 +92,20 @@ class _Box:
     def reject(self, why: str) -> None:
         """Count it; of many reasons the first few are kept."""
         self.rejected[why if why in self.rejected or len(self.rejected) < 8 else "other"] += 1
+
+    def take_state(self, raw: bytes, *, asked: bool) -> None:
+        """Of states the newest are kept, of those that were asked for the first."""
+        if not asked:
+            self.states.append(raw)
+        elif len(self.asked_states) < ASKED_A_TURN:
+            self.asked_states.append(raw)
+
+    def taken_states(self) -> list[bytes]:
+        """All that wait."""
+        found = [*self.states, *self.asked_states]
+        self.states.clear()
+        self.asked_states.clear()
+        return found
 
 
 class FleetInbox:
@@ -100,13 +126,13 @@ class FleetInbox:
 
     # --- in, from any thread -------------------------------------------------------------------
 
-    def hear_state(self, key: str, raw: bytes) -> None:
-        """A state came by this key: it takes the place of the one before."""
+    def hear_state(self, key: str, raw: bytes, *, asked: bool = False) -> None:
+        """A state came by this key; `asked`: as the answer to a question of ours."""
         with self._news:
             box = self._box_of(key, raw, "state")
             if box is not None:
-                box.state = raw
-            self._wake()
+                box.take_state(raw, asked=asked)
+            self._wake(urgent=box is not None and len(box.states) == STATES_A_TURN)
 
     def hear_event(self, key: str, raw: bytes) -> None:
         """An event came by this key."""
@@ -207,11 +233,20 @@ class FleetInbox:
             if isinstance(event, FleetEvent):
                 found.append(EventsReceived(vehicle, [event]))
         found += answers
-        for vehicle, raw in states:
-            state = self._decoded(vehicle, "state", raw)
-            if isinstance(state, State):
-                found.append(StateReceived(state))
+        for vehicle, raws in states:
+            found += self._newest_states(vehicle, raws)
         return found + self._taken_rejections()
+
+    def _newest_states(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
+        """Of each life that speaks as this member its newest, by the life's own clock."""
+        newest: dict[str, State] = {}
+        for raw in raws:
+            state = self._decoded(vehicle, "state", raw)
+            if not isinstance(state, State):
+                continue
+            before = newest.pop(state.life, state)
+            newest[state.life] = before if before.uptime_s > state.uptime_s else state
+        return [StateReceived(state) for state in newest.values()]
 
     def _taken_lives(self) -> list[FleetInput]:
         """Who is there now and was not at the last call, and the other way round."""
@@ -222,17 +257,16 @@ class FleetInbox:
             box.lives_told = set(box.lives)
         return found
 
-    def _taken_messages(self) -> tuple[list[_Raw], list[_Raw]]:
+    def _taken_messages(self) -> tuple[list[_Raw], list[tuple[str, list[bytes]]]]:
         """(events, states), of each member at most a turn's worth; the rest is news again."""
         events: list[_Raw] = []
-        states: list[_Raw] = []
+        states: list[tuple[str, list[bytes]]] = []
         for vehicle, box in self._boxes.items():
             count = min(len(box.events), EVENTS_A_TURN)
             events += [(vehicle, box.events.popleft()) for _ in range(count)]
             self._has_news = self._has_news or bool(box.events)
-            if box.state is not None:
-                states.append((vehicle, box.state))
-                box.state = None
+            if raws := box.taken_states():
+                states.append((vehicle, raws))
         return events, states
 
     def _taken_rejections(self) -> list[FleetInput]:

@@ -138,8 +138,9 @@ class ZenohFleet:
         self.inbox.hear_event(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_state_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None:
-            self._on_state(reply.ok)
+        if (sample := reply.ok) is not None:
+            key, raw = str(sample.key_expr), sample.payload.to_bytes()
+            self.inbox.hear_state(key, raw, asked=True)
 
     def _result(self, reply: zenoh.Reply, vehicle: str) -> Result | None:
         """The answer of the vehicle that was asked; anything else is rejected."""

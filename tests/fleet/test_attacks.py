@@ -7,6 +7,7 @@ attacker's: nothing but the signature is in his way.
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -230,8 +231,9 @@ def decoded(raw: bytes) -> Result:
     return msgspec.json.decode(raw, type=Result)
 
 
-@pytest.fixture
-def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+@contextmanager
+def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+    """Desk and d1 on it."""
     port = free_port()
     router = {"mode": "router", "scouting": {"multicast": {"enabled": False}, "delay": 0}}
     router["listen"] = {"endpoints": [f"tcp/127.0.0.1:{port}"]}
@@ -240,10 +242,18 @@ def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
     desk = site.person("desk", client)
     d1 = site.vehicle("d1", tmp_path / "d1", zenoh=client)
     assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
-    yield Plain(site, desk, d1, rogue)
-    d1.close()
-    desk.close()
-    rogue.close()
+    try:
+        yield Plain(site, desk, d1, rogue)
+    finally:
+        d1.close()
+        desk.close()
+        rogue.close()
+
+
+@pytest.fixture
+def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
+    with plain_network(site, tmp_path) as made:
+        yield made
 
 
 def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,6 +401,12 @@ def test_a_command_of_who_may_not_command_is_not_carried_out(plain, monkeypatch,
     assert len(plain.d1.done) == (0 if guarded else 1)
     expected = ("", Answered.REFUSED) if guarded else ("c1", Answered.DONE)
     assert (result.id, result.answer) == expected
+
+
+def test_who_is_named_by_way_of_the_signer_already_is_named_so_once(plain):
+    told = encode(limits(plain.d1, by="ben by way of anna"))
+    plain.ask(trust_of(plain.site, "anna").seal("command", told))
+    assert [command.by for command in plain.d1.done] == ["ben by way of anna"]
 
 
 @GUARD

@@ -49,6 +49,7 @@ class Tape:
     """A link that plays what was put on it."""
 
     datagrams = True
+    strangers = 0
 
     def __init__(self) -> None:
         self.incoming: deque[bytes] = deque()

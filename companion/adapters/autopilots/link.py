@@ -13,6 +13,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from companion.adapters.autopilots.strangers import StrangerLimit
 from companion.adapters.clock import wall_s
 from companion.core.base.errors import LeewayError, LinkClosedError
 
@@ -41,9 +42,13 @@ class Link(Protocol):
     """Bytes in by `receive`, bytes out by `send`; `datagrams` tells whether frames come whole.
 
     `waiting` counts what was read and not received yet; after `settle` that is all that arrived.
+    `strangers`: packets from elsewhere that were not taken, since they were too many.
     """
 
     datagrams: bool
+
+    @property
+    def strangers(self) -> int: ...
 
     def receive(self, timeout_s: float) -> Incoming | None: ...
     def send(self, data: bytes) -> None: ...
@@ -62,6 +67,11 @@ class _Reader:
         self._stop = threading.Event()
         self._settled = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mavlink-reader", daemon=True)
+
+    @property
+    def strangers(self) -> int:
+        """A wire has one other end."""
+        return 0
 
     def start(self) -> None:
         self._thread.start()
@@ -129,7 +139,9 @@ def _udp_trouble(host: str, port: int, error: OSError) -> str:
 
 
 class UdpLink(_Reader):
-    """UDP, listening or calling. A listener answers to the peer that it was told to answer."""
+    """UDP, listening or calling. A listener answers to the peer that it was told to answer; others
+    than that peer's host are heard as far as `StrangerLimit` allows.
+    """
 
     datagrams = True
 
@@ -137,6 +149,7 @@ class UdpLink(_Reader):
         super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._peer: Any = None
+        self._limit = StrangerLimit()
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
             if listen:
@@ -159,8 +172,19 @@ class UdpLink(_Reader):
         except OSError:  # a refused datagram (nobody listens yet), or the socket was closed
             self._stop.wait(0.02)
             return
-        if data:
+        if data and self._takes(data, peer):
             self._put(Incoming(data, peer))
+
+    def _takes(self, data: bytes, peer: Any) -> bool:
+        known = self._peer
+        if known is not None and peer[0] == known[0]:
+            return True
+        return self._limit.takes(len(data), wall_s(), is_limited=known is not None)
+
+    @property
+    def strangers(self) -> int:
+        """Packets of others than our peer's host that were not taken."""
+        return self._limit.refused
 
     def _has_more(self) -> bool:
         return _is_readable(self._socket)

@@ -112,6 +112,7 @@ class Loop:
     _heard_s: float = 0.0
     _silent: bool = False
     _record_lost: bool = False
+    _strangers_told: bool = False
     _refused_wall_s: float | None = None
     _clocks_told: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
@@ -187,6 +188,7 @@ class Loop:
         self._mind_stall()
         self._mind_silence()
         self._mind_signing()
+        self._mind_strangers()
         if incoming is not None:
             for message in self.codec.parse(incoming.data):
                 self._message(message, incoming.peer)
@@ -340,6 +342,12 @@ class Loop:
             self._give([LinkSilent(self.clock.t_s)])
         if silent_s > self.silence_limit_s:
             self.lost = True
+
+    def _mind_strangers(self) -> None:
+        """The operator hears once that somebody floods our port; the vehicle is heard as before."""
+        if self.link.strangers and not self._strangers_told:
+            self._strangers_told = True
+            self.carry_out([Say(Severity.WARNING, "strangers flood the link: not heard")])
 
     def _mind_signing(self) -> None:
         """Nothing that is rightly signed is accepted: the operator hears which clock says what."""

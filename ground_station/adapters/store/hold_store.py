@@ -40,25 +40,36 @@ class HoldStore:
         return list(dict.fromkeys(sent))
 
     def _stop_launches(self, db: sa.Connection, scope: str) -> list[str]:
-        launch = t.commands.c.id.like("%:launch%") & t.commands.c.answer.is_(None)
-        mine = launch if scope == ALL else launch & (t.commands.c.vehicle == scope)
-        db.execute(
-            sa.update(t.commands)
-            .where(mine, t.commands.c.sent.is_(False))
-            .values(answer=Answered.REFUSED.value, reason="held before it was sent")
-        )
+        mine = _launches_of(scope)
+        _void(db, mine & t.commands.c.sent.is_(False), "held before it was sent")
         held = t.assignments.c.vehicle == scope if scope != ALL else sa.true()
         db.execute(sa.update(t.assignments).where(held).values(confirmed_by=None))
         sent = db.execute(sa.select(t.commands.c.assignment).where(mine)).scalars()
         return [assignment for assignment in sent if assignment is not None]
 
     def release(self, scopes: Iterable[str], by: str) -> list[Hold]:
-        """Lift the holds of these vehicles (or `ALL`); returns those that were in force."""
+        """Lift the holds of these vehicles (or `ALL`); returns those that were in force.
+
+        A launch that was sent before the hold and is not answered is not sent again: it takes a
+        person's word, or a new decision, to launch. Its vehicle's own answer still counts.
+        """
         with self._database.write() as db:
             rows.lock(db)
             lifted: list[Hold] = []
             for scope in scopes:
                 lifted += steps.lift(db, self._now(), scope, by)
             for hold in lifted:
+                _void(db, _launches_of(hold.scope), "held after it was sent: not sent again")
                 audit.note(db, self._now(), by, "release", hold.scope, hold.words)
         return lifted
+
+
+def _launches_of(scope: str) -> sa.ColumnElement[bool]:
+    """The launches of a vehicle, or of all, that are not answered."""
+    launch = t.commands.c.id.like("%:launch%") & t.commands.c.answer.is_(None)
+    return launch if scope == ALL else launch & (t.commands.c.vehicle == scope)
+
+
+def _void(db: sa.Connection, which: sa.ColumnElement[bool], why: str) -> None:
+    values = {"answer": Answered.REFUSED.value, "reason": why}
+    db.execute(sa.update(t.commands).where(which).values(**values))

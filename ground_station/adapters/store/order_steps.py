@@ -153,6 +153,34 @@ def newest_launch(db: sa.Connection) -> int:
     return db.execute(sa.select(sa.func.max(t.commands.c.n)).where(launches)).scalar() or 0
 
 
+def awaits_its_vehicle() -> sa.ColumnElement[bool]:
+    """Commands that their vehicle has not answered: of launches that left the desk also those that
+    were made void there, since they may be carried out.
+    """
+    left = t.commands.c.sent.is_(True) & t.commands.c.life.is_(None)
+    return t.commands.c.answer.is_(None) | left
+
+
+def launch_on_its_way(db: sa.Connection, assignment: str) -> CommandRow | None:
+    """The newest launch of an assignment that left the desk and that its vehicle did not answer."""
+    query = sa.select(t.commands).where(
+        t.commands.c.assignment == assignment,
+        t.commands.c.id.contains(":launch"),
+        t.commands.c.sent.is_(True),
+        awaits_its_vehicle(),
+    )
+    row = db.execute(query.order_by(t.commands.c.n.desc()).limit(1)).one_or_none()
+    return None if row is None else command_row(row)
+
+
+def carried_out(db: sa.Connection, now_us: int, launch: CommandRow, life: str) -> None:
+    """A launch was carried out, as its vehicle's state shows."""
+    reason = "seen in flight"
+    values = {"answer": Answered.DONE.value, "reason": reason, "life": life, "answered_us": now_us}
+    db.execute(sa.update(t.commands).where(t.commands.c.id == launch.id).values(**values))
+    follow(db, now_us, launch, Answered.DONE, reason)
+
+
 def confirm(db: sa.Connection, assignment: str, by: str | None) -> None:
     """Note who lets an assignment be launched, once; None: nobody does."""
     here = t.assignments.c.id == assignment
@@ -284,7 +312,7 @@ def follow(
         case Launch(), Answered.DONE | Answered.INTERRUPTED:
             set_state(db, row.id, AssignmentState.FLYING, reason)
             _note_launch(db, now_us, row.id)
-        case Launch(), Answered.REFUSED:
+        case Launch(), Answered.REFUSED if row.state is not AssignmentState.FLYING:
             set_state(db, row.id, AssignmentState.ABOARD, f"launch refused: {reason}")
         case MoveHome(), Answered.REFUSED | Answered.INTERRUPTED:
             _forget_asked(db, row.id, command.deed.home)

@@ -267,6 +267,22 @@ class Store:
             db.execute(sa.update(t.commands).where(here).values(sent=True))
         return True
 
+    def seen_flying(self, assignment: str, life: str) -> bool:
+        """Its vehicle flies, and a launch that a hold kept from being sent again is not answered:
+        it was carried out. False where there is none.
+        """
+        with self._database.write() as db:
+            rows.lock(db)
+            row = rows.in_state(db, assignment, (AssignmentState.ABOARD,))
+            launch = None if row is None else rows.launch_on_its_way(db, assignment)
+            if row is None or launch is None:
+                return False
+            if launch.answer is None and holds.hold_of(db, row.vehicle) is None:
+                return False  # it is sent again, and answered
+            rows.carried_out(db, self._now(), launch, life)
+            audit.note(db, self._now(), row.vehicle, "answer", launch.id, "done: seen in flight")
+        return True
+
     def not_flying(self, assignment: str, why: str) -> bool:
         """The launch did not happen (the companion restarted before take-off): aboard again."""
         with self._database.write() as db:
@@ -352,6 +368,7 @@ class Store:
     def take_answers(self, results: list[Result]) -> set[str]:
         """Note final answers and what follows from them; the ids of commands that had none before.
 
+        A launch that left the desk and was then made void there is answered by its vehicle still.
         It does not wait for the disk: after a power cut the command is sent again, and answered
         the same.
         """
@@ -414,7 +431,7 @@ class Store:
         row = db.execute(sa.select(t.commands).where(here)).one_or_none()
         done = db.execute(
             sa.update(t.commands)
-            .where(here, t.commands.c.answer.is_(None))
+            .where(here, rows.awaits_its_vehicle())
             .values(
                 answer=result.answer.value,
                 reason=result.reason,

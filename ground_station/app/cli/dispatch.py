@@ -20,7 +20,6 @@ from ground_station.app.cli.options import (
     UserName,
     ZenohFile,
     open_at_once,
-    open_commanding_fleet,
     open_day,
     open_fleet,
     open_store,
@@ -95,7 +94,8 @@ def dispatch(
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
 
-    data, person = open_day(day), who(user)
+    data = open_day(day)
+    person = who(user, identity, data.day.fleet)
     chosen = None if plan is None else read_day_plan(plan)
     opened = open_store(store, store_file, create=True, goes_on=True)
     try:
@@ -104,7 +104,7 @@ def dispatch(
         impossible = list_impossible(data, assigner) if chosen is None else []
         by = desk_of(person)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
-        fleet = open_commanding_fleet(data.day.fleet, zenoh, identity, open_network)
+        fleet = open_fleet(data.day.fleet, zenoh, identity, open_network)
         say = _say_open if open_network else _say
         try:
             if chosen is None:
@@ -259,8 +259,8 @@ def recall(
 
     if vehicle is not None:
         check_vehicle(vehicle)
-    url, person = url_of(store, store_file), who(user)
-    ears = open_commanding_fleet(fleet, zenoh, identity, open_network)
+    url, person = url_of(store, store_file), who(user, identity, fleet)
+    ears = open_fleet(fleet, zenoh, identity, open_network)
     caller = Recaller(ears, _say, person.name)
     record = RecallRecord(lambda: open_at_once(url), person.name, _say, caller.clock)
     caller.begin()

@@ -8,6 +8,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
+    SignedBy,
     StoreFile,
     StoreUrl,
     UserName,
@@ -30,6 +31,7 @@ def hold(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Hold vehicles on the ground: no work and no launch until they are released.
 
@@ -39,7 +41,7 @@ def hold(
     """
     from ground_station.adapters.store.hold_store import HoldStore
 
-    scopes, person = scopes_of("hold", vehicles, everybody), who(user)
+    scopes, person = scopes_of("hold", vehicles, everybody), who(user, identity)
     opened = open_store(store, store_file)
     try:
         sent = HoldStore(opened.database, epoch_us).set(scopes, reason, person.name)
@@ -60,6 +62,7 @@ def release(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Lift holds: these vehicles may be given work and launched again.
 
@@ -67,7 +70,7 @@ def release(
     """
     from ground_station.adapters.store.hold_store import HoldStore
 
-    scopes, person = scopes_of("release", vehicles, everybody), who(user)
+    scopes, person = scopes_of("release", vehicles, everybody), who(user, identity)
     opened = open_store(store, store_file)
     try:
         lifted = HoldStore(opened.database, epoch_us).release(scopes, person.name)

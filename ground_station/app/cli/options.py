@@ -33,7 +33,10 @@ StoreFile = Annotated[
 ]
 UserName = Annotated[
     str | None,
-    typer.Option("--user", help="Who does this, for the audit. Default: the login name."),
+    typer.Option(
+        "--user",
+        help="Who does this, for the audit. Default: the identity's member, else the login name.",
+    ),
 ]
 
 ZenohFile = Annotated[
@@ -49,6 +52,14 @@ IdentityFolder = Annotated[
         "--identity",
         help="Your folder of `ground-station pki`: then all messages are signed"
         " (docs/how-to/secure-a-fleet.md).",
+    ),
+]
+SignedBy = Annotated[
+    Path | None,
+    typer.Option(
+        "--identity",
+        help="Your folder of `ground-station pki`: the audit names its member; a viewer may"
+        " change nothing.",
     ),
 ]
 OpenNetwork = Annotated[
@@ -81,20 +92,6 @@ def open_fleet(
     if ears.warning:
         typer.echo(ears.warning, err=True)
     return ears
-
-
-def open_commanding_fleet(
-    fleet: str, zenoh: Path | None, identity: Path | None, open_network: bool
-) -> "ZenohFleet":
-    """The same, for who commands; LeewayError for a viewer, before anything is written down that a
-    running desk might send in its own name.
-    """
-    if identity is not None:
-        from companion.fleet.identity import identity_of
-
-        if trouble := identity_of(identity, fleet).trust.command_trouble():
-            raise LeewayError(trouble)
-    return open_fleet(fleet, zenoh, identity, open_network)
 
 
 def open_store(
@@ -131,9 +128,22 @@ def url_of(url: str, file: Path | None) -> str:
     return url
 
 
-def who(user: str | None) -> "Person":
-    """The person who runs this command."""
-    from ground_station.adapters.login import login_name
-    from ground_station.core.people.person import person_of
+def who(user: str | None, identity: Path | None = None, fleet: str | None = None) -> "Person":
+    """The person who runs this command: of an identity the member that the roster lists.
 
-    return person_of(user or login_name())
+    LeewayError where that member may command nobody, before anything is written down. `fleet`: it
+    must be of this one.
+    """
+    from ground_station.core.people.person import person_behind, person_of
+
+    if identity is None:
+        from ground_station.adapters.login import login_name
+
+        return person_of(user or login_name())
+    from companion.fleet.identity import identity_of, read_identity
+
+    trust = (read_identity(identity) if fleet is None else identity_of(identity, fleet)).trust
+    trouble = trust.command_trouble()
+    if trouble or trust.me is None:
+        raise LeewayError(trouble)
+    return person_behind(trust.name, trust.me.role, user)

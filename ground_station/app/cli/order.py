@@ -10,6 +10,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
+    SignedBy,
     StoreFile,
     StoreUrl,
     UserName,
@@ -46,6 +47,7 @@ def add(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Take one order; when this returns it is on the disk. Taking it again changes nothing.
 
@@ -68,7 +70,7 @@ def add(
         order = msgspec.convert(table, Order)
     except msgspec.ValidationError as error:
         raise LeewayError(f"order {order_id!r}: {error}") from error
-    person = who(user)
+    person = who(user, identity)
     opened = open_store(store, store_file, create=True)
     try:
         take_orders(opened, [order], person.name)
@@ -87,6 +89,7 @@ def import_(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Take all orders of a file, or none. Everything that is wrong in it is listed at once.
 
@@ -97,7 +100,7 @@ def import_(
     path = Path(file)
     data = None if path.suffix and path.suffix != ".toml" else open_day(file)
     orders = read_orders(path, None) if data is None else data.orders
-    person = who(user)
+    person = who(user, identity)
     opened = open_store(store, store_file, create=True)
     try:
         take_orders(opened, orders, person.name)
@@ -137,10 +140,12 @@ def cancel(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Cancel an order that no vehicle has yet."""
     before = (OrderState.OPEN, OrderState.STUCK)
-    _move(order_id, before, OrderState.CANCELLED, open_store(store, store_file), user)
+    person = who(user, identity)
+    _move(order_id, before, OrderState.CANCELLED, open_store(store, store_file), person.name)
 
 
 @app.command()
@@ -149,10 +154,12 @@ def reopen(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Dispatch a stuck or cancelled order again. Only for who knows where the parcel is."""
     before = (OrderState.STUCK, OrderState.CANCELLED)
-    _move(order_id, before, OrderState.OPEN, open_store(store, store_file), user)
+    person = who(user, identity)
+    _move(order_id, before, OrderState.OPEN, open_store(store, store_file), person.name)
 
 
 @app.command()
@@ -161,12 +168,14 @@ def brought(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Mark a stuck order as delivered. Only for who has asked the customer or looked at the
     drone.
     """
     before = (OrderState.STUCK,)
-    _move(order_id, before, OrderState.DELIVERED, open_store(store, store_file), user)
+    person = who(user, identity)
+    _move(order_id, before, OrderState.DELIVERED, open_store(store, store_file), person.name)
 
 
 @app.command()
@@ -175,6 +184,7 @@ def launch(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Let the drone that has this order be launched, once, when its slot comes.
 
@@ -182,7 +192,7 @@ def launch(
 
     ground-station order launch H-101
     """
-    person, opened = who(user), open_store(store, store_file)
+    person, opened = who(user, identity), open_store(store, store_file)
     try:
         id_ = opened.confirm_launch(order_id, person.name)
         if id_ is None:
@@ -220,6 +230,7 @@ def settle(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Close an order whose vehicle cannot tell any more what has become of it.
 
@@ -235,7 +246,7 @@ def settle(
     chosen = [one for one, is_so in said.items() if is_so]
     if len(chosen) != 1:
         raise LeewayError("settle: expected one of --delivered, --lost, --back")
-    person, opened = who(user), open_store(store, store_file)
+    person, opened = who(user, identity), open_store(store, store_file)
     try:
         done = settle_order(opened.database, epoch_us, order_id, chosen[0], reason, person.name)
         if done is None:
@@ -285,10 +296,10 @@ def _move(
     before: tuple[OrderState, ...],
     after: OrderState,
     store: "Store",
-    user: str | None,
+    by: str,
 ) -> None:
     try:
-        if not store.move_order(order_id, before, after, who(user).name):
+        if not store.move_order(order_id, before, after, by):
             raise _not_in(store, order_id, before)
     finally:
         store.close()

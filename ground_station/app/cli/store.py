@@ -7,7 +7,15 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
-from ground_station.app.cli.options import DEFAULT_STORE, StoreFile, StoreUrl, UserName, url_of, who
+from ground_station.app.cli.options import (
+    DEFAULT_STORE,
+    SignedBy,
+    StoreFile,
+    StoreUrl,
+    UserName,
+    url_of,
+    who,
+)
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.database import Database
@@ -53,6 +61,7 @@ def restore(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Put a copy in the place of the store, and hold every drone.
 
@@ -65,7 +74,7 @@ def restore(
     from ground_station.adapters.store.copies import restore as copy_in
     from ground_station.adapters.store.restored import after_restore, holds_a_store
 
-    person, url = who(user), url_of(store, store_file)
+    person, url = who(user, identity), url_of(store, store_file)
     if holds_a_store(url):
         if replace is None:
             raise LeewayError("restore: there is a store: expected --replace FILE for a copy of it")
@@ -83,6 +92,7 @@ def upgrade(
     store: StoreUrl = DEFAULT_STORE,
     store_file: StoreFile = None,
     user: UserName = None,
+    identity: SignedBy = None,
 ) -> None:
     """Bring a store of an older version to this one, whole or not at all. End the desks first.
 
@@ -91,7 +101,7 @@ def upgrade(
     from ground_station.adapters.store.copies import backup as copy_out
     from ground_station.adapters.store.upgrade import upgrade as bring_up
 
-    person, url = who(user), url_of(store, store_file)
+    person, url = who(user, identity), url_of(store, store_file)
     database = _open(url, any_schema=True)
     try:
         copy_out(url, backup_file)

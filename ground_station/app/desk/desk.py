@@ -102,11 +102,19 @@ class Desk:
                 self.exchange.say_once(words)
             else:
                 self.store.not_flying(row.id, "its companion restarted before take-off")
+        elif row.state is AssignmentState.ABOARD and _flies(state, row):
+            self._note_take_off(row, state)
         elif row.state is AssignmentState.ABOARD and ready and not seen.doubts:
             self.dispatcher.on_ready(row)
         elif row.state is AssignmentState.FLYING and self._unknown_to(seen, row):
             words = f"{row.vehicle}: knows nothing of {row.id} any more: look at it"
             self.exchange.say_once(words)
+
+    def _note_take_off(self, row: AssignmentRow, state: State) -> None:
+        """A hold came behind its launch, whose answer nobody asks for any more: it flies."""
+        if self.store.seen_flying(row.id, state.life):
+            self.exchange.say(f"{row.vehicle}: {row.id} took off before it was held")
+            self.exchange.changed = True
 
     def _restarted(self, row: AssignmentRow, state: State) -> bool:
         """Whether the companion that took the last launch is not the one that speaks now."""
@@ -163,3 +171,7 @@ class Desk:
             if held.order_id == row.order.id and held.state in IN_FORCE:
                 return f"{held.state.value} with {held.vehicle}"
         return self.dispatcher.why_left(row.order.id) or "no drone was free for it"
+
+
+def _flies(state: State, row: AssignmentRow) -> bool:
+    return state.assignment == row.id and state.phase in IN_THE_AIR

@@ -144,7 +144,10 @@ class Exchange:
                 pass  # taken together
 
     def _take_rejected(self, received: MessageRejected) -> None:
-        """Say it, and how many there were since it was said last."""
+        """Say it, and how many there were since it was said last. Where somebody sends what is not
+        believed, the true states may be lost among it: they are asked for.
+        """
+        self._states_wanted = True
         who, now_s = received.key, self.clock.monotonic_s()
         self._rejected[who] += received.count
         said_s = self._rejected_said_s.get(who)
@@ -173,6 +176,8 @@ class Exchange:
         now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
         for words in self.status.on_state(state, now_s, now_us):
             self.say(words)
+        if self.status.of(state.vehicle).state is not state:
+            return  # an old one
         if before is None or _decisive(before) != _decisive(state):
             self.changed = True
         self.on_state(state)

@@ -46,6 +46,13 @@ class VehicleStatus:
         silent_s = self.silent_s(t_s)
         return len(self.lives) == 1 and silent_s is not None and silent_s <= SILENT_S
 
+    def has_left(self, life: str) -> bool:
+        """A life that is not on the network while the one that spoke last is: its states are old
+        ones, played again.
+        """
+        before = self.state
+        return before is not None and before.life in self.lives and life not in self.lives
+
     def free(self, t_s: float) -> bool:
         """It may be given work."""
         state = self.state
@@ -88,6 +95,8 @@ class FleetStatus:
     def on_state(self, state: State, t_s: float, epoch_us: int) -> list[str]:
         """Take a state; returns new doubts about the vehicle, in words."""
         seen = self.of(state.vehicle)
+        if seen.has_left(state.life):
+            return []
         said = [f"{state.vehicle}: {doubt}" for doubt in self._doubts(seen.state, state)]
         seen.doubts += [doubt.partition(": ")[2] for doubt in said]
         before = seen.state

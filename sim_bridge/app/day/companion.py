@@ -24,6 +24,7 @@ class MemoryLink:
     """Two datagram queues: `heard` for the companion, `said` by it."""
 
     datagrams: bool = True
+    strangers: int = 0
     heard: deque[bytes] = field(default_factory=deque)
     said: list[bytes] = field(default_factory=list)
 

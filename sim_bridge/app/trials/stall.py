@@ -106,6 +106,7 @@ class BufferLink:
 
     limit_bytes: int = BUFFERS_BYTES[0]
     datagrams: bool = True
+    strangers: int = 0
     heard: deque[bytes] = field(default_factory=deque)
     said: list[bytes] = field(default_factory=list)
 

@@ -37,6 +37,7 @@ class Wire:
     """A link to an autopilot that only beats; at each turn the desk may act."""
 
     datagrams = True
+    strangers = 0
 
     def __init__(self, desk_turns: Callable[[], None]) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -40,6 +40,7 @@ class WireTap:
     """A link without a wire: what is put in is received, what is sent is kept."""
 
     datagrams = True
+    strangers = 0
 
     def __init__(self) -> None:
         self.incoming: deque[bytes] = deque()
@@ -165,6 +166,18 @@ def test_signed_frames_that_our_clock_refuses_are_told_within_five_seconds_with_
     assert said[-1] == "set the clock that is wrong, then start again"
     assert beats(made, wall, 30) == []
     made.recorder.close()
+
+
+def test_a_flood_of_strangers_is_told_once(station):
+    station.identify()
+    station.wire.strangers = 7
+    words = [m.text for n in range(5) for m in heard_after(station, n)]
+    assert words.count("strangers flood the link: not heard") == 1
+
+
+def heard_after(station: Station, second: int) -> list[Any]:
+    station.put(*station.telemetry(1000 * second), station.sync(float(second)))
+    return [m for m in station.turn() if m.get_type() == "STATUSTEXT"]
 
 
 @pytest.mark.parametrize("off_s", [0.0, -30.0, 3600.0])

@@ -28,6 +28,7 @@ class World:
     """A link to a simulated autopilot on its pad: each wait is 0.1 s of its time."""
 
     datagrams = True
+    strangers = 0
 
     def __init__(self, kind: AutopilotKind) -> None:
         still = WindField(steady_wind(0.0, 0.0))

@@ -13,7 +13,6 @@ from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
-from ground_station.app.cli.options import open_store
 from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import hears
@@ -156,9 +155,4 @@ def test_a_viewer_writes_no_command_into_the_store_that_a_desk_would_send(fleet,
     options = ["--identity", str(fleet / "members" / "otto"), "--store", "sqlite:///desk.db"]
     with pytest.raises(LeewayError, match="otto is a viewer: may not command"):
         CliRunner().invoke(app, [*words[command], *options], catch_exceptions=False)
-    if command == "recall":  # it begins no day
-        assert not Path("desk.db").exists()
-        return
-    store = open_store("sqlite:///desk.db")
-    assert store.outbox() == []
-    store.close()
+    assert not Path("desk.db").exists()

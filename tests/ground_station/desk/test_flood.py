@@ -17,16 +17,19 @@ from companion.fleet.messages import (
     EventKind,
     FleetEvent,
     Recall,
+    Refused,
     Result,
     State,
     encode,
 )
 from ground_station.adapters import fleet_inbox
 from ground_station.adapters.fleet_inbox import (
+    ASKED_A_TURN,
     EVENTS_A_TURN,
     EVENTS_BURST,
     MOST_LIVES,
     MOST_MEMBERS,
+    STATES_A_TURN,
     FleetInbox,
 )
 from ground_station.adapters.store.database import Database
@@ -237,6 +240,75 @@ def test_canary_asked_at_each_arrival_500_that_join_are_asked_500_times(desk, mo
         exchange.fleet.inbox.hear_life(f"d{number}", "a", up=True)
         exchange.listen(0.0)
     assert exchange.fleet.states_asked == 501
+
+
+def believing_own(kind: str, raw: bytes, vehicle: str) -> bytes | Refused:
+    """Stands for a signature: what a stranger sent begins with a mark."""
+    return Refused("not believed: forged") if raw.startswith(b"forged") else raw
+
+
+def states_of(inbox: FleetInbox) -> list[float]:
+    return [x.state.uptime_s for x in inbox.receive(0.0) if isinstance(x, StateReceived)]
+
+
+def test_forged_states_that_come_faster_do_not_hide_the_true_one():
+    inbox = FleetInbox(believing_own, clock_s=lambda: 0.0)
+    inbox.hear_state(key("d1", "state"), state("d1", 7.0))
+    for _ in range(STATES_A_TURN - 1):
+        inbox.hear_state(key("d1", "state"), b"forged")
+    assert states_of(inbox) == [7.0]
+
+
+def test_canary_of_the_newest_state_alone_a_forged_one_hides_the_true_one(monkeypatch):
+    monkeypatch.setattr(fleet_inbox, "STATES_A_TURN", 1)
+    inbox = FleetInbox(believing_own, clock_s=lambda: 0.0)
+    inbox.hear_state(key("d1", "state"), state("d1", 7.0))
+    inbox.hear_state(key("d1", "state"), b"forged")
+    assert states_of(inbox) == []
+
+
+def test_a_state_that_was_asked_for_is_heard_however_many_come_unasked():
+    inbox = FleetInbox(believing_own, clock_s=lambda: 0.0)
+    inbox.hear_state(key("d1", "state"), state("d1", 7.0), asked=True)
+    for _ in range(FLOOD):
+        inbox.hear_state(key("d1", "state"), b"forged")
+    assert states_of(inbox) == [7.0]
+
+
+def test_a_turn_looks_at_a_bounded_number_of_signatures_of_one_member():
+    looked: list[bytes] = []
+
+    def opened(kind: str, raw: bytes, vehicle: str) -> bytes | Refused:
+        looked.append(raw)
+        return Refused("not believed: forged")
+
+    inbox = FleetInbox(opened, clock_s=lambda: 0.0)
+    for _ in range(FLOOD):
+        inbox.hear_state(key("d1", "state"), b"forged")
+        inbox.hear_state(key("d1", "state"), b"forged", asked=True)
+    inbox.receive(0.0)
+    assert len(looked) == STATES_A_TURN + ASKED_A_TURN
+
+
+def test_an_old_state_that_is_played_again_does_not_take_the_place_of_the_newest():
+    inbox = FleetInbox(clock_s=lambda: 0.0)
+    for uptime_s in (7.0, 3.0, 5.0):
+        inbox.hear_state(key("d1", "state"), state("d1", uptime_s))
+    assert states_of(inbox) == [7.0]
+
+
+def test_while_forged_states_come_the_true_ones_are_asked_for(desk):
+    exchange, clock, _ = desk
+    inbox, asked = exchange.fleet.inbox, exchange.fleet.states_asked
+    inbox.hear_state(key("d1", "state"), b"forged")
+    exchange.listen(0.0)
+    assert exchange.fleet.states_asked == asked, "at most every 2 s"
+    clock.t_s += STATES_S
+    exchange.listen(0.0)
+    assert exchange.fleet.states_asked == asked + 1
+    clock.t_s += STATES_S
+    exchange.listen(0.0)
+    assert exchange.fleet.states_asked == asked + 1, "it has ended"
 
 
 def test_lives_names_and_sizes_are_bounded():

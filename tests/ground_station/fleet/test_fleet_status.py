@@ -67,3 +67,21 @@ def test_a_clock_that_is_off_is_said_once_and_costs_nothing():
     assert "off by 3600 s" in status.on_state(off, 0.0, 0)[0]
     assert status.on_state(off, 1.0, 0) == []
     assert status.of("d1").free(1.0)
+
+
+def test_old_states_of_a_life_that_is_gone_do_not_take_the_place_of_the_one_that_is_there():
+    status = heard(a_state())
+    status.on_state(a_state(life="gone", uptime_s=900.0, armed=True), 2.0, 0)
+    assert status.of("d1").state == a_state()
+    assert status.of("d1").heard_s == 0.0
+    status.on_liveliness("d1", "gone", up=True)  # canary: it is there after all
+    status.on_state(a_state(life="gone", uptime_s=900.0, armed=True), 3.0, 0)
+    assert status.of("d1").state == a_state(life="gone", uptime_s=900.0, armed=True)
+
+
+def test_a_vehicle_that_restarts_is_heard_in_its_new_life():
+    status = heard(a_state())
+    status.on_liveliness("d1", "new", up=True)
+    status.on_liveliness("d1", "x", up=False)
+    status.on_state(a_state(life="new", uptime_s=1.0), 2.0, 0)
+    assert status.of("d1").state == a_state(life="new", uptime_s=1.0)

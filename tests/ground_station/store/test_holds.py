@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.fleet.messages import Answered, Launch
-from ground_station.adapters.store import hold_steps
+from ground_station.adapters.store import hold_steps, hold_store
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
@@ -68,6 +68,90 @@ def test_a_hold_makes_a_launch_void_that_has_not_left_the_desk_and_names_one_tha
         assert store.answered(left.id, Answered.DONE, "", "life")  # it had taken off
         rows = {row.id: row.state for row in store.assignments()}
         assert rows == {waiting: AssignmentState.ABOARD, gone: AssignmentState.FLYING}
+
+
+def held_behind_its_launch(store: Store) -> tuple[str, str]:
+    """A launch that was sent and has no answer when a hold comes: assignment, command."""
+    store.add_orders([an_order("o1")])
+    id_ = aboard(store)
+    assert store.launch(id_, "desk")
+    (row,) = store.outbox()
+    assert store.may_send_launch(row)
+    assert holds_of(store).set(["d1"], "gusts", "anna") == [id_]
+    return id_, row.id
+
+
+def state_of(store: Store) -> AssignmentState:
+    return store.assignments()[0].state
+
+
+def test_safety_rule_1_a_release_sends_no_launch_again_that_a_hold_came_behind(store_url: str):
+    with opened(store_url) as store:
+        id_, first = held_behind_its_launch(store)
+        holds_of(store).release(["d1"], "anna")
+        assert store.outbox() == []
+        assert store.refused_launches(id_) == 0
+        assert not store.launch(id_, "desk", confirmed=True)
+        assert store.confirm_launch("o1", "ben") == id_
+        assert store.launch(id_, "desk", confirmed=True)
+        (again,) = store.outbox()
+        assert again.id != first
+        assert store.may_send_launch(again)
+
+
+def test_canary_without_the_end_at_the_release_the_launch_would_go_out_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(hold_store, "_void", lambda db, which, why: None)
+    with opened(f"sqlite:///{tmp_path}/d.db") as store:
+        held_behind_its_launch(store)
+        holds_of(store).release(["d1"], "anna")
+        (row,) = store.outbox()
+        assert store.may_send_launch(row)
+
+
+def test_a_release_of_another_hold_ends_no_launch(store_url: str):
+    with opened(store_url) as store:
+        _, first = held_behind_its_launch(store)
+        assert holds_of(store).release([ALL], "anna") == []
+        assert [row.id for row in store.outbox()] == [first]
+
+
+@pytest.mark.parametrize("after", ["hold", "release", "next launch"])
+def test_the_vehicles_own_answer_still_counts_after_a(store_url: str, after: str):
+    with opened(store_url) as store:
+        id_, first = held_behind_its_launch(store)
+        if after != "hold":
+            holds_of(store).release(["d1"], "anna")
+        if after == "next launch":
+            assert store.launch(id_, "desk")
+        assert store.answered(first, Answered.DONE, "", "life")
+        assert not store.answered(first, Answered.DONE, "", "life")
+        assert state_of(store) is AssignmentState.FLYING
+        if after == "next launch":  # it has taken off by the first: the second is refused
+            assert store.answered(f"{id_}:launch2", Answered.REFUSED, "in flight", "life")
+            assert state_of(store) is AssignmentState.FLYING
+
+
+@pytest.mark.parametrize("released", [True, False])
+def test_a_drone_that_is_seen_in_flight_was_launched_though_nobody_heard_its_answer(
+    store_url: str, released: bool
+):
+    with opened(store_url) as store:
+        id_, _ = held_behind_its_launch(store)
+        if released:
+            holds_of(store).release(["d1"], "anna")
+        assert store.seen_flying(id_, "life")
+        assert state_of(store) is AssignmentState.FLYING
+        assert not store.seen_flying(id_, "life")
+
+
+def test_a_launch_that_is_still_asked_about_is_answered_by_its_vehicle_only(store_url: str):
+    with opened(store_url) as store:
+        store.add_orders([an_order("o1")])
+        id_ = aboard(store)
+        assert store.launch(id_, "desk")
+        assert store.may_send_launch(store.outbox()[0])
+        assert not store.seen_flying(id_, "life")
+        assert state_of(store) is AssignmentState.ABOARD
 
 
 def test_no_race_of_two_desks_launches_a_vehicle_that_was_held_before(store_url: str):

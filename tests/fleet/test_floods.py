@@ -1,0 +1,213 @@
+"""Floods over real zenoh: by a member on its own keys and on another's, and by strangers at the
+door. Meanwhile the desk hears the rest and is answered. Judged by counts, never by speed.
+"""
+
+import json
+import resource
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from companion.fleet.messages import Answered, Command
+from companion.fleet.zenoh_config import read_config
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet.fleet_link import (
+    CommandAnswered,
+    FleetInput,
+    MessageRejected,
+    StateReceived,
+)
+from tests.fleet.secure_site import SecureSite
+from tests.fleet.test_attacks import (
+    GUARD,
+    PATIENCE_S,
+    forged_state,
+    hears,
+    limits,
+    plain_network,
+    trust_of,
+)
+from tests.fleet.zenoh_net import FLEET, Vehicle
+
+RATE_HZ = 10_000.0
+BEHIND_HZ = [2_000.0, pytest.param(RATE_HZ, marks=pytest.mark.night)]
+"""Behind one router flood and truth share a line, and here a core: at night the whole flood."""
+
+BEGUN_S = 0.3
+"""So much of it before anything is asked; it goes on meanwhile."""
+
+STRANGERS = pytest.mark.parametrize(
+    "calls", [20, pytest.param(2_000, marks=pytest.mark.night)], ids=["few", "a million packets"]
+)
+PACKETS = 500
+"""Of one call: the first is refused, the rest run into a line that is shut."""
+
+MOST_GROWN_KB = 100_000
+"""A process that kept a kilobyte of each of a million packets would grow by ten times this."""
+
+
+@contextmanager
+def flood(put: Callable[[], None], rate_hz: float = RATE_HZ) -> Iterator[None]:
+    """`put` at the rate from a thread of its own, as far as this machine can."""
+    stop, begun = threading.Event(), threading.Event()
+
+    def run() -> None:
+        began_s, count = monotonic_s(), 0
+        while not stop.is_set():
+            for _ in range(int((monotonic_s() - began_s) * rate_hz) - count):
+                put()
+                count += 1
+            if count >= BEGUN_S * rate_hz:
+                begun.set()
+            stop.wait(0.001)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        assert begun.wait(PATIENCE_S)
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def hears_on_and_is_answered(desk: ZenohFleet, vehicle: Vehicle) -> None:
+    """Two new states of a vehicle, and its answer to a command, come through."""
+    name, from_s = vehicle.port.vehicle, vehicle.port.uptime_s
+    heard: set[float] = set()
+    answers: list[CommandAnswered] = []
+    desk.send(limits(vehicle), PATIENCE_S)
+    desk.ask_states(PATIENCE_S)
+
+    def done(one: FleetInput) -> bool:
+        if isinstance(one, StateReceived) and one.state.vehicle == name:
+            heard.add(one.state.uptime_s)
+        answers.extend([one] if isinstance(one, CommandAnswered) else [])
+        return bool(answers) and sum(uptime_s > from_s for uptime_s in heard) >= 2
+
+    assert hears(desk, done, PATIENCE_S)
+    assert answers[0].result is not None
+    assert answers[0].result.answer is Answered.DONE
+    assert [type(command) for command in vehicle.done] == [Command]
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> SecureSite:
+    return SecureSite(tmp_path / "pki")
+
+
+def member_session(site: SecureSite, name: str) -> zenoh.Session:
+    """What a member's own program may be made to do: its certificate, and no rules of ours."""
+    return zenoh.open(read_config(site.home(name) / "zenoh.json5"))
+
+
+@GUARD
+def test_a_member_that_floods_anothers_keys_is_stopped_at_the_desks_door(site, tmp_path, guarded):
+    if not guarded:
+        path = site.home("desk") / "zenoh.json5"
+        table = json.loads(path.read_text())
+        table["access_control"]["enabled"] = False
+        path.write_text(json.dumps(table))
+    desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    forged = trust_of(site, "d2").seal("state", forged_state())
+    key = f"leeway/{FLEET}/vehicle/d1/state"
+    try:
+        assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        with member_session(site, "d2") as d2, flood(lambda: d2.put(key, forged)):
+            if guarded:
+                hears_on_and_is_answered(desk, d1)
+            rejected = hears(
+                desk, lambda h: isinstance(h, MessageRejected), 0.2 + 5.0 * (not guarded)
+            )
+        assert bool(rejected) is not guarded
+    finally:
+        d1.close()
+        desk.close()
+
+
+def test_a_member_that_floods_its_own_keys_crowds_out_nobody(site, tmp_path):
+    desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    author, own = trust_of(site, "d2"), f"leeway/{FLEET}/vehicle/d2"
+    raw = author.seal("state", forged_state().replace(b'"d1"', b'"d2"'))
+    try:
+        assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        with member_session(site, "d2") as d2:
+
+            def put() -> None:
+                d2.put(f"{own}/state", raw)
+                d2.put(f"{own}/event", raw)
+
+            with flood(put):
+                hears_on_and_is_answered(desk, d1)
+    finally:
+        d1.close()
+        desk.close()
+
+
+@pytest.mark.parametrize("rate_hz", BEHIND_HZ)
+def test_behind_a_router_of_the_attackers_a_flood_of_forged_states_does_not_hide_the_true_one(
+    site, tmp_path, rate_hz
+):
+    forged = trust_of(site, "d2").seal("state", forged_state())
+    with plain_network(site, tmp_path) as plain, flood(lambda: plain.put("state", forged), rate_hz):
+        hears_on_and_is_answered(plain.desk, plain.d1)
+
+
+# --- at the door -----------------------------------------------------------------------------
+
+
+def call(port: int, packets: Iterator[bytes]) -> None:
+    """A stranger's call: packets until the line is shut."""
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as line:
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            for packet in packets:
+                line.sendall(packet)
+    except OSError:
+        return
+
+
+def garbage(rng: np.random.Generator) -> Iterator[bytes]:
+    """Half of the calls begin as TLS does."""
+    yield b"\x16\x03\x01" if rng.integers(2) else b""
+    for _ in range(PACKETS):
+        yield rng.bytes(int(rng.integers(1, 1400)))
+
+
+def peak_kb() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+@STRANGERS
+def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory(
+    site, tmp_path, calls
+):
+    rng = np.random.default_rng(11)
+    desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    try:
+        assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+        before_kb = peak_kb()
+        for _ in range(calls):
+            call(site.port, garbage(rng))
+        assert peak_kb() - before_kb < MOST_GROWN_KB
+        hears_on_and_is_answered(desk, d1)
+        d2 = site.vehicle("d2", tmp_path / "d2")
+        try:
+            assert hears(desk, state_of("d2"), PATIENCE_S), "who belongs here still gets in"
+        finally:
+            d2.close()
+    finally:
+        d1.close()
+        desk.close()
+
+
+def state_of(vehicle: str) -> Callable[[FleetInput], Any]:
+    return lambda h: isinstance(h, StateReceived) and h.state.vehicle == vehicle
