@@ -1,6 +1,7 @@
 """A client that reads the desk's figures as Prometheus does, with Prometheus's own parser."""
 
 import socket
+import time
 from collections.abc import Callable
 from urllib.request import urlopen
 
@@ -43,6 +44,7 @@ def scrape_until(port: int, true: Callable[[Scrape], object]) -> Scrape:
     limit_s = monotonic_s() + PATIENCE_S
     while not true(seen := scrape(port)):
         assert monotonic_s() < limit_s, seen.text
+        time.sleep(0.1)
     return seen
 
 
