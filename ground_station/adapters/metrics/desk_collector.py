@@ -67,7 +67,7 @@ def _members(figures: DeskFigures, now_s: float) -> Iterator[Metric]:
     silences = _silences(figures.members, now_s)
     yield _gauges("member_silence_seconds", "Since its last state.", "vehicle", silences)
     flying = [(member.vehicle, member.flies) for member in figures.members]
-    yield _gauges("member_flying", "1: armed for an order when last heard.", "vehicle", flying)
+    yield _gauges("member_flying", "1: launched, and its flight is not over.", "vehicle", flying)
 
 
 def _silences(members: Iterable[MemberFigures], now_s: float) -> Iterator[tuple[str, float]]:

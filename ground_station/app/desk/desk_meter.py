@@ -1,7 +1,8 @@
 """Takes the desk's figures where they are owned, in the desk's own thread."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Protocol
 
 from ground_station.app.desk.desk import Desk
@@ -16,6 +17,7 @@ from ground_station.core.fleet.desk_figures import (
 )
 from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.schema.holds import Hold, holding
+from ground_station.core.schema.orders import AssignmentState
 
 EVERY_S = 1.0
 """The figures of a thousand members take some milliseconds, and nobody reads them more often."""
@@ -36,6 +38,17 @@ class MeteredNetwork(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class _StoreRows:
+    holds: list[Hold]
+    flying: frozenset[str]
+
+    def held(self, vehicles: Iterable[str]) -> int:
+        """Members under a hold, heard or not."""
+        known = {hold.scope for hold in self.holds if hold.is_of_one} | set(vehicles)
+        return sum(holding(self.holds, name) is not None for name in known)
+
+
 @dataclass(slots=True)
 class DeskMeter:
     """`turn` is called by the desk's loop in each of its turns. `figures`: the newest, replaced as
@@ -45,7 +58,7 @@ class DeskMeter:
     desk: Desk
     network: MeteredNetwork
     figures: DeskFigures | None = None
-    _holds: list[Hold] | None = field(default=None)
+    _rows: _StoreRows | None = None
 
     def turn(self) -> None:
         """Take the figures, if it is time to."""
@@ -55,7 +68,10 @@ class DeskMeter:
 
     def _taken(self, now_s: float) -> DeskFigures:
         exchange, network = self.desk.exchange, self.network
-        members = [_member(seen, now_s) for seen in exchange.status.vehicles.values()]
+        rows = self._store_rows()
+        flying = frozenset[str]() if rows is None else rows.flying
+        vehicles = exchange.status.vehicles
+        members = [_member(seen, now_s, flying) for seen in vehicles.values()]
         shown = listed(members)
         return DeskFigures(
             turned_s=now_s,
@@ -64,7 +80,7 @@ class DeskMeter:
             members=shown,
             standings=Counter(member.standing for member in members),
             unlisted=len(members) - len(shown),
-            held=self._held(),
+            held=None if rows is None else rows.held(vehicles),
             commands=self._commands(),
             outbox=exchange.outbox,
             rejected=dict(exchange.rejected.counts),
@@ -73,17 +89,15 @@ class DeskMeter:
             certificates=network.certificates(),
         )
 
-    def _held(self) -> int | None:
-        """Members under a hold, heard or not; a store that is away is not asked."""
-        exchange = self.desk.exchange
+    def _store_rows(self) -> _StoreRows | None:
+        """What the store says now; of one that is away, what it said last."""
+        exchange, store = self.desk.exchange, self.desk.store
         if exchange.away is None:
             with exchange.store_may_be_away():
-                self._holds = self.desk.store.holds()
-        holds = self._holds
-        if holds is None:
-            return None
-        known = {hold.scope for hold in holds if hold.is_of_one} | set(exchange.status.vehicles)
-        return sum(holding(holds, name) is not None for name in known)
+                rows = store.assignments(in_force=True)
+                flying = {row.vehicle for row in rows if row.state is AssignmentState.FLYING}
+                self._rows = _StoreRows(store.holds(), frozenset(flying))
+        return self._rows
 
     def _commands(self) -> CommandFigures:
         times = self.desk.exchange.answer_times
@@ -95,10 +109,9 @@ class DeskMeter:
         return StoreFigures(exchange.away_since_s, database.write_took_s, retries)
 
 
-def _member(seen: VehicleStatus, now_s: float) -> MemberFigures:
-    state = seen.state
-    flies = state is not None and bool(state.armed and state.assignment)
-    return MemberFigures(seen.vehicle, _standing(seen, now_s), seen.heard_s, flies)
+def _member(seen: VehicleStatus, now_s: float, flying: frozenset[str]) -> MemberFigures:
+    standing, flies = _standing(seen, now_s), seen.vehicle in flying
+    return MemberFigures(seen.vehicle, standing, seen.heard_s, flies)
 
 
 def _standing(seen: VehicleStatus, now_s: float) -> Standing:

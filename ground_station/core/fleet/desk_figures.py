@@ -25,8 +25,8 @@ class Standing(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MemberFigures:
-    """One member. `heard_s`: when its last state came; None: none has. `flies`: when it last spoke
-    it was armed and held an assignment.
+    """One member. `heard_s`: when its last state came to this desk; None: none has. `flies`: the
+    store has a flight of it that was launched and is not over.
     """
 
     vehicle: str

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from companion.fleet.messages import FINAL, Answered, Recall, Result
+from companion.fleet.messages import FINAL, Answered, EventKind, FleetEvent, Recall, Result
 from companion.fleet.roles import Role
 from companion.fleet.roster import Roster, RosterMember
 from ground_station.adapters.metrics.metrics_page import MetricsPage
@@ -37,7 +37,7 @@ from ground_station.core.schema.day_state import DayState
 from ground_station.core.schema.holds import ALL
 from tests.fleet.zenoh_net import free_port
 from tests.ground_station.desk.test_flood import Inboxed, key, state
-from tests.ground_station.desk.test_truck_dispatcher import TURN_S, DayTold
+from tests.ground_station.desk.test_truck_dispatcher import HARBOUR, TURN_S, DayTold
 from tests.ground_station.hand_made_day import by_truck
 from tests.ground_station.metrics.scrape import Scrape, scrape
 from tests.ground_station.truck_world import WorldClock
@@ -398,6 +398,32 @@ def test_an_answer_that_the_store_could_not_take_counts_when_it_has(by_hand):
     by_hand.turn(MOST_S)
     by_hand.network.inbox.hear_answer("c1", done)
     assert by_hand.turn().of("command_answer_seconds_count", deed="recall") == 1
+
+
+def launched(store: Store) -> str:
+    """A flight of d1 whose launch was taken; its assignment."""
+    store.add_orders(HARBOUR.orders[:1])
+    id_ = store.assign(HARBOUR.orders[0].id, "d1", {}, None, "desk")
+    assert id_ is not None
+    store.answered(f"{id_}:assign", Answered.DONE, "", "a")
+    assert store.launch(id_, "desk")
+    store.answered(f"{id_}:launch1", Answered.DONE, "", "a")
+    return id_
+
+
+def test_a_drone_flies_from_its_launch_to_its_outcome_also_for_a_desk_that_never_heard_it(by_hand):
+    id_ = launched(by_hand.desk.store)
+    seen = by_hand.turn()
+    assert seen.of("member_flying", vehicle="d1") == 1
+    assert seen.of("member_silence_seconds", vehicle="d1") is None
+    assert seen.of("members", standing="gone") == 1
+    told = {"outcome": "SUC", "delivered": True, "home": True}
+    outcome = FleetEvent(
+        vehicle="d1", log="l", seq=1, epoch_us=0, kind=EventKind.OUTCOME, text="", assignment=id_,
+        **told,
+    )  # fmt: skip
+    by_hand.desk.store.take_events([outcome])
+    assert by_hand.turn().of("member_flying", vehicle="d1") == 0
 
 
 def test_what_waits_to_be_taken_in_is_shown(by_hand):
