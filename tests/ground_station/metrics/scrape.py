@@ -18,9 +18,8 @@ class Scrape:
     def __init__(self, text: str) -> None:
         self.text = text
         families = list(text_string_to_metric_families(text))
-        self.names = {family.name for family in families}
+        self.families = {family.name for family in families}
         samples = [sample for family in families for sample in family.samples]
-        self.names |= {sample.name for sample in samples}
         self.values = {(s.name, frozenset(s.labels.items())): s.value for s in samples}
 
     def of(self, name: str, **labels: str) -> float | None:

@@ -1,5 +1,6 @@
 """The figures of real desks in one process, time by hand, read as Prometheus reads them."""
 
+import re
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
@@ -473,3 +474,61 @@ def test_figures_are_taken_once_a_second_however_often_the_desk_turns(by_hand):
     assert by_hand.meter.figures is first
     by_hand.turn(0.2)
     assert by_hand.meter.figures is not first
+
+
+# --- the page of the documents -------------------------------------------------------------------
+
+
+WATCH = Path(__file__).parents[3] / "docs" / "how-to" / "watch-the-desk.md"
+NAME = re.compile(r"\b((?:leeway_desk|process)_[a-z_]+)(?:\{([a-z]+)=)?")
+
+
+@pytest.fixture
+def everything(told, by_hand) -> Scrape:
+    """A scrape, over HTTP, in which nothing is absent."""
+    by_hand.gauges.ends = certificates_of(roster(by_hand.clock, desk=40, d1=2), "desk")
+    by_hand.desk.dispatcher.replans = told.day.dispatcher.replans  # type: ignore[misc]
+    exchange = by_hand.desk.exchange
+    exchange.answer_times = told.day.desk.exchange.answer_times
+    exchange.rejected.add("d1", 1)
+    hear(by_hand, "d1")
+    exchange.store.command("c1", "d1", Recall(), "anna")
+    by_hand.turn()
+    by_hand.turn()
+    with closing(MetricsServer("127.0.0.1", port := free_port())) as server:
+        server.serve(MetricsPage(lambda: by_hand.meter.figures, by_hand.clock).text)
+        return scrape(port)
+
+
+def sampled(seen: Scrape) -> dict[str, set[str]]:
+    """Names of samples, a histogram's own name too, and the labels of each."""
+    found: dict[str, set[str]] = {}
+    for name, labels in seen.values:
+        base = re.sub(r"_(bucket|count|sum)$", "", name)
+        for one in (name, base):
+            found.setdefault(one, set()).update(label for label, _ in labels)
+    return found
+
+
+def unknown(text: str, seen: Scrape) -> set[str]:
+    """Names and labels in a text that no sample has."""
+    there = sampled(seen)
+    return {
+        name
+        for name, label in NAME.findall(text)
+        if name not in there or (label and label not in there[name])
+    }
+
+
+def test_each_figure_that_the_documents_name_is_in_a_scrape_and_each_of_ours_is_named(everything):
+    text = WATCH.read_text()
+    assert unknown(text, everything) == set()
+    named = {name for name, _ in NAME.findall(text)}
+    ours = {name for name in everything.families if name.startswith("leeway_desk_")}
+    assert ours - {name.removesuffix("_total") for name in named} == set()
+
+
+def test_canary_a_figure_or_a_label_that_is_not_there_is_found(everything):
+    wrong = 'leeway_desk_stores_up == 0 or leeway_desk_members{status="gone"} > 0'
+    assert unknown(wrong, everything) == {"leeway_desk_stores_up", "leeway_desk_members"}
+    assert unknown('leeway_desk_members{standing="gone"} > 0', everything) == set()
