@@ -17,10 +17,12 @@ from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import FleetInbox
+from ground_station.core.fleet.desk_figures import CertificateFigures, certificates_of
 from ground_station.core.fleet.fleet_link import FleetInput
 
 if TYPE_CHECKING:
     from companion.fleet.identity import Identity
+    from companion.fleet.roster import Roster
     from ground_station.adapters.roster_share import RosterShare
 
 
@@ -37,6 +39,7 @@ class ZenohFleet:
         self._fleet = fleet
         identity = _identity(fleet, options)
         self._trust = identity.trust if identity is not None else None
+        self._ends: tuple[Roster, CertificateFigures] | None = None
         self.inbox = FleetInbox(self._opened)
         file = config or (identity.zenoh if identity is not None else None)
         try:
@@ -61,6 +64,20 @@ class ZenohFleet:
     def warning(self) -> str:
         """What a person should know about this end's own standing; empty: nothing."""
         return self._trust.warning() if self._trust is not None else ""
+
+    @property
+    def waiting(self) -> int:
+        """Messages that have come and are not taken in yet."""
+        return self.inbox.waiting
+
+    def certificates(self) -> CertificateFigures | None:
+        """When they end, by the roster in force; None: we are here without an identity."""
+        if self._trust is None:
+            return None
+        roster = self._trust.roster
+        if self._ends is None or self._ends[0] is not roster:
+            self._ends = roster, certificates_of(roster, self._trust.name)
+        return self._ends[1]
 
     def ask_states(self, wait_s: float) -> None:
         """Ask every member for its newest state."""

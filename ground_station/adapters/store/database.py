@@ -13,6 +13,7 @@ from sqlalchemy import event
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.store import audit_steps, tables
 from ground_station.adapters.store.outage import Outage
 
@@ -57,6 +58,7 @@ class Database:
         away is an error at once, until it is time to try it again. `any_schema`: to upgrade it.
         """
         self.shown, self.outage = url, None
+        self.write_took_s: float | None = None
         try:
             self._engine = _engine(url, "FULL" if durable else "OFF", busy_ms)
             self._unsettled = _engine(url, "NORMAL" if durable else "OFF", busy_ms)
@@ -101,8 +103,9 @@ class Database:
         """A transaction: on the disk when it ends well, undone otherwise.
 
         Without `settle` it survives this process, but perhaps not a power cut: for what the fleet
-        would send again.
+        would send again. `write_took_s` tells how long the newest took.
         """
+        began_s = monotonic_s()
         engine = self._engine if settle else self._unsettled
         with self._translated("written"), engine.begin() as db:
             if not settle and engine.dialect.name == "postgresql":
@@ -110,6 +113,7 @@ class Database:
             audit_steps.begin(db)
             yield db
             audit_steps.write(db)
+        self.write_took_s = monotonic_s() - began_s
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:

@@ -359,4 +359,5 @@ def command_row(row: Any) -> CommandRow:
         None if row.answer is None else Answered(row.answer),
         row.reason,
         row.life,
+        row.made_us,
     )

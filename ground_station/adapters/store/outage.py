@@ -11,11 +11,15 @@ a minute more is little beside the outage."""
 
 @dataclass(slots=True)
 class Outage:
-    """Whether a store is away. Who opens it to go on without it hands one to its `Database`."""
+    """Whether a store is away. Who opens it to go on without it hands one to its `Database`.
+
+    `retries`: how often it was tried again while it was away.
+    """
 
     clock_s: Callable[[], float]
     why: str | None = None
     since_s: float | None = None
+    retries: int = 0
     _wait_s: float = FIRST_S
     _again_s: float = 0.0
 
@@ -27,6 +31,7 @@ class Outage:
     def failed(self, why: str) -> None:
         """It could not be reached, or could not write."""
         now_s = self.clock_s()
+        self._count_retry()
         if self.since_s is None:
             self.since_s = now_s
         self.why, self._again_s = why, now_s + self._wait_s
@@ -34,4 +39,9 @@ class Outage:
 
     def ended(self) -> None:
         """It has done something for us."""
+        self._count_retry()
         self.why, self.since_s, self._wait_s = None, None, FIRST_S
+
+    def _count_retry(self) -> None:
+        if self.since_s is not None:
+            self.retries += 1

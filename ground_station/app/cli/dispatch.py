@@ -1,6 +1,7 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,6 +9,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us, monotonic_s
+from ground_station.app.cli.metrics import MetricsAddress, OpenMetrics, hold_port, serve_desk
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
     OPEN_WORDS,
@@ -32,6 +34,7 @@ from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
     from ground_station.app.desk.desk import Desk
+    from ground_station.app.desk.desk_meter import DeskMeter
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
@@ -81,6 +84,8 @@ def dispatch(
         float,
         typer.Option(min=1.0, help="With --until-done: end also after so long without news, s."),
     ] = 300.0,
+    metrics: MetricsAddress = None,
+    open_metrics: OpenMetrics = False,
 ) -> None:
     """Run the day: watch the fleet, assign, launch, keep everything.
 
@@ -97,16 +102,18 @@ def dispatch(
     data = open_day(day)
     person = who(user, identity, data.day.fleet)
     chosen = None if plan is None else read_day_plan(plan)
-    opened = open_store(store, store_file, create=True, goes_on=True)
-    try:
+    with (
+        hold_port(metrics, open_metrics) as server,
+        closing(open_store(store, store_file, create=True, goes_on=True)) as opened,
+    ):
         take_orders(opened, data.orders, person.name)
         assigner = assigner_of(data)
         impossible = list_impossible(data, assigner) if chosen is None else []
         by = desk_of(person)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
-        fleet = open_fleet(data.day.fleet, zenoh, identity, open_network)
         say = _say_open if open_network else _say
-        try:
+        network = open_fleet(data.day.fleet, zenoh, identity, open_network)
+        with closing(network) as fleet:
             if chosen is None:
                 cannot = frozenset(impossible)
                 desk = open_depot_desk(data, opened, fleet, say, params, cannot, None, assigner)
@@ -119,16 +126,13 @@ def dispatch(
             typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
             if open_network:
                 typer.echo(OPEN_WORDS)
-            through = _run(desk, idle if until_done else None)
-        finally:
-            fleet.close()
+            meter = None if server is None else serve_desk(server, desk, fleet)
+            through = _run(desk, idle if until_done else None, meter)
         if through:
             _end(desk)
-    finally:
-        opened.close()
 
 
-def _run(desk: "Desk", idle_s: float | None) -> bool:
+def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     from companion.fleet.service_manager import Watchdog
 
@@ -138,6 +142,8 @@ def _run(desk: "Desk", idle_s: float | None) -> bool:
         with stop_signals() as stopped:
             while not stopped:
                 watchdog.turn(monotonic_s())
+                if meter is not None:
+                    meter.turn()
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)

@@ -10,6 +10,7 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.app.desk.replanner import NoPlan, Replanner
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
+from ground_station.core.dispatch.replan_times import ReplanResult, ReplanTimes
 from ground_station.core.dispatch.replanning import (
     ReplanCause,
     ReplanReason,
@@ -65,6 +66,7 @@ class ActivePlan:
     """All stops of all plans of the day, each with all its pads."""
     attempt: ReplanAttempt = field(default_factory=ReplanAttempt)
     version: int = 0
+    replans: ReplanTimes = field(default_factory=ReplanTimes)
     _request: _Request | None = None
 
     def __post_init__(self) -> None:
@@ -110,11 +112,14 @@ class ActivePlan:
         if made is None:
             return
         request, self._request = self._request, None
+        took_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
         if self._asks_again(made, request.why, snapshot):
+            self.replans.ended(ReplanResult.DIED, took_s)
             if self.data.day.forecast != request.wind:
                 self._plan_with(request.wind)  # so that the wind stays a reason
         else:
-            self._take(made, request, snapshot)
+            result = self._take(made, request, snapshot, took_s)
+            self.replans.ended(result, took_s)
 
     def is_wanted(self, snapshot: DaySnapshot) -> bool:
         """Whether there is a reason for a new plan that has not been refused, now or later."""
@@ -159,7 +164,9 @@ class ActivePlan:
             self.say(f"no new plan ({made.reason}): asked again in {wait_s:.0f} s")
         return again
 
-    def _take(self, made: DayPlan | NoPlan, request: _Request, snapshot: DaySnapshot) -> None:
+    def _take(
+        self, made: DayPlan | NoPlan, request: _Request, snapshot: DaySnapshot, took_s: float
+    ) -> ReplanResult:
         start = self._standing_state(request.snapshot)
         wrong = made.reason if isinstance(made, NoPlan) else broken_promise(made, start)
         refused = wrong is not None or isinstance(made, NoPlan)
@@ -167,10 +174,9 @@ class ActivePlan:
         if refused or isinstance(made, NoPlan):
             self.attempt = attempt
             self.say(f"no new plan ({wrong}): the old one goes on")
-            return
+            return ReplanResult.REFUSED
         is_for_wind = request.why.cause is ReplanCause.WIND
         wind = self.data.day.forecast if is_for_wind else None
-        took_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
         late = shifted(made, start, request.snapshot.now_s, took_s)
         self.day.take_plan(late, request.why.words, wind)
         in_force = self.day.plan()
@@ -181,6 +187,7 @@ class ActivePlan:
         self._note_stops(in_force)
         left = f", {len(made.unplanned)} by nobody" if made.unplanned else ""
         self.say(f"plan {made.revision} in force: {len(made.stops)} stops{left}")
+        return ReplanResult.TAKEN
 
     def close(self) -> None:
         """Give up the plan that is being made."""

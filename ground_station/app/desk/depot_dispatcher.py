@@ -146,6 +146,11 @@ class DepotDispatcher:
             for row in self.store.orders()
         )
 
+    @property
+    def replans(self) -> None:
+        """There is no plan."""
+        return None
+
     def why_left(self, order_id: str) -> str | None:
         """Nothing is known but what the store says."""
         del order_id

@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Protocol
 
 from companion.fleet.messages import State
+from ground_station.core.fleet.desk_figures import ReplanFigures
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.orders import AssignmentRow
 
@@ -47,6 +48,11 @@ class Dispatcher(Protocol):
     @property
     def is_done(self) -> bool:
         """Whether nothing is left that this dispatcher can do."""
+        ...
+
+    @property
+    def replans(self) -> ReplanFigures | None:
+        """The plans made anew; None: this dispatcher has no plan."""
         ...
 
     def why_left(self, order_id: str) -> str | None:

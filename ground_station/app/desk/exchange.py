@@ -25,7 +25,10 @@ from companion.fleet.messages import (
 )
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.store.database import StoreError
+from ground_station.adapters.store.order_steps import deed_word
 from ground_station.adapters.store.order_store import Store
+from ground_station.core.fleet.answer_times import AnswerTimes
+from ground_station.core.fleet.desk_figures import OutboxFigures
 from ground_station.core.fleet.fleet_link import (
     Clock,
     CommandAnswered,
@@ -37,6 +40,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.name_counts import NameCounts
 from ground_station.core.fleet.rate_limit import RateLimit
 from ground_station.core.schema.orders import CommandRow
 
@@ -62,7 +66,8 @@ RETRY_S = 1.0
 class Exchange:
     """One desk's exchange. `on_state` is told each state; `changed`: something new has come.
 
-    `away`: why the store cannot be reached; None: it can.
+    `away`: why the store cannot be reached, and since when; None: it can. `outbox`: as it was last
+    read.
     """
 
     store: Store
@@ -73,6 +78,10 @@ class Exchange:
     on_state: Callable[[State], None] = lambda state: None
     changed: bool = True
     away: str | None = None
+    away_since_s: float | None = None
+    answer_times: AnswerTimes = field(default_factory=AnswerTimes)
+    rejected: NameCounts = field(default_factory=NameCounts)
+    outbox: OutboxFigures | None = None
     _sent: set[str] = field(default_factory=set)
     _retry_s: dict[str, float] = field(default_factory=dict)
     _events_asked_s: dict[str, float] = field(default_factory=dict)
@@ -80,7 +89,7 @@ class Exchange:
     _said: set[str] = field(default_factory=set)
     _states_wanted: bool = False
     _states_asked_s: float | None = None
-    _rejected: Counter[str] = field(default_factory=Counter)
+    _not_said: Counter[str] = field(default_factory=Counter)
     _rejected_said_s: dict[str, float] = field(default_factory=dict)
     _replays: dict[str, RateLimit] = field(default_factory=dict)
 
@@ -106,13 +115,14 @@ class Exchange:
         except StoreError as error:
             if self.away is None:
                 self.say(f"STORE AWAY: nothing new is decided, what flies goes on: {error}")
+                self.away_since_s = self.clock.monotonic_s()
             self.away = str(error)
 
     def store_is_back(self) -> None:
         """The store has done all that it was asked for."""
         if self.away is not None:
             self.say("store back")
-            self.away, self.changed = None, True
+            self.away, self.away_since_s, self.changed = None, None, True
 
     def say_once(self, words: str) -> None:
         """Say it, unless it has been said before."""
@@ -149,12 +159,13 @@ class Exchange:
         """
         self._states_wanted = True
         who, now_s = received.key, self.clock.monotonic_s()
-        self._rejected[who] += received.count
+        self.rejected.add(who, received.count)
+        self._not_said[who] += received.count
         said_s = self._rejected_said_s.get(who)
         if said_s is not None and now_s - said_s < REJECTED_S:
             return
         self._rejected_said_s[who] = now_s
-        count = self._rejected.pop(who)
+        count = self._not_said.pop(who)
         number = "message" if count == 1 else f"{count} messages"
         self.say(f"{who}: {number} rejected: {received.reason}")
 
@@ -211,8 +222,10 @@ class Exchange:
                 final.append(received.result)
             else:
                 self._try_again(received)
+        now_s = self.clock.monotonic_s()
         new = self.store.take_answers(final) if final else set[str]()
         for result in final:
+            self.answer_times.answered(result.id, now_s)  # it is in the store: not sent again
             if result.id in new:
                 self.say(f"{result.vehicle}: {result.id}: {result.answer.value} {result.reason}")
                 self.changed = True
@@ -220,6 +233,8 @@ class Exchange:
     def _try_again(self, received: CommandAnswered) -> None:
         result = received.result
         why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
+        if result is None:
+            self.answer_times.timed_out(received.command_id)
         self._retry_s[received.command_id] = self.clock.monotonic_s() + RETRY_S
         self.store.tried(received.command_id, why)
 
@@ -261,8 +276,10 @@ class Exchange:
 
     def send_outbox(self, only: set[str] | None = None) -> None:
         """Send the commands that are due; `only`: of these ids."""
-        now_s = self.clock.monotonic_s()
-        for row in self.store.outbox():
+        now_s, rows = self.clock.monotonic_s(), self.store.outbox()
+        self.outbox = OutboxFigures(len(rows), rows[0].made_us if rows else None)
+        self.answer_times.keep_only({row.id for row in rows})
+        for row in rows:
             if only is not None and row.id not in only:
                 continue
             retry_s = self._retry_s.get(row.id)
@@ -271,6 +288,7 @@ class Exchange:
             command = self._command(row, now_s)
             if command is not None:
                 self._sent.add(row.id)
+                self.answer_times.sent(row.id, deed_word(row.deed), now_s)
                 self.fleet.send(command, ANSWER_S)
 
     def _command(self, row: CommandRow, now_s: float) -> Command | None:

@@ -32,6 +32,7 @@ from ground_station.core.dispatch.dispatch_rules import DispatchRules
 from ground_station.core.dispatch.flight_tables import sortie_table
 from ground_station.core.dispatch.replanning import candidate_pads
 from ground_station.core.feasibility.reach import Reach, day_energy
+from ground_station.core.fleet.desk_figures import ReplanFigures
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
@@ -210,6 +211,11 @@ class TruckDispatcher:
         last = snapshot.plan.stops[-1].id == snapshot.here.id
         under_way = any(not (row.aboard or row.gone) for row in snapshot.sorties)
         return last and not under_way and not self.active.is_wanted(snapshot)
+
+    @property
+    def replans(self) -> ReplanFigures:
+        """The plans made anew."""
+        return ReplanFigures(dict(self.active.replans.by_result), self.active.is_replanning)
 
     def why_left(self, order_id: str) -> str | None:
         """What the plan says of an order that nobody can bring."""

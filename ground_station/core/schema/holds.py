@@ -30,6 +30,11 @@ class Hold:
     set_us: int
 
     @property
+    def is_of_one(self) -> bool:
+        """Whether it holds one vehicle only."""
+        return self.scope != ALL
+
+    @property
     def words(self) -> str:
         """The hold in words."""
         name = "every drone" if self.scope == ALL else self.scope

@@ -115,7 +115,10 @@ class AssignmentRow:
 
 @dataclass(frozen=True, slots=True)
 class CommandRow:
-    """A command in the outbox (no answer yet), or answered by the life `life`."""
+    """A command in the outbox (no answer yet), or answered by the life `life`.
+
+    `made_us`: when it was written down.
+    """
 
     id: str
     vehicle: str
@@ -125,6 +128,7 @@ class CommandRow:
     answer: Answered | None
     reason: str
     life: str | None
+    made_us: int
 
 
 def assignment_id(order: str, attempt: int) -> str:

@@ -169,6 +169,11 @@ class GiveAll:
         """Never: the bench ends it."""
         return False
 
+    @property
+    def replans(self) -> None:
+        """There is no plan."""
+        return None
+
     def why_left(self, order_id: str) -> str | None:
         """Nothing is known."""
         del order_id

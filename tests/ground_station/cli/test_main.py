@@ -10,7 +10,7 @@ CODE = "from ground_station.app.cli.main import main; main()"
 
 HEAVY = (
     "numpy", "scipy", "networkx", "msgspec", "shapely", "zenoh", "matplotlib", "numba",
-    "sqlalchemy", "httpx",
+    "sqlalchemy", "httpx", "h11", "prometheus_client",
 )  # fmt: skip
 
 
