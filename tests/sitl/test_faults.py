@@ -105,6 +105,14 @@ GUARDS: dict[str, tuple[str, str]] = {
     ),
     "second-takes-over": ("outbound", without(AUTHORITY, "Authority._is_theirs", "False")),
     "payload-computer-flies": ("return", without(AUTHORITY, "Authority._is_theirs", "False")),
+    "replayed-frames": (
+        "return",
+        "import hashlib, companion.adapters.autopilots.codec as guarded\n"
+        "def unwary(self, frame, system, component):\n"
+        "    right = hashlib.sha256(bytes(self.signing.secret_key) + bytes(frame[:-6])).digest()\n"
+        "    return right[:6] == bytes(frame[-6:])\n"
+        "guarded._Codec.check_signature = unwary",
+    ),
     "mission-cleared": ("return", without(HOLD, "UnansweredHold.tick", "None")),
 }
 """By row: the phase, and the patch that takes its guard out."""

@@ -1,7 +1,16 @@
 """All rows of the standing suite, by number."""
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.faults import air, authority, energy, host, link, mission_and_home, telemetry
+from sim_bridge.app.faults import (
+    air,
+    authority,
+    energy,
+    host,
+    link,
+    mission_and_home,
+    signing,
+    telemetry,
+)
 from sim_bridge.app.faults.case import FaultCase
 
 CATALOGUE: tuple[FaultCase, ...] = tuple(
@@ -14,6 +23,7 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
             *telemetry.CASES,
             *host.CASES,
             *link.CASES,
+            *signing.CASES,
         ),
         key=lambda case: case.number,
     )

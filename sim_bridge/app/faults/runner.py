@@ -1,5 +1,6 @@
 """Flies the rows of the suite and judges them: one flight each, side by side."""
 
+import secrets
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 
 from companion.adapters.files.params import params_dir
+from companion.adapters.files.signing_files import write_signing_key
 from companion.app.flight.recorder import TEXT
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.catalogue import CATALOGUE
@@ -21,6 +23,7 @@ from sim_bridge.app.flight.stopping import worker_pool
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
 OUTPUT = "companion.out"
+KEY, KEY_BYTES = "signing.key", 32
 
 
 class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,11 +116,20 @@ def fly_fault(task: FaultTask) -> FaultRow:
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
         before_companion=case.before_companion,
+        signing_key=_key_in(folder) if case.signed else None,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)
     (row,) = fly(options, ending, performance)["flights"]
     assert performance.stage is not None
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
+
+
+def _key_in(folder: Path) -> Path:
+    """A key of its own for this flight; drawing it from a seed would make it a known one."""
+    path = folder / KEY
+    path.unlink(missing_ok=True)
+    write_signing_key(path, secrets.token_bytes(KEY_BYTES))
+    return path
 
 
 def write_flight(changes: dict[str, Any], folder: Path) -> Path:
