@@ -46,6 +46,7 @@ def faults(
     from sim_bridge.app.faults import report, runner
     from sim_bridge.app.faults.case import BOTH, PHASES
     from sim_bridge.app.faults.catalogue import chosen
+    from sim_bridge.app.faults.fault_row import FaultRow
 
     console = Console()
     cases = chosen([*(only or []), *(names or [])])
@@ -58,11 +59,11 @@ def faults(
     )
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    rows: list[runner.FaultRow] = []
+    rows: list[FaultRow] = []
     with Progress(console=console, transient=True) as bar:
         flights = bar.add_task(f"{len(todo)} flights", total=len(todo))
 
-        def flown(row: runner.FaultRow) -> None:
+        def flown(row: FaultRow) -> None:
             rows.append(row)
             report.broke(console, row)
             bar.advance(flights)

@@ -12,8 +12,13 @@ from sim_bridge.app.faults import (
     telemetry,
 )
 from sim_bridge.app.faults.case import FaultCase
+from sim_bridge.app.fleet_faults import fleet_cases
+from sim_bridge.app.fleet_faults.fleet_case import FleetCase
 
-CATALOGUE: tuple[FaultCase, ...] = tuple(
+Case = FaultCase | FleetCase
+"""One vehicle's flight, or a small day of a fleet."""
+
+CATALOGUE: tuple[Case, ...] = tuple(
     sorted(
         (
             *air.CASES,
@@ -24,6 +29,7 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
             *host.CASES,
             *link.CASES,
             *signing.CASES,
+            *fleet_cases.CASES,
         ),
         key=lambda case: case.number,
     )
@@ -31,7 +37,12 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
 """Every row."""
 
 
-def chosen(names: list[str]) -> list[FaultCase]:
+def case_of(name: str) -> Case:
+    """The row of this name."""
+    return next(case for case in CATALOGUE if case.name == name)
+
+
+def chosen(names: list[str]) -> list[Case]:
     """The rows of these names or numbers; all of them where none is named.
 
     Raises: LeewayError for a name that no row has.

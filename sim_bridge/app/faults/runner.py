@@ -14,7 +14,8 @@ from companion.adapters.files.params import params_dir
 from companion.adapters.files.signing_files import write_signing_key
 from companion.app.flight.recorder import TEXT
 from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.faults.catalogue import CATALOGUE
+from sim_bridge.app.faults.catalogue import Case, case_of
+from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
@@ -26,39 +27,8 @@ OUTPUT = "companion.out"
 KEY, KEY_BYTES = "signing.key", 32
 
 
-class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight under one fault, as `--json` writes it."""
-
-    fault: str
-    group: str
-    autopilot: str
-    phase: str
-    seed: int
-    outcome: str
-    home: bool
-    delivered: bool
-    margin_wh: float
-    p_home_last_go: float | None
-    commands_after_takeover: int
-    exceptions: int
-    said: list[str]
-    held: bool
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class FaultTask:
-    """One flight to be flown."""
-
-    fault: str
-    autopilot: str
-    phase: str
-    seed: int
-    run_root: Path
-
-
 def tasks(
-    cases: Sequence[FaultCase],
+    cases: Sequence[Case],
     autopilots: Sequence[str],
     phases: Sequence[str],
     seeds: Sequence[int],
@@ -101,8 +71,16 @@ def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:
 
 
 def fly_fault(task: FaultTask) -> FaultRow:
-    """Fly one row and judge it."""
-    (case,) = (case for case in CATALOGUE if case.name == task.fault)
+    """Fly one row and judge it: one vehicle's flight, or a fleet's small day."""
+    case = case_of(task.fault)
+    if isinstance(case, FaultCase):
+        return _fly_flight(case, task)
+    from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault  # desk, store, planner
+
+    return fly_fleet_fault(case, task)
+
+
+def _fly_flight(case: FaultCase, task: FaultTask) -> FaultRow:
     folder = task.run_root / f"{case.name}-{task.autopilot}-{task.phase}-seed{task.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     draws = np.random.default_rng([task.seed, case.number])
