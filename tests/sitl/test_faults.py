@@ -6,10 +6,10 @@ the companion has no switch for it.
 
 import pytest
 
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE
+from sim_bridge.app.fault_suite.suite import fly_fault, tasks
 from sim_bridge.app.faults.case import BOTH, PHASES
-from sim_bridge.app.faults.catalogue import CATALOGUE
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
-from sim_bridge.app.faults.runner import fly_fault, tasks
 from sim_bridge.app.flight import companion_process
 
 pytestmark = pytest.mark.sitl

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from ground_station.adapters.store import order_steps, tables
 from ground_station.app.desk.exchange import Exchange
-from sim_bridge.app.faults.catalogue import case_of
+from sim_bridge.app.fault_suite.catalogue import case_of
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.fleet_faults.fleet_case import FleetCase
 from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sim_bridge.app.faults.catalogue import Case
+from sim_bridge.app.fault_suite.catalogue import Case
 from sim_bridge.app.faults.fault_row import FaultRow
 from sim_bridge.app.flight.report import slim_table
 

@@ -1,8 +1,7 @@
-"""Flies the rows of the suite and judges them: one flight each, side by side."""
+"""Flies a row of one vehicle and judges it."""
 
 import secrets
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,10 @@ from companion.adapters.files.params import params_dir
 from companion.adapters.files.signing_files import write_signing_key
 from companion.app.flight.recorder import TEXT
 from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.faults.catalogue import Case, case_of
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
-from sim_bridge.app.flight.stopping import worker_pool
 
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
@@ -27,60 +24,8 @@ OUTPUT = "companion.out"
 KEY, KEY_BYTES = "signing.key", 32
 
 
-def tasks(
-    cases: Sequence[Case],
-    autopilots: Sequence[str],
-    phases: Sequence[str],
-    seeds: Sequence[int],
-    run_root: Path,
-) -> list[FaultTask]:
-    """All flights of these rows, of the phases in which each makes sense."""
-    return [
-        FaultTask(case.name, autopilot, phase, seed, run_root)
-        for case in cases
-        for autopilot in autopilots
-        if autopilot in case.autopilots
-        for phase in phases
-        if phase in case.phases
-        for seed in seeds
-    ]
-
-
-def run_all(
-    todo: Sequence[FaultTask], jobs: int, flown: Callable[[FaultRow], None]
-) -> list[FaultRow]:
-    """Fly them, `jobs` side by side; `flown` is told each as it ends. In the tasks' order."""
-    rows: dict[int, FaultRow] = {}
-    for index, row in _run(todo, jobs):
-        rows[index] = row
-        flown(row)
-    return [rows[index] for index in sorted(rows)]
-
-
-def _run(todo: Sequence[FaultTask], jobs: int) -> Iterator[tuple[int, FaultRow]]:
-    if jobs == 1 or len(todo) <= 1:
-        yield from map(_fly_numbered, enumerate(todo))
-        return
-    with worker_pool(min(jobs, len(todo))) as pool:
-        yield from pool.imap_unordered(_fly_numbered, list(enumerate(todo)))
-
-
-def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:
-    index, task = numbered
-    return index, fly_fault(task)
-
-
-def fly_fault(task: FaultTask) -> FaultRow:
-    """Fly one row and judge it: one vehicle's flight, or a fleet's small day."""
-    case = case_of(task.fault)
-    if isinstance(case, FaultCase):
-        return _fly_flight(case, task)
-    from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault  # desk, store, planner
-
-    return fly_fleet_fault(case, task)
-
-
-def _fly_flight(case: FaultCase, task: FaultTask) -> FaultRow:
+def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
+    """Fly one row and judge it."""
     folder = task.run_root / f"{case.name}-{task.autopilot}-{task.phase}-seed{task.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     draws = np.random.default_rng([task.seed, case.number])
