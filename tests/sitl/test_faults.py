@@ -6,9 +6,10 @@ the companion has no switch for it.
 
 import pytest
 
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE
+from sim_bridge.app.fault_suite.suite import fly_fault, tasks
 from sim_bridge.app.faults.case import BOTH, PHASES
-from sim_bridge.app.faults.catalogue import CATALOGUE
-from sim_bridge.app.faults.runner import FaultRow, FaultTask, fly_fault, tasks
+from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.flight import companion_process
 
 pytestmark = pytest.mark.sitl
@@ -105,6 +106,14 @@ GUARDS: dict[str, tuple[str, str]] = {
     ),
     "second-takes-over": ("outbound", without(AUTHORITY, "Authority._is_theirs", "False")),
     "payload-computer-flies": ("return", without(AUTHORITY, "Authority._is_theirs", "False")),
+    "replayed-frames": (
+        "return",
+        "import hashlib, companion.adapters.autopilots.codec as guarded\n"
+        "def unwary(self, frame, system, component):\n"
+        "    right = hashlib.sha256(bytes(self.signing.secret_key) + bytes(frame[:-6])).digest()\n"
+        "    return right[:6] == bytes(frame[-6:])\n"
+        "guarded._Codec.check_signature = unwary",
+    ),
     "mission-cleared": ("return", without(HOLD, "UnansweredHold.tick", "None")),
 }
 """By row: the phase, and the patch that takes its guard out."""

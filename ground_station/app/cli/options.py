@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import epoch_us, monotonic_s
+from ground_station.adapters.clock import WallClock, epoch_us, monotonic_s
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
@@ -99,15 +99,16 @@ def open_store(
 ) -> "Store":
     """The store. StoreError says in one line why it cannot be opened.
 
-    Only a command that begins a day makes a store that is not there (`create`). `goes_on`: who
-    opens it goes on while it is away, and does not wait for it.
+    It stamps by the clock of a running desk, which nobody sets meanwhile: launches are compared
+    with the day's time. Only a command that begins a day makes a store that is not there
+    (`create`). `goes_on`: who opens it goes on while it is away, and does not wait for it.
     """
     from ground_station.adapters.store.database import Database
     from ground_station.adapters.store.order_store import Store
     from ground_station.adapters.store.outage import Outage
 
     outage = Outage(monotonic_s) if goes_on else None
-    return Store(Database(url_of(url, file), create=create, outage=outage), epoch_us)
+    return Store(Database(url_of(url, file), create=create, outage=outage), WallClock().epoch_us)
 
 
 def open_at_once(url: str) -> "Store":

@@ -95,6 +95,18 @@ class ActivePlan:
             self.data = DayData(data.day, taken, data.no_fly, data.airframes, data.roads_s)
             self.version += 1
 
+    def note_plan(self, newest: DayPlan | None) -> None:
+        """The store's newest plan is ours, too, where another desk of this day has made it."""
+        if newest is None or newest.revision <= self.plan.revision:
+            return
+        wind = self.day.wind()
+        if wind is not None:
+            self.data = self._with_forecast(wind)
+        self.plan = newest
+        self.version += 1
+        self._note_stops(newest)
+        self.say(f"plan {newest.revision} in force, made by another desk")
+
     @property
     def is_replanning(self) -> bool:
         """Whether a new plan is being made."""

@@ -56,6 +56,7 @@ class DayTracker:
     _began_us: int | None = None
     _rows: _Rows | None = None
     _from_us: int = 0
+    _plan_made_us: int = 0
 
     def __post_init__(self) -> None:
         self._from_us = self.clock.epoch_us()
@@ -138,6 +139,7 @@ class DayTracker:
     def _read(self, now_s: float) -> _Rows:
         orders = self.store.orders()
         self.active.note_orders(orders)
+        plan_made_us = self._read_plan()
         return _Rows(
             read_s=now_s,
             open=_open(orders),
@@ -145,9 +147,17 @@ class DayTracker:
             serves=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
             told=self.day.told(),
             visits={visit.stop: visit for visit in self.day.visits()},
-            plan_made_us=self.day.plan_made_us(),
+            plan_made_us=plan_made_us,
             holds=tuple(self.store.holds()),
         )
+
+    def _read_plan(self) -> int:
+        """When the newest plan was taken; it is read where it is not the one that was known."""
+        made_us = self.day.plan_made_us()
+        if made_us != self._plan_made_us:
+            self.active.note_plan(self.day.plan())
+            self._plan_made_us = made_us
+        return made_us
 
     def _waited(
         self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneStatus], now_s: float

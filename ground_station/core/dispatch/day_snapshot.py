@@ -162,7 +162,10 @@ class DaySnapshot:
         return self.why_out(vehicle) is None and all(row.promised == stop for row in mine)
 
     def delay_s(self) -> float:
-        """Delay of the truck against the plan; negative: it is early."""
+        """Delay of the truck against the plan; negative: it is early.
+
+        From its last stop it leaves for nowhere: however long it stands there, it is not late.
+        """
         index = self.index
         if self.truck is None or index is None:
             return 0.0
@@ -171,7 +174,8 @@ class DaySnapshot:
             visit = self.visits.get(stop.id)
             arrived_us = visit.arrived_us if visit is not None else None
             begun_s = self._after_plan(arrived_us, stop.arrive_s)
-            return max(begun_s, self.now_s - stop.depart_s)
+            is_last = index + 1 == len(self.plan.stops)
+            return begun_s if is_last else max(begun_s, self.now_s - stop.depart_s)
         before = self.plan.stops[max(index - 1, 0)]
         visit = self.visits.get(before.id)
         left_us = visit.left_us if visit is not None else None

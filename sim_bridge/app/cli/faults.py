@@ -43,9 +43,10 @@ def faults(
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim_bridge.app.faults import report, runner
+    from sim_bridge.app.fault_suite import report, suite
+    from sim_bridge.app.fault_suite.catalogue import chosen
     from sim_bridge.app.faults.case import BOTH, PHASES
-    from sim_bridge.app.faults.catalogue import chosen
+    from sim_bridge.app.faults.fault_row import FaultRow
 
     console = Console()
     cases = chosen([*(only or []), *(names or [])])
@@ -53,23 +54,23 @@ def faults(
         for line in report.listing(cases):
             typer.echo(line)
         return
-    todo = runner.tasks(
+    todo = suite.tasks(
         cases, _of(autopilot, BOTH, "autopilot"), _of(phase, PHASES, "phase"), _range(seeds), runs
     )
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    rows: list[runner.FaultRow] = []
+    rows: list[FaultRow] = []
     with Progress(console=console, transient=True) as bar:
         flights = bar.add_task(f"{len(todo)} flights", total=len(todo))
 
-        def flown(row: runner.FaultRow) -> None:
+        def flown(row: FaultRow) -> None:
             rows.append(row)
             report.broke(console, row)
             bar.advance(flights)
             if json_out is not None:
                 report.write(json_out, rows)
 
-        ordered = runner.run_all(todo, jobs, flown)
+        ordered = suite.run_all(todo, jobs, flown)
     console.print(report.summary(ordered))
     console.print(report.promises(ordered))
     if json_out is not None:

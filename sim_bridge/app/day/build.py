@@ -262,7 +262,7 @@ def here(loss: float, folder: Path) -> Plumb:
                 folder / drone.name,
                 lambda life: bus.join(drone.name, life),
                 clock.monotonic_s,
-                clock.epoch_us,
+                lambda: clock.epoch_us() + round(drone.wall_off_s * 1e6),
             )
             return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s)
 

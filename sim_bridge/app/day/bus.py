@@ -61,6 +61,8 @@ class Bus:
     """Each vehicle's last published state, delivered or not; for the judge."""
     cut_until_s: float = 0.0
     """Until then nothing passes between the desk and the members."""
+    _cut_off_until_s: dict[str, float] = field(default_factory=dict)
+    """Until then nothing passes to or from this member."""
     _links: list["BusLink"] = field(default_factory=list)
     _desks: list["BusFleet"] = field(default_factory=list)
     _under_way: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
@@ -93,18 +95,32 @@ class Bus:
     def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
         """Notify a desk that a member session came or went."""
         alive = LivelinessChanged(link.vehicle, link.life, up=up)
-        self.later(max(DELAY_S, self.cut_until_s - self.t_s), lambda: desk.hear(alive))
+        open_s = self._open_s(link.vehicle)
+        self.later(max(DELAY_S, open_s - self.t_s), lambda: desk.hear(alive))
 
     def cut(self, for_s: float) -> None:
         """Lose every message for so long; past the lease members are gone, and come back."""
         self.cut_until_s = max(self.cut_until_s, self.t_s + for_s)
-        if self.cut_until_s - self.t_s > LEASE_S:
-            self.later(LEASE_S, lambda: self._all_told(up=False))
-            self.later(self.cut_until_s - self.t_s, lambda: self._all_told(up=True))
+        self._let_lease_end(self.cut_until_s, None)
 
-    def _all_told(self, *, up: bool) -> None:
+    def cut_off(self, vehicle: str, for_s: float) -> None:
+        """Lose every message to and from one member for so long, as where its radio is off."""
+        until_s = max(self._open_s(vehicle), self.t_s + for_s)
+        self._cut_off_until_s[vehicle] = until_s
+        self._let_lease_end(until_s, vehicle)
+
+    def _open_s(self, vehicle: str) -> float:
+        """From when on messages pass to and from this member."""
+        return max(self.cut_until_s, self._cut_off_until_s.get(vehicle, 0.0))
+
+    def _let_lease_end(self, until_s: float, vehicle: str | None) -> None:
+        if until_s - self.t_s > LEASE_S:
+            self.later(LEASE_S, lambda: self._all_told(vehicle, up=False))
+            self.later(until_s - self.t_s, lambda: self._all_told(vehicle, up=True))
+
+    def _all_told(self, vehicle: str | None, *, up: bool) -> None:
         for desk in list(self._desks):
-            for link in self._links:
+            for link in self.links_of(vehicle):
                 desk.hear(LivelinessChanged(link.vehicle, link.life, up=up))
 
     def desk(self) -> "BusFleet":
@@ -129,21 +145,21 @@ class Bus:
         """The sessions of one vehicle, or of all."""
         return [link for link in self._links if vehicle in (None, link.vehicle)]
 
-    def post(self, deliver: Callable[[], None]) -> None:
-        """Send a message: it arrives after `DELAY_S`, or is lost."""
-        if not self._is_lost():
+    def post(self, member: str, deliver: Callable[[], None]) -> None:
+        """Send a message of or to a member: it arrives after `DELAY_S`, or is lost."""
+        if not self._is_lost(member):
             self.later(DELAY_S, deliver)
 
     def post_track(self, sender: "BusLink", raw: bytes) -> None:
         """Send a track to every other vehicle, with this network's delay and distortion."""
         told = Told(sender.vehicle, self.spoil(raw, self.t_s))
         for link in self.links_of():
-            if link.vehicle != sender.vehicle and not self._is_lost():
+            if link.vehicle != sender.vehicle and not self._is_lost(sender.vehicle, link.vehicle):
                 self.later(self.track_delay_s, lambda link=link: link.hear_track(told))
 
-    def _is_lost(self) -> bool:
+    def _is_lost(self, *members: str) -> bool:
         self.sent += 1
-        if self.t_s < self.cut_until_s:
+        if self.t_s < max(map(self._open_s, members)):
             self.lost += 1
             return True
         lost = self.loss > 0.0 and self.rng.random() < self.loss
@@ -192,12 +208,12 @@ class BusLink:
         if isinstance(state, State):
             self.bus.states[self.vehicle] = state
         for desk in self.bus.desks:
-            self.bus.post(lambda desk=desk: desk.hear_state(self.vehicle, raw))
+            self.bus.post(self.vehicle, lambda desk=desk: desk.hear_state(self.vehicle, raw))
 
     def publish_event(self, raw: bytes) -> None:
         """Publish an event to every desk."""
         for desk in self.bus.desks:
-            self.bus.post(lambda desk=desk: desk.hear_event(self.vehicle, raw))
+            self.bus.post(self.vehicle, lambda desk=desk: desk.hear_event(self.vehicle, raw))
 
     def publish_track(self, raw: bytes) -> None:
         """Send the own position to the neighbours."""
@@ -248,28 +264,28 @@ class BusFleet:
     def ask_states(self, wait_s: float) -> None:
         """Query every vehicle for its newest state."""
         for link in self.bus.links_of():
-            self.bus.post(lambda link=link: self._reply_state(link))
+            self.bus.post(link.vehicle, lambda link=link: self._reply_state(link))
 
     def _reply_state(self, link: BusLink) -> None:
         if link.state:
-            self.bus.post(lambda: self.hear_state(link.vehicle, link.state))
+            self.bus.post(link.vehicle, lambda: self.hear_state(link.vehicle, link.state))
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         """Query a vehicle for its stored events after this number."""
         for link in self.bus.links_of(vehicle):
             asked = Asked(
-                Ask.EVENTS, self._once(lambda raw: self._replay(vehicle, raw)), b"", after
+                Ask.EVENTS, self._once(vehicle, lambda raw: self._replay(vehicle, raw)), b"", after
             )
-            self.bus.post(lambda link=link, asked=asked: link.hear(asked))
+            self.bus.post(link.vehicle, lambda link=link, asked=asked: link.hear(asked))
 
-    def _once(self, take: Answers) -> Answers:
+    def _once(self, vehicle: str, take: Answers) -> Answers:
         """Callback that sends all replies as one message; further calls do nothing."""
         gone: list[bool] = []
 
         def answer(replies: list[bytes]) -> None:
             if not gone:
                 gone.append(True)
-                self.bus.post(lambda: take(replies))
+                self.bus.post(vehicle, lambda: take(replies))
 
         return answer
 
@@ -296,8 +312,8 @@ class BusFleet:
 
         payload = encode(command)
         for link in self.bus.links_of(command.vehicle):
-            asked = Asked(Ask.COMMAND, self._once(take), payload)
-            self.bus.post(lambda link=link, asked=asked: link.hear(asked))
+            asked = Asked(Ask.COMMAND, self._once(command.vehicle, take), payload)
+            self.bus.post(link.vehicle, lambda link=link, asked=asked: link.hear(asked))
         self.bus.later(wait_s, lambda: conclude(None))
 
     def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:

@@ -8,13 +8,11 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.active_plan import ActivePlan
+from ground_station.adapters.store.outage import Outage
 from ground_station.app.desk.desk import Desk
-from ground_station.app.desk.exchange import Exchange
+from ground_station.app.desk.open_desk import open_truck_desk
 from ground_station.app.desk.replanner import InlineReplanner
-from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.day.build import BuiltDay
 
@@ -35,9 +33,9 @@ class Books:
     day: DayStore
 
     @classmethod
-    def open(cls, folder: Path, clock: Clock) -> "Books":
+    def open(cls, folder: Path, clock: Clock, outage: Outage | None = None) -> "Books":
         """Open the folder's store, or create it."""
-        database = Database(store_url(folder))
+        database = Database(store_url(folder), outage=outage)
         return cls(database, Store(database, clock.epoch_us), DayStore(database, clock.epoch_us))
 
     @property
@@ -55,49 +53,70 @@ class Books:
         self.store.close()
 
 
+def _opened(folder: Path, clock: Clock) -> Books:
+    """The store as a desk opens it: it goes on while that is away."""
+    return Books.open(folder, clock, Outage(clock.monotonic_s))
+
+
 @dataclass(slots=True)
 class DeskHere:
-    """`ground_station`'s desk, stepped. `kill` discards everything except its store on disk."""
+    """`ground_station`'s desk, stepped. `kill` discards everything except its store on disk.
+
+    `clock` is its computer's.
+    """
 
     built: BuiltDay
     folder: Path
     seed: int
     trials: int | None
+    clock: Clock
     books: Books
     desk: Desk | None = None
     _log: IO[str] | None = field(default=None, repr=False)
 
     @classmethod
     def open(
-        cls, built: BuiltDay, plan: DayPlan, folder: Path, seed: int, trials: int | None
+        cls,
+        built: BuiltDay,
+        plan: DayPlan,
+        folder: Path,
+        seed: int,
+        trials: int | None,
+        clock: Clock | None = None,
     ) -> "DeskHere":
-        """Store the orders and the plan, and start the desk.
+        """Store the orders and the plan, and start the desk, by the day's clock or its own.
 
         Raises LeewayError if the store holds other orders.
         """
-        books = Books.open(folder, built.clock)
+        clock = clock or built.clock
+        books = _opened(folder, clock)
         taken = books.store.add_orders(built.data.orders)
         if taken.conflicts:
             raise LeewayError(f"{folder}: its store holds other orders")
         books.day.take_plan(plan, "the day's plan")
         built.faults.spread_over(plan.makespan_s)
-        seat = cls(built, folder, seed, trials, books)
+        seat = cls(built, folder, seed, trials, clock, books)
         seat._log = (folder / LOG).open("a", encoding="utf-8")
         seat._sit_down()
         return seat
 
+    def beside(self, name: str, clock: Clock) -> "DeskHere":
+        """Another desk on the same store, by its own computer's clock. It keeps a log of its own.
+
+        Closing it does not close the first.
+        """
+        books = _opened(self.folder, clock)
+        seat = DeskHere(self.built, self.folder, self.seed, self.trials, clock, books)
+        seat._log = (self.folder / f"{name}.log").open("a", encoding="utf-8")
+        seat._sit_down()
+        return seat
+
     def _sit_down(self) -> None:
-        built, books = self.built, self.books
-        bus, plan = built.plumbing.bus, books.day.plan()
+        bus, plans, clock = self.built.plumbing.bus, self.books.plans, self.clock
         assert bus is not None
-        assert plan is not None
-        data = built.data
         replanner = InlineReplanner(self.seed, self.trials)
-        active = ActivePlan(books.day, data, plan, replanner, self._say)
-        dispatcher = TruckDispatcher(books.store, books.day, active, built.clock, self._say)
-        status = FleetStatus(data.airframes)
-        exchange = Exchange(books.store, bus.desk(), self._say, status, built.clock)
-        self.desk = Desk(exchange, dispatcher)
+        data, store = self.built.data, self.books.store
+        self.desk = open_truck_desk(data, plans[0], store, bus.desk(), self._say, clock, replanner)
         self.desk.begin()
 
     def _say(self, words: str) -> None:
@@ -120,7 +139,7 @@ class DeskHere:
 
     def start(self) -> None:
         """Restart on the same store."""
-        self.books = Books.open(self.folder, self.built.clock)
+        self.books = _opened(self.folder, self.clock)
         self._say("STARTED AGAIN")
         self._sit_down()
 

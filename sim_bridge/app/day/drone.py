@@ -154,6 +154,8 @@ class DayDrone:
     companion_due_s: float | None = None
     lost_frames: int = 0
     disarmed_by_hand: int = 0
+    wall_off_s: float = 0.0
+    """How far its companion's wall clock is ahead of the day's."""
     ended_by_itself: list[float] = field(default_factory=list)
     """When a companion ended that nobody had killed or switched off."""
     _loss_rng: np.random.Generator = field(init=False)

@@ -6,7 +6,7 @@ day's depot.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -89,6 +89,7 @@ class DayTruck:
     _task: Task | None = None
     _began_s: float = 0.0
     _ends_s: float = 0.0
+    _held_up_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._stop = self.port.truck.stop
@@ -138,8 +139,18 @@ class DayTruck:
         spread = float(np.exp(self.rng.normal(0.0, SPEED_STD_FRAC)))
         late_s = self.late_s if len(self.drives) == 1 else 0.0
         takes_s = self.drive_s(self._stop, task.id, apart_m) * spread + late_s
+        takes_s, self._held_up_s = takes_s + self._held_up_s, 0.0
         self.drives.append(Drive(task.id, self.ne_m, to, t_s, t_s + takes_s))
         self._ends_s = t_s + takes_s
+
+    def hold_up(self, for_s: float) -> None:
+        """The drive that is under way, or else the next one, takes so much longer."""
+        if self._task is None or self._task.kind is not TaskKind.ARRIVE:
+            self._held_up_s += for_s
+            return
+        drive = self.drives[-1]
+        self.drives[-1] = replace(drive, arrive_s=drive.arrive_s + for_s)
+        self._ends_s += for_s
 
     def _ne_of(self, task: Task) -> tuple[float, float]:
         place = Place(lat_deg=task.lat_deg, lon_deg=task.lon_deg, alt_amsl_m=0.0)

@@ -42,7 +42,7 @@ class FaultCase:
     `flight` changes the flight file, table by table; `arguments` are more of the companion's.
     `before_companion` is Python that runs first in its process: a computer that is not what it
     should be. `ends_after_s`: the flight is ended so long after a person has taken over, where
-    nobody is expected to come home.
+    nobody is expected to come home. `signed`: autopilot and companion share a signing key.
     """
 
     number: int
@@ -57,6 +57,7 @@ class FaultCase:
     arguments: tuple[str, ...] = ()
     before_companion: str = ""
     ends_after_s: float | None = None
+    signed: bool = False
 
     def wrong(self, flown: FlownFault) -> list[str]:
         """What does not hold. In any flight the fault has begun, and nobody raises an exception."""

@@ -1,6 +1,6 @@
 """Faults of the companion computer: it dies and comes back, or does not."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
 from sim_bridge.app.faults.stage import Stage
@@ -12,13 +12,14 @@ GROUND_S = 22.0
 """From power-up the suite's flight stands so long on its pad."""
 
 
-def killed(*, comes_back: bool) -> Play:
-    """SIGKILL; started again after a while, or not."""
+def killed(*, comes_back: bool, meanwhile: Callable[[Stage], None] = lambda stage: None) -> Play:
+    """SIGKILL; started again after a while, or not. `meanwhile` is done while it is dead."""
 
     def play(stage: Stage) -> Iterator[None]:
         yield from stage.reached()
         craft = stage.craft
         craft.companion.kill()
+        meanwhile(stage)
         stage.lockstep.lose(craft.number - 1)
         if comes_back:
             yield from stage.wait(stage.rng.uniform(*BOOT_S))

@@ -1,7 +1,7 @@
-"""Flies the rows of the suite and judges them: one flight each, side by side."""
+"""Flies a row of one vehicle and judges it."""
 
+import secrets
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,96 +10,22 @@ import msgspec
 import numpy as np
 
 from companion.adapters.files.params import params_dir
+from companion.adapters.files.signing_files import write_signing_key
 from companion.app.flight.recorder import TEXT
 from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.faults.catalogue import CATALOGUE
+from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
-from sim_bridge.app.flight.stopping import worker_pool
 
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
 OUTPUT = "companion.out"
+KEY, KEY_BYTES = "signing.key", 32
 
 
-class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight under one fault, as `--json` writes it."""
-
-    fault: str
-    group: str
-    autopilot: str
-    phase: str
-    seed: int
-    outcome: str
-    home: bool
-    delivered: bool
-    margin_wh: float
-    p_home_last_go: float | None
-    commands_after_takeover: int
-    exceptions: int
-    said: list[str]
-    held: bool
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class FaultTask:
-    """One flight to be flown."""
-
-    fault: str
-    autopilot: str
-    phase: str
-    seed: int
-    run_root: Path
-
-
-def tasks(
-    cases: Sequence[FaultCase],
-    autopilots: Sequence[str],
-    phases: Sequence[str],
-    seeds: Sequence[int],
-    run_root: Path,
-) -> list[FaultTask]:
-    """All flights of these rows, of the phases in which each makes sense."""
-    return [
-        FaultTask(case.name, autopilot, phase, seed, run_root)
-        for case in cases
-        for autopilot in autopilots
-        if autopilot in case.autopilots
-        for phase in phases
-        if phase in case.phases
-        for seed in seeds
-    ]
-
-
-def run_all(
-    todo: Sequence[FaultTask], jobs: int, flown: Callable[[FaultRow], None]
-) -> list[FaultRow]:
-    """Fly them, `jobs` side by side; `flown` is told each as it ends. In the tasks' order."""
-    rows: dict[int, FaultRow] = {}
-    for index, row in _run(todo, jobs):
-        rows[index] = row
-        flown(row)
-    return [rows[index] for index in sorted(rows)]
-
-
-def _run(todo: Sequence[FaultTask], jobs: int) -> Iterator[tuple[int, FaultRow]]:
-    if jobs == 1 or len(todo) <= 1:
-        yield from map(_fly_numbered, enumerate(todo))
-        return
-    with worker_pool(min(jobs, len(todo))) as pool:
-        yield from pool.imap_unordered(_fly_numbered, list(enumerate(todo)))
-
-
-def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:
-    index, task = numbered
-    return index, fly_fault(task)
-
-
-def fly_fault(task: FaultTask) -> FaultRow:
+def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
     """Fly one row and judge it."""
-    (case,) = (case for case in CATALOGUE if case.name == task.fault)
     folder = task.run_root / f"{case.name}-{task.autopilot}-{task.phase}-seed{task.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     draws = np.random.default_rng([task.seed, case.number])
@@ -113,11 +39,20 @@ def fly_fault(task: FaultTask) -> FaultRow:
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
         before_companion=case.before_companion,
+        signing_key=_key_in(folder) if case.signed else None,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)
     (row,) = fly(options, ending, performance)["flights"]
     assert performance.stage is not None
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
+
+
+def _key_in(folder: Path) -> Path:
+    """A key of its own for this flight; drawing it from a seed would make it a known one."""
+    path = folder / KEY
+    path.unlink(missing_ok=True)
+    write_signing_key(path, secrets.token_bytes(KEY_BYTES))
+    return path
 
 
 def write_flight(changes: dict[str, Any], folder: Path) -> Path:

@@ -95,6 +95,12 @@ def hands_off(flown: FlownFault) -> str | None:
     return f"{sent} commands after the take-over" if sent else None
 
 
+def stays_in_hand(flown: FlownFault) -> str | None:
+    """The companion flies it to the end: nobody made it believe in another hand."""
+    off = [text for text in flown.said if text.startswith("hands off")]
+    return f"said {off[0]!r}, and nobody took over" if off else None
+
+
 def is_taken(flown: FlownFault) -> str | None:
     """Down whole where a person landed it, by truth and by the companion's own verdict."""
     own = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]

@@ -365,3 +365,17 @@ def test_a_plan_of_another_day_is_refused_in_words(day):
     other = msgspec.structs.replace(PLAN, day="elsewhere")
     with pytest.raises(Exception, match="of day 'elsewhere', expected 'harbour'"):
         open_truck_desk(HARBOUR, other, told.store, told.world, print, told.world.clock)
+
+
+def test_a_desk_goes_on_with_the_plan_that_another_desk_of_its_store_has_made(day):
+    told = day(1)
+    for _ in range(20):
+        told.world.step()
+        told.desk.turn(0.0)
+    another = DayStore(told.database, told.world.clock.epoch_us)
+    assert another.take_plan(msgspec.structs.replace(PLAN, revision=1), "the other desk's")
+    for _ in range(10):
+        told.world.step()
+        told.desk.turn(0.0)
+    assert told.dispatcher.active.plan.revision == 1
+    assert "plan 1 in force, made by another desk" in told.said

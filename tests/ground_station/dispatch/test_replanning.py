@@ -117,3 +117,12 @@ def test_the_canary_in_the_forecasts_own_wind_nothing_is_planned_anew_for_it(day
         drone.wind_ne_mps = (north, east + 1.0)
     day.run()
     assert not [why for why in day.reasons() if "wind" in why]
+
+
+def test_a_truck_that_stands_at_its_last_stop_is_not_late_however_long_it_stands(day: Day):
+    day.run()
+    reasons = day.reasons()
+    for _ in range(1000):
+        day.world.step()
+        day.desk.turn(0.0)
+    assert day.reasons() == reasons

@@ -27,5 +27,7 @@ def test_a_file_without_a_suffix_is_a_path_too(tmp_path, monkeypatch):
 
 
 def test_an_unknown_name_lists_the_names_in_one_line():
-    with pytest.raises(LeewayError, match=r"^day 'nowhere': expected a file, .* harbour, town$"):
+    with pytest.raises(
+        LeewayError, match=r"^day 'nowhere': expected a file, .* faults, harbour, town$"
+    ):
         day_file("nowhere")

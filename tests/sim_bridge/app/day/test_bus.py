@@ -160,3 +160,30 @@ def test_who_joins_and_leaves_during_a_cut_is_known_when_it_is_over():
     net.deliver(32.0)
     told = [one for one in desk.receive(0.0) if isinstance(one, LivelinessChanged)]
     assert {one.vehicle: one.up for one in told} == {"d1": False, "d2": True}
+
+
+def test_a_member_that_is_cut_off_is_not_heard_and_the_others_are():
+    net = bus()
+    lost, heard, desk = net.join("d1", "l1"), net.join("d2", "l2"), net.desk()
+    net.deliver(1.0)
+    desk.receive(0.0)
+    net.cut_off("d1", 60.0)
+    for link, vehicle in ((lost, "d1"), (heard, "d2")):
+        link.publish_state(state(vehicle))
+    net.deliver(2.0)
+    (came,) = desk.receive(0.0)
+    assert isinstance(came, StateReceived)
+    assert came.state.vehicle == "d2"
+
+
+def test_a_member_that_is_cut_off_is_gone_after_the_lease_and_then_is_back():
+    net = bus()
+    net.join("d1", "l1")
+    desk = net.desk()
+    net.deliver(1.0)
+    desk.receive(0.0)
+    net.cut_off("d1", 60.0)
+    net.deliver(30.0)
+    assert desk.receive(0.0) == [LivelinessChanged("d1", "l1", up=False)]
+    net.deliver(70.0)
+    assert desk.receive(0.0) == [LivelinessChanged("d1", "l1", up=True)]

@@ -6,9 +6,9 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE, chosen
+from sim_bridge.app.fault_suite.suite import tasks
 from sim_bridge.app.faults.case import BOTH, PHASES
-from sim_bridge.app.faults.catalogue import CATALOGUE, chosen
-from sim_bridge.app.faults.runner import tasks
 from sim_bridge.main import app
 
 

@@ -1,10 +1,24 @@
 """All rows of the standing suite, by number."""
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.faults import air, authority, energy, host, link, mission_and_home, telemetry
+from sim_bridge.app.faults import (
+    air,
+    authority,
+    energy,
+    host,
+    link,
+    mission_and_home,
+    signing,
+    telemetry,
+)
 from sim_bridge.app.faults.case import FaultCase
+from sim_bridge.app.fleet_faults import fleet_cases
+from sim_bridge.app.fleet_faults.fleet_case import FleetCase
 
-CATALOGUE: tuple[FaultCase, ...] = tuple(
+Case = FaultCase | FleetCase
+"""One vehicle's flight, or a small day of a fleet."""
+
+CATALOGUE: tuple[Case, ...] = tuple(
     sorted(
         (
             *air.CASES,
@@ -14,6 +28,8 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
             *telemetry.CASES,
             *host.CASES,
             *link.CASES,
+            *signing.CASES,
+            *fleet_cases.CASES,
         ),
         key=lambda case: case.number,
     )
@@ -21,7 +37,12 @@ CATALOGUE: tuple[FaultCase, ...] = tuple(
 """Every row."""
 
 
-def chosen(names: list[str]) -> list[FaultCase]:
+def case_of(name: str) -> Case:
+    """The row of this name."""
+    return next(case for case in CATALOGUE if case.name == name)
+
+
+def chosen(names: list[str]) -> list[Case]:
     """The rows of these names or numbers; all of them where none is named.
 
     Raises: LeewayError for a name that no row has.

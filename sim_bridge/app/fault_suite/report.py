@@ -9,8 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.faults.runner import FaultRow
+from sim_bridge.app.fault_suite.catalogue import Case
+from sim_bridge.app.faults.fault_row import FaultRow
 from sim_bridge.app.flight.report import slim_table
 
 SURE = 0.99
@@ -29,7 +29,7 @@ def write(path: Path, rows: Sequence[FaultRow]) -> None:
     fresh.replace(path)
 
 
-def listing(cases: Sequence[FaultCase]) -> Iterator[str]:
+def listing(cases: Sequence[Case]) -> Iterator[str]:
     """The rows, two lines each, with the phases in which each makes sense."""
     for case in cases:
         yield f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})"

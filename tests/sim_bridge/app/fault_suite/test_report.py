@@ -4,8 +4,8 @@ import json
 
 from rich.console import Console
 
-from sim_bridge.app.faults.report import promises, result, write
-from sim_bridge.app.faults.runner import FaultRow
+from sim_bridge.app.fault_suite.report import promises, result, write
+from sim_bridge.app.faults.fault_row import FaultRow
 
 
 def row(group: str = "energy", *, promised: float | None = 0.999, home: bool = True) -> FaultRow:

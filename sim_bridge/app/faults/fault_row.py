@@ -1,0 +1,37 @@
+"""One flight of the suite: what is to be flown, and what came of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+
+class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One flight under one fault, as `--json` writes it."""
+
+    fault: str
+    group: str
+    autopilot: str
+    phase: str
+    seed: int
+    outcome: str
+    home: bool
+    delivered: bool
+    margin_wh: float
+    p_home_last_go: float | None
+    commands_after_takeover: int
+    exceptions: int
+    said: list[str]
+    held: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTask:
+    """One flight to be flown."""
+
+    fault: str
+    autopilot: str
+    phase: str
+    seed: int
+    run_root: Path
