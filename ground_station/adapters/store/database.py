@@ -115,6 +115,14 @@ class Database:
             audit_steps.write(db)
         self.write_took_s = monotonic_s() - began_s
 
+    def try_again(self) -> None:
+        """Where a write has failed, write a row as it is. Raises StoreError if it fails again."""
+        if self.outage is None or not self.outage.in_writing:
+            return
+        here = tables.about.c.name == "schema"
+        with self.write() as db:
+            db.execute(sa.update(tables.about).where(here).values(value=tables.about.c.value))
+
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
         """A consistent read; in SQLite it waits for nobody."""
@@ -123,7 +131,7 @@ class Database:
 
     @contextmanager
     def _translated(self, what: str) -> Iterator[None]:
-        outage = self.outage
+        outage, writing = self.outage, what == "written"
         if outage is not None and outage.is_waiting:
             raise StoreError(outage.why or "")
         try:
@@ -133,10 +141,10 @@ class Database:
         except DBAPIError as error:
             why = f"store {self.shown}: nothing {what}: {' '.join(str(error.orig).split())}"
             if outage is not None:
-                outage.failed(why)
+                outage.failed(why, writing=writing)
             raise StoreError(why) from error
         if outage is not None:
-            outage.ended()
+            outage.ended(writing=writing)
 
 
 def schema_of(db: sa.Connection) -> int | None:

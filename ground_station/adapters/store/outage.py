@@ -13,13 +13,15 @@ a minute more is little beside the outage."""
 class Outage:
     """Whether a store is away. Who opens it to go on without it hands one to its `Database`.
 
-    `retries`: how often it was tried again while it was away.
+    `retries`: how often it was tried again while it was away. `in_writing`: a write has failed; on
+    a full disk, or under another's lock, a read works.
     """
 
     clock_s: Callable[[], float]
     why: str | None = None
     since_s: float | None = None
     retries: int = 0
+    in_writing: bool = False
     _wait_s: float = FIRST_S
     _again_s: float = 0.0
 
@@ -28,8 +30,9 @@ class Outage:
         """Whether it is too soon for another try."""
         return self.why is not None and self.clock_s() < self._again_s
 
-    def failed(self, why: str) -> None:
+    def failed(self, why: str, *, writing: bool = True) -> None:
         """It could not be reached, or could not write."""
+        self.in_writing = writing or (self.in_writing and self.why is not None)
         now_s = self.clock_s()
         self._count_retry()
         if self.since_s is None:
@@ -37,8 +40,10 @@ class Outage:
         self.why, self._again_s = why, now_s + self._wait_s
         self._wait_s = min(2.0 * self._wait_s, MOST_S)
 
-    def ended(self) -> None:
-        """It has done something for us."""
+    def ended(self, *, writing: bool = True) -> None:
+        """It has done something for us: of the kind that failed, or it says nothing."""
+        if self.why is not None and self.in_writing is not writing:
+            return
         self._count_retry()
         self.why, self.since_s, self._wait_s = None, None, FIRST_S
 

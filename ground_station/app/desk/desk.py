@@ -63,6 +63,8 @@ class Desk:
             self.moved_s = now_s
         exchange.changed, self._turned_s = False, now_s
         with exchange.store_may_be_away():
+            if exchange.away is not None:  # it may be read while nothing can be written
+                self.store.database.try_again()
             self._decide(now_s, changed)
             exchange.store_is_back()
             return

@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,12 @@ from ground_station.adapters.store.database import Database, StoreError
 from ground_station.adapters.store.outage import FIRST_S, MOST_S, Outage
 from ground_station.app.desk.exchange import Exchange
 from ground_station.core.schema.orders import OrderState
+from tests.ground_station.desk import test_truck_dispatcher
 from tests.ground_station.desk.test_truck_dispatcher import DayTold
 
 AWAY_S = 40.0
+ENDED = Outage.ended
+IMPATIENT = partial(test_truck_dispatcher.MortalDatabase, busy_ms=1)
 
 
 @dataclass(slots=True)
@@ -74,6 +78,51 @@ def test_nothing_is_sent_that_could_not_be_written(told):
     gone.until_s = 0.0
     day.run()
     assert day.desk.exchange.away is None
+
+
+def test_a_store_that_can_be_read_and_not_written_is_away_until_it_can(tmp_path, monkeypatch):
+    """Another process holds the lock for ten minutes."""
+    monkeypatch.setattr(test_truck_dispatcher, "MortalDatabase", IMPATIENT)
+    day = DayTold(f"sqlite:///{tmp_path}/desk.db", 3)
+    day.database.outage = Outage(day.world.clock.monotonic_s)
+    other = sqlite3.connect(tmp_path / "desk.db", isolation_level=None)
+    for word, seconds in (("BEGIN IMMEDIATE", 600), ("ROLLBACK", 60)):
+        other.execute(word)
+        for _ in range(seconds):
+            day.world.step()
+            day.desk.turn(0.0)
+    other.close()
+    day.store.close()
+    assert sum(words.startswith("STORE AWAY") for words in day.said) == 1
+    assert day.said.count("store back") == 1
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["guarded", "canary"])
+def test_a_read_that_works_does_not_end_an_outage_of_writing(tmp_path, monkeypatch, guarded):
+    """The canary: it does, and the tries never grow apart."""
+    if not guarded:
+        monkeypatch.setattr(Outage, "ended", lambda self, writing: ENDED(self, writing=True))
+    now_s, failures = 0.0, 0
+    database = Database(f"sqlite:///{tmp_path}/d.db", busy_ms=1, outage=Outage(lambda: now_s))
+    other = sqlite3.connect(tmp_path / "d.db", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    assert database.outage is not None
+    for _ in range(100):
+        now_s += 1.0
+        if database.outage.is_waiting:
+            continue
+        with database.read() as db:
+            db.exec_driver_sql("SELECT * FROM about")
+        with pytest.raises(StoreError), database.write():
+            pass
+        failures += 1
+    assert (failures < 10) is guarded
+    other.execute("ROLLBACK")
+    now_s += MOST_S
+    database.try_again()
+    assert database.outage.why is None
+    other.close()
+    database.close()
 
 
 def test_a_store_that_is_away_is_tried_again_ever_more_seldom(tmp_path: Path):

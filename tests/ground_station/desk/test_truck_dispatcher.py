@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -46,10 +47,10 @@ class Killed(BaseException):
 class MortalDatabase(Database):
     """Kills its desk just before or just after one of its transactions."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, **more: Any) -> None:
         self.dies_in: int | None = None
         self.after = False
-        super().__init__(url, durable=False)  # only this process is killed, not the machine
+        super().__init__(url, durable=False, **more)  # only this process is killed, not the machine
 
     @contextmanager
     def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
