@@ -35,6 +35,7 @@ class Desk:
     moved_s: float = field(init=False)
     _flown: set[str] = field(default_factory=set)
     _turned_s: float | None = None
+    _rests_until_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.moved_s = self.exchange.clock.monotonic_s()
@@ -57,18 +58,27 @@ class Desk:
         exchange.listen(wait_s)
         now_s = exchange.clock.monotonic_s()
         changed = exchange.changed
+        if now_s < self._rests_until_s:
+            return
         if not changed and self._turned_s is not None and now_s - self._turned_s < TURN_S:
             return
         if changed:
             self.moved_s = now_s
         exchange.changed, self._turned_s = False, now_s
-        with exchange.store_may_be_away():
-            if exchange.away is not None:  # it may be read while nothing can be written
+        if not self._could_decide(now_s, changed):
+            exchange.changed, self.moved_s = True, now_s  # the day is not idle: it waits
+        ended_s = exchange.clock.monotonic_s()
+        self._rests_until_s = ended_s + (ended_s - now_s)  # half of its time it listens
+
+    def _could_decide(self, now_s: float, changed: bool) -> bool:
+        """Decide; False where the store is away."""
+        with self.exchange.store_may_be_away():
+            if self.exchange.away is not None:  # it may be read while nothing can be written
                 self.store.database.try_again()
             self._decide(now_s, changed)
-            exchange.store_is_back()
-            return
-        exchange.changed, self.moved_s = True, now_s  # the day is not idle: it waits
+            self.exchange.store_is_back()
+            return True
+        return False
 
     def _decide(self, now_s: float, changed: bool) -> None:
         """Do what is due; each decision is written before it is sent, or not taken."""

@@ -49,9 +49,6 @@ TURN_S = 0.1
 FLIGHT_S = (50.0, 70.0)
 """How long a member is in the air, drawn."""
 
-ORDER_EVERY_S = 100.0
-"""Of each vehicle, while orders come in at a steady rate: ten times as often as a real one's."""
-
 A_TURN = 10
 """Assignments of one turn; then the desk listens again."""
 
@@ -198,6 +195,7 @@ class Bench:
     store_file: Path | None
     folder: Path
     seed: int
+    order_every_s: float
     gone: int = 0
     taken: int = 0
 
@@ -216,7 +214,7 @@ class Bench:
         joined_s = self._join(desk)
         cpu_s, since_s, bytes_before = _cpu_s(), wall_s(), self._store_bytes()
         while wall_s() - since_s < 60.0 * self.minutes:
-            self._take_orders((wall_s() - since_s) * self.vehicles / ORDER_EVERY_S)
+            self._take_orders((wall_s() - since_s) * self.vehicles / self.order_every_s)
             desk.turn(0.2)
         busy = (_cpu_s() - cpu_s) / (wall_s() - since_s)
         hours, grown = (wall_s() - since_s) / 3600, self._store_bytes() - bytes_before
@@ -231,6 +229,7 @@ class Bench:
         return {
             "vehicles": self.vehicles,
             "routers": self.routers,
+            "order_every_s": self.order_every_s,
             **self._acknowledged(),
             "false_gone": self.gone,
             "desk_cpu_frac": round(busy, 3),
@@ -392,7 +391,7 @@ def _order(number: int) -> Order:
 
 
 def bench(
-    vehicles: int, minutes: float, routers: int, url: str | None, seed: int
+    vehicles: int, minutes: float, routers: int, url: str | None, seed: int, order_every_s: float
 ) -> dict[str, Any]:
     """The figures of one run; a store of its own, unless `url` names one that is empty."""
     with tempfile.TemporaryDirectory(prefix="leeway-bench-") as name:
@@ -400,7 +399,7 @@ def bench(
         file = folder / "desk.db" if url is None else None
         store = Store(Database(url or f"sqlite:///{file}"), epoch_us)
         try:
-            return Bench(vehicles, minutes, routers, store, file, folder, seed).run()
+            return Bench(vehicles, minutes, routers, store, file, folder, seed, order_every_s).run()
         finally:
             store.close()
 

@@ -66,6 +66,9 @@ def bench_fleet(
     store: Annotated[
         str | None, typer.Option(help="An empty store; default: SQLite in a folder of its own.")
     ] = None,
+    order_every: Annotated[
+        float, typer.Option(min=80.0, help="So often each vehicle gets an order, s.")
+    ] = 300.0,
     seed: Annotated[int, typer.Option(min=0, help="How long each flight takes.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
 ) -> None:
@@ -79,7 +82,7 @@ def bench_fleet(
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
     from companion.fleet.zenoh_link import leave_process
 
-    figures = json.dumps(bench_now(vehicles, minutes, routers, store, seed), indent=1)
+    figures = json.dumps(bench_now(vehicles, minutes, routers, store, seed, order_every), indent=1)
     typer.echo(figures)
     if json_file is not None:
         json_file.write_text(figures + "\n")
