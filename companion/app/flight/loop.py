@@ -15,6 +15,7 @@ from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCod
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort, OperatorTrust
 from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.autopilots.status_text import StatusTexts
 from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.adapters.files.signing_files import STAMPS, StampKeeper
 from companion.app.flight.hearing import STALL_S, Hearing
@@ -59,8 +60,6 @@ SILENT_S = 3.0
 HEARTBEAT_S = 1.0
 BUNDLE_BYTES = 1400
 """An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
-
-TEXT_BYTES = 50
 
 CLOCKS_APART_S = 3.0
 """All signed frames are refused for so long (three heartbeats): no late one among good ones."""
@@ -113,6 +112,7 @@ class Loop:
     _silent: bool = False
     _record_lost: bool = False
     _strangers_told: bool = False
+    _texts: StatusTexts = field(default_factory=StatusTexts)
     _refused_wall_s: float | None = None
     _clocks_told: bool = False
     _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
@@ -387,8 +387,8 @@ class Loop:
                 case DropOrders():
                     self.autopilot.drop_orders()
                 case Say():
-                    text = action.text.encode()[:TEXT_BYTES]
-                    self.send(mavlink.MAVLink_statustext_message(action.severity, text))
+                    for message in self._texts.messages(action.severity, action.text):
+                        self.send(message)
                 case Publish():
                     self._to_publish.update(action.values)
                 case Answer():

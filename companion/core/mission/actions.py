@@ -137,7 +137,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Say(Action):
-    """One sentence for the operator (STATUSTEXT, at most 50 bytes shown) and the log."""
+    """One sentence for the operator (STATUSTEXT, 249 bytes of it) and the log."""
 
     severity: Severity
     text: str

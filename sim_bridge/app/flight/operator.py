@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from sim_bridge.app.flight.joined_texts import JoinedTexts
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
@@ -30,6 +31,7 @@ class Operator:
     said: list[tuple[float, str]] = field(default_factory=list)
     _encoder: Encoder = field(default_factory=lambda: Encoder(GROUND_SYSTEM, GROUND_COMPONENT))
     _decoder: Decoder = field(default_factory=Decoder)
+    _texts: JoinedTexts = field(default_factory=JoinedTexts)
     _next_heartbeat_s: float = 0.0
     _next_ask_s: float = 0.0
     _wanted_deg: tuple[float, float] | None = None
@@ -58,15 +60,19 @@ class Operator:
             if name == "NAMED_VALUE_FLOAT" and math.isfinite(message.value):
                 self.named[message.name] = message.value
             elif name == "STATUSTEXT" and message.severity <= SEVERITY_NOTICE:
-                text = message.text.strip()
-                self.said.append((t_s, text))
-                if text.startswith(HOME_IS_NOW):
-                    self.home = text.removeprefix(HOME_IS_NOW)
+                self._hear_text(t_s, self._texts.take(message))
             elif name == "COMMAND_ACK" and message.src_component == COMPANION_COMPONENT:
                 self.accepted |= message.command == MAV_CMD_MISSION_START and message.result == 0
                 later = message.result == MAV_RESULT_TEMPORARILY_REJECTED
                 if message.command == MAV_CMD_DO_SET_HOME and not later:
                     self._wanted_deg = None
+
+    def _hear_text(self, t_s: float, text: str | None) -> None:
+        if text is None:
+            return
+        self.said.append((t_s, text))
+        if text.startswith(HOME_IS_NOW):
+            self.home = text.removeprefix(HOME_IS_NOW)
 
     def wants_home(self, lat_deg: float, lon_deg: float) -> None:
         """Ask the companion to land at another stop of the truck, by where its pad is."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.core.base.geo import offset_m
+from sim_bridge.app.flight.joined_texts import JoinedTexts
 from sim_bridge.autopilot.mavlink.codec import Decoder, Message
 
 STAMP = struct.Struct(">Q")
@@ -30,6 +31,7 @@ class Overheard:
     up_m: float = 0.0
     _offset: int = 0
     _pending: bytes = b""
+    _texts: JoinedTexts = field(default_factory=JoinedTexts, repr=False)
     _stood: tuple[float, float] | None = None
     _decoder: Decoder = field(default_factory=Decoder, repr=False)
 
@@ -59,7 +61,9 @@ class Overheard:
             if name == "NAMED_VALUE_FLOAT" and math.isfinite(message.value):
                 self.named[message.name] = message.value
             elif name == "STATUSTEXT" and message.severity <= SEVERITY_NOTICE:
-                self.said.append((self.t_s, message.text.strip()))
+                text = self._texts.take(message)
+                if text is not None:
+                    self.said.append((self.t_s, text))
 
     def _place(self, message: Message) -> None:
         self.t_s = message.time_boot_ms / 1000.0
