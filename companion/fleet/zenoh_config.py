@@ -21,7 +21,6 @@ LEASE_MS = 2000
 """Who has frozen is missed after this, instead of zenoh's 10 s."""
 
 CALL_AGAIN_MS = 500
-SHARED_MEMORY = "transport/shared_memory"
 TLS = ("tls/", "quic/")
 TLS_FILES = (
     "root_ca_certificate",
@@ -40,9 +39,11 @@ def read_config(path: Path | None, *, open_network: bool = False) -> zenoh.Confi
     peer, found by multicast. Raises LeewayError where a file is not valid, or not safe.
     """
     if path is None:
-        return _alone(zenoh.Config() if open_network else loopback_config(MEETING_PORT))
+        return _without_shared_memory(
+            zenoh.Config() if open_network else loopback_config(MEETING_PORT)
+        )
     try:
-        config = _alone(zenoh.Config.from_file(str(path)))
+        config = _without_shared_memory(zenoh.Config.from_file(str(path)))
         _resolve_tls_files(config, path.resolve().parent)
     except zenoh.ZError as error:
         raise LeewayError(f"{path}: not a zenoh configuration: {error}") from error
@@ -54,9 +55,9 @@ def read_config(path: Path | None, *, open_network: bool = False) -> zenoh.Confi
     return config
 
 
-def _alone(config: zenoh.Config) -> zenoh.Config:
-    """Without shared memory: with it zenoh 1.10 lets 351 members join a desk, and no more."""
-    config.insert_json5(f"{SHARED_MEMORY}/enabled", "false")
+def _without_shared_memory(config: zenoh.Config) -> zenoh.Config:
+    """With it zenoh 1.10 lets 351 members join a desk, and no more."""
+    config.insert_json5("transport/shared_memory/enabled", "false")
     return config
 
 

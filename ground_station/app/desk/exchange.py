@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any
 
 from companion.fleet.messages import (
     FINAL,
@@ -100,9 +99,9 @@ class Exchange:
 
     def listen(self, wait_s: float) -> None:
         """Take what has come, waiting this long for the first; ask for what was missed."""
-        for kind, run in groupby(self.fleet.receive(wait_s), key=type):  # in the order they came
+        for _, run in groupby(self.fleet.receive(wait_s), key=type):  # in the order they came
             with self.store_may_be_away():
-                self._take(kind, list(run))
+                self._take(list(run))
         with self.store_may_be_away():
             self._ask_for_missed_events()
         self._ask_states()
@@ -132,26 +131,22 @@ class Exchange:
 
     # --- in ------------------------------------------------------------------------------------
 
-    def _take(self, kind: type, run: list[Any]) -> None:
+    def _take(self, run: list[FleetInput]) -> None:
         """Inputs of one kind: what the store must note of them is one transaction."""
-        if kind is EventsReceived:
-            self._take_events(run)
-        elif kind is CommandAnswered:
-            self._take_answers(run)
-        else:
-            for received in run:
-                self._take_one(received)
-
-    def _take_one(self, received: FleetInput) -> None:
-        match received:
-            case LivelinessChanged():
-                self._take_liveliness(received)
-            case StateReceived():
-                self._take_state(received.state)
-            case MessageRejected():
-                self._take_rejected(received)
-            case EventsReceived() | CommandAnswered():
-                pass  # taken together
+        if events := [received for received in run if isinstance(received, EventsReceived)]:
+            self._take_events(events)
+        if answers := [received for received in run if isinstance(received, CommandAnswered)]:
+            self._take_answers(answers)
+        for received in run:
+            match received:
+                case LivelinessChanged():
+                    self._take_liveliness(received)
+                case StateReceived():
+                    self._take_state(received.state)
+                case MessageRejected():
+                    self._take_rejected(received)
+                case _:
+                    pass  # taken together
 
     def _take_rejected(self, received: MessageRejected) -> None:
         """Say it, and how many there were since it was said last. Where somebody sends what is not
