@@ -40,6 +40,13 @@ def bound(db: sa.Connection) -> list[SortieRow]:
     return [sortie_row(row, ()) for row in db.execute(query)]
 
 
+def promised_stops(db: sa.Connection) -> set[str]:
+    """Where the truck was last told to drive to, and where drones that are out may land."""
+    out = [row for row in bound(db) if not (row.aboard or row.gone)]
+    stops = {stop for row in out for stop in (row.promised, row.asked)}
+    return {stop for stop in (*stops, last_drive(db)) if stop is not None}
+
+
 def serving(db: sa.Connection) -> bool:
     """Whether the driver is bringing an order."""
     query = sa.select(sa.func.count()).where(

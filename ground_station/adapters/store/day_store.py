@@ -65,9 +65,14 @@ class DayStore:
         return [(msgspec.json.decode(row.content, type=DayPlan), row.why) for row in found]
 
     def take_plan(self, plan: DayPlan, why: str, wind: Forecast | None = None) -> bool:
-        """Make a plan the active one; False where there is one of this revision."""
+        """Make a plan the active one; False where there is one of this revision, or where another
+        desk has promised a stop meanwhile that this plan does not have.
+        """
         try:
             with self._database.write() as db:
+                rows.lock(db)
+                if not steps.promised_stops(db) <= {stop.id for stop in plan.stops}:
+                    return False
                 db.execute(
                     sa.insert(t.plans).values(
                         revision=plan.revision,

@@ -194,6 +194,9 @@ class ActivePlan:
         in_force = self.day.plan()
         self.attempt = attempt  # only now: a plan that the store did not take is asked for again
         assert in_force is not None
+        if in_force.revision < late.revision:
+            self.say("no new plan (another desk has promised a stop that is not in it)")
+            return ReplanResult.REFUSED
         self.plan = in_force
         self.version += 1
         self._note_stops(in_force)

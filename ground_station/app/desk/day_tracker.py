@@ -112,12 +112,11 @@ class DayTracker:
             now_s=max(0.0, (self.clock.epoch_us() - began_us) / 1e6),
             began_us=began_us,
             plan=self.active.plan,
-            truck=_truck_status(truck, now_s),
+            truck=_truck_status(truck, rows.told, now_s),
             drones=drones,
             open=rows.open,
             sorties=rows.sorties,
             serves=rows.serves,
-            told=rows.told,
             visits=rows.visits,
             replanning=self.active.is_replanning,
             plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
@@ -219,8 +218,9 @@ def _open(orders: list[OrderRow]) -> frozenset[str]:
     return frozenset(row.order.id for row in orders if row.state is OrderState.OPEN)
 
 
-def _truck_status(seen: VehicleStatus | None, now_s: float) -> TruckStatus | None:
+def _truck_status(seen: VehicleStatus | None, told: str | None, now_s: float) -> TruckStatus | None:
     state = seen.state if seen is not None else None
     if seen is None or state is None or state.stop is None:
         return None
-    return TruckStatus(seen.present(now_s), state.phase == DRIVING, state.stop)
+    stop = told or state.stop
+    return TruckStatus(seen.present(now_s), state.phase == DRIVING or stop != state.stop, stop)

@@ -10,7 +10,9 @@ from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 @dataclass(frozen=True, slots=True)
 class TruckStatus:
-    """The truck by its last state."""
+    """The truck by its last state. Once it is told to drive on it counts as driving there, whether
+    it has heard so or not.
+    """
 
     present: bool
     driving: bool
@@ -43,12 +45,12 @@ class DroneStatus:
 class DaySnapshot:
     """The day now; `now_s` counts from its beginning.
 
-    `open`: orders without an assignment. `told`: the stop that the truck was last told to drive to.
-    `serves`: the driver's own deliveries. `replanning`: a new plan is being made. `tried_s`: when
-    the last re-planning ended, and `tried`: from which `situation`. `waited_s`: by assignment, how
-    long a drone on its pad has not been ready. `wind_off_sigmas`: distance of the measured wind
-    from the planned one, in the forecast's standard deviations. `desk_from_s`: since when this desk
-    listens. `held`: drones that are under a hold.
+    `open`: orders without an assignment. `serves`: the driver's own deliveries. `replanning`: a new
+    plan is being made. `tried_s`: when the last re-planning ended, and `tried`: from which
+    `situation`. `waited_s`: by assignment, how long a drone on its pad has not been ready.
+    `wind_off_sigmas`: distance of the measured wind from the planned one, in the forecast's
+    standard deviations. `desk_from_s`: since when this desk listens. `held`: drones that are under
+    a hold.
     """
 
     now_s: float
@@ -59,7 +61,6 @@ class DaySnapshot:
     open: frozenset[str]
     sorties: tuple[SortieRow, ...]
     serves: tuple[AssignmentRow, ...]
-    told: str | None
     visits: Mapping[str, Visit] = field(default_factory=dict)
     replanning: bool = False
     plan_made_s: float = 0.0
@@ -92,7 +93,7 @@ class DaySnapshot:
         truck, index = self.truck, self.index
         if truck is None or index is None or not truck.present or truck.driving:
             return None
-        return self.plan.stops[index] if self.told in (None, truck.stop) else None
+        return self.plan.stops[index]
 
     def why_out(self, vehicle: str) -> str | None:
         """Why a drone is out of service; None: it is in service."""

@@ -12,6 +12,7 @@ import pytest
 import sqlalchemy as sa
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.messages import Command, Drive
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
@@ -21,6 +22,7 @@ from ground_station.app.desk.open_desk import open_truck_desk
 from ground_station.app.desk.replanner import InlineReplanner, NoPlan
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
+from ground_station.core.fleet.fleet_link import CommandAnswered
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
@@ -56,7 +58,7 @@ class MortalDatabase(Database):
     def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
         if self.dies_in is not None:
             self.dies_in -= 1
-        dies = self.dies_in == 0
+        dies = self.dies_in is not None and self.dies_in <= 0  # one that undid itself: at the next
         if dies and not self.after:
             raise Killed
         with super().write(settle=settle) as db:
@@ -145,9 +147,12 @@ def test_a_planned_day_is_carried_out_and_ends_with_everybody_aboard(day):
 @pytest.mark.drawn(keep=1, of="seed")
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("store_url", ["sqlite", "postgresql"], indirect=True)
-def test_killed_anywhere_with_lost_messages_no_order_is_lost_or_flown_twice(day, seed, store_url):
+@pytest.mark.parametrize("kill_every", [6, 10])
+def test_killed_anywhere_with_lost_messages_no_order_is_lost_or_flown_twice(
+    day, seed, store_url, kill_every
+):
     told = day(seed, loss=0.2, url=store_url)
-    told.run(kill_every=10)
+    told.run(kill_every=kill_every)
     assert told.deaths > 2
     assert set(told.states().values()) == {OrderState.DELIVERED}
     assert sorted(told.world.delivered) == sorted(told.states())
@@ -269,6 +274,49 @@ def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day)
     assert any("the old one goes on" in words for words in told.said)
     assert len(DayStore(told.database, lambda: 1).plans()) == 1
     assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
+def test_a_truck_that_has_not_heard_where_to_drive_gets_no_plan_without_that_stop(day, monkeypatch):
+    """A desk that begins just then finds it late at its old stop. Its plan began there, and the
+    truck, once it had heard, drove to a stop that no plan had: the day never ended.
+    """
+    told = day(1)
+    send, deaf = told.world.send, True
+
+    def lose(command: Command, wait_s: float) -> None:
+        if deaf and isinstance(command.deed, Drive) and command.deed.stop == "depot-end":
+            told.world.waiting.append(CommandAnswered(command.id, None))
+        else:
+            send(command, wait_s)
+
+    monkeypatch.setattr(told.world, "send", lose)
+    while told.dispatcher.day.told() != "depot-end":
+        told.world.step()
+        told.desk.turn(0.0)
+    for _ in range(400):
+        told.world.step()
+    told.desk = told.start()
+    for _ in range(20):
+        told.world.step()
+        told.desk.turn(0.0)
+    assert told.world.driver.truck.stop == "stop-2"
+    deaf = False
+    told.run()
+    stops = [stop.id for stop in told.dispatcher.active.plan.stops]
+    assert told.world.driver.truck.stop == stops[-1]
+    assert "depot-end" in stops
+
+
+def test_a_plan_without_a_stop_that_another_desk_has_promised_meanwhile_is_not_taken(day):
+    told = day(1)
+    while not told.dispatcher.day.sorties():
+        told.world.step()
+        told.desk.turn(0.0)
+    for row in told.dispatcher.day.sorties():
+        left = [stop for stop in PLAN.stops if stop.id != row.promised]
+        without = msgspec.structs.replace(PLAN, revision=1, stops=left)
+        assert not told.dispatcher.day.take_plan(without, "late")
+    assert told.dispatcher.day.take_plan(msgspec.structs.replace(PLAN, revision=1), "late")
 
 
 @pytest.mark.parametrize("off_s", [7200.0, -7200.0])

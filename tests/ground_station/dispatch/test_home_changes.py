@@ -43,7 +43,7 @@ def actions(
             )
             for row in rows
         },
-        open=frozenset(s.order for s in planned), sorties=rows, serves=(), told=None,
+        open=frozenset(s.order for s in planned), sorties=rows, serves=(),
     )  # fmt: skip
     rules = DispatchRules(
         DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True

@@ -35,7 +35,7 @@ def actions(
     )  # fmt: skip
     day = DaySnapshot(
         now_s=270.0, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
-        drones={"d1": seen}, open=frozenset(), sorties=(row,), serves=(), told=None,
+        drones={"d1": seen}, open=frozenset(), sorties=(row,), serves=(),
     )  # fmt: skip
     rules = DispatchRules(
         DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True
