@@ -7,6 +7,7 @@ two sends the same command again, and the vehicle carries it out once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import msgspec
@@ -48,6 +49,12 @@ _OUTBOX = (
     .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
     .order_by(t.commands.c.n)
 )
+
+
+@lru_cache(maxsize=20_000)
+def _decoded(content: str) -> Order:
+    """An order's content never changes, and a desk reads all that are open again and again."""
+    return msgspec.json.decode(content, type=Order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,17 +132,15 @@ class Store:
         added = () if conflicts else tuple(fresh)
         return IntakeResult(added, tuple(known), tuple(conflicts))
 
-    def orders(self) -> list[OrderRow]:
-        """All orders, in the order they came."""
+    def orders(self, *states: OrderState) -> list[OrderRow]:
+        """All orders, or those in these states, in the order they came."""
+        query = sa.select(t.orders).order_by(t.orders.c.n)
+        if states:
+            query = query.where(t.orders.c.state.in_([state.value for state in states]))
         with self._database.read() as db:
-            found = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
+            found = db.execute(query).all()
         return [
-            OrderRow(
-                msgspec.json.decode(row.content, type=Order),
-                OrderState(row.state),
-                row.attempts,
-                row.why,
-            )
+            OrderRow(_decoded(row.content), OrderState(row.state), row.attempts, row.why)
             for row in found
         ]
 

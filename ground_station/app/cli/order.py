@@ -122,7 +122,7 @@ def list_(
     from ground_station.app.views.terminal import terminal
 
     opened = open_store(store, store_file)
-    rows = [row for row in opened.orders() if state is None or row.state is state]
+    rows = opened.orders() if state is None else opened.orders(state)
     opened.close()
     table = Table("order", "kg", "service", "state", "flights", "why")
     for row in rows:

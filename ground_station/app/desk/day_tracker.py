@@ -200,7 +200,7 @@ class DayTracker:
 
     def still_open(self) -> frozenset[str]:
         """Orders without an assignment, by the store."""
-        return _open(self.store.orders())
+        return _open(self.store.orders(OrderState.OPEN))
 
     def forecast_now(self, before: Forecast) -> Forecast:
         """The forecast by the wind that drones in flight report; `before` where they are too

@@ -118,7 +118,9 @@ class DepotDispatcher:
     def _assign(self, free: list[FreeDrone]) -> bool:
         done, rows = False, self.store.assignments()
         self._say_full(self.assigner.is_full(rows))
-        chosen = self.assigner.assign(self.store.orders(), rows, free)
+        if self._is_full:  # nor need the orders be read: there may be thousands
+            return False
+        chosen = self.assigner.assign(self.store.orders(OrderState.OPEN), rows, free)
         for choice in chosen:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
             flight = self.assigner.flight_of(choice.order, vehicle, layer)
@@ -139,12 +141,9 @@ class DepotDispatcher:
     @property
     def is_done(self) -> bool:
         """Whether every order is settled, the truck's, or impossible for the drones."""
-        return all(
-            row.state not in (OrderState.OPEN, OrderState.ASSIGNED)
-            or row.order.service is Service.TRUCK
-            or (row.state is OrderState.OPEN and row.order.id in self.impossible)
-            for row in self.store.orders()
-        )
+        assigned, opened = (self.store.orders(s) for s in (OrderState.ASSIGNED, OrderState.OPEN))
+        possible = [row for row in opened if row.order.id not in self.impossible]
+        return all(row.order.service is Service.TRUCK for row in (*assigned, *possible))
 
     @property
     def replans(self) -> None:

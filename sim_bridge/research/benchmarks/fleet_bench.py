@@ -151,7 +151,7 @@ class GiveAll:
         del changed
         if not self.assigns:
             return Progress.NONE
-        opened = [r.order.id for r in self.store.orders() if r.state is OrderState.OPEN][:A_TURN]
+        opened = [row.order.id for row in self.store.orders(OrderState.OPEN)][:A_TURN]
         if not opened:
             return Progress.NONE
         held = {row.vehicle for row in self.store.assignments(in_force=True)}
