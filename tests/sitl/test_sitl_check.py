@@ -1,4 +1,6 @@
-"""`companion check` as a user runs it: a process of its own, over UDP, beside either autopilot."""
+"""`companion check`, and a run that is refused, as a user starts them: over UDP, beside either
+autopilot.
+"""
 
 import contextlib
 import socket
@@ -44,18 +46,23 @@ LOW_BATTERY = {"px4": "COM_LOW_BAT_ACT", "ardupilot": "BATT_FS_LOW_ACT"}
 
 @dataclass
 class Checked:
-    """What the command left behind; settings as the digest of all parameters."""
+    """What the command left behind; settings as the digest of all parameters, `aboard`: items of
+    the mission.
+    """
 
     code: int
     said: str
     settings_before: int
     settings_after: int
     armed: bool
+    aboard: int
 
 
 @pytest.fixture
 def check(tmp_path, short_flight):
-    """`check(autopilot, settings, ...)` runs the command beside a vehicle on the ground."""
+    """`check(autopilot, settings, ...)` runs the command, or `words`, beside a vehicle on the
+    ground.
+    """
 
     def run(
         autopilot_kind: str,
@@ -63,6 +70,7 @@ def check(tmp_path, short_flight):
         *,
         charge_frac: float = 0.9,
         armed: bool = False,
+        words: tuple[str, ...] = ("check",),
         **changes: dict,
     ) -> Checked:
         parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", settings)
@@ -83,7 +91,7 @@ def check(tmp_path, short_flight):
                 done = subprocess.run(
                     [
                         str(COMMAND),
-                        "check",
+                        *words,
                         f"--link=udpin:127.0.0.1:{port}",
                         f"--mission={mission}",
                         f"--run-dir={tmp_path / 'run'}",
@@ -100,6 +108,7 @@ def check(tmp_path, short_flight):
             before,
             served.autopilot.params.digest(),
             served.autopilot.is_armed,
+            len(served.autopilot.store.mission),
         )
 
     return run
@@ -188,3 +197,12 @@ def test_nobody_on_the_link_is_said_and_has_a_code_of_its_own(tmp_path, short_fl
     )
     assert done.returncode == 4
     assert "no answer from an autopilot" in done.stdout
+
+
+@pytest.mark.drawn(of="autopilot_kind")
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_a_mission_that_is_refused_is_taken_off_the_vehicle(check, autopilot_kind):
+    refused = check(autopilot_kind, {}, words=("run", "--authorise"))
+    assert "read back -> ready" in refused.said
+    assert refused.aboard == 0
+    assert not refused.armed

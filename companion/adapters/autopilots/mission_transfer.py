@@ -24,7 +24,10 @@ MISSION_RESULT = {
 
 
 class MissionUpload:
-    """Answers the autopilot's requests until it acknowledges; `done` is then a reason or `""`."""
+    """Answers the autopilot's requests until it acknowledges; `done` is then a reason or `""`.
+
+    Without items: takes the mission off.
+    """
 
     def __init__(
         self, send: Callable[[Any], None], target: int, items: Sequence[WireItem], t_s: float
@@ -40,11 +43,12 @@ class MissionUpload:
     def _announce(self, t_s: float) -> None:
         self._tries += 1
         self._next_try_s = t_s + RETRY_S
-        self._send(
-            mavlink.MAVLink_mission_count_message(
-                self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, len(self._items), 0
-            )
-        )
+        target, autopilot = self._target, mavlink.MAV_COMP_ID_AUTOPILOT1
+        if self._items:
+            count = len(self._items)
+            self._send(mavlink.MAVLink_mission_count_message(target, autopilot, count, 0))
+        else:
+            self._send(mavlink.MAVLink_mission_clear_all_message(target, autopilot, 0))
 
     def _send_item(self, seq: int) -> None:
         item = self._items[seq]

@@ -23,6 +23,7 @@ from companion.core.mission.actions import (
     AskBoard,
     AskParameters,
     AskTelemetry,
+    ClearMission,
     Configure,
     Disarm,
     FlyVelocity,
@@ -360,6 +361,9 @@ class AutopilotPort:
                     free_yaw=profile.free_yaw,
                 )
                 self._upload = MissionUpload(self._send, system, wire, t_s)
+            case ClearMission():
+                self._download = None
+                self._upload = MissionUpload(self._send, system, (), t_s)
             case ReadMissionBack():
                 self._upload = None
                 self._expected = order.items

@@ -52,6 +52,11 @@ class UploadMission(Order):
 
 
 @dataclass(frozen=True, slots=True)
+class ClearMission(Order):
+    """Take the mission off the vehicle; a `MissionUploaded` tells how that ended."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReadMissionBack(Order):
     """Download the mission aboard and compare it with this one.
 

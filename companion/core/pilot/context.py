@@ -366,6 +366,15 @@ class Preflight(Protocol):
         ...
 
 
+class ForeignList(Protocol):
+    """The list aboard, as telemetry tells."""
+
+    @property
+    def foreign_s(self) -> float | None:
+        """When it was last told to be another than ours, or none."""
+        ...
+
+
 class SettingsRestore(Protocol):
     """The autopilot's settings as they were before the flight."""
 

@@ -11,6 +11,7 @@ from companion.core.mission.actions import (
     AskBoard,
     AskParameters,
     AskTelemetry,
+    ClearMission,
     Configure,
     DropOrders,
     JumpTo,
@@ -51,7 +52,7 @@ from companion.core.mission.preflight_checks import (
     settings_wanted,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import Airborne, ArmedModes, FlightContext
+from companion.core.pilot.context import Airborne, ArmedModes, FlightContext, ForeignList
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
     BATTERY_MAX_AGE_S,
@@ -128,6 +129,8 @@ class GroundWork:
     plan_refused: str = ""
     giving_up: str = ""
     giving_up_s: float = 0.0
+    clearing: bool = False
+    """Our mission is being taken off the vehicle."""
     waiting_for: str = ""
     """What was said last to be waited for."""
 
@@ -139,6 +142,7 @@ class GroundSequence:
         self,
         flight: Airborne,
         modes: ArmedModes,
+        aboard: ForeignList,
         planner: BerPlanner,
         obstacles: dict[str, Any] | None,
         requirements: Requirements,
@@ -146,6 +150,7 @@ class GroundSequence:
         self._state = GroundWork()
         self._flight = flight
         self._modes = modes
+        self._aboard = aboard
         self._planner = planner
         self._obstacles = obstacles
         self._requirements = requirements
@@ -269,6 +274,8 @@ class GroundSequence:
                     self._put_back(context, event)
             case SettingsLeft():
                 self._settings_left(context, event)
+            case MissionUploaded() if state.clearing:
+                self._cleared(context, event)
             case MissionUploaded() if context.phase is Phase.UPLOAD:
                 self._uploaded(context, event)
             case MissionReadBack() if context.phase is Phase.READ_BACK:
@@ -374,13 +381,29 @@ class GroundSequence:
         context.decide("grounded", reason)
         if state.settings_before:
             context.do(Configure(dict(state.settings_before)))
+        if context.phase is Phase.READY and self._is_ours_aboard(context):
+            state.clearing = True
+            context.do(ClearMission())
+
+    def _is_ours_aboard(self, context: FlightContext) -> bool:
+        """Read back, and no other told of since. A switch to AUTO would fly it."""
+        foreign_s = self._aboard.foreign_s
+        return foreign_s is None or context.since_s(foreign_s) > context.phase_s
+
+    def _cleared(self, context: FlightContext, event: MissionUploaded) -> None:
+        self._state.clearing = False
+        done = "taken off the vehicle" if event.reason is None else f"still aboard: {event.reason}"
+        context.do(Note(f"our mission: {done}"))
 
     def _end_when_restored(self, context: FlightContext) -> None:
         state = self._state
         if context.telemetry.armed:  # nothing is set on a vehicle that may be about to fly
             context.request_transition(Trigger.TAKEN_OVER, "armed after we gave up")
             return
-        if not state.settings_before or context.t_s - state.giving_up_s > RESTORE_LIMIT_S:
+        done = not (state.settings_before or state.clearing)
+        if done or context.t_s - state.giving_up_s > RESTORE_LIMIT_S:
+            if state.clearing:
+                context.do(Note("our mission: still aboard: no answer"))
             context.request_transition(Trigger.NOT_POSSIBLE, state.giving_up)
 
     # --- phases ----------------------------------------------------------------------------------

@@ -31,6 +31,11 @@ STILL_S = 15.0
 STILL_MPS = 0.4
 STILL_HEIGHT_M = 1.5
 STILL_ARMED_S = 40.0
+BY_HAND_S = 120.0
+"""Wait for a person to walk up and disarm it: only then does the autopilot get its settings back.
+Its outcome is not told before, and nobody sends it off again.
+"""
+
 DISARMED_S = 1.0
 """Disarmed for so long: at 1 Hz a false heartbeat has been followed by another."""
 
@@ -54,6 +59,7 @@ class LandingState:
     still_since_s: float | None = None
     disarm_asked_s: float | None = None
     disarms_asked: int = 0
+    disarm_by_hand_said: bool = False
     landed_s: float | None = None
     energy_touched_down: EnergyBelief | None = None
     energy_landed: EnergyBelief | None = None
@@ -107,8 +113,10 @@ class Landing:
             state.disarm_asked_s = context.t_s
             state.disarms_asked += 1
             context.do(Note("on the ground and still armed: plain disarm"), Disarm())
-        if waited_s > STILL_ARMED_S:
+        if waited_s > STILL_ARMED_S and not state.disarm_by_hand_said:
+            state.disarm_by_hand_said = True
             context.say(Severity.WARNING, "landed, still armed: disarm by hand")
+        if waited_s > STILL_ARMED_S + BY_HAND_S:
             self._landed(context)
 
     def _see_disarmed(self, context: FlightContext) -> None:

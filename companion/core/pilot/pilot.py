@@ -147,10 +147,15 @@ class Pilot:
         self._promise = PromisedStop()
         self._position = PositionLoss()
         self._authority = Authority()
-        self._ground = GroundSequence(
-            self._flight_state, self._authority, BerPlanner(route_energy), obstacles, requirements
-        )
         aboard_state = AboardState()
+        self._ground = GroundSequence(
+            self._flight_state,
+            self._authority,
+            aboard_state,
+            BerPlanner(route_energy),
+            obstacles,
+            requirements,
+        )
         self._progress = MissionFollower(
             self._return_state,
             self._promise,

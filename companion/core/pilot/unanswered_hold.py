@@ -11,7 +11,6 @@ mission meanwhile is at work: the time begins anew.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from companion.core.mission.actions import SetMode, Severity
 from companion.core.mission.events import (
@@ -25,6 +24,7 @@ from companion.core.mission.events import (
 )
 from companion.core.pilot.context import (
     FlightContext,
+    ForeignList,
     HomeInDoubt,
     ModeOrders,
     Preflight,
@@ -46,15 +46,6 @@ LAST_WORDS_S = 0.5
 
 MODES = {Unanswered.RETURN: Mode.RTL, Unanswered.LAND: Mode.LAND}
 WORDS = {Mode.RTL: "RTL", Mode.LAND: "landing"}
-
-
-class ForeignList(Protocol):
-    """The list aboard, as telemetry tells."""
-
-    @property
-    def foreign_s(self) -> float | None:
-        """When it was last told to be another than ours, or none."""
-        ...
 
 
 @dataclass(slots=True)

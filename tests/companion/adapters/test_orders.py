@@ -27,6 +27,7 @@ from companion.core.mission.actions import (
     Arm,
     AskParameters,
     AskTelemetry,
+    ClearMission,
     Configure,
     Disarm,
     JumpTo,
@@ -386,6 +387,19 @@ def test_an_upload_answers_each_request_and_ends_with_the_acknowledgement(autopi
     assert items[home + 2].param1 == 3.0 + home
     # ArduCopter refuses NaN in a TAKEOFF; on PX4 a yaw of 0 would turn the vehicle north.
     assert math.isnan(items[home].param4) == (autopilot == PX4)
+    events = bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0))
+    assert events == [ev.MissionUploaded(bench.clock.t_s)]
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_a_mission_is_taken_off_and_nothing_else(autopilot):
+    bench = Bench(autopilot)
+    bench.port.order(ClearMission(), 10.0)
+    (clear,) = bench.take()
+    assert (clear.get_type(), clear.mission_type) == ("MISSION_CLEAR_ALL", 0)
+    bench.wait(1.6)
+    (again,) = bench.take()
+    assert again.get_type() == "MISSION_CLEAR_ALL"
     events = bench.hear(mavlink.MAVLink_mission_ack_message(1, 191, 0, 0))
     assert events == [ev.MissionUploaded(bench.clock.t_s)]
 

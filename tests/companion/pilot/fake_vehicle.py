@@ -20,6 +20,7 @@ from companion.core.mission.actions import (
     Arm,
     AskParameters,
     AskTelemetry,
+    ClearMission,
     Configure,
     Decision,
     Disarm,
@@ -225,6 +226,9 @@ class World:
                 self.index = self.index if self.armed else 0
                 self.leg = None
                 self.mission_id = None if self.mission_id is None else self.mission_id + 10
+                self.answers.append(ev.MissionUploaded(self.t_s))
+            case ClearMission():
+                self.items = ()
                 self.answers.append(ev.MissionUploaded(self.t_s))
             case ReadMissionBack():
                 found = differences(order.items, self.items)

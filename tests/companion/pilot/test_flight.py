@@ -105,10 +105,23 @@ def test_settings_that_stay_because_another_hand_has_the_vehicle_are_named():
 def test_settings_stay_while_the_autopilot_never_notices_its_landing():
     w = world()
     w.disarms = False  # measured on ArduCopter in 8 m/s of uniform wind
-    w.to_the_end()
+    w.run(lambda w: "disarm by hand" in w.said)
+    w.to_the_end()  # two minutes later: nobody came
     assert w.armed
     assert w.values["LOW_ACT"] == 2.0
     assert "settings not put back: still armed" in w.said
+
+
+def test_settings_are_put_back_when_a_person_has_disarmed_what_would_not_disarm_itself():
+    w = world()
+    w.disarms = False
+    w.run(lambda w: "landed, still armed: disarm by hand" in w.said)
+    walks_until_s = w.t_s + 60.0
+    w.run(lambda w: w.t_s > walks_until_s)
+    assert w.values["LOW_ACT"] == 2.0
+    w.armed = False
+    w.to_the_end()
+    assert w.values["LOW_ACT"] == 0.0
 
 
 # --- safety rule 1: authority --------------------------------------------------------------------
@@ -805,6 +818,24 @@ def test_with_authorise_on_the_command_line_a_missing_failsafe_ends_the_run():
     assert done.outcome == "ABRT"
     assert "low-battery" in done.reason
     assert not w.armed
+
+
+def test_what_is_not_to_be_flown_is_not_left_aboard():
+    w = world(options=PilotOptions(authorise=True))
+    w.to_the_end()
+    assert w.items == ()
+    assert "our mission: taken off the vehicle" in [a.text for _, a in w.log if isinstance(a, Note)]
+
+
+def test_another_stations_mission_is_left_aboard():
+    w = world(options=PilotOptions(configure=True, authorise=True))
+    w.until(Phase.READ_BACK)
+    w.tell(ev.ArmingReadiness(w.t_s, ready=False))
+    w.until(Phase.READY)
+    w.items = w.items[:2]
+    w.run(lambda w: "no take-off" in w.said)
+    w.to_the_end()
+    assert len(w.items) == 2
 
 
 def test_a_check_changes_nothing_and_says_what_is_missing():
