@@ -55,6 +55,12 @@ LEAP_S = 2.0
 WITNESSES = 3
 """Consecutive stamps that must agree on a step: one wild stamp moves nothing."""
 
+BEHIND_S = 0.3
+"""A count whose stamps all lie so far behind core time is laid wrong: its first stamp, or the other
+count's, was late. Telemetry is fresh for one to two seconds; what a count tells is older than the
+other's by a tenth of a second at most.
+"""
+
 
 class _Source:
     """One count of the autopilot's time, and how it lies to core time."""
@@ -63,6 +69,21 @@ class _Source:
         self.newest_s: float | None = None
         self.offset_s = 0.0
         self.doubtful: list[float] = []
+        self.behind_s: list[float] = []
+
+    def laid(self, stamp_s: float, core_s: float) -> float:
+        """Core time of a stamp. Messages come in order: where one after another lies behind core
+        time, the least that they do is no age of theirs.
+        """
+        behind_s = core_s - stamp_s - self.offset_s
+        if behind_s <= BEHIND_S:
+            self.behind_s.clear()
+            return stamp_s + self.offset_s
+        self.behind_s.append(behind_s)
+        if len(self.behind_s) >= WITNESSES:
+            self.offset_s += min(self.behind_s)
+            self.behind_s.clear()
+        return stamp_s + self.offset_s
 
     def witnessed(self, stamp_s: float) -> bool:
         """Note a stamp that does not fit; True once enough in a row agree with one another."""
@@ -136,12 +157,15 @@ class AutopilotClock:
         if source.newest_s is None:
             self._begin(source, sync_s)
             return
-        fits = -LATE_S <= sync_s - source.newest_s <= LEAP_S
-        fits = fits or abs(sync_s + source.offset_s - self._t_s) <= LEAP_S
-        if fits:
+        if -LATE_S <= sync_s - source.newest_s <= LEAP_S:
             source.doubtful.clear()
             self._accept(source, sync_s)
-        elif source.witnessed(sync_s):
+            return
+        # Where telemetry has told the time meanwhile, it is laid anew: its first answer may have
+        # been late.
+        fits = abs(sync_s + source.offset_s - self._t_s) <= LEAP_S
+        if fits or source.witnessed(sync_s):
+            source.doubtful.clear()
             source.newest_s, source.offset_s = sync_s, self._t_s - sync_s
 
     def _begin(self, source: _Source, stamp_s: float) -> None:
@@ -154,6 +178,6 @@ class AutopilotClock:
     def _accept(self, source: _Source, stamp_s: float) -> float:
         newest_s = source.newest_s
         source.newest_s = stamp_s if newest_s is None else max(newest_s, stamp_s)
-        t_s = stamp_s + source.offset_s
+        t_s = source.laid(stamp_s, self._t_s)
         self._t_s = max(self._t_s, t_s)
         return t_s

@@ -408,6 +408,44 @@ def test_timesync_that_counts_otherwise_never_fakes_a_reboot():
     assert clock.t_s == pytest.approx(7.9, abs=0.2)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.5, 1.1, 1.9])
+def test_a_late_first_answer_leaves_telemetry_as_old_as_it_is(late_s):
+    """The companion asked for the time and was heard late (flown: a busy machine, ArduPilot). Later
+    it asked once more, and took all positions for as old as that answer was late: position lost.
+    """
+    clock = AutopilotClock()
+    clock.synchronise(33.0)
+    for stamp in range(340 + round(late_s * 10), 560):
+        clock.stamp(stamp / 10.0)
+    before_s = clock.t_s
+    clock.synchronise(56.0)
+    assert clock.t_s - before_s <= 0.1
+    for stamp in range(560, 570):
+        reading = clock.stamp(stamp / 10.0)
+    assert reading.t_s == pytest.approx(clock.t_s, abs=0.3)
+
+
+def test_a_count_that_was_laid_late_catches_up_with_the_other():
+    clock = AutopilotClock()
+    clock.synchronise(33.0)
+    clock.stamp(34.5)  # what it tells of itself came 1.5 s after that answer
+    for tenth in range(346, 380):
+        clock.stamp(tenth / 10.0)
+        if tenth % 10 == 6:
+            clock.synchronise(tenth / 10.0)  # answers at once now, once a second
+    assert clock.stamp(38.0).t_s == pytest.approx(clock.t_s, abs=0.3)
+    assert clock.t_s < 38.0 + 0.3
+
+
+def test_one_late_message_lays_no_count_anew():
+    clock = AutopilotClock()
+    for tenth in range(100, 200):
+        clock.stamp(tenth / 10.0)
+        if tenth % 20 == 0:
+            assert clock.stamp(tenth / 10.0 - 0.9).t_s == pytest.approx(tenth / 10.0 - 0.9)
+    assert clock.t_s == pytest.approx(19.9)
+
+
 def test_after_a_restart_core_time_starts_no_earlier_than_the_checkpoint():
     clock = AutopilotClock()
     clock.resume(110.0)
