@@ -113,6 +113,7 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
     assert row["energy_predicted_wh"] == pytest.approx(row["energy_used_wh"], rel=0.3)
     assert row["wind_rmse_mps"] is None
     assert row["clairvoyant"] is None
+    assert (Path(row["run"]) / "flight.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_path):

@@ -139,7 +139,7 @@ def fly(
             "--speedup": speedup,
         }
         _refuse_with_link([name for name, value in simulators.items() if value is not None])
-        foreign = ForeignOptions(file, tuple(link), gate_on, configure, here, runs)
+        foreign = ForeignOptions(file, tuple(link), gate_on, configure, here, runs, picture)
         with LiveView(console=console) as view:
             result = fly_foreign(foreign, view.show)
     else:

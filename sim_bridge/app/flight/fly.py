@@ -34,7 +34,7 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.faults import FaultPlan
 from sim_bridge.app.flight.judge import FlightVerdict, judge
 from sim_bridge.app.flight.operator import Operator
-from sim_bridge.app.flight.picture import draw_flight
+from sim_bridge.app.flight.picture import NAME, draw_flight, true_course
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
 from sim_bridge.app.flight.scenario import read_faults, read_wind
 from sim_bridge.app.flight.vehicle_process import (
@@ -438,15 +438,15 @@ def _draw(
     obstacles = read_obstacles(craft.flight, options.flight_file, craft.depot)
     gate = "" if options.gate else ", gate off"
     what = f"{craft.flight.name}, {airframe.name} on {craft.autopilot_kind}"
+    came = f"{verdict.outcome} in {verdict.flight_time_s:.0f} s"
+    left = f"{verdict.margin_wh:+.1f} Wh above the reserve at the end"
     draw_flight(
-        craft.run_dir / "flight.png",
-        title=f"{what}, seed {options.seed}{gate}",
-        record=craft.record,
-        verdict=verdict,
+        craft.run_dir / NAME,
+        title=f"{what}, seed {options.seed}{gate}: {came}, {left}",
+        course=true_course(craft.record, reserve_wh),
         result=result,
         places_en_m=places,
         polygons_en_m=[np.array([(e, n) for n, e in o.ring_ne_m]) for o in obstacles],
-        reserve_wh=reserve_wh,
         max_loss=craft.flight.mission.max_loss,
     )
     with contextlib.suppress(OSError):

@@ -8,18 +8,21 @@ The verdict is each companion's own (own_record.py).
 import contextlib
 import os
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from companion.adapters.files.atomic_file import read_whole
 from companion.adapters.files.checkpoint_file import NAME as CHECKPOINT
-from companion.adapters.files.params import read_airframe, read_flight
+from companion.adapters.files.params import read_airframe, read_flight, read_obstacles
 from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_file import Flight
+from companion.core.mission.flight_plan import frame_at
 from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.overheard import Overheard
 from sim_bridge.app.flight.own_record import own_row
@@ -43,6 +46,7 @@ class ForeignOptions:
     configure: bool = False
     here: bool = False
     run_root: Path = Path("logs")
+    picture: bool = True
 
 
 @dataclass(slots=True)
@@ -102,6 +106,9 @@ def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
         | {"died": _how_it_died(guest)}
         for guest in guests
     ]
+    if options.picture:
+        for guest, row in zip(guests, rows, strict=True):
+            _draw(options, flight, guest, row)
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
     return result
@@ -147,6 +154,42 @@ def _watch(guests: list[_Guest], show: Show) -> None:
             guest.heard.listen()
         show([guest.shown() for guest in guests], max(guest.flown_s() for guest in guests))
         next((g for g in guests if g.companion.running), guests[0]).companion.wait(LOOK_EVERY_S)
+
+
+def _draw(options: ForeignOptions, flight: Flight, guest: _Guest, row: dict[str, Any]) -> None:
+    """What its companion heard and believed; a picture that cannot be drawn costs no result."""
+    from sim_bridge.app.flight.picture import NAME, draw_flight, heard_course
+
+    result = guest.companion.result()
+    depot = flight.site.depot
+    frame = None if depot is None or options.here else frame_at(depot)
+    try:
+        course = heard_course(guest.heard.path, result, frame)
+    except (LeewayError, OSError) as error:
+        print(f"no picture: {error}", file=sys.stderr)
+        return
+    if course is None:
+        return
+    obstacles = [] if depot is None else read_obstacles(flight, options.flight_file, depot)
+    came = f"{row['outcome'] or 'no verdict'} in {course.end_s:.0f} s"
+    left = "" if row["margin_wh"] is None else f", {row['margin_wh']:+.1f} Wh above the reserve"
+    draw_flight(
+        guest.companion.run_dir / NAME,
+        title=f"{flight.name}, {row['vehicle']} on {row['autopilot']}: {came}{left}",
+        course=course,
+        result=result,
+        places_en_m=_places_en_m(result.get("plan") or {}),
+        polygons_en_m=[np.array([(e, n) for n, e in o.ring_ne_m]) for o in obstacles],
+        max_loss=flight.mission.max_loss,
+    )
+
+
+def _places_en_m(plan: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """The plan's places, east and north of the depot."""
+    found = {name: plan.get(f"{name}_ned_m") for name in ("depot", "customer")}
+    found |= {plan["home"]: plan.get("home_ned_m")} if plan.get("home") else {}
+    found |= {spot["name"] or "rally": spot["ground_ned_m"] for spot in plan.get("rally", [])}
+    return {name: (ned[1], ned[0]) for name, ned in found.items() if ned is not None}
 
 
 def _complain(guest: _Guest) -> None:

@@ -1,26 +1,119 @@
-"""The picture of a flight: map with wind, margin, P(home), and the wind estimate against truth."""
+"""The picture of a flight: map with wind, energy, chance of loss, and the wind estimate.
 
+Of a simulated flight it shows the truth beside what the companion believed; of any other vehicle
+what the companion heard and believed.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim_bridge.app.flight.judge import WIND_WINDOW_S, FlightVerdict, centred_mean
+from companion.adapters.logs.tlog_log import read_tlog
+from companion.core.base.errors import LeewayError
+from companion.core.base.geo import LocalFrame
+from companion.core.replay.recorded_flight import sampled
+from sim_bridge.app.flight.judge import WIND_WINDOW_S, centred_mean
 from sim_bridge.app.flight.record import TruthRecord
 
 INK, OUT, BACK, WIND, WARN = "#22313f", "#1f77b4", "#d62728", "#2a9d8f", "#e76f51"
+NAME = "flight.png"
+LEAST_LOSS = 1e-5
+"""Smaller chances of loss are drawn here: the tables behind them know no better."""
+
+AFTER_S = 10.0
+BARBS = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Where the vehicle went, (n,) each; times are seconds since take-off.
+
+    `above_reserve_wh` and `wind_to_ne_mps` are truth; None: nobody knows it. `took_off_s` and
+    `landed_s` are on the clock of the companion's record.
+    """
+
+    t_s: np.ndarray
+    east_m: np.ndarray
+    north_m: np.ndarray
+    airborne: np.ndarray
+    took_off_s: float
+    landed_s: float | None
+    above_reserve_wh: np.ndarray | None = None
+    wind_to_ne_mps: tuple[np.ndarray, np.ndarray] | None = None
+    released_s: float | None = None
+
+    @property
+    def end_s(self) -> float:
+        """The last second in the air, since take-off."""
+        flying = np.flatnonzero(self.airborne)
+        return float(self.t_s[flying[-1]]) if flying.size else 1.0
+
+
+def true_course(record: TruthRecord, reserve_wh: float) -> Course:
+    """Of a simulated vehicle."""
+    truth = record.arrays()
+    took_off_s = record.took_off_s if record.took_off_s is not None else float(truth["t_s"][0])
+    released = np.flatnonzero(np.diff(truth["parcel_aboard"]) < 0)
+    return Course(
+        t_s=truth["t_s"] - took_off_s,
+        east_m=truth["east_m"],
+        north_m=truth["north_m"],
+        airborne=truth["airborne"] > 0,
+        took_off_s=took_off_s,
+        landed_s=record.landed_s,
+        above_reserve_wh=truth["usable_wh"] - reserve_wh,
+        wind_to_ne_mps=(truth["wind_to_n_mps"], truth["wind_to_e_mps"]),
+        released_s=float(truth["t_s"][released[0]]) - took_off_s if released.size else None,
+    )
+
+
+def heard_course(stream: Path, result: dict[str, Any], frame: LocalFrame | None) -> Course | None:
+    """Of any vehicle, by the stream that its companion heard; None: it never took off.
+
+    `frame`: about the depot; None: about where the stream begins. Raises LeewayError for a stream
+    without positions in flight.
+    """
+    took_off_s = _decided_s(result, "take_off")
+    if took_off_s is None:
+        return None
+    samples = sampled(read_tlog(stream))
+    known = np.isfinite(samples.lat_deg)
+    airborne, t_s = samples.airborne[known], samples.t_s[known]
+    if not airborne.any():
+        raise LeewayError(f"{stream}: no position in flight")
+    lat_rad, lon_rad = np.radians(samples.lat_deg[known]), np.radians(samples.lon_deg[known])
+    frame = frame or LocalFrame(float(lat_rad[0]), float(lon_rad[0]), 0.0)
+    ne_m = [
+        frame.to_ned(float(lat), float(lon), 0.0)[:2]
+        for lat, lon in zip(lat_rad, lon_rad, strict=True)
+    ]
+    north_m, east_m = np.array(ne_m).T
+    released_s = _decided_s(result, "delivered")
+    return Course(
+        t_s=t_s - t_s[np.argmax(airborne)],
+        east_m=east_m,
+        north_m=north_m,
+        airborne=airborne,
+        took_off_s=took_off_s,
+        landed_s=_decided_s(result, "landed"),
+        released_s=None if released_s is None else released_s - took_off_s,
+    )
+
+
+def _decided_s(result: dict[str, Any], *kinds: str) -> float | None:
+    return next((d["t_s"] for d in result.get("decisions", []) if d["kind"] in kinds), None)
 
 
 def draw_flight(
     path: Path,
     *,
     title: str,
-    record: TruthRecord,
-    verdict: FlightVerdict,
+    course: Course,
     result: dict[str, Any],
     places_en_m: dict[str, tuple[float, float]],
     polygons_en_m: list[np.ndarray],
-    reserve_wh: float,
     max_loss: float,
 ) -> None:
     """Write the PNG. `result` is the companion's own record; positions are east, north metres."""
@@ -29,125 +122,148 @@ def draw_flight(
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
-    truth = record.arrays()
-    start_s = record.took_off_s if record.took_off_s is not None else float(truth["t_s"][0])
     figure = Figure(figsize=(13.0, 7.6), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
-    _draw_map(figure.add_subplot(grid[:, 0]), truth, result, places_en_m, polygons_en_m, start_s)
+    _draw_map(figure.add_subplot(grid[:, 0]), course, result, places_en_m, polygons_en_m)
     axes = [figure.add_subplot(grid[0, 1])]
     axes += [figure.add_subplot(grid[k, 1], sharex=axes[0]) for k in (1, 2)]
-    _draw_energy(axes[0], truth, result, reserve_wh, start_s)
-    _draw_promise(axes[1], result, max_loss, start_s)
-    _draw_wind(axes[2], truth, result, start_s)
+    _draw_energy(axes[0], course, result)
+    _draw_loss(axes[1], course, result, max_loss)
+    _draw_wind(axes[2], course, result)
     for axis in axes:
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
-        _mark_events(axis, result, record, start_s)
-    figure.suptitle(
-        f"{title}: {verdict.outcome} in {verdict.flight_time_s:.0f} s,"
-        f" {verdict.margin_wh:+.1f} Wh above the reserve at the end",
-        color=INK,
-        fontsize=13,
-    )
+        _mark_events(axis, course, result)
+    axes[-1].set_xlim(0.0, course.end_s + AFTER_S)
+    figure.suptitle(title, color=INK, fontsize=13)
     figure.savefig(path, dpi=110)
 
 
-def _draw_map(axis, truth, result, places, polygons, start_s) -> None:
-    decisions = result.get("decisions", [])
-    turn_s = next((d["t_s"] for d in decisions if d["kind"] in ("turn_back", "divert")), None)
-    released = np.flatnonzero(np.diff(truth["parcel_aboard"]) < 0)
-    back_s = turn_s if turn_s is not None else np.inf
-    if released.size:
-        back_s = min(back_s, float(truth["t_s"][released[0]]))
-    back = truth["t_s"] >= back_s
+def _rows(course: Course, result: dict[str, Any], topic: str, key: str) -> list[dict[str, Any]]:
+    """Rows that have a value, up to the landing: what follows is no part of the flight."""
+    end_s = course.took_off_s + course.end_s
+    found = result.get(topic, [])
+    return [row for row in found if row.get(key) is not None and row["t_s"] <= end_s]
+
+
+def _times(course: Course, rows: list[dict[str, Any]]) -> np.ndarray:
+    return np.array([row["t_s"] for row in rows]) - course.took_off_s
+
+
+def _draw_map(axis, course: Course, result, places, polygons) -> None:
+    turned_s, diverted_s = _decided_s(result, "turn_back"), _decided_s(result, "divert")
+    closed_s = diverted_s if turned_s is None else turned_s
+    turn_s = None if closed_s is None else closed_s - course.took_off_s
+    back_s = min(t for t in (turn_s, course.released_s, np.inf) if t is not None)
+    back = course.t_s >= back_s
     for polygon in polygons:
         axis.fill(polygon[:, 0], polygon[:, 1], color="#999999", alpha=0.5, lw=0)
-    axis.plot(truth["east_m"][~back], truth["north_m"][~back], color=OUT, lw=2, label="out")
-    axis.plot(truth["east_m"][back], truth["north_m"][back], color=BACK, lw=2, label="home")
-    flying = np.flatnonzero(truth["airborne"] > 0)
-    if flying.size:
-        chosen = flying[np.linspace(0, flying.size - 1, 14).astype(int)]
-        axis.barbs(
-            truth["east_m"][chosen],
-            truth["north_m"][chosen],
-            truth["wind_to_e_mps"][chosen],
-            truth["wind_to_n_mps"][chosen],
-            length=6,
-            barb_increments={"half": 1, "full": 2, "flag": 10},
-            color=WIND,
-            linewidth=0.8,
-        )
-        axis.plot([], [], color=WIND, label="wind barbs (full feather 2 m/s)")
+    axis.plot(course.east_m[~back], course.north_m[~back], color=OUT, lw=2, label="out")
+    axis.plot(course.east_m[back], course.north_m[back], color=BACK, lw=2, label="home")
+    _draw_barbs(axis, course, result)
     for name, (east, north) in places.items():
         axis.plot(east, north, "o", color=INK, ms=6)
         axis.annotate(name, (east, north), textcoords="offset points", xytext=(6, 8), color=INK)
     if turn_s is not None:
-        k = int(np.searchsorted(truth["t_s"], turn_s))
-        k = min(k, truth["t_s"].size - 1)
-        axis.plot(
-            truth["east_m"][k], truth["north_m"][k], "X", color=WARN, ms=12, label="gate closed"
-        )
+        k = min(int(np.searchsorted(course.t_s, turn_s)), course.t_s.size - 1)
+        here = course.east_m[k], course.north_m[k]
+        label = "diverted" if turned_s is None else "turned back"
+        axis.plot(*here, "X", color=WARN, ms=12, label=label)
     axis.set_aspect("equal", adjustable="datalim")
+    axis.margins(0.12)  # names and barbs stay inside
     axis.set_xlabel("east of the depot, m")
     axis.set_ylabel("north, m")
     axis.grid(alpha=0.25)
     axis.legend(loc="best", fontsize=8, frameon=False)
 
 
-def _draw_energy(axis, truth, result, reserve_wh, start_s) -> None:
-    axis.plot(truth["t_s"] - start_s, truth["usable_wh"] - reserve_wh, color=INK, lw=1.2)
-    axis.plot([], [], color=INK, label="true energy above the reserve")
-    rows = [d for d in result.get("assessments", []) if d.get("margin_wh") is not None]
-    if rows:
-        times = np.array([d["t_s"] for d in rows]) - start_s
-        axis.plot(
-            times, [d["margin_wh"] for d in rows], color=OUT, lw=1.8, label="margin of the promise"
+def _draw_barbs(axis, course: Course, result) -> None:
+    """The true wind, or where nobody knows it the estimate."""
+    flying = np.flatnonzero(course.airborne)
+    rows = _rows(course, result, "wind", "n")
+    if not flying.size or (course.wind_to_ne_mps is None and not rows):
+        return
+    chosen = flying[np.linspace(0, flying.size - 1, BARBS).astype(int)]
+    if course.wind_to_ne_mps is not None:
+        north, east = (axis_mps[chosen] for axis_mps in course.wind_to_ne_mps)
+    else:
+        times = _times(course, rows)
+        north, east = (
+            np.interp(course.t_s[chosen], times, [row[key] for row in rows]) for key in ("n", "e")
         )
+    axis.barbs(
+        course.east_m[chosen],
+        course.north_m[chosen],
+        east,
+        north,
+        length=6,
+        barb_increments={"half": 1, "full": 2, "flag": 10},
+        color=WIND,
+        linewidth=0.8,
+    )
+    which = "wind" if course.wind_to_ne_mps is not None else "wind estimate"
+    axis.plot([], [], color=WIND, label=f"{which}, barbs (full feather 2 m/s)")
+
+
+def _draw_energy(axis, course: Course, result) -> None:
+    if course.above_reserve_wh is not None:
+        label = "true energy above the reserve"
+        axis.plot(course.t_s, course.above_reserve_wh, color=INK, lw=1.2, label=label)
+    rows = _rows(course, result, "assessments", "margin_wh")
+    if rows:
+        margins = [row["margin_wh"] for row in rows]
+        axis.plot(_times(course, rows), margins, color=OUT, lw=1.8, label="margin of the promise")
     axis.axhline(0.0, color=WARN, lw=1)
     axis.set_ylabel("Wh")
-    axis.legend(fontsize=8, frameon=False)
+    _legend(axis)
 
 
-def _draw_promise(axis, result, max_loss, start_s) -> None:
-    rows = [d for d in result.get("assessments", []) if d.get("p_home") is not None]
-    if rows:
-        times = np.array([d["t_s"] for d in rows]) - start_s
-        for key, colour, label in (
-            ("p_home", OUT, "P(home), policy in force"),
-            ("p_home_now", BACK, "P(home), turning back now"),
-            ("p_success", WIND, "P(success)"),
-        ):
-            values = [np.nan if d.get(key) is None else d[key] for d in rows]
-            axis.plot(times, values, color=colour, lw=1.5, label=label)
-    axis.axhline(1.0 - max_loss, color=WARN, lw=1, ls="--", label="asked for")
-    axis.set_ylim(-0.03, 1.05)
-    axis.set_ylabel("probability")
-    axis.legend(fontsize=8, frameon=False, loc="lower left")
-
-
-def _draw_wind(axis, truth, result, start_s) -> None:
-    rows = result.get("wind", [])
-    for key, colour, name in (("n", OUT, "north"), ("e", BACK, "east")):
-        mean = centred_mean(truth["t_s"], truth[f"wind_to_{key}_mps"], WIND_WINDOW_S)
-        axis.plot(truth["t_s"] - start_s, mean, color=colour, lw=1, alpha=0.55)
+def _draw_loss(axis, course: Course, result, max_loss: float) -> None:
+    """1 - P: what the promise bounds, of which a plain axis of P shows nothing."""
+    for key, colour, dashes, label in (
+        ("p_home", OUT, "-", "not home, policy in force"),
+        ("p_home_now", BACK, "--", "not home, turning back now"),
+        ("p_success", WIND, ":", "no success"),
+    ):
+        rows = _rows(course, result, "assessments", key)
         if rows:
-            times = np.array([r["t_s"] for r in rows]) - start_s
-            values = np.array([r[key] for r in rows])
-            spread = np.sqrt(np.array([r[key * 2] for r in rows]))
+            loss = np.clip([1.0 - row[key] for row in rows], LEAST_LOSS, 1.0)
+            axis.plot(_times(course, rows), loss, color=colour, ls=dashes, lw=1.5, label=label)
+    axis.axhline(max_loss, color=WARN, lw=1, ls="--", label=f"allowed: {max_loss:g}")
+    axis.set_yscale("log")
+    axis.set_ylim(LEAST_LOSS / 1.5, 1.6)
+    axis.set_ylabel("chance of loss")
+    _legend(axis)
+
+
+def _draw_wind(axis, course: Course, result) -> None:
+    rows = _rows(course, result, "wind", "n")
+    for number, (key, colour, name) in enumerate((("n", OUT, "north"), ("e", BACK, "east"))):
+        if course.wind_to_ne_mps is not None:
+            mean = centred_mean(course.t_s, course.wind_to_ne_mps[number], WIND_WINDOW_S)
+            axis.plot(course.t_s, mean, color=colour, lw=1, alpha=0.55)
+        if rows:
+            times = _times(course, rows)
+            values = np.array([row[key] for row in rows])
+            spread = np.sqrt(np.array([row[key * 2] for row in rows]))
             axis.plot(times, values, color=colour, lw=1.6, label=f"to the {name}")
             axis.fill_between(times, values - spread, values + spread, color=colour, alpha=0.15)
+    thin = "" if course.wind_to_ne_mps is None else "thin: truth, 10 s mean; "
     axis.set_ylabel("wind, m/s")
-    axis.set_xlabel("seconds since take-off (thin: truth, 10 s mean; band: one sigma)")
-    flying = np.flatnonzero(truth["airborne"] > 0)
-    end_s = float(truth["t_s"][flying[-1]]) - start_s if flying.size else 1.0
-    axis.set_xlim(0.0, end_s + 10.0)
-    axis.legend(fontsize=8, frameon=False)
+    axis.set_xlabel(f"seconds since take-off ({thin}band: one sigma)")
+    _legend(axis)
 
 
-def _mark_events(axis, result, record, start_s) -> None:
+def _legend(axis) -> None:
+    """Of what there is: a companion that looked at nothing has no lines."""
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(fontsize=8, frameon=False, loc="best")
+
+
+def _mark_events(axis, course: Course, result) -> None:
     for decision in result.get("decisions", []):
         if decision["kind"] in ("turn_back", "divert", "delivered"):
             colour = INK if decision["kind"] == "delivered" else WARN
-            axis.axvline(decision["t_s"] - start_s, color=colour, lw=0.8, ls=":")
-    if record.landed_s is not None:
-        axis.axvline(record.landed_s - start_s, color="#888888", lw=0.8, ls=":")
+            axis.axvline(decision["t_s"] - course.took_off_s, color=colour, lw=0.8, ls=":")
+    if course.landed_s is not None:
+        axis.axvline(course.landed_s - course.took_off_s, color="#888888", lw=0.8, ls=":")
