@@ -8,6 +8,7 @@ sends. No accelerometer or throttle is needed.
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -135,7 +136,8 @@ class DragSeen:
 
     `measured` and `expected` in m/s2; `size_mps2`, the magnitude that the airframe file and gains
     give; `bends_pm` (1/m), an upper bound on the change of slope with airspeed; `rows` (2, states),
-    d(expected - measured)/dx.
+    d(expected - measured)/dx; `cross_rows`, for each axis the change with the cross-flow share of
+    its slope by the wind to north and east.
     """
 
     measured: tuple[float, float]
@@ -144,34 +146,33 @@ class DragSeen:
     bends_pm: tuple[float, float]
     airspeed_mps: float
     rows: Floats
+    cross_rows: tuple[tuple[float, float], tuple[float, float]]
 
 
 def drag_seen(
     airframe: Airframe, seen: WindObservation, x: Floats, motion: ReportedMotion
 ) -> DragSeen:
-    """Measured drag, and the drag that the state `x` (17,) predicts."""
+    """Measured drag, and the drag that the state `x` (18,) predicts."""
     mass_kg, yaw_rad = seen.mass_kg, seen.yaw_rad or 0.0
     mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
     heading = yaw_rad + turned
     cos, sin = math.cos(heading), math.sin(heading)
-    gain_f, gain_r = _gain(log_f), _gain(log_r)
     air_n = motion.velocity_n - mean_n - gust_n
     air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
     speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
+    cross = min(max(float(x[At.CROSS_FLOW]), 0.0), 1.0)
     k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg, seen.density_kgpm3)
     q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg, seen.density_kgpm3)
-    drag_f = gain_f * (k_f + q_f * speed) * forward / mass_kg
-    drag_r = gain_r * (k_r + q_r * speed) * right / mass_kg
-    # Jacobian of drag by air velocity (forward, right); the wind enters with the opposite sign.
-    ff = gain_f * (k_f + q_f * (speed + forward * forward / speed)) / mass_kg
-    fr = gain_f * q_f * forward * right / speed / mass_kg
-    rr = gain_r * (k_r + q_r * (speed + right * right / speed)) / mass_kg
-    rf = gain_r * q_r * forward * right / speed / mass_kg
+    scale_f, scale_r = _gain(log_f) / mass_kg, _gain(log_r) / mass_kg
+    flow_f, flow_r = (forward, right, motion.sink_mps), (right, forward, motion.sink_mps)
+    ahead = _axis_drag(scale_f * k_f, scale_f * q_f, flow_f, cross)
+    aside = _axis_drag(scale_r * k_r, scale_r * q_r, flow_r, cross)
+    ff, fr, rr, rf = ahead.by_along, ahead.by_across, aside.by_along, aside.by_across
     # The heading error rotates the acceleration, measured over ground, but not the thrust, which is
     # in body axes. The estimated velocity noises are taken out of the acceleration.
     dt_s = motion.since_s or 1.0
-    noise_n, noise_e, before_n, before_e = x[At.NOISE :].tolist()
+    noise_n, noise_e, before_n, before_e = x[At.NOISE : At.CROSS_FLOW].tolist()
     accel_n = motion.accel_n - (noise_n - before_n) / dt_s
     accel_e = motion.accel_e - (noise_e - before_e) / dt_s
     accel_f = cos * accel_n + sin * accel_e
@@ -184,17 +185,60 @@ def drag_seen(
     fn, fe = ff * cos - fr * sin, ff * sin + fr * cos
     rn, re = rf * cos - rr * sin, rf * sin + rr * cos
     g = GRAVITY_MPS2
-    row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -drag_f, 0.0, turn_f, 0.0, 0.0]
-    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s]
-    row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -drag_r, turn_r, 0.0, 0.0]
-    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s]
+    row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -ahead.drag, 0.0, turn_f, 0.0, 0.0]
+    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s, -ahead.by_cross]
+    row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -aside.drag, turn_r, 0.0, 0.0]
+    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s, -aside.by_cross]
+    more_ff, more_fr = ahead.by_along_cross, ahead.by_across_cross
+    more_rr, more_rf = aside.by_along_cross, aside.by_across_cross
     return DragSeen(
         measured=(accel_f - thrust_f, accel_r - thrust_r),
-        expected=(-drag_f + g * trim_f, -drag_r + g * trim_r),
-        size_mps2=math.hypot(drag_f, drag_r),
-        bends_pm=(2.0 * gain_f * q_f / mass_kg, 2.0 * gain_r * q_r / mass_kg),
+        expected=(-ahead.drag + g * trim_f, -aside.drag + g * trim_r),
+        size_mps2=math.hypot(ahead.drag, aside.drag),
+        bends_pm=(2.0 * scale_f * q_f, 2.0 * scale_r * q_r),
         airspeed_mps=speed,
         rows=np.array([row_f, row_r]),
+        cross_rows=(
+            (more_ff * cos - more_fr * sin, more_ff * sin + more_fr * cos),
+            (more_rf * cos - more_rr * sin, more_rf * sin + more_rr * cos),
+        ),
+    )
+
+
+class _AxisDrag(NamedTuple):
+    """Drag acceleration along one body axis (m/s2) and its derivatives, by the air velocity along
+    and across the axis, by the cross-flow share, and of the first two by that share."""
+
+    drag: float
+    by_along: float
+    by_across: float
+    by_cross: float
+    by_along_cross: float
+    by_across_cross: float
+
+
+def _axis_drag(
+    linear: float, quadratic: float, flow_mps: tuple[float, float, float], cross: float
+) -> _AxisDrag:
+    """Linear and quadratic drag over mass (1/s, 1/m) in a flow along the axis, across it, and down.
+
+    The quadratic part is `quadratic * s * along`, where `s` lies between two published laws:
+    `cross` 1 is the airspeed (PX4, EKF2 drag fusion), 0 the axis's own flow (ArduPilot, SITL
+    frame). The vertical flow counts in both.
+    """
+    along, across, down = flow_mps
+    own = max(math.hypot(along, down), 1e-3)
+    speed = max(math.hypot(own, across), 1e-3)
+    slant_own, slant = along * along / own, along * along / speed
+    size = linear + quadratic * ((1.0 - cross) * own + cross * speed)
+    mixed = quadratic * along * across / speed
+    return _AxisDrag(
+        drag=size * along,
+        by_along=size + quadratic * ((1.0 - cross) * slant_own + cross * slant),
+        by_across=cross * mixed,
+        by_cross=quadratic * (speed - own) * along,
+        by_along_cross=quadratic * (speed - own + slant - slant_own),
+        by_across_cross=mixed,
     )
 
 
@@ -278,7 +322,7 @@ def _told(
     seen: WindObservation,
     motion: ReportedMotion,
 ) -> TiltTold:
-    """One linearisation about `about` (17,), which need not be the state's own mean."""
+    """One linearisation about `about` (18,), which need not be the state's own mean."""
     drag = drag_seen(airframe, seen, about, motion)
     state.airspeed_mps = drag.airspeed_mps
     rows = drag.rows
@@ -322,22 +366,27 @@ def _noises(
 
 
 def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
-    """Variance along each axis that the linearisation omits while wind and gain are uncertain.
+    """Variance along each axis that the linearisation omits while wind, gain and cross-flow share
+    are uncertain.
 
     Half the trace of (H P)^2, with H the drag's second derivatives (Jazwinski 1970, 9.3); those by
     wind are taken at their upper bound. On one heading only a sum of wind, gain and trim is
     observable. Without this term the moving linearisation point would seem to separate them.
     """
-    p = state.cov[: At.HEADING, : At.LATELY].tolist()
+    p = state.cov[:, : At.LATELY].tolist()
     nn = p[0][0] + 2.0 * p[0][2] + p[2][2]
     ne = p[0][1] + p[0][3] + p[2][1] + p[2][3]
     ee = p[1][1] + 2.0 * p[1][3] + p[3][3]
     most = 0.5 * (nn + ee) + math.hypot(0.5 * (nn - ee), ne)
     told: list[float] = []
-    for axis, (n, e) in enumerate(drag.rows[:, :2].tolist()):
-        by_gain = p[At.LOG_GAIN + axis]
-        slope = n * n * nn + 2.0 * n * e * ne + e * e * ee
-        shared = n * (by_gain[0] + by_gain[2]) + e * (by_gain[1] + by_gain[3])
-        gain = float(state.cov[At.LOG_GAIN + axis, At.LOG_GAIN + axis])
-        told.append(slope * gain + shared**2 + 0.5 * (drag.bends_pm[axis] * most) ** 2)
+    for axis, wind_row in enumerate(drag.rows[:, :2].tolist()):
+        left = 0.5 * (drag.bends_pm[axis] * most) ** 2
+        for at, (n, e) in (
+            (At.LOG_GAIN + axis, wind_row),
+            (At.CROSS_FLOW, drag.cross_rows[axis]),
+        ):
+            shared = n * (p[at][0] + p[at][2]) + e * (p[at][1] + p[at][3])
+            slope = n * n * nn + 2.0 * n * e * ne + e * e * ee
+            left += slope * float(state.cov[at, at]) + shared**2
+        told.append(left)
     return told[0], told[1]

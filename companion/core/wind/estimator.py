@@ -8,8 +8,8 @@
   only their priors do (`ekf`).
 - A heading error turns the air velocity: 3 degrees at 14 m/s are 0.7 m/s of cross-wind. The way
   back on the opposite heading shows it.
-- Two filters, one for calm and one for turbulent air, are weighed against each other
-  (`multiple_model`).
+- In light wind two filters, one for calm and one for turbulent air, are weighed against each other
+  (`multiple_model`); in wind there is the second alone.
 - While an airspeed is used, another filter runs without it. The airspeed is checked against it,
   and when the airspeed proves false that filter takes over at once.
 - A released parcel changes the drag by more than its mass tells, so the gains are opened again.
@@ -37,7 +37,7 @@ from companion.core.wind.observation import WindBelief, WindObservation
 
 __all__ = ["WindBelief", "WindEstimator", "WindEstimatorParams", "WindObservation"]
 
-SNAPSHOT_FORMAT = "wind-estimator/4"
+SNAPSHOT_FORMAT = "wind-estimator/5"
 
 
 KNOWN_DRAG_STD_FRAC = 0.1
@@ -143,12 +143,14 @@ class WindEstimator:
     def snapshot(self) -> dict[str, object]:
         """What a checkpoint keeps: trims and gains are worth more than the wind of then."""
         second = self._with_airspeed
-        usual, calm = self._alone.states if second is None else (second, second)
+        usual, calm = self._alone.usual, self._alone.calm
+        if second is not None:
+            usual, calm = second, None if calm is None else second
         return {
             "format": SNAPSHOT_FORMAT,
             "t_s": self._t_s,
             "usual": usual.snapshot(),
-            "calm": calm.snapshot(),
+            "calm": None if calm is None else calm.snapshot(),
             "chance_calm": self._alone.chance_calm,
         }
 
@@ -156,18 +158,22 @@ class WindEstimator:
         """Go on from a checkpoint; raises LeewayError when it is not one."""
         if snapshot.get("format") != SNAPSHOT_FORMAT:
             raise LeewayError(f"checkpoint: expected a {SNAPSHOT_FORMAT} snapshot")
-        usual, calm = (WindState(self._airframe, self._params) for _ in range(2))
         try:
             t_s = msgspec.convert(snapshot["t_s"], float | None)
             chance = msgspec.convert(snapshot["chance_calm"], float)
-            for name, state in (("usual", usual), ("calm", calm)):
-                state.restore(msgspec.convert(snapshot[name], dict[str, object]))
+            usual = self._restored(snapshot["usual"])
+            calm = None if snapshot["calm"] is None else self._restored(snapshot["calm"])
         except (KeyError, ValueError, msgspec.ValidationError) as error:
             raise LeewayError(f"checkpoint: {error}") from error
-        if not 0.0 < chance < 1.0:
-            raise LeewayError("checkpoint: expected a chance of calm between 0 and 1")
+        if not 0.0 <= chance < 1.0:
+            raise LeewayError("checkpoint: expected a chance of calm from 0 to under 1")
         self._t_s, self._with_airspeed = t_s, None
         self._alone = Airs(usual, calm, chance)
+
+    def _restored(self, snapshot: object) -> WindState:
+        state = WindState(self._airframe, self._params)
+        state.restore(msgspec.convert(snapshot, dict[str, object]))
+        return state
 
     # -- what enters -----------------------------------------------------------------------------
 
@@ -194,8 +200,9 @@ class WindEstimator:
         states = self._states()
         told = [tilt_told(state, self._airframe, p, seen, motion) for state in states]
         if all(state.wind_std_mps < p.scalar_wind_std_mps for state in self._alone.states):
-            self._alone.weigh(told[:2], p.gate_sigmas, motion.since_s)
+            self._alone.weigh(told, p.gate_sigmas, motion.since_s)
         rejected = [_told_tilt(*each, p, motion.since_s) for each in zip(states, told, strict=True)]
+        self._alone.mind_wind()
         if rejected[states.index(believed)]:
             return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None

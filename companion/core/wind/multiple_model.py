@@ -7,6 +7,10 @@ begins in gusts as the parameters have them and learns, one that holds the air f
 foretells every measurement, and how well is its likelihood; by Bayes that is its chance (Magill
 1965, a bank of filters), and what is believed is their mixture. Gusts tell on the calm one within
 seconds. Chances leak back by little, since weather changes.
+
+Calm is a hypothesis in light wind only. Where the wind blows, turbulence follows from it (Panofsky
+and Dutton 1984, ch. 6): a calm filter there takes gusts for wrong drag, agrees with itself, and is
+believed (on a real flight in 6 m/s, drag gains of 0.5 and 0.4, and 10 m/s of wind for a minute).
 """
 
 import math
@@ -24,19 +28,26 @@ CALM_RATIO = 0.02
 """The gusts' variance in calm over the prior's: 0.06 m/s where the prior has 0.45."""
 CHANGES_AFTER_S = 1000.0
 """[est] How long the air stays what it is."""
+CALM_MOST_WIND_MPS = 3.0
+"""Wind below which gusts no longer go with it, as in the filter's `least_wind_mps`."""
+CHANCE_AFTER_WIND = 0.1
+"""[est] Where it blew just now."""
 NOISE_MEMORY_S = 10.0
 LEAST_NOISE = 0.05
 
 
 class Airs:
-    """The usual air and calm, each with a filter of its own, and the chance of calm."""
+    """The usual air and calm, each with a filter of its own, and the chance of calm.
 
-    __slots__ = ("_noise", "chance_calm", "states")
+    `calm` is `None` while it blows: then there is one filter.
+    """
 
-    def __init__(self, usual: WindState, calm: WindState, chance_calm: float = 0.5) -> None:
-        calm.turbulence = Turbulence(CALM_RATIO, is_held=True)
-        self.states = (usual, calm)
-        self.chance_calm = chance_calm
+    __slots__ = ("_noise", "calm", "chance_calm", "usual")
+
+    def __init__(self, usual: WindState, calm: WindState | None, chance_calm: float = 0.5) -> None:
+        self.usual = usual
+        self.calm = None if calm is None else _held_calm(calm)
+        self.chance_calm = 0.0 if calm is None else chance_calm
         self._noise = 1.0
 
     @classmethod
@@ -45,9 +56,25 @@ class Airs:
         return cls(WindState(airframe, params), WindState(airframe, params))
 
     @property
+    def states(self) -> tuple[WindState, ...]:
+        """The filters there are: the usual one, and the calm one where it may be calm."""
+        return (self.usual,) if self.calm is None else (self.usual, self.calm)
+
+    @property
     def likelier(self) -> WindState:
         """The filter of the air that it more probably is."""
-        return self.states[self.chance_calm > 0.5]
+        return self.usual if self.calm is None or self.chance_calm <= 0.5 else self.calm
+
+    def mind_wind(self) -> None:
+        """End the calm hypothesis where the usual filter finds too much wind for it; begin it anew
+        from that filter where the wind has gone down."""
+        usual = self.usual
+        if not usual.wind_is_known:
+            return
+        if usual.least_wind_speed_mps > CALM_MOST_WIND_MPS:
+            self.calm, self.chance_calm = None, 0.0
+        elif self.calm is None:
+            self.calm, self.chance_calm = _held_calm(usual.copy()), CHANCE_AFTER_WIND
 
     def weigh(self, told: Sequence[TiltTold], sigmas: float, dt_s: float) -> None:
         """Take what one measurement said to the usual filter and to the calm one, in this order.
@@ -57,19 +84,29 @@ class Airs:
         """
         share = -math.expm1(-dt_s / NOISE_MEMORY_S)
         self._noise += share * (min(told[0].surprise, sigmas**2) - self._noise)
+        if self.calm is None:
+            return
         noise = max(self._noise, LEAST_NOISE)
-        usual, calm = (one.log_density(sigmas, noise) for one in told)
+        usual, calm = (one.log_density(sigmas, noise) for one in told[:2])
         odds = self.chance_calm / (1.0 - self.chance_calm) * math.exp(_held(calm - usual))
         leak = -math.expm1(-dt_s / CHANGES_AFTER_S)
         self.chance_calm = (1.0 - leak) * odds / (1.0 + odds) + 0.5 * leak
 
     def ten_second_mean(self, waited_s: float) -> tuple[Floats, Floats]:
         """Mean and covariance of the mixture, see `WindState.ten_second_mean`."""
-        (usual, usual_cov), (calm, calm_cov) = (s.ten_second_mean(waited_s) for s in self.states)
+        usual, usual_cov = self.usual.ten_second_mean(waited_s)
+        if self.calm is None:
+            return usual, usual_cov
+        calm, calm_cov = self.calm.ten_second_mean(waited_s)
         p = self.chance_calm
         apart = calm - usual
         cov = (1.0 - p) * usual_cov + p * calm_cov + p * (1.0 - p) * np.outer(apart, apart)
         return usual + p * apart, cov
+
+
+def _held_calm(state: WindState) -> WindState:
+    state.turbulence = Turbulence(CALM_RATIO, is_held=True)
+    return state
 
 
 def _held(log_ratio: float) -> float:

@@ -93,3 +93,37 @@ def test_the_mixture_has_the_moments_of_what_is_drawn_from_it() -> None:
     )
     np.testing.assert_allclose(mean, drawn.mean(axis=0), atol=0.05)
     np.testing.assert_allclose(cov, np.cov(drawn.T), atol=0.08)
+
+
+def windy(air: Airs, wind_mps: float) -> Airs:
+    """The usual filter knows a wind of this strength, to 0.5 m/s."""
+    air.usual.x[At.MEAN] = wind_mps
+    air.usual.cov[: At.TRIM, : At.TRIM] = 0.25 * np.eye(At.TRIM)
+    air.mind_wind()
+    return air
+
+
+def test_where_it_blows_calm_is_no_hypothesis_however_well_it_foretells() -> None:
+    air = windy(airs(), 6.0)
+    assert air.states == (air.usual,)
+    for _ in range(100):
+        air.weigh([told(np.zeros(2), USUAL), told(np.zeros(2), CALM)], SIGMAS, 0.1)
+    assert air.chance_calm == 0.0
+    assert air.likelier is air.usual
+    np.testing.assert_array_equal(air.ten_second_mean(0.0)[0], air.usual.ten_second_mean(0.0)[0])
+
+
+def test_when_the_wind_has_gone_down_calm_is_a_hypothesis_again_and_may_be_believed() -> None:
+    air = windy(windy(airs(), 6.0), 1.0)
+    assert len(air.states) == 2
+    rng = np.random.default_rng(3)
+    for seen in rng.multivariate_normal([0.0, 0.0], CALM, size=100):
+        air.weigh([told(seen, USUAL), told(seen, CALM)], SIGMAS, 0.1)
+    assert air.chance_calm > 0.9
+
+
+def test_before_the_wind_is_known_calm_stays_a_hypothesis() -> None:
+    air = airs()
+    air.usual.x[At.MEAN] = 20.0
+    air.mind_wind()
+    assert len(air.states) == 2
