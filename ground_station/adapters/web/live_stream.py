@@ -1,7 +1,8 @@
 """One picture for many clients, as server-sent events (WHATWG HTML, 9.2).
 
-A client that joins, or has missed a picture, gets the whole; the others get what changed. So
-nothing queues up for a client that does not read: it costs its socket's buffer and one task.
+A client that joins gets the whole, then what changed since the picture that it was sent last. So
+nothing queues up for a client that does not read: it costs its socket's buffer, one task and one
+old picture.
 """
 
 import asyncio
@@ -21,9 +22,10 @@ BACK_MS = 1000
 
 
 class Frame:
-    """A picture, and what changed since the one before. Neither is changed afterwards."""
+    """A picture, and how to get there. None of it is changed afterwards."""
 
     def __init__(self, number: int, t_us: int, picture: dict[str, Any], patch: dict[str, Any]):
+        """`patch`: from the frame before."""
         self.number, self.t_us, self.picture = number, t_us, picture
         self._patch = patch
 
@@ -33,9 +35,14 @@ class Frame:
         return self._event("picture", self.picture)
 
     @cached_property
-    def change(self) -> bytes:
-        """The event for who has the picture before."""
+    def _step(self) -> bytes:
         return self._event("patch", self._patch)
+
+    def since(self, seen: "Frame") -> bytes:
+        """The event for who has `seen`; for all who have the one before it is made once."""
+        if seen.number == self.number - 1:
+            return self._step
+        return self._event("patch", merge_patch(seen.picture, self.picture))
 
     def _event(self, kind: str, content: dict[str, Any]) -> bytes:
         data = msgspec.json.encode({"t_us": self.t_us, "content": content})
@@ -87,13 +94,13 @@ class LiveStream:
         self.clients += 1
         try:
             yield b"retry: %d\n\n" % BACK_MS
-            seen = 0
+            seen: Frame | None = None
             while not self._closed:
                 news, frame = self._news, self._frame
-                if frame is None or frame.number == seen:
+                if frame is None or frame is seen:
                     await news.wait()
                     continue
-                yield frame.change if seen == frame.number - 1 and seen else frame.whole
-                seen = frame.number
+                yield frame.whole if seen is None else frame.since(seen)
+                seen = frame
         finally:
             self.clients -= 1

@@ -138,7 +138,7 @@ def _asked(ask: Callable[[str], Any]) -> Any:
 
 def _json(content: Any) -> Response:
     if content is None:
-        return PlainTextResponse("not known\n", 404)
+        return Response(status_code=204)  # not known: no error to a browser
     return Response(msgspec.json.encode(content), media_type="application/json")
 
 

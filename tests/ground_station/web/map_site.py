@@ -3,6 +3,7 @@
 The map hears the world by a line of its own, as a second member of the network would.
 """
 
+import json
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ class MapEars:
 class MapSite:
     """World, desk, store, map and its server."""
 
-    def __init__(self, folder: Path, *, port: int = 0, data: Any = HARBOUR) -> None:
+    def __init__(self, folder: Path, *, port: int = 0) -> None:
         self.world = World(["d1", "d2"], np.random.default_rng(1))
         clock = self.world.clock
         self.url = f"sqlite:///{folder}/desk.db"
@@ -85,14 +86,23 @@ class MapSite:
         )
         self.desk.begin()
         self.ears = MapEars(self.world)
-        self.ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
         self.reader = Store(Database(self.url, create=False), clock.epoch_us)
-        self.feed = MapFeed("harbour", self.ear, self.reader, clock, data)
-        self.server = MapServer("127.0.0.1", port)
-        self.server.serve(MapAnswers(self.feed.stream, self.feed.history, self.feed.reach))
         self.held = ExitStack()
-        for end in (self.store.close, self.reader.close, self.server.close):
+        for end in (self.store.close, self.reader.close):
             self.held.callback(end)
+        self.start_map(port)
+
+    def start_map(self, port: int = 0, basemap: Path | None = None) -> None:
+        """A map that knows nothing of before, as the command that is started again."""
+        clock = self.world.clock
+        self.ears.known = set()
+        ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
+        has_tiles = basemap is not None
+        self.feed = MapFeed("harbour", ear, self.reader, clock, HARBOUR, basemap=has_tiles)
+        self.server = MapServer("127.0.0.1", port)
+        answers = MapAnswers(self.feed.stream, self.feed.history, self.feed.reach, basemap)
+        self.server.serve(answers)
+        self.held.callback(self.server.close)
 
     @property
     def address(self) -> str:
@@ -100,10 +110,10 @@ class MapSite:
 
     @property
     def picture(self) -> dict[str, Any]:
-        """What was published last."""
+        """What was published last, as JSON has it."""
         frame = self.feed.stream.frame
         assert frame is not None
-        return frame.picture
+        return json.loads(json.dumps(frame.picture))
 
     def step(self, seconds: int = 1, *, desk: bool = True) -> None:
         """The day goes on; `desk` False: nobody minds it."""

@@ -39,7 +39,7 @@ function select(name) {
 
 async function answer(question) {
   const found = await fetch(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}`).catch(() => null);
-  return found?.ok ? found.json() : null;
+  return found?.status === 200 ? found.json() : null; // 204: not known
 }
 
 async function ask() {
