@@ -61,13 +61,15 @@ def _radii_m(model: Reach, state: State, payload_kg: float, left_wh: float, ways
         Leg(LegKind.CRUISE, (0.0, 0.0, up), (north * SAMPLE_M, east * SAMPLE_M, up), payload_kg)
         for north, east in ways
     )
-    land = (Leg(LegKind.LAND, (0.0, 0.0, up), (0.0, 0.0, 0.0), payload_kg),)
+    ends = cruises[0].to_ned_m
+    land = Leg(LegKind.LAND, ends, (*ends[:2], 0.0), payload_kg)
     compiled = model.energy.compile(cruises, (None,) * len(cruises))
     costs = model.energy.costs(compiled, wind[None, :])
     per_m = costs.energy_wh[0] / SAMPLE_M
     gradients = model.energy.gradient_wh_per_mps(compiled, wind) / SAMPLE_M
     wind_per_m = np.sqrt(np.einsum("ki,ij,kj->k", gradients, model.wind_cov_ne_m2ps2, gradients))
-    land_wh = float(model.energy.costs(land, wind[None, :]).energy_wh.sum())
+    last = model.energy.costs((cruises[0], land), wind[None, :])  # with the stop before it
+    land_wh = float(last.energy_wh[0, 1])
     budget_wh = _budget_wh(model, payload_kg, left_wh) - land_wh
     std_wh = model.airframe.battery.usable_std_frac * left_wh
     error = model.airframe.power_rotor.model_std_frac

@@ -147,7 +147,7 @@ export class Drawing {
   }
 }
 
-const PX_PER_MPS = 3.5; // 14 m/s reach the ring of 50
+const PX_PER_MPS = 5; // 10 m/s reach the ring
 
 // An arrow to where the air moves, and the ellipse of one sigma about its tip.
 function drawWind(group, { to_ne_mps: [north, east], cov_m2ps2: [nn, ne, ee] }) {
