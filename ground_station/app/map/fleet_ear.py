@@ -7,12 +7,13 @@ a desk has written down.
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import State
 from ground_station.core.fleet.fleet_link import (
     Clock,
-    FleetLink,
+    FleetInput,
     LivelinessChanged,
     MessageRejected,
     StateReceived,
@@ -61,11 +62,23 @@ class VehicleTrack:
             self.from_ = at
 
 
+class StateSource(Protocol):
+    """All that a map needs of a fleet's network: it has no way to send a command."""
+
+    def receive(self, wait_s: float) -> list[FleetInput]:
+        """Everything that has come; waits this long for the first."""
+        ...
+
+    def ask_states(self, wait_s: float) -> None:
+        """Ask every member for its newest state."""
+        ...
+
+
 @dataclass(slots=True)
 class FleetEar:
     """One listener."""
 
-    fleet: FleetLink
+    fleet: StateSource
     clock: Clock
     status: FleetStatus
     tracks: dict[str, VehicleTrack] = field(default_factory=dict)
