@@ -50,7 +50,10 @@ PACKAGES = (
         "pmtiles",
         "4.5.0",
         "CBeD4SoUluFziGdy/8k7FOjQxQy486n+929W/tWophauvMICpkZ26vGBWhDt/6b1FZQWNaf4jFdT/5+q0Wii5w==",
-        {"package/dist/pmtiles.js": "pmtiles.js"},
+        {
+            "package/dist/pmtiles.js": "pmtiles.js",
+            "package/package.json": "pmtiles.package.json",  # names author and licence (BSD-3)
+        },
     ),
 )
 
