@@ -152,6 +152,7 @@ def _config(app: ASGIApp) -> uvicorn.Config:
         log_config=None,
         access_log=False,
         server_header=False,
+        proxy_headers=False,  # nobody stands between: no word of a client is taken for its address
         limit_concurrency=MOST_CONNECTIONS,
         timeout_graceful_shutdown=round(END_S),
     )

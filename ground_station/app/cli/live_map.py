@@ -87,7 +87,8 @@ def show_map(
         ear = FleetEar(ears, clock, status)
         feed = MapFeed(name, ear, opened, clock, data, notes, basemap is not None)
         server.serve(MapAnswers(feed.stream, feed.history, feed.reach, basemap))
-        typer.echo(f"the map of {name}: http://{host}:{server.port}/  Ctrl-C ends it")
+        shown = f"[{host}]" if ":" in host else host
+        typer.echo(f"the map of {name}: http://{shown}:{server.port}/  Ctrl-C ends it")
         with stop_signals() as stopped:
             while not stopped:
                 feed.turn()
