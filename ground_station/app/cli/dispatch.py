@@ -191,7 +191,8 @@ def watch(
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
     from ground_station.app.views.terminal import terminal
-    from ground_station.app.views.watch_view import WatchRows, read_rows, watch_view
+    from ground_station.app.views.watch_view import watch_view
+    from ground_station.app.views.watched_rows import WatchRows, read_rows
 
     opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)

@@ -13,6 +13,7 @@ from ground_station.app.cli import (
     dispatch,
     estimate,
     hold,
+    live_map,
     order,
     pki,
     plan,
@@ -71,6 +72,7 @@ app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)
 app.add_typer(truck.app)
+app.add_typer(live_map.app)
 
 
 def main() -> None:

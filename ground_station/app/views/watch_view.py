@@ -13,80 +13,15 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.order_store import Store
+from ground_station.app.views.attention import expected_silence, stuck_orders, vehicle_alarms
+from ground_station.app.views.watched_rows import NEXT, DayShown, WatchRows, minutes
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
-from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
-from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
-NEXT = 5
-
 COLUMNS = ("\n", "\nphase", "\norder", "\nends at", "left\nWh", "P\nhome", "P\ndone", "s\nago")
 FIGURES_FROM = 4
-
-
-@dataclass(frozen=True, slots=True)
-class DayShown:
-    """A day with a truck, for people: the active plan, its sorties, the day's time."""
-
-    plan: DayPlan
-    sorties: list[SortieRow]
-    began_us: int | None
-    now_us: int
-
-    def following(self, open_orders: set[str]) -> list[PlannedSortie]:
-        """The next sorties."""
-        begun = [row.sortie for row in self.sorties]
-        left = [s for s in self.plan.sorties if s.order in open_orders and s not in begun]
-        return sorted(left, key=lambda s: s.launch_s)[:NEXT]
-
-    @property
-    def title(self) -> str:
-        """The plan's number and the day's time."""
-        if self.began_us is None:
-            return f"plan {self.plan.revision}, not begun"
-        now_s = (self.now_us - self.began_us) / 1e6
-        planned = _clock(self.plan.makespan_s)
-        return f"plan {self.plan.revision}, {_clock(now_s)} of {planned}"
-
-    def sortie(self, vehicle: str) -> SortieRow | None:
-        """The sortie of a drone that is put out, in the air, or back and not aboard."""
-        mine = (row for row in self.sorties if row.vehicle == vehicle)
-        return next((row for row in mine if not (row.aboard or row.gone)), None)
-
-    def binding(self, stop: str) -> list[str]:
-        """Which sorties keep the truck at a stop."""
-        return [why for row in self.sorties if (why := row.binds(stop)) is not None]
-
-
-def day_shown(day: DayStore, now_us: int) -> DayShown | None:
-    """The day with a truck that the store holds; None: there is none."""
-    plan = day.plan()
-    return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
-
-
-@dataclass(frozen=True, slots=True)
-class WatchRows:
-    """What the store says of the day, read at one moment."""
-
-    assignments: Sequence[AssignmentRow] = ()
-    orders: Sequence[OrderRow] = ()
-    day: DayShown | None = None
-    holds: Sequence[Hold] = ()
-
-
-def read_rows(store: Store, day: DayStore, now_us: int) -> WatchRows:
-    """The rows that are shown."""
-    assignments = store.assignments(in_force=True)
-    return WatchRows(assignments, store.orders(), day_shown(day, now_us), store.holds())
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(max(0, round(seconds)), 60)
-    return f"{minutes}:{rest:02d}"
 
 
 def watch_view(
@@ -100,7 +35,7 @@ def watch_view(
     wrong: list[str] = []
     for name in sorted(names, key=lambda name: (name != TRUCK, name)):
         line = _Line(status.of(name), held.get(name), day, t_s)
-        alarms = [f"{name}: {words}" for words in line.alarms()]
+        alarms = [f"{name}: {words}" for words in vehicle_alarms(line.seen, day, t_s)]
         lines.append((line.cells(), bool(alarms)))
         wrong += alarms
     table = _table(_title(orders, day), lines)
@@ -143,8 +78,7 @@ def _below(
     status: FleetStatus, orders: Sequence[OrderRow], day: DayShown | None, wrong: list[str]
 ) -> Iterator[str]:
     yield from (f"LOOK: {words}" for words in wrong)
-    stuck = [row for row in orders if row.state is OrderState.STUCK]
-    yield from (f"LOOK: {row.order.id} is stuck: {row.why}" for row in stuck)
+    yield from (f"LOOK: {order} {words}" for order, words in stuck_orders(orders))
     waiting = [row.order.id for row in orders if row.state is OrderState.OPEN]
     if day is None:
         yield f"next: {', '.join(waiting[:NEXT]) or 'nothing'}"
@@ -156,7 +90,7 @@ def _below(
         yield from (f"  {why}" for why in binding)
     for sortie in day.following(set(waiting)):
         where = f"from {sortie.launch} to {sortie.home}"
-        yield f"next: {_clock(sortie.launch_s):>5}  {sortie.order} by {sortie.vehicle} {where}"
+        yield f"next: {minutes(sortie.launch_s):>5}  {sortie.order} by {sortie.vehicle} {where}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,31 +108,7 @@ class _Line:
 
     @property
     def _off(self) -> str | None:
-        """Where a silent drone is, if its silence is expected."""
-        if self.day is None or self.seen.vehicle == TRUCK or self.seen.lives:
-            return None
-        sortie = self._sortie
-        if sortie is None:
-            return "on the truck"
-        if sortie.launched_us is not None:
-            return None
-        return "starting up" if sortie.placed else "to be put out"
-
-    def alarms(self) -> Iterator[str]:
-        """What needs attention."""
-        seen, state = self.seen, self.seen.state
-        yield from seen.doubts
-        if self._off is None and not seen.lives:
-            yield "not on the network"
-        elif seen.lives and not seen.present(self.t_s) and state is not None:
-            yield f"not heard for {seen.silent_s(self.t_s) or 0.0:.0f} s"
-        if state is not None and self._flies and (state.margin_wh or 0.0) < 0.0:
-            yield f"{-(state.margin_wh or 0.0):.1f} Wh short of its promise"
-
-    @property
-    def _flies(self) -> bool:
-        state = self.seen.state
-        return state is not None and bool(state.armed and state.assignment)
+        return expected_silence(self.seen, self.day)
 
     def cells(self) -> tuple[str, ...]:
         """The cells of its line."""

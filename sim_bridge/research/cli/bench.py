@@ -53,6 +53,26 @@ def dispatch(
     bench_now(vehicles, orders, seed, json_file)
 
 
+@app.command("map")
+def live_map(
+    drones: Annotated[int, typer.Option(min=1, max=2000, help="Drones in the air.")] = 200,
+    orders: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 1000,
+    windows: Annotated[int, typer.Option(min=0, max=32, help="Browsers that follow it.")] = 3,
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long it is measured.")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Places, winds and speeds.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """The share of a core that `ground-station map` takes with many drones and orders.
+
+    sim-bridge research bench map --drones 200 --orders 1000
+    """
+    try:
+        from sim_bridge.research.benchmarks.map_bench import bench as bench_now
+    except ImportError as error:
+        raise LeewayError(f"bench map needs leeway-uas[ground]: {error}") from error
+    bench_now(drones, orders, windows, seconds, seed, json_file)
+
+
 fleet = typer.Typer()
 
 

@@ -44,7 +44,8 @@ from companion.fleet.messages import (
     encode,
 )
 from ground_station.app.views.terminal import terminal
-from ground_station.app.views.watch_view import WatchRows, watch_view
+from ground_station.app.views.watch_view import watch_view
+from ground_station.app.views.watched_rows import WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
 
 ATTACKS = (

@@ -20,6 +20,7 @@ CODE = "from ground_station.app.cli.main import main; main()"
     [
         ["report"],
         ["watch", "--fleet", "harbour", "--seconds", "1"],
+        ["map", "--fleet", "harbour", "--port", "0"],
         ["order", "list"],
         ["audit"],
         ["hold", "d1", "--reason", "x"],

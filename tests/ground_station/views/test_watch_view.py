@@ -8,7 +8,8 @@ import msgspec
 from rich.console import Console
 
 from companion.fleet.messages import State
-from ground_station.app.views.watch_view import DayShown, WatchRows, watch_view
+from ground_station.app.views.watch_view import watch_view
+from ground_station.app.views.watched_rows import DayShown, WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.holds import Hold

@@ -1,0 +1,171 @@
+"""Serves the live map on loopback, in a thread of its own, until it is closed."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.web.live_stream import MOST_CLIENTS, LiveStream
+from ground_station.adapters.web.web_guard import WebGuard
+
+PAGE = Path(__file__).with_name("page")
+ASSETS = Path(__file__).with_name("assets")
+MOST_CONNECTIONS = 4 * MOST_CLIENTS
+"""A page opens six at most; beyond it clients are answered 503."""
+
+END_S = 1.0
+"""Who is being answered when the server ends has so long."""
+
+STARTED_S = 10.0
+QUEUE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class MapAnswers:
+    """What the page asks for beside the stream; each is called in the server's thread.
+
+    `history(vehicle)` and `reach(vehicle)` give what can be written as JSON, None: not known.
+    """
+
+    stream: LiveStream
+    history: Callable[[str], Any]
+    reach: Callable[[str], Any]
+    basemap: Path | None = None
+
+
+class MapServer:
+    """Holds the port from the beginning; `serve` begins to answer."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises LeewayError where the address cannot be had. `port` 0: any that is free."""
+        try:
+            self._socket = _listener(host, port)
+        except OSError as error:
+            why = f"map: {host}:{port}: {error.strerror or error}"
+            raise LeewayError(f"{why}: expected a free port of this machine (--port)") from error
+        self.port: int = self._socket.getsockname()[1]
+        self._running: tuple[uvicorn.Server, threading.Thread, LiveStream] | None = None
+
+    def serve(self, answers: MapAnswers) -> None:
+        """Answer everybody from now on. Raises LeewayError where the server does not start."""
+        server = uvicorn.Server(_config(map_app(answers, self.port)))
+        started = threading.Event()
+        args = (server, answers.stream, started)
+        thread = threading.Thread(target=self._run, args=args, name="map", daemon=True)
+        thread.start()
+        self._running = server, thread, answers.stream
+        if not started.wait(STARTED_S):
+            raise LeewayError("map: the server did not start")
+
+    def close(self) -> None:
+        """Give the port back; nobody is waited for longer than a second."""
+        if self._running is not None:
+            server, thread, stream = self._running
+            server.should_exit = True
+            stream.close()
+            thread.join(3 * END_S)
+        self._socket.close()
+
+    def _run(self, server: uvicorn.Server, stream: LiveStream, started: threading.Event) -> None:
+        async def serving() -> None:
+            stream.attach(asyncio.get_running_loop())
+            started.set()
+            await server.serve(sockets=[self._socket])
+
+        asyncio.run(serving())
+
+
+def map_app(answers: MapAnswers, port: int) -> ASGIApp:
+    """The application: the page, its stream, what it asks for. It changes nothing anywhere."""
+    page = StaticFiles(directory=PAGE)
+    routes: list[BaseRoute] = [
+        Route("/", _file(PAGE / "index.html")),
+        Mount("/page", page),
+        Route("/events", _events(answers.stream)),
+        Route("/picture.json", _picture(answers.stream)),
+        Route("/history.json", _asked(answers.history)),
+        Route("/reach.json", _asked(answers.reach)),
+    ]
+    if answers.basemap is not None:
+        routes += [Route("/basemap.pmtiles", _file(answers.basemap))]
+        routes += [Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False))]
+    return WebGuard(Starlette(routes=routes), port)
+
+
+def _file(path: Path) -> Any:
+    async def answer(request: Request) -> Response:
+        return FileResponse(path)  # answers ranges, which PMTiles are read by
+
+    return answer
+
+
+def _events(stream: LiveStream) -> Any:
+    async def answer(request: Request) -> Response:
+        if stream.clients >= MOST_CLIENTS:
+            return PlainTextResponse(f"{MOST_CLIENTS} windows are open\n", 503)
+        return StreamingResponse(stream.events(), media_type="text/event-stream")
+
+    return answer
+
+
+def _picture(stream: LiveStream) -> Any:
+    async def answer(request: Request) -> Response:
+        frame = stream.frame
+        return _json(None if frame is None else frame.picture)
+
+    return answer
+
+
+def _asked(ask: Callable[[str], Any]) -> Any:
+    def answer(request: Request) -> Response:  # in a worker thread: it may take milliseconds
+        return _json(ask(request.query_params.get("vehicle", "")))
+
+    return answer
+
+
+def _json(content: Any) -> Response:
+    if content is None:
+        return Response(status_code=204)  # not known: no error to a browser
+    return Response(msgspec.json.encode(content), media_type="application/json")
+
+
+def _config(app: ASGIApp) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
+        loop="asyncio",
+        http="h11",
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,  # nobody stands between: no word of a client is taken for its address
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_graceful_shutdown=round(END_S),
+    )
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    made = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a map that starts anew
+        made.bind(address)
+        made.listen(QUEUE)
+    except OSError:
+        made.close()
+        raise
+    return made

@@ -1,0 +1,51 @@
+// One drone or order, with the reasons; of a drone also its promise over time.
+
+import { $, html, keyed, say } from "./dom.js";
+import { drawChart } from "./chart.js";
+import { ago, clock, measure, figure } from "./words.js";
+
+export function drawDetail(picture, { selected, history, nowUs }) {
+  const panel = $("#detail");
+  const drone = picture.drones?.[selected];
+  const order = picture.orders?.[selected];
+  panel.hidden = !drone && !order;
+  if (panel.hidden) return;
+  if (!panel.firstChild) panel.append(html("h2"), html("figure"), html("dl"));
+  const [head, chart, list] = panel.children;
+  say(head, selected);
+  const rows = drone ? droneRows(drone, nowUs) : orderRows(order);
+  const make = (key) => html("div", {}, html("dt", {}, key), html("dd"));
+  keyed(list, rows.map((row) => [row[0], row]), make, (row, [, words]) => say(row.children[1], words));
+  chart.hidden = !drone || !history?.length;
+  if (!chart.hidden) drawChart(chart, history, picture.max_loss);
+}
+
+function droneRows(drone, nowUs) {
+  const alarms = (drone.alarms ?? []).map((words, k) => [k ? `wrong (${k + 1})` : "wrong", words]);
+  return [
+    ...alarms,
+    ["phase", drone.phase],
+    ["why", drone.why ? `${drone.why} (${clock(drone.why_us)})` : "no decision on this flight yet"],
+    ["says", drone.says ?? ""],
+    ["P(home)", figure(drone.p_home, 5)],
+    ["P(home), turning back", figure(drone.p_home_now, 5)],
+    ["P(delivered, home)", figure(drone.p_success, 4)],
+    ["margin", measure(drone.margin_wh, 1, "Wh")],
+    ["energy left", measure(drone.energy_left_wh, 1, "Wh")],
+    ["order", drone.order ? `${drone.order}${drone.delivered ? ", delivered" : ""}` : "-"],
+    ["ends at", drone.asked ? `${drone.home ?? "-"}, asked to ${drone.asked}` : drone.home ?? "-"],
+    ["height, speed", `${measure(drone.height_rel_m, 0, "m")}, ${measure(drone.ground_speed_mps, 1, "m/s")}`],
+    ["heard", ago(drone.heard_us, nowUs)],
+  ];
+}
+
+function orderRows(order) {
+  return [
+    ["state", order.state],
+    ["why", order.why ?? ""],
+    ["by", order.vehicle ?? "-"],
+    ["mass", measure(order.mass_kg, 2, "kg")],
+    ["note", order.note ?? ""],
+    ["place", order.at.map((degrees) => degrees.toFixed(5)).join(", ")],
+  ];
+}

@@ -1,0 +1,49 @@
+// Elements. Words become text nodes only: nothing that comes from outside is parsed as markup.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+export const $ = (selector) => document.querySelector(selector);
+
+export function html(tag, attributes = {}, ...children) {
+  return filled(document.createElement(tag), attributes, children);
+}
+
+export function svg(tag, attributes = {}, ...children) {
+  return filled(document.createElementNS(SVG, tag), attributes, children);
+}
+
+function filled(element, attributes, children) {
+  set(element, attributes);
+  element.append(...children);
+  return element;
+}
+
+export function set(element, attributes) {
+  for (const [name, value] of Object.entries(attributes)) {
+    const text = String(value);
+    if (element.getAttribute(name) !== text) element.setAttribute(name, text);
+  }
+}
+
+export function say(element, words) {
+  if (element.textContent !== words) element.textContent = words;
+}
+
+// One child of `parent` for each [key, item]: made once, told of every change, taken away at the end.
+export function keyed(parent, entries, make, update) {
+  const there = new Map([...parent.children].map((child) => [child.dataset.key, child]));
+  let before = null;
+  for (const [key, item] of entries) {
+    let child = there.get(key);
+    there.delete(key);
+    if (!child) {
+      child = make(key, item);
+      child.dataset.key = key;
+    }
+    update(child, item, key);
+    const next = before ? before.nextElementSibling : parent.firstElementChild;
+    if (next !== child) parent.insertBefore(child, next);
+    before = child;
+  }
+  for (const child of there.values()) child.remove();
+}

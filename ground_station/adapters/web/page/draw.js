@@ -1,0 +1,170 @@
+// Everything that lies on the ground or flies over it, as SVG in the view's pixels.
+
+import { $, keyed, say, set, svg } from "./dom.js";
+import { truckWords, windWords } from "./words.js";
+
+const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "truck", "drones"];
+const ORDER_SHAPES = {
+  open: "M-5,0a5,5 0 1,0 10,0a5,5 0 1,0 -10,0",
+  assigned: "M-6,-6h12v12h-12z",
+  delivered: "M-5,0l4,4l6,-8",
+  stuck: "M-6,-6L6,6M-6,6L6,-6",
+  cancelled: "M-4,0h8",
+};
+const ARROW = "M0,-13L8,9L0,4L-8,9Z";
+const WAITING = "M0,-7L7,0L0,7L-7,0Z"; // a drone whose course is not known: a diamond
+
+export class Drawing {
+  constructor(view, select) {
+    this.view = view;
+    this.select = select;
+    this.groups = Object.fromEntries(LAYERS.map((name) => [name, svg("g", { class: name })]));
+    $("#map").append(...Object.values(this.groups));
+  }
+
+  draw(picture, { selected, reach, nowUs }) {
+    this.#areas(picture.site?.areas ?? []);
+    this.#plan(picture.plan);
+    this.#ways(picture.drones ?? {}, selected);
+    this.#reach(reach);
+    this.#orders(picture.orders ?? {}, selected);
+    this.#rally(picture.site ?? {});
+    this.#truck(picture.truck, nowUs);
+    this.#drones(picture.drones ?? {}, selected);
+    this.#wind(picture.winds ?? []);
+    this.#scale();
+  }
+
+  #areas(areas) {
+    const make = () => svg("g", {}, svg("polygon"), svg("text"));
+    keyed(this.groups.areas, areas.map((area, k) => [String(k), area]), make, (group, area) => {
+      const [shape, label] = group.children;
+      set(group, { class: area.height_m === undefined ? "no-fly" : "obstacle" });
+      set(shape, { points: this.view.path(area.ring) });
+      const [x, y] = this.view.at(area.ring[0]);
+      set(label, { x, y });
+      const height = area.height_m === undefined ? "no fly" : `${area.height_m.toFixed(0)} m`;
+      say(label, this.view.zoom > 13 ? `${area.name} ${height}` : "");
+    });
+  }
+
+  #plan(plan) {
+    const stops = plan?.stops ?? {};
+    const places = (plan?.route ?? []).filter((id) => stops[id]).map((id) => stops[id].at);
+    keyed(this.groups.route, places.length ? [["route", places]] : [], () => svg("polyline"), (line) =>
+      set(line, { points: this.view.path(places) }));
+    const make = () => svg("g", {}, svg("rect", { x: -4, y: -4, width: 8, height: 8 }), svg("text", { x: 7, y: 12 }));
+    keyed(this.groups.stops, Object.entries(stops), make, (group, stop, id) => {
+      this.#move(group, stop.at);
+      const ends = id === plan.route[0] || id === plan.route.at(-1); // where the depot's own name stands
+      say(group.children[1], this.view.zoom > 12 && !ends ? id : "");
+    });
+  }
+
+  #ways(drones, selected) {
+    const lines = Object.entries(drones).flatMap(([name, drone]) =>
+      Object.entries(drone.way ?? {}).filter(([, points]) => points.length).map(([kind, points]) =>
+        [`${name} ${kind}`, { kind, points, chosen: name === selected }]));
+    keyed(this.groups.ways, lines, () => svg("polyline"), (line, way) =>
+      set(line, { points: this.view.path(way.points), class: `way-${way.kind}${way.chosen ? " chosen" : ""}` }));
+  }
+
+  #reach(ring) {
+    keyed(this.groups.reach, ring ? [["ring", ring]] : [], () => svg("polygon"), (shape) =>
+      set(shape, { points: this.view.path(ring) }));
+  }
+
+  #orders(orders, selected) {
+    const make = (id) => this.#button(id, svg("g", {}, svg("path"), svg("text", { x: 8, y: 4 }), svg("title")));
+    keyed(this.groups.orders, Object.entries(orders), make, (group, order, id) => {
+      set(group, { class: `order ${order.state}${id === selected ? " chosen" : ""}` });
+      set(group.children[0], { d: ORDER_SHAPES[order.state] ?? ORDER_SHAPES.open });
+      say(group.children[1], this.view.zoom > 14.5 || id === selected ? id : "");
+      say(group.children[2], `${id}: ${order.state}`);
+      this.#move(group, order.at);
+    });
+  }
+
+  #rally(site) {
+    const places = Object.entries(site.rally ?? {}).map(([name, at]) => [name, { at, depot: false }]);
+    if (site.depot) places.push(["depot", { at: site.depot, depot: true }]);
+    const make = () => svg("g", {}, svg("path"), svg("text", { x: 10, y: 4 }));
+    keyed(this.groups.rally, places, make, (group, place, name) => {
+      set(group, { class: place.depot ? "depot" : "rally-point" });
+      set(group.children[0], { d: place.depot ? "M-7,7v-8l7,-7l7,7v8z" : "M-8,6L0,-8L8,6Z" });
+      say(group.children[1], name);
+      this.#move(group, place.at);
+    });
+  }
+
+  #truck(truck, nowUs) {
+    const make = () => svg("g", {}, svg("rect", { x: -11, y: -7, width: 22, height: 14, rx: 2 }), svg("text", { x: 14, y: -8 }));
+    keyed(this.groups.truck, truck?.at ? [["truck", truck]] : [], make, (group) => {
+      set(group, { class: truck.alarms?.length ? "alarm" : "" });
+      say(group.children[1], `truck ${truckWords(truck, nowUs)}`);
+      this.#move(group, truck.at);
+    });
+  }
+
+  #drones(drones, selected) {
+    const make = (name) => this.#button(name, svg("g", {},
+      svg("circle", { r: 15 }), svg("path"), svg("text", { x: 13, y: -9 }), svg("text", { class: "mark", x: -22, y: 5 })));
+    keyed(this.groups.drones, Object.entries(drones).filter(([, drone]) => drone.at), make, (group, drone, name) => {
+      const alarm = drone.alarms?.length > 0;
+      const marks = [alarm && "alarm", name === selected && "chosen", !drone.present && "silent", drone.armed && "armed"];
+      set(group, { class: ["drone", ...marks.filter(Boolean)].join(" ") });
+      const turned = drone.course_deg === undefined || !drone.armed;
+      set(group.children[1], { d: turned ? WAITING : ARROW, transform: `rotate(${turned ? 0 : drone.course_deg.toFixed(0)})` });
+      say(group.children[2], name);
+      say(group.children[3], alarm ? "!" : "");
+      this.#move(group, drone.at);
+    });
+  }
+
+  #wind(winds) {
+    const make = () => svg("g", {}, svg("ellipse"), svg("line", { x1: 0, y1: 0 }));
+    keyed($("#wind"), [["ring", null], ...winds.map((wind) => [wind.source, wind])],
+      (key) => (key === "ring" ? svg("circle", { r: 50, class: "ring" }) : make()),
+      (group, wind) => wind && drawWind(group, wind));
+    say($("#wind-words"), winds.map(windWords).join("; "));
+  }
+
+  #scale() {
+    const metres = niceLength(this.view.metresPerPixel * 120);
+    const bar = $("#scale");
+    bar.style.width = `${metres / this.view.metresPerPixel}px`;
+    say(bar, metres >= 1000 ? `${metres / 1000} km` : `${metres} m`);
+  }
+
+  #move(group, at) {
+    const [x, y] = this.view.at(at);
+    set(group, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)})` });
+  }
+
+  #button(name, group) {
+    group.addEventListener("click", () => this.select(name));
+    return group;
+  }
+}
+
+const PX_PER_MPS = 5; // 10 m/s reach the ring
+
+// An arrow to where the air moves, and the ellipse of one sigma about its tip.
+function drawWind(group, { to_ne_mps: [north, east], cov_m2ps2: [nn, ne, ee] }) {
+  const [x, y] = [east * PX_PER_MPS, -north * PX_PER_MPS];
+  const middle = (nn + ee) / 2;
+  const apart = Math.hypot((nn - ee) / 2, ne);
+  const turned = (Math.atan2(2 * ne, ee - nn) / 2) * (180 / Math.PI); // of the long axis, from east to north
+  const [ellipse, line] = group.children;
+  set(line, { x2: x.toFixed(1), y2: y.toFixed(1) });
+  set(ellipse, {
+    rx: (Math.sqrt(middle + apart) * PX_PER_MPS).toFixed(1),
+    ry: (Math.sqrt(Math.max(middle - apart, 0)) * PX_PER_MPS).toFixed(1),
+    transform: `translate(${x.toFixed(1)},${y.toFixed(1)}) rotate(${(-turned).toFixed(0)})`,
+  });
+}
+
+function niceLength(metres) {
+  const power = 10 ** Math.floor(Math.log10(metres));
+  return power * [5, 2, 1].find((times) => times * power <= metres);
+}

@@ -1,0 +1,31 @@
+// The keyboard does all that the mouse does.
+
+const STEP_PX = 80;
+
+export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme, close, help }) {
+  const deeds = {
+    j: () => nextDrone(1),
+    k: () => nextDrone(-1),
+    a: nextAlarm,
+    f: fit,
+    c: centre,
+    r: reach,
+    t: theme,
+    "?": help,
+    Escape: close,
+    "+": () => view.zoomBy(0.5),
+    "=": () => view.zoomBy(0.5),
+    "-": () => view.zoomBy(-0.5),
+    ArrowLeft: () => view.pan(-STEP_PX, 0),
+    ArrowRight: () => view.pan(STEP_PX, 0),
+    ArrowUp: () => view.pan(0, -STEP_PX),
+    ArrowDown: () => view.pan(0, STEP_PX),
+  };
+  document.addEventListener("keydown", (event) => {
+    const deed = deeds[event.key];
+    if (!deed || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key.startsWith("Arrow") && document.activeElement?.closest("#lists, #attention")) return;
+    event.preventDefault();
+    deed();
+  });
+}

@@ -1,0 +1,131 @@
+// The page: what the server says, drawn; what the person does, heard. It sends nothing but questions.
+
+import { $, say, set } from "./dom.js";
+import { listen } from "./stream.js";
+import { View } from "./view.js";
+import { Drawing } from "./draw.js";
+import { drawLists } from "./lists.js";
+import { drawDetail } from "./detail.js";
+import { bindKeys } from "./keys.js";
+
+const ASK_MS = 2000; // the selected drone's history and reach
+const QUIET_MS = 4000; // the server speaks at least once a second
+
+const seen = { picture: {}, aheadUs: 0, heardMs: null, selected: decodeURIComponent(location.hash.slice(1)) || null };
+let [fitted, waiting, reachWanted, basemap] = [false, false, true, null];
+
+const nowUs = () => Date.now() * 1000 + seen.aheadUs;
+
+function redraw() {
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(() => {
+    waiting = false;
+    const shared = { ...seen, select, nowUs: nowUs(), reach: reachWanted ? seen.reach : null };
+    drawing.draw(seen.picture, shared);
+    drawLists(seen.picture, shared);
+    drawDetail(seen.picture, shared);
+    basemap?.follow();
+  });
+}
+
+function select(name) {
+  seen.selected = name;
+  seen.history = seen.reach = null;
+  history.replaceState(null, "", name ? `#${encodeURIComponent(name)}` : location.pathname);
+  ask();
+  redraw();
+}
+
+async function answer(question) {
+  const found = await fetch(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}`).catch(() => null);
+  return found?.status === 200 ? found.json() : null; // 204: not known
+}
+
+async function ask() {
+  const asked = seen.selected;
+  if (!seen.picture.drones?.[asked]) return;
+  const [promise, reach] = await Promise.all([answer("history"), answer("reach")]);
+  if (asked !== seen.selected) return;
+  [seen.history, seen.reach] = [promise, reach];
+  redraw();
+}
+
+function places() {
+  const { site = {}, orders = {}, drones = {}, plan } = seen.picture;
+  const lists = [orders, drones, plan?.stops ?? {}].flatMap((table) => Object.values(table).map((one) => one.at));
+  return [site.depot, ...Object.values(site.rally ?? {}), ...lists].filter(Boolean);
+}
+
+function fit() {
+  view.fit(places());
+}
+
+function centre() {
+  const { drones, orders } = seen.picture;
+  const at = (drones?.[seen.selected] ?? orders?.[seen.selected])?.at;
+  if (at) view.centre(at);
+}
+
+function stepThrough(names, by) {
+  if (!names.length) return;
+  const at = names.indexOf(seen.selected);
+  select(names[(at + by + names.length) % names.length]);
+  centre();
+}
+
+const dark = () => document.documentElement.dataset.theme === "dark"
+  || (!document.documentElement.dataset.theme && matchMedia("(prefers-color-scheme: dark)").matches);
+
+function theme() {
+  const root = document.documentElement;
+  const after = { undefined: "dark", dark: "light", light: undefined }[root.dataset.theme];
+  if (after) root.dataset.theme = after;
+  else delete root.dataset.theme;
+  basemap?.paint(dark());
+}
+
+async function showBasemap() {
+  const { openBasemap } = await import("./basemap.js");
+  basemap = await openBasemap(view, dark());
+  redraw();
+}
+
+function show(picture, serverUs) {
+  const first = seen.heardMs === null;
+  Object.assign(seen, { picture, aheadUs: serverUs - Date.now() * 1000, heardMs: performance.now() });
+  if (!fitted && places().length) [fitted] = [true, fit()];
+  if (first) ask();
+  if (first && picture.basemap) showBasemap().catch((error) => say($("#attribution"), `base map: ${error.message}`));
+  tell("live", "live");
+  redraw();
+}
+
+function tell(kind, words) {
+  set($("#link"), { class: kind });
+  say($("#link"), words);
+}
+
+function everySecond() {
+  if (seen.heardMs !== null) say($("#clock"), new Date(nowUs() / 1000).toLocaleTimeString());
+  const quietMs = seen.heardMs === null ? 0 : performance.now() - seen.heardMs;
+  if (quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
+  redraw();
+}
+
+const view = new View($("#place"), redraw);
+const drawing = new Drawing(view, select);
+bindKeys({
+  view,
+  fit,
+  centre,
+  theme,
+  nextDrone: (by) => stepThrough([...document.querySelectorAll("#drones tbody tr")].map((row) => row.dataset.key), by),
+  nextAlarm: () => stepThrough([...new Set((seen.picture.attention ?? []).map((one) => one.who))], 1),
+  reach: () => { reachWanted = !reachWanted; redraw(); },
+  close: () => ($("#help").open ? $("#help").close() : select(null)),
+  help: () => $("#help").showModal(),
+});
+listen(show, () => tell("lost", "NO CONNECTION: trying again"));
+setInterval(everySecond, 1000);
+setInterval(ask, ASK_MS);

@@ -1,0 +1,110 @@
+// Where the map looks: Web Mercator (EPSG:3857), the world 512 px wide at zoom 0, as MapLibre has it.
+
+const TILE = 512;
+const MOST_ZOOM = 20;
+const EARTH_M = 40075016.7; // round the equator of EPSG:3857
+
+export function unit([lat, lon]) {
+  const sine = Math.sin((lat * Math.PI) / 180);
+  return [0.5 + lon / 360, 0.5 - Math.log((1 + sine) / (1 - sine)) / (4 * Math.PI)];
+}
+
+export class View {
+  constructor(element, moved) {
+    this.element = element;
+    this.moved = moved;
+    [this.x, this.y, this.zoom] = [0.5, 0.5, 1];
+    this.width = this.height = 1;
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.resize();
+    this.#followPointers();
+  }
+
+  resize() {
+    [this.width, this.height] = [this.element.clientWidth || 1, this.element.clientHeight || 1];
+    this.moved();
+  }
+
+  get scale() {
+    return TILE * 2 ** this.zoom;
+  }
+
+  get latitude() {
+    return (Math.atan(Math.sinh(Math.PI * (1 - 2 * this.y))) * 180) / Math.PI;
+  }
+
+  get longitude() {
+    return (this.x - 0.5) * 360;
+  }
+
+  get metresPerPixel() {
+    return (EARTH_M * Math.cos((this.latitude * Math.PI) / 180)) / this.scale;
+  }
+
+  at(point) {
+    const [x, y] = unit(point);
+    return [(x - this.x) * this.scale + this.width / 2, (y - this.y) * this.scale + this.height / 2];
+  }
+
+  path(points) {
+    return points.map((point) => this.at(point).map((v) => v.toFixed(1)).join(",")).join(" ");
+  }
+
+  pan(right, down) {
+    this.x += right / this.scale;
+    this.y += down / this.scale;
+    this.moved();
+  }
+
+  zoomBy(steps, [px, py] = [this.width / 2, this.height / 2]) {
+    const before = this.scale;
+    this.zoom = Math.min(MOST_ZOOM, Math.max(0, this.zoom + steps));
+    const moved = 1 / before - 1 / this.scale;
+    this.x += (px - this.width / 2) * moved;
+    this.y += (py - this.height / 2) * moved;
+    this.moved();
+  }
+
+  centre(point) {
+    [this.x, this.y] = unit(point);
+    this.moved();
+  }
+
+  fit(points) {
+    if (!points.length) return;
+    const units = points.map(unit);
+    const [xs, ys] = [units.map((u) => u[0]), units.map((u) => u[1])];
+    const [left, right, top, low] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const room = Math.min((0.8 * this.width) / (right - left || 1e-9), (0.8 * this.height) / (low - top || 1e-9));
+    [this.x, this.y] = [(left + right) / 2, (top + low) / 2];
+    this.zoom = Math.min(17, Math.max(0, Math.log2(room / TILE)));
+    this.moved();
+  }
+
+  #followPointers() {
+    const held = new Map();
+    const place = (event) => {
+      const { left, top } = this.element.getBoundingClientRect();
+      return [event.clientX - left, event.clientY - top];
+    };
+    const spread = () => {
+      const [a, b] = [...held.values()];
+      return Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
+    };
+    this.element.addEventListener("pointerdown", (event) => held.set(event.pointerId, [event.clientX, event.clientY]));
+    this.element.addEventListener("pointermove", (event) => {
+      const before = held.get(event.pointerId);
+      if (!before) return;
+      const wide = held.size === 2 ? spread() : 0;
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+      if (wide) this.zoomBy(Math.log2(spread() / wide));
+      else if (held.size === 1) this.pan(before[0] - event.clientX, before[1] - event.clientY);
+    });
+    for (const end of ["pointerup", "pointercancel", "pointerleave"])
+      this.element.addEventListener(end, (event) => held.delete(event.pointerId));
+    this.element.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoomBy(-event.deltaY / 300, place(event));
+    }, { passive: false });
+  }
+}

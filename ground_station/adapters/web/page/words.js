@@ -1,0 +1,32 @@
+// Times and figures for people. Times of the server are microseconds since 1970, by its clock.
+
+export const clock = (us) => new Date(us / 1000).toLocaleTimeString();
+
+export function minutes(seconds) {
+  const whole = Math.max(0, Math.round(seconds));
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}
+
+export const figure = (value, digits) => (value === undefined ? "-" : value.toFixed(digits));
+
+// A number with its unit, or nothing known.
+export const measure = (value, digits, unit) => (value === undefined ? "-" : `${value.toFixed(digits)} ${unit}`);
+
+export function ago(us, nowUs) {
+  return us === undefined ? "never" : `${Math.max(0, (nowUs - us) / 1e6).toFixed(0)} s ago`;
+}
+
+export function truckWords(truck, nowUs) {
+  if (truck.stop === undefined) return truck.phase;
+  if (truck.phase === "driving") return `drives to ${truck.stop}`;
+  const left = truck.leaves_us === undefined ? "" : (truck.leaves_us - nowUs) / 1e6;
+  const leaves = left === "" ? "" : left >= 0 ? `, leaves in ${minutes(left)}` : `, due ${minutes(-left)} ago`;
+  const waits = (truck.waits_for ?? []).map((why) => why.split(" ")[0]);
+  return `at ${truck.stop}${leaves}${waits.length ? `, waits for ${[...new Set(waits)].join(", ")}` : ""}`;
+}
+
+export function windWords({ to_ne_mps: [north, east], source }) {
+  const from = (Math.atan2(-east, -north) * 180) / Math.PI;
+  const bearing = String(Math.round(from + 360) % 360).padStart(3, "0");
+  return `${Math.hypot(north, east).toFixed(1)} m/s from ${bearing}°: ${source}`;
+}

@@ -1,0 +1,126 @@
+"""`ground-station map`: the running day on a map, in a browser of this machine."""
+
+import ipaddress
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from companion.core.base.errors import LeewayError
+from ground_station.app.cli.options import (
+    DEFAULT_STORE,
+    OPEN_WORDS,
+    IdentityFolder,
+    OpenNetwork,
+    StoreFile,
+    StoreUrl,
+    ZenohFile,
+    open_day,
+    open_fleet,
+    open_store,
+)
+from ground_station.app.cli.stopping import stop_signals
+
+if TYPE_CHECKING:
+    from ground_station.adapters.web.map_server import MapServer
+
+HERE = "127.0.0.1"
+PORT = 8714
+
+app = typer.Typer()
+
+
+@app.command("map")
+def show_map(
+    day: Annotated[
+        str | None,
+        typer.Option(
+            help="The day: a day/1 TOML file, or the name of a bundled day. It names the fleet, and"
+            " has depot, areas, rally points and the energy models."
+        ),
+    ] = None,
+    fleet: Annotated[
+        str | None, typer.Option(help="The fleet's name, where no day is given.")
+    ] = None,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    zenoh: ZenohFile = None,
+    identity: IdentityFolder = None,
+    open_network: OpenNetwork = False,
+    basemap: Annotated[
+        Path | None,
+        typer.Option(help="A PMTiles extract of the town, vector tiles of the Protomaps schema."),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = PORT,
+    host: Annotated[
+        str, typer.Option(help="The address to serve at: one of this machine only.")
+    ] = HERE,
+) -> None:
+    """Show the running day on a map, in a browser of this machine. It commands nothing.
+
+    Fed as `watch` is: by the fleet's network and the desk's store, both only read. Ctrl-C ends it.
+
+    ground-station map --day town --store sqlite:///desk.db
+    """
+    check_loopback(host)
+    data = None if day is None else open_day(day)
+    name = fleet if data is None else data.day.fleet
+    if name is None:
+        raise LeewayError("map: expected --day, or --fleet")
+    if basemap is not None:
+        _have_basemap(basemap)
+    with ExitStack() as held:
+        server = held.enter_context(closing(_server(host, port)))
+        opened = held.enter_context(closing(open_store(store, store_file, goes_on=True)))
+        ears = held.enter_context(closing(open_fleet(name, zenoh, identity, open_network)))
+
+        from ground_station.adapters.clock import WallClock
+        from ground_station.adapters.web.map_server import MapAnswers
+        from ground_station.app.map.fleet_ear import FleetEar
+        from ground_station.app.map.map_feed import MapFeed
+        from ground_station.core.fleet.fleet_status import FleetStatus
+
+        clock = WallClock()
+        status = FleetStatus({} if data is None else data.airframes)
+        notes = (OPEN_WORDS,) if open_network else ()
+        ear = FleetEar(ears, clock, status)
+        feed = MapFeed(name, ear, opened, clock, data, notes, basemap is not None)
+        server.serve(MapAnswers(feed.stream, feed.history, feed.reach, basemap))
+        shown = f"[{host}]" if ":" in host else host
+        typer.echo(f"the map of {name}: http://{shown}:{server.port}/  Ctrl-C ends it")
+        with stop_signals() as stopped:
+            while not stopped:
+                feed.turn()
+
+
+def check_loopback(host: str) -> None:
+    """Raise LeewayError for an address that other machines reach."""
+    try:
+        here = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        here = host == "localhost"
+    if not here:
+        raise LeewayError(
+            f"--host {host}: the map has no TLS and no token yet, so it is served to this machine"
+            f" only: expected {HERE}; from elsewhere: ssh -L {PORT}:{HERE}:{PORT} THIS-MACHINE"
+        )
+
+
+def _server(host: str, port: int) -> "MapServer":
+    try:
+        from ground_station.adapters.web.map_server import MapServer
+    except ImportError as error:
+        raise LeewayError(f"map needs leeway-uas[ground]: {error}") from error
+    return MapServer(host, port)
+
+
+def _have_basemap(basemap: Path) -> None:
+    """Check the file, and fetch the scripts that draw it where they are missing."""
+    from ground_station.adapters.web.basemap import check_pmtiles
+    from ground_station.adapters.web.npm_assets import fetch_assets, missing_assets
+
+    check_pmtiles(basemap)
+    if missing := missing_assets():
+        typer.echo(f"fetching {', '.join(missing)} from the npm registry, once ...")
+        fetch_assets()

@@ -1,0 +1,44 @@
+"""What wants a person's eye: the same for who watches a terminal and who watches the map."""
+
+from collections.abc import Iterator, Sequence
+
+from companion.fleet.messages import State
+from ground_station.app.views.watched_rows import DayShown
+from ground_station.core.fleet.fleet_status import VehicleStatus
+from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.schema.orders import OrderRow, OrderState
+
+
+def expected_silence(seen: VehicleStatus, day: DayShown | None) -> str | None:
+    """Where a silent drone is, if its silence is expected."""
+    if day is None or seen.vehicle == TRUCK or seen.lives:
+        return None
+    sortie = day.sortie(seen.vehicle)
+    if sortie is None:
+        return "on the truck"
+    if sortie.launched_us is not None:
+        return None
+    return "starting up" if sortie.placed else "to be put out"
+
+
+def vehicle_alarms(seen: VehicleStatus, day: DayShown | None, t_s: float) -> Iterator[str]:
+    """What is wrong with one member."""
+    state = seen.state
+    yield from seen.doubts
+    if expected_silence(seen, day) is None and not seen.lives:
+        yield "not on the network"
+    elif seen.lives and not seen.present(t_s) and state is not None:
+        yield f"not heard for {seen.silent_s(t_s) or 0.0:.0f} s"
+    if state is not None and flies(state) and (state.margin_wh or 0.0) < 0.0:
+        yield f"{-(state.margin_wh or 0.0):.1f} Wh short of its promise"
+
+
+def flies(state: State) -> bool:
+    """Whether its motors may turn for an assignment."""
+    return bool(state.armed and state.assignment)
+
+
+def stuck_orders(orders: Sequence[OrderRow]) -> Iterator[tuple[str, str]]:
+    """Orders that wait for a person, and why."""
+    stuck = (row for row in orders if row.state is OrderState.STUCK)
+    yield from ((row.order.id, f"is stuck: {row.why}") for row in stuck)

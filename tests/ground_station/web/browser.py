@@ -1,0 +1,94 @@
+"""Debian's Chromium by Playwright, without a network but this machine's; tests skip without it."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE_MS = 30_000.0
+
+
+def needs_chromium() -> str:
+    """The browser's program; skips the test where it or its driver is not installed."""
+    pytest.importorskip("playwright.sync_api", reason="playwright: the page was not looked at")
+    found = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip(f"none of {', '.join(NAMES)} is installed: the page was not looked at")
+    return found
+
+
+@contextmanager
+def browsing(program: str, **context: Any) -> "Iterator[Page]":
+    """A window that fails its test where it errs, or asks any other machine for anything."""
+    from playwright.sync_api import sync_playwright
+
+    wrong: list[str] = []
+    options = ["--no-sandbox", "--enable-unsafe-swiftshader", "--disable-background-networking"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=options)
+        page = browser.new_context(**context).new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda said: _note(wrong, said))
+        page.on("request", lambda asked: _note_address(wrong, asked.url))
+        yield page
+        browser.close()
+    assert wrong == []
+
+
+def _note(wrong: list[str], said: Any) -> None:
+    """Errors and refusals of the content security policy; a server that is gone is no error."""
+    if said.type == "error" and "ERR_CONNECTION_REFUSED" not in said.text:
+        wrong.append(said.text)
+
+
+def _note_address(wrong: list[str], address: str) -> None:
+    if not address.startswith(("http://127.0.0.1:", "data:", "blob:http://127.0.0.1:")):
+        wrong.append(f"asked for {address}")
+
+
+def town_tiles(path: Path) -> None:
+    """A PMTiles file (specification v3) with one vector tile (2.1) at zoom 0: water everywhere."""
+    tile = _mvt("water")
+    directory = bytes([1, 0, 1]) + _varint(len(tile)) + bytes([1])
+    metadata = b'{"attribution": "<b>made</b> by hand", "vector_layers": []}'
+    begin = 127
+    parts = [(begin, len(directory))]
+    parts += [(begin + len(directory), len(metadata))]
+    after = begin + len(directory) + len(metadata)
+    parts += [(after, 0), (after, len(tile))]
+    header = b"PMTiles\x03" + b"".join(
+        at.to_bytes(8, "little") + size.to_bytes(8, "little") for at, size in parts
+    )
+    header += b"".join((1).to_bytes(8, "little") for _ in range(3))  # tiles, entries, contents
+    header += bytes([1, 1, 1, 1, 0, 0])  # clustered, nothing compressed, MVT, zoom 0 to 0
+    corners = (-1_800_000_000, -850_000_000, 1_800_000_000, 850_000_000)
+    header += b"".join(v.to_bytes(4, "little", signed=True) for v in corners)
+    header += bytes([0]) + bytes(8)
+    path.write_bytes(header + directory + metadata + tile)
+
+
+def _mvt(layer: str) -> bytes:
+    """One square polygon over the whole tile, extent 4096."""
+    side = 4096
+    zigzag = [side * 2, 0, 0, side * 2, side * 2 - 1, 0]
+    geometry = b"".join(map(_varint, [9, 0, 0, 26, *zigzag, 15]))
+    feature = bytes([0x18, 3, 0x22]) + _varint(len(geometry)) + geometry
+    content = bytes([0x78, 2, 0x0A, len(layer)]) + layer.encode()
+    content += bytes([0x12]) + _varint(len(feature)) + feature + bytes([0x28]) + _varint(side)
+    return bytes([0x1A]) + _varint(len(content)) + content
+
+
+def _varint(value: int) -> bytes:
+    found = b""
+    while value > 0x7F:
+        found += bytes([value & 0x7F | 0x80])
+        value >>= 7
+    return found + bytes([value])

@@ -1,0 +1,94 @@
+"""Scripts of others: taken only with the digest that we wrote down; and files that are no map."""
+
+import base64
+import hashlib
+import io
+import json
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.web.basemap import check_pmtiles
+from ground_station.adapters.web.map_server import ASSETS
+from ground_station.adapters.web.npm_assets import (
+    PACKAGES,
+    NpmPackage,
+    fetch_assets,
+    missing_assets,
+    unpack,
+)
+from tests.ground_station.web.browser import town_tiles
+
+
+def archive(files: dict[str, bytes]) -> bytes:
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w:gz") as tar:
+        for name, content in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            tar.addfile(info, io.BytesIO(content))
+    return out.getvalue()
+
+
+def package(raw: bytes) -> NpmPackage:
+    digest = base64.b64encode(hashlib.sha512(raw).digest()).decode()
+    return NpmPackage("thing", "1.0.0", digest, {"package/dist/thing.js": "thing.js"})
+
+
+def test_an_archive_with_the_right_digest_gives_the_files_that_are_kept(tmp_path: Path):
+    raw = archive({"package/dist/thing.js": b"export {};", "package/../../evil": b"no"})
+    unpack(package(raw), raw, tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"thing.js", "thing-1.0.0.whole"}
+    assert (tmp_path / "thing.js").read_bytes() == b"export {};"
+
+
+def test_another_content_under_the_same_version_is_refused(tmp_path: Path):
+    raw = archive({"package/dist/thing.js": b"export {};"})
+    other = archive({"package/dist/thing.js": b"steal();"})
+    with pytest.raises(LeewayError, match=r"thing 1\.0\.0: sha512 .*, expected"):
+        unpack(package(raw), other, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_them_all_are_missing_and_an_npm_that_fails_is_said(tmp_path: Path, monkeypatch):
+    assert len(missing_assets(tmp_path)) == len(PACKAGES)
+    monkeypatch.setattr(
+        "ground_station.adapters.web.npm_assets.NPM", "raise SystemExit('no network')"
+    )
+    with pytest.raises(LeewayError, match=r"no network; `make map-assets`"):
+        fetch_assets(tmp_path)
+    assert len(missing_assets(tmp_path)) == len(PACKAGES)
+
+
+def test_versions_are_exact_and_digests_are_sha512():
+    for one in PACKAGES:
+        assert len(base64.b64decode(one.sha512)) == 64
+        assert one.version.replace(".", "").isdigit()
+        assert replace(one, name="x").files == one.files
+
+
+def test_what_lies_there_is_what_was_fetched():
+    if missing := missing_assets():
+        pytest.skip(f"`make map-assets` was not run: {', '.join(missing)}")
+    kept = {name for one in PACKAGES for name in one.files.values()}
+    assert kept <= {path.name for path in ASSETS.iterdir()}
+
+
+def test_a_file_that_is_no_map_of_vector_tiles_is_refused(tmp_path: Path):
+    town = tmp_path / "town.pmtiles"
+    town_tiles(town)
+    check_pmtiles(town)
+    raw = town.read_bytes()
+    for wrong, words in (
+        (b"", "version 3"),
+        (json.dumps({}).encode() * 100, "version 3"),
+        (b"PMTiles\x02" + raw[8:], "version 3"),
+        (raw[:99] + b"\x02" + raw[100:], "vector tiles"),
+    ):
+        town.write_bytes(wrong)
+        with pytest.raises(LeewayError, match=words):
+            check_pmtiles(town)

@@ -1,0 +1,169 @@
+"""The page in a browser, by the words that it shows."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.fleet.messages import EventKind
+from ground_station.adapters.web.npm_assets import missing_assets
+from tests.ground_station.web.browser import browsing, needs_chromium, town_tiles
+from tests.ground_station.web.map_site import MapSite
+from tests.ground_station.web.test_map_truth import RFC_7396
+
+pytestmark = pytest.mark.timeout(180)
+
+WATER = """() => {
+  const canvas = document.querySelector('#basemap canvas');
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext('2d');
+  copy.drawImage(canvas, 0, 0);
+  return [...copy.getImageData(5, 5, 1, 1).data].join() === '185,211,230,255';
+}"""
+"""The page's colour of water in the light: the whole tile of the test is water."""
+
+
+@pytest.fixture
+def page(site: MapSite) -> Iterator:
+    program = needs_chromium()
+    site.until_flying("d1")
+    with browsing(program, viewport={"width": 1280, "height": 800}) as page:
+        page.goto(site.address)
+        page.wait_for_selector("#link.live")
+        yield page
+
+
+def cells(page, name: str) -> list[str]:
+    return page.locator(f'#drones tr[data-key="{name}"] td').all_inner_texts()
+
+
+def shown(page, words: str) -> None:
+    """Wait until these words are on the page."""
+    page.get_by_text(words, exact=False).first.wait_for()
+
+
+def test_the_tables_say_what_the_store_says(site, page):
+    site.ears.more["d1"] = {"margin_wh": 12.34, "p_home": 0.99871}
+    site.step(2)
+    shown(page, "0.9987")
+    assert cells(page, "d1") == ["d1", "outbound", "H-101", "depot", "12.3", "0.9987"]
+    orders = {row.order.id: row.state.value for row in site.store.orders()}
+    rows = page.locator("#orders tbody tr").all()
+    assert {r.locator("td").all_inner_texts()[0]: r.locator("td").all_inner_texts()[1]
+            for r in rows} == orders  # fmt: skip
+    assert page.locator("#attention").inner_text() == "nothing wants your eye"
+    assert page.locator("#truck").inner_text().startswith("truck: at depot, leaves in ")
+    assert "waits for d1" in page.locator("#truck").inner_text()
+
+
+def test_a_click_on_what_wants_an_eye_says_why_in_the_gates_words(site, page):
+    drone = site.world.drones["d1"]
+    assert drone.flight is not None
+    why = "turn_back: P(home) 0.962 is below the accepted 0.99"
+    drone.tell(EventKind.DECISION, why, assignment=drone.flight.assignment)
+    site.ears.more["d1"] = {"margin_wh": -2.04, "p_home": 0.962, "phase": "return"}
+    site.step(2)
+    page.locator("#attention button").click()
+    assert page.locator("#attention").inner_text() == "! d1: 2.0 Wh short of its promise"
+    shown(page, why)
+    told = dict(
+        zip(*(page.locator(f"#detail {tag}").all_inner_texts() for tag in ("dt", "dd")),
+            strict=True)
+    )  # fmt: skip
+    assert told["wrong"] == "2.0 Wh short of its promise"
+    assert told["P(home)"] == "0.96200"
+    assert told["margin"] == "-2.0 Wh"
+    page.locator("#detail svg polyline.loss").wait_for(state="attached")
+
+
+def test_the_keyboard_selects_and_closes_and_goes_to_what_wants_an_eye(site, page):
+    page.keyboard.press("j")
+    page.locator("#detail h2").wait_for()
+    assert page.locator("#detail h2").inner_text() == "d1"
+    page.keyboard.press("Escape")
+    page.locator("#detail").wait_for(state="hidden")
+    site.ears.more["d2"] = {"margin_wh": -1.0, "armed": True, "assignment": "H-102.1"}
+    site.step(2)
+    shown(page, "! d2")
+    page.keyboard.press("a")
+    page.locator("#detail h2", has_text="d2").wait_for()
+    page.keyboard.press("?")
+    assert page.locator("#help").is_visible()
+    page.keyboard.press("Escape")
+
+
+def test_a_drone_on_the_map_turns_and_moves(site, page):
+    drone = page.locator('#map .drone[data-key="d1"]')
+    turned = "document.querySelector('#map .drone[data-key=d1] path').getAttribute('transform')"
+    site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45}
+    site.step(2)
+    before = drone.get_attribute("transform")
+    site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45 + 40.0 / 63_100}
+    site.step(2)
+    page.wait_for_function(f"{turned} === 'rotate(90)'")
+    assert drone.get_attribute("transform") != before
+
+
+def test_words_from_outside_are_shown_and_do_nothing(site, page):
+    words = '<img src=x onerror="window.hit=1"><b>bold</b>'
+    site.ears.more["d1"] = {"text": words}
+    site.step(2)
+    page.keyboard.press("j")
+    shown(page, words)
+    assert page.evaluate("window.hit") is None
+    assert page.locator("#detail img, #detail b").count() == 0
+
+
+def test_it_says_that_what_it_shows_is_old_and_goes_on_when_the_server_is_back(site, page):
+    port = site.server.port
+    site.server.close()
+    page.locator("#link.lost").wait_for()
+    assert "NO CONNECTION" in page.locator("#link").inner_text()
+    assert cells(page, "d1")[1] == "outbound"
+    site.ears.more["d1"] = {"phase": "return"}
+    site.start_map(port)
+    site.step(2)
+    page.locator("#link.live").wait_for()
+    shown(page, "return")
+
+
+def test_the_pages_own_merge_is_the_rfcs(page):
+    run = "async ([t, p]) => (await import('/page/stream.js')).merged(t, p)"
+    for target, patch, result in RFC_7396:
+        assert page.evaluate(run, [target, patch]) == result
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_it_fits_a_phone_and_a_desk_dark_and_light(site, width, scheme):
+    program = needs_chromium()
+    site.until_flying("d1")
+    look = {"viewport": {"width": width, "height": 740}, "color_scheme": scheme}
+    with browsing(program, **look) as page:
+        page.goto(site.address)
+        page.wait_for_selector("#link.live")
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= width
+        ground, ink = page.evaluate(
+            "['backgroundColor', 'color'].map((k) => getComputedStyle(document.body)[k])"
+        )
+        darker = min((ground, ink), key=brightness)
+        assert (darker == ground) == (scheme == "dark")
+
+
+def brightness(colour: str) -> float:
+    return sum(map(float, colour[colour.index("(") + 1 : -1].split(",")[:3]))
+
+
+def test_a_base_map_is_drawn_from_the_users_file_with_its_attribution(site, tmp_path: Path):
+    program = needs_chromium()
+    if missing := missing_assets():
+        pytest.skip(f"`make map-assets` was not run ({', '.join(missing)}): no base map was drawn")
+    town = tmp_path / "town.pmtiles"
+    town_tiles(town)
+    site.start_map(basemap=town)
+    site.step()
+    with browsing(program) as page:
+        page.goto(site.address)
+        shown(page, "made by hand")
+        page.locator("#basemap canvas").wait_for()
+        page.wait_for_function(WATER)

@@ -1,0 +1,253 @@
+"""What the map's events say is what the store holds and what is true, all through a day."""
+
+import sqlite3
+from contextlib import ExitStack, closing
+
+import pytest
+from msgspec.structs import replace
+
+from companion.core.base.geo import offset_m
+from companion.fleet.messages import EventKind
+from ground_station.app.map.wind_shown import fleet_wind
+from ground_station.core.schema.orders import OrderState
+from tests.ground_station.hand_made_day import PLAN
+from tests.ground_station.web.map_site import HARBOUR, MapSite
+from tests.ground_station.web.sse_client import SseClient, following, merged
+
+FLIGHT_S = 480  # the first drone is out, back and aboard; the truck has served a door
+RFC_7396 = [
+    ({"a": "b"}, {"a": "c"}, {"a": "c"}),
+    ({"a": "b"}, {"b": "c"}, {"a": "b", "b": "c"}),
+    ({"a": "b", "b": "c"}, {"a": None}, {"b": "c"}),
+    ({"a": ["b"]}, {"a": "c"}, {"a": "c"}),
+    ({"a": "c"}, {"a": ["b"]}, {"a": ["b"]}),
+    ({"a": {"b": "c"}}, {"a": {"b": "d", "c": None}}, {"a": {"b": "d"}}),
+    ({"a": [{"b": "c"}]}, {"a": [1]}, {"a": [1]}),
+    (["a", "b"], ["c", "d"], ["c", "d"]),
+    ({}, {"a": {"bb": {"ccc": None}}}, {"a": {"bb": {}}}),
+]
+"""Of its appendix A, those whose target has no null."""
+
+
+@pytest.mark.parametrize(("target", "patch", "result"), RFC_7396)
+def test_the_client_of_these_tests_merges_as_the_rfc_says(target, patch, result):
+    assert merged(target, patch) == result
+
+
+def assert_is_true(site: MapSite, picture: dict) -> None:
+    """The picture against the rows of the store, read here, and against the world."""
+    orders = {row.order.id: row for row in site.store.orders()}
+    assert {k: v["state"] for k, v in picture["orders"].items()} == {
+        k: row.state.value for k, row in orders.items()
+    }
+    assert {k: v["at"] for k, v in picture["orders"].items()} == {
+        k: [row.order.lat_deg, row.order.lon_deg] for k, row in orders.items()
+    }
+    by = {row.order_id: row.vehicle for row in site.store.assignments(in_force=True)}
+    assert {k: v["vehicle"] for k, v in picture["orders"].items() if "vehicle" in v} == by
+    for name, drone in site.world.drones.items():
+        if drone.in_air:
+            assert picture["drones"][name]["at"] == list(drone.place)
+            assert picture["drones"][name]["phase"] == "outbound"
+    out = {r.vehicle: r for r in site.day.sorties() if not (r.aboard or r.gone)}
+    homes = {k: v["home"] for k, v in picture["drones"].items() if "home" in v}
+    assert homes == {name: row.promised for name, row in out.items()}
+
+
+def test_what_a_client_makes_of_the_events_is_the_stores_truth_until_the_first_is_home(site):
+    joined_late = 60
+    with Clients(site) as clients:
+        for _ in range(FLIGHT_S // 4):
+            site.step(4)
+            truth = site.picture
+            if len(clients.all) < 2 and site.world.clock.t_s > joined_late * (1 + len(clients.all)):
+                clients.join()
+            for client in clients.all:
+                client.until(truth)
+            assert_is_true(site, truth)
+    assert OrderState.DELIVERED in {row.state for row in site.store.orders()}
+    for client in clients.all:
+        assert client.kinds.count("picture") == 1, "after the first only what changed"
+        assert client.kinds.count("patch") > 10
+
+
+class Clients:
+    """Clients that stay until the end."""
+
+    def __init__(self, site: MapSite) -> None:
+        self.site, self._held = site, ExitStack()
+        self.all: list[SseClient] = []
+
+    def __enter__(self) -> "Clients":
+        return self
+
+    def join(self) -> None:
+        self.all.append(self._held.enter_context(following(self.site.address)))
+
+    def __exit__(self, *_: object) -> None:
+        self._held.close()
+
+
+def test_the_truck_says_when_it_leaves_and_for_whom_it_waits(site):
+    site.until_flying("d1")
+    truck = site.picture["truck"]
+    depot = PLAN.stops[0]
+    assert truck["stop"] == "depot"
+    assert truck["leaves_us"] == site.day.began_us() + round(1e6 * depot.depart_s)
+    binding = [why for row in site.day.sorties() if (why := row.binds("depot"))]
+    assert truck["waits_for"] == binding
+    assert binding
+
+
+def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site):
+    site.until_flying("d1")
+    drone = site.world.drones["d1"]
+    assert drone.flight is not None
+    figures = {"margin_wh": 12.5, "p_home": 0.9987, "p_home_now": 0.9999, "p_success": 0.95,
+               "energy_left_wh": 61.0, "ground_speed_mps": 9.5, "text": "going"}  # fmt: skip
+    site.ears.more["d1"] = figures
+    drone.tell(
+        EventKind.DECISION, "go: 12.5 Wh above the reserve", assignment=drone.flight.assignment
+    )
+    site.step(2)
+    shown = site.picture["drones"]["d1"]
+    said = {name: shown["says" if name == "text" else name] for name in figures}
+    assert said == figures
+    assert shown["why"] == "go: 12.5 Wh above the reserve"
+    order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
+    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
+    pad, home = row.pads[row.sortie.launch], row.pads[row.promised]
+    customer = [order.lat_deg, order.lon_deg]
+    assert shown["way"]["out"] == [[pad.lat_deg, pad.lon_deg], customer]
+    assert shown["way"]["home"] == [customer, [home.lat_deg, home.lon_deg]]
+    site.ears.more["d1"] = figures | {"delivered": True}
+    site.step()
+    assert "out" not in site.picture["drones"]["d1"]["way"]
+
+
+def test_a_drone_turns_to_where_it_moves(site):
+    """d1 moves 30 m east, then 30 m south; a metre of noise turns it nowhere."""
+    site.until_flying("d1")
+    turned = []
+    for north_m, east_m in ((0, 0), (0, 30), (1, 30), (-30, 30)):
+        at = {"lat_deg": 55.47 + north_m / 111_320, "lon_deg": 8.45 + east_m / 63_100}
+        site.ears.more["d1"] = at
+        site.step()
+        turned.append(site.picture["drones"]["d1"].get("course_deg"))
+    assert turned[1] == pytest.approx(90.0, abs=1.0)
+    assert turned[2] == turned[1]
+    assert turned[3] == pytest.approx(180.0, abs=3.0)
+
+
+def test_a_diversion_in_force_is_drawn_to_where_the_decision_says(site):
+    site.until_flying("d1")
+    drone = site.world.drones["d1"]
+    assert drone.flight is not None
+    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
+    (stop, pad) = next(iter(row.pads.items()))
+    told = f"divert: to {stop}: the depot is out of reach"
+    drone.tell(EventKind.DECISION, told, assignment=drone.flight.assignment)
+    site.ears.more["d1"] = {"phase": "divert", "lat_deg": 55.48, "lon_deg": 8.46}
+    site.step(2)
+    shown = site.picture["drones"]["d1"]
+    assert shown["way"]["now"] == [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
+    assert "home" not in shown["way"]
+
+
+def test_the_words_of_an_earlier_flight_are_not_those_of_this_one(site):
+    site.until_flying("d1")
+    site.world.drones["d1"].tell(EventKind.DECISION, "turn_back: gone", assignment="older.1")
+    site.step(2)
+    assert "why" not in site.picture["drones"]["d1"]
+
+
+def attention(site: MapSite) -> list[str]:
+    return [f"{one['who']}: {one['words']}" for one in site.picture.get("attention", [])]
+
+
+def test_what_wants_a_persons_eye_is_listed_with_who_and_why(site):
+    site.until_flying("d1")
+    assert attention(site) == []
+    site.ears.more["d1"] = {"margin_wh": -3.25}
+    site.step()
+    assert attention(site) == ["d1: 3.2 Wh short of its promise"]
+    site.ears.deaf = True
+    site.step(8)
+    assert "d1: not heard for 8 s" in attention(site)
+    site.ears.deaf = False
+    with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
+        db.execute("UPDATE orders SET state = 'stuck', why = 'three attempts' WHERE id = 'H-108'")
+        db.commit()
+    site.step(2)
+    assert attention(site) == ["d1: 3.2 Wh short of its promise", "H-108: is stuck: three attempts"]
+
+
+def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
+    site.until_flying("d1")
+    with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
+        db.execute("ALTER TABLE orders RENAME TO elsewhere")
+        site.ears.more["d1"] = {"lat_deg": 55.5, "lon_deg": 8.5}
+        site.step(2, desk=False)
+        assert attention(site)[0].startswith("store: away, rows are old: ")
+        assert site.picture["drones"]["d1"]["at"] == [55.5, 8.5]
+        assert site.picture["orders"]
+        db.execute("ALTER TABLE elsewhere RENAME TO orders")
+    site.step(2, desk=False)
+    assert attention(site) == []
+
+
+def test_a_desk_that_is_gone_takes_nothing_from_the_map(site):
+    site.until_flying("d1")
+    before = site.picture["orders"]
+    site.ears.more["d1"] = {"lat_deg": 55.6, "lon_deg": 8.6}
+    site.step(5, desk=False)
+    assert site.picture["orders"] == before
+    assert site.picture["drones"]["d1"]["at"] == [55.6, 8.6]
+
+
+def test_the_map_writes_nothing_and_asks_nobody_for_anything_but_states(site):
+    def dump() -> list[str]:
+        with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
+            return list(db.iterdump())
+
+    site.until_flying("d1")
+    site.step(10)
+    before = dump()
+    site.world.drones["d1"].tell(EventKind.DECISION, "go: open", assignment="H-101.1")
+    site.step(20, desk=False)
+    assert dump() == before
+    assert (site.ears.sent, site.ears.events_asked) == ([], [])
+
+
+def test_the_place_is_the_days_own(site):
+    site.step()
+    place = site.picture["site"]
+    depot = HARBOUR.day.depot
+    assert place["depot"] == [depot.lat_deg, depot.lon_deg]
+    assert HARBOUR.no_fly is not None
+    for feature, area in zip(HARBOUR.no_fly["features"], place["areas"], strict=True):
+        assert area["name"] == feature["properties"]["name"]
+        assert area["height_m"] == feature["properties"]["height_m"]
+        corners = [(lat, lon) for lon, lat in feature["geometry"]["coordinates"][0]]
+        for there, shown in zip(corners, area["ring"], strict=False):
+            assert offset_m(*there, *shown) == pytest.approx((0.0, 0.0), abs=0.02)
+
+
+def test_the_wind_that_three_drones_report_is_shown_with_its_spread(site):
+    """numpy's mean and sample covariance of (-1, 2), (1, 4), (0, 6) by hand: (0, 4); 1, 1, 4."""
+    site.until_flying("d1")
+    site.step()
+    forecast = HARBOUR.day.forecast
+    (planned,) = site.picture["winds"]
+    assert planned["to_ne_mps"] == list(forecast.to_ne_mps)
+    assert planned["cov_m2ps2"] == [forecast.std_mps**2, 0.0, forecast.std_mps**2]
+    state = site.ears.state("d1")
+    states = [
+        replace(state, armed=True, wind_to_n_mps=n, wind_to_e_mps=e)
+        for n, e in ((-1.0, 2.0), (1.0, 4.0), (0.0, 6.0))
+    ]
+    found = fleet_wind(states)
+    assert found is not None
+    assert found.to_ne_mps == pytest.approx((0.0, 4.0))
+    assert found.cov_m2ps2 == pytest.approx((1.0, 1.0, 4.0))
+    assert fleet_wind(states[:2]) is None
