@@ -1,0 +1,206 @@
+"""A PostgreSQL server of one's own: this machine's programs, on loopback, in a temporary folder.
+
+It ends with who started it, however that ends, and its folder goes with it.
+"""
+
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import psutil
+import psycopg
+from psycopg import sql
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.lifeline import hold
+
+DEBIAN = Path("/usr/lib/postgresql")
+"""Where Debian keeps the programs of a server: they are not on the path."""
+
+RUN_AS = ("postgres", "nobody")
+"""PostgreSQL refuses to run as root: whom to run it as then, the first that there is."""
+
+START_S, STOP_S = 60.0, 10.0
+"""A start after a SIGKILL reads its log first; a busy machine takes some seconds for it."""
+
+LOOK_AGAIN_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PostgresPrograms:
+    """The two programs that a server of one's own takes."""
+
+    initdb: str
+    postgres: str
+
+    @classmethod
+    def find(cls) -> "PostgresPrograms":
+        """Those on the path, or else the newest where Debian keeps them.
+
+        Raises LeewayError where there are none.
+        """
+        return cls(_found("initdb"), _found("postgres"))
+
+
+def _found(program: str) -> str:
+    kept = sorted(DEBIAN.glob(f"*/bin/{program}"), key=lambda path: float(path.parts[-3]))
+    found = shutil.which(program) or (str(kept[-1]) if kept else None)
+    if found is None:
+        raise LeewayError(
+            f"PostgreSQL: no {program} on the path nor in {DEBIAN}/*/bin:"
+            " expected an installed server (Debian: apt install postgresql)"
+        )
+    return found
+
+
+@dataclass(slots=True)
+class PostgresServer:
+    """One server on its data. `kill` is a real SIGKILL; `start` goes on with the same data."""
+
+    programs: PostgresPrograms
+    home: Path
+    user: str | None
+    port: int
+    _process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
+
+    @property
+    def url(self) -> str:
+        """Its address, without the name of a database."""
+        return f"postgresql://desk@127.0.0.1:{self.port}"
+
+    @property
+    def pid(self) -> int | None:
+        """The postmaster's process; None: it does not run."""
+        return None if self._process is None else self._process.pid
+
+    def create_database(self, name: str) -> str:
+        """Make an empty database; returns its URL."""
+        with psycopg.connect(f"{self.url}/postgres", autocommit=True) as admin:
+            admin.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
+        return f"{self.url}/{name}"
+
+    def make_data(self) -> None:
+        """Make the empty cluster that it is to serve."""
+        data = str(self.home / "data")
+        options = ["-U", "desk", "-A", "trust", "--no-sync", "-E", "UTF8"]
+        done = subprocess.run(
+            [self.programs.initdb, "-D", data, *options],
+            user=self.user,
+            cwd=self.home,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode != 0:
+            raise LeewayError(f"{self.programs.initdb}: {done.stderr.strip()}")
+
+    def start(self) -> None:
+        """Start it, and wait until it takes connections. Raises LeewayError where it does not."""
+        with (self.home / "log").open("ab") as log:
+            self._process = subprocess.Popen(
+                self._command(),
+                user=self.user,
+                cwd=self.home,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,  # the terminal's Ctrl-C is for who started it
+                preexec_fn=partial(hold, os.getpid()),
+            )
+        for _ in range(round(START_S / LOOK_AGAIN_S)):
+            if self._answers():
+                return
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(LOOK_AGAIN_S)
+                break
+        raise LeewayError(f"PostgreSQL did not start: {self._last_words()}")
+
+    def _command(self) -> list[str]:
+        options = {"listen_addresses": "127.0.0.1", "unix_socket_directories": str(self.home)}
+        settings = [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
+        return [
+            self.programs.postgres,
+            "-D",
+            str(self.home / "data"),
+            "-p",
+            str(self.port),
+            *settings,
+        ]
+
+    def _answers(self) -> bool:
+        """Whether it takes connections; another server on this port does not count."""
+        try:
+            with psycopg.connect(f"{self.url}/postgres", connect_timeout=2) as db:
+                served = db.execute("SHOW data_directory").fetchone()
+        except psycopg.OperationalError:
+            return False
+        return served == (str(self.home / "data"),)
+
+    def _last_words(self) -> str:
+        lines = (self.home / "log").read_text(errors="replace").strip().splitlines()
+        return " | ".join(lines[-3:])
+
+    def kill(self) -> None:
+        """SIGKILL of the postmaster and of all that it has started; ends once they are gone."""
+        if self._process is None:
+            return
+        with suppress(psutil.NoSuchProcess):
+            children = psutil.Process(self._process.pid).children(recursive=True)
+            self._process.kill()
+            for child in children:
+                with suppress(psutil.NoSuchProcess):
+                    child.kill()
+            psutil.wait_procs(children, timeout=STOP_S)
+        self._process.wait()
+        self._process = None
+
+    def stop(self) -> None:
+        """End it at once; its data is thrown away."""
+        if self._process is None:
+            return
+        self._process.send_signal(signal.SIGQUIT)
+        try:
+            self._process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+        self._process = None
+
+
+@contextmanager
+def postgres_server() -> Iterator[PostgresServer]:
+    """A server that runs, on an empty cluster.
+
+    Raises LeewayError where none is installed, or it does not start.
+    """
+    programs, user = PostgresPrograms.find(), _user()
+    with tempfile.TemporaryDirectory(prefix="leeway-pg-") as home:
+        if user is not None:
+            shutil.chown(home, user)
+        server = PostgresServer(programs, Path(home), user, _free_port())
+        server.make_data()
+        try:
+            server.start()
+            yield server
+        finally:
+            server.stop()
+
+
+def _user() -> str | None:
+    if os.geteuid() != 0:
+        return None
+    names = {entry.pw_name for entry in pwd.getpwall()}
+    return next((name for name in RUN_AS if name in names), None)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
