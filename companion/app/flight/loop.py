@@ -416,6 +416,8 @@ class Loop:
         finished, new = self.monitor.take(finished, self.recorder.keep_monitor)
         self.recorder.note(self.clock.t_s, self.monitor.line(finished))
         self.carry_out([Say(Severity.WARNING, words) for words in new])
+        if self.port is not None:
+            self.port.doubt = "; ".join(self.monitor.doubts.words)
         return finished
 
     def _publish_next(self) -> None:

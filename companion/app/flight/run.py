@@ -113,6 +113,7 @@ class Run:
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
+            port.doubt = "; ".join(pilot.doubts.words)
         recorder.note(pilot.telemetry.t_s, loaded.names)
         if stamps is not None and stamps.trouble:
             recorder.note(pilot.telemetry.t_s, stamps.trouble)

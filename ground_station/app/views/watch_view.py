@@ -188,6 +188,8 @@ class _Line:
         """What needs attention."""
         seen, state = self.seen, self.seen.state
         yield from seen.doubts
+        if state is not None and state.doubt:
+            yield state.doubt
         if self._off is None and not seen.lives:
             yield "not on the network"
         elif seen.lives and not seen.present(self.t_s) and state is not None:
