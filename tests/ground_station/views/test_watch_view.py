@@ -95,6 +95,7 @@ def test_what_a_vehicles_monitor_holds_in_doubt_is_to_be_looked_at():
     state = status.of("d1").state
     assert state is not None
     status.of("d1").state = msgspec.structs.replace(state, doubt=words)
-    console = Console(width=200, record=True, file=io.StringIO())
-    console.print(watch_view(status, WatchRows(), 0.0))
-    assert f"LOOK: d1: {words}" in console.export_text()
+    out = io.StringIO()
+    console = Console(width=120, file=out, color_system=None)
+    console.print(watch_view(status, WatchRows(), NOW_S))
+    assert f"LOOK: d1: {words}" in out.getvalue()
