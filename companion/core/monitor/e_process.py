@@ -28,6 +28,8 @@ from companion.core.base.arrays import Floats
 SEASON_DAYS = 50.0
 """Starting days are about equally likely over so many days (a service of 500 flights, ten a day);
 later ones get less, as 1 / day^2."""
+SURE_SIGMAS = 2.0
+"""How far under a mean one is sure of it, for an estimate after an alarm."""
 
 
 def start_weight(day: int) -> float:
@@ -124,20 +126,21 @@ class ShiftTest:
         return ratio / (1.0 + information * self.day_std**2)
 
     def since_change(self, information: Floats, score: Floats) -> tuple[Floats, Floats]:
-        """(mean, std) of the value on a next day, by the days since the likeliest change.
+        """(mean, std) of the value on a next day, by the days since it changed.
 
-        `information` and `score` are (days, ...), the sums of each day, the newest last. Of the
-        starting days the one with the largest likelihood ratio is taken (Basseville and Nikiforov,
-        "Detection of abrupt changes", 1993, 2.4.3); the mean is the one of least variance of the
-        days from there on. The std is that of the mean and of a new day's shared part.
+        `information` and `score` are (days, ...), the sums of each day, the newest last. The mean
+        is the one of least variance of the days from a starting day on; that starting day is taken
+        from which the mean is surest to be high, two standard deviations under it. So a step is
+        taken from where it was, and a slow drift, which has no such place, by its last days. The
+        std is that of the mean and of a new day's shared part.
         """
         spread = 1.0 + information * self.day_std**2
         weight = np.cumsum((information / spread)[::-1], axis=0)
         total = np.cumsum((score / spread)[::-1], axis=0)
         safe = np.maximum(weight, 1e-12)
-        likeliest = np.argmax(np.square(np.maximum(total, 0.0)) / safe, axis=0)[None]
-        taken = np.take_along_axis(safe, likeliest, 0)[0]
-        mean = np.take_along_axis(total, likeliest, 0)[0] / taken
+        start = np.argmax(total / safe - SURE_SIGMAS / np.sqrt(safe), axis=0)[None]
+        taken = np.take_along_axis(safe, start, 0)[0]
+        mean = np.take_along_axis(total, start, 0)[0] / taken
         return self.tolerance + mean, np.sqrt(1.0 / taken + self.day_std**2)
 
 

@@ -27,17 +27,19 @@ def monitor(
     """
     import msgspec
 
-    from sim_bridge.research.monitor import sheets, study
+    from sim_bridge.research.monitor import cost, sheets, study
     from sim_bridge.research.monitor.worlds import Season
 
     out.mkdir(parents=True, exist_ok=True)
     alarms = list(study.false_alarms(services, seed))
     found = list(study.times_to_find(seed))
     lost = list(study.losses(max(services // 10, 100), seed))
+    spent = cost.flight_cost()
     tables = (
         (sheets.false_alarm_sheet(alarms, Season().flights), "false_alarms"),
         (sheets.found_sheet(found), "found"),
         (sheets.loss_sheet(lost), "losses"),
+        (sheets.cost_sheet(spent), "cost"),
     )
     for sheet, stem in tables:
         sheet.write(out, stem)

@@ -12,7 +12,7 @@ from companion.core.monitor.e_process import (
     start_weight,
     weight_left,
 )
-from companion.core.monitor.promises import DRAW_STD, DRAW_TEST, WIND_TEST
+from companion.core.monitor.promises import DRAW_STD, DRAW_TEST, PACK_TEST, WIND_TEST
 
 SERVICES = 20_000
 
@@ -109,6 +109,13 @@ def test_the_estimate_since_a_change_forgets_the_days_before_it():
     # Six days of ten flights, and the shared part of the day to come.
     of_a_day = DRAW_TEST.day_std**2 + DRAW_STD**2 / 10
     assert float(std) == pytest.approx(math.sqrt(of_a_day / 6 + DRAW_TEST.day_std**2), rel=1e-9)
+
+
+def test_the_estimate_of_a_slow_drift_is_that_of_its_last_days():
+    drift = np.linspace(0.0, 0.29, 50)
+    precision = np.full(50, 3 / 0.055**2)
+    mean, std = PACK_TEST.since_change(precision, precision * (drift - PACK_TEST.tolerance))
+    assert abs(float(mean) - drift[-1]) < float(std) + 0.02
 
 
 def test_shares_of_failed_checks_bet_fairly_on_any_distribution_of_days():
