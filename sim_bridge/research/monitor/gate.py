@@ -1,16 +1,17 @@
 """What an alarm is worth at the gate: how often a flight that it allowed needs more than there is.
 
-One decision a flight, by the companion's own budget: may a mission of a drawn need be flown? A loss
-is a flight that was allowed and used more than its pack gave. Nothing is turned back or learned on
-the way, and the reserve is not counted on, so that losses come often enough to be counted.
+One decision a flight, by the budget's own rule (`Budget.p_enough`): may a mission of a drawn need be
+flown? A loss is a flight that was allowed and used more than its pack gave. Nothing is turned back
+or learned on the way, and the reserve is not counted on, so that losses come often enough to be
+counted.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from companion.core.base.arrays import Floats
-from companion.core.return_budget.outcomes import Budget
 
 FULL_WH, PACK_STD_FRAC, MODEL_STD_FRAC = 105.0, 0.02, 0.04
 """An M100's pack above its reserve, as its airframe file states packs and model."""
@@ -47,8 +48,13 @@ def judge(
     mean, std, share = believed
     need_wh = FULL_WH * rng.uniform(LEAST_NEED, MOST_NEED, draw.shape)
     left_wh = FULL_WH * share
-    budget = Budget(left_wh, PACK_STD_FRAC * left_wh, np.hypot(MODEL_STD_FRAC, std), np.exp(mean))
-    allowed = budget.p_enough(need_wh) >= 1.0 - max_loss
+    p_enough = _p_enough(need_wh * np.exp(mean), left_wh, np.hypot(MODEL_STD_FRAC, std))
+    allowed = p_enough >= 1.0 - max_loss
     has_wh = FULL_WH * np.exp(capacity + PACK_STD_FRAC * rng.standard_normal(draw.shape))
     lost = allowed & (need_wh * np.exp(draw) > has_wh)
     return Losses(draw.size, int(allowed.sum()), int(lost.sum()))
+
+
+def _p_enough(need_wh: Floats, left_wh: Floats, model_std_frac: Floats) -> Floats:
+    """`Budget.p_enough` where each flight has a budget of its own."""
+    return ndtr((left_wh - need_wh) / np.hypot(PACK_STD_FRAC * left_wh, model_std_frac * need_wh))

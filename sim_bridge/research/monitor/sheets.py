@@ -92,8 +92,8 @@ def cost_sheet(spent: Cost) -> Sheet:
             ("in flight, each second", f"{spent.us_per_flight_s:.1f} us"),
             ("at the end of a flight", f"{spent.ms_per_flight:.1f} ms"),
         ],
-        "CPU time on this machine. In flight: ten looks at the wind, five at the pack, five comparisons"
-        " of power a second, a forecast a minute.",
+        "CPU time on this machine. In flight: ten looks at the wind, five at the pack, five"
+        " comparisons of power a second, a forecast a minute.",
     )
 
 
