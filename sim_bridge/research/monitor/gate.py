@@ -1,9 +1,9 @@
 """What an alarm is worth at the gate: how often a flight that it allowed needs more than there is.
 
-One decision a flight, by the budget's own rule (`Budget.p_enough`): may a mission of a drawn need be
-flown? A loss is a flight that was allowed and used more than its pack gave. Nothing is turned back
-or learned on the way, and the reserve is not counted on, so that losses come often enough to be
-counted.
+One decision a flight, by the budget's own rule (`Budget.p_enough`): may a mission of a drawn need
+be flown? A loss is a flight that was allowed and used more than its pack gave. Nothing is turned
+back or learned on the way, and the reserve is not counted on, so that losses come often enough to
+be counted.
 """
 
 from dataclasses import dataclass
