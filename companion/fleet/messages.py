@@ -101,6 +101,8 @@ class State(WireMessage, frozen=True, kw_only=True):
     """Of a truck: where it stands or drives to."""
     text: Words = ""
     """The last message to people."""
+    doubt: Words = ""
+    """What the monitor of its service holds in doubt, and what clears it; empty: nothing."""
 
 
 class EventKind(Enum):
@@ -149,6 +151,8 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     """
     home: bool | None = None
     """With `outcome`: the vehicle landed at home or at a rally point."""
+    evidence_nats: float | None = None
+    """With `outcome`: log of the e-value against the vehicle's energy model after this flight."""
     drop_unproven: bool | None = None
     """Nobody knows yet whether the parcel is still aboard."""
 
@@ -343,7 +347,7 @@ _KINDS: dict[str, type[WireMessage]] = {
     "track": Track,
 }
 WORDS: dict[type[WireMessage], tuple[str, ...]] = {
-    State: ("text",),
+    State: ("text", "doubt"),
     FleetEvent: ("text",),
     Command: ("by",),
     Result: ("reason",),

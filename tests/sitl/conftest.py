@@ -117,6 +117,7 @@ def fly_case(tmp_path):
         after_hands_off_s: float | None = None,
         believed: str | None = None,
         signing_key: Path | None = None,
+        companion_arguments: tuple[str, ...] = (),
     ) -> Flown:
         table = merged(SHORT, changes or {})
         path = tmp_path / f"{name}.toml"
@@ -132,6 +133,7 @@ def fly_case(tmp_path):
             lockstep_limit_s=30.0,
             believed=believed,
             signing_key=signing_key,
+            companion_arguments=companion_arguments,
         )
         row = fly(options, keep)["flights"][0]
         assert keep.plan is not None

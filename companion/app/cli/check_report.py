@@ -20,6 +20,7 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
         " `companion restore`"
         for name, value in sorted(preflight.settings_left.items())
     ]
+    lines += [f"DOUBT    {words}" for words in pilot.doubts.words]
     lines += _battery(pilot) + _air(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from companion.app.cli import calibrate, fit_wind, replay, signing
+from companion.app.cli import calibrate, fit_wind, monitor, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
@@ -118,6 +118,20 @@ VehicleSettings = Annotated[
         " ~/.local/state/leeway/settings."
     ),
 ]
+MonitorFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--monitor",
+        help="Folder of the monitor's records, one for each vehicle; default:"
+        " $STATE_DIRECTORY/monitor of a service, else ~/.local/state/leeway/monitor.",
+    ),
+]
+Pack = Annotated[
+    str,
+    typer.Option(
+        help="Name of the pack that is aboard: the monitor follows each by itself.",
+    ),
+]
 
 
 class GateSwitch(StrEnum):
@@ -192,6 +206,8 @@ def run_command(
     ] = 30.0,
     silence_limit: SilenceLimit = 300.0,
     vehicle_settings: VehicleSettings = None,
+    monitor_folder: MonitorFolder = None,
+    pack: Pack = "unnamed",
     lockstep: Annotated[
         bool,
         typer.Option(
@@ -284,6 +300,7 @@ def run_command(
     asked = replace(
         asked, record_at_once=lockstep, settings_folder=settings_folder(vehicle_settings)
     )
+    asked = replace(asked, monitor_folder=folder_of_monitor(monitor_folder), pack=pack)
     if operator:
         asked = replace(asked, operators=tuple(operator))
     if fleet is None or vehicle is None:
@@ -308,6 +325,8 @@ def check(
     here: Here = False,
     silence_limit: SilenceLimit = 60.0,
     vehicle_settings: VehicleSettings = None,
+    monitor_folder: MonitorFolder = None,
+    pack: Pack = "unnamed",
 ) -> None:
     """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
     from companion.app.cli.flying import CommandLine
@@ -318,6 +337,7 @@ def check(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(PilotOptions(check_only=True, here=here))
     asked = replace(asked, settings_folder=settings_folder(vehicle_settings))
+    asked = replace(asked, monitor_folder=folder_of_monitor(monitor_folder), pack=pack)
     raise typer.Exit(check_now(asked))
 
 
@@ -346,9 +366,17 @@ def settings_folder(named: Path | None) -> Path:
     return named or default_folder()
 
 
+def folder_of_monitor(named: Path | None) -> Path:
+    """Where the monitor keeps its records."""
+    from companion.adapters.files.monitor_file import default_monitor_folder
+
+    return named or default_monitor_folder()
+
+
 for part in (replay.app, fit_wind.app, calibrate.app):
     app.registered_commands += part.registered_commands
 app.add_typer(signing.app, name="signing")
+app.add_typer(monitor.app, name="monitor")
 
 
 @app.command()

@@ -94,6 +94,8 @@ class FleetPort:
     max_payload_kg: float
     current: Assigned | None
     begin_trouble: Callable[[], str] = lambda: ""
+    doubt: str = ""
+    """What the monitor of its service holds in doubt, in words."""
     _told_s: float | None = None
     _told_phase: str = ""
 
@@ -230,6 +232,7 @@ class FleetPort:
                     home=action.home,
                     margin_wh=action.margin_wh,
                     drop_unproven=action.drop_unproven or None,
+                    evidence_nats=action.evidence_nats,
                 )
             case _:
                 return
@@ -296,6 +299,7 @@ class FleetPort:
             height_rel_m=position.height_rel_m if position else None,
             ground_speed_mps=speed,
             voltage_v=now.battery.voltage_v if now.battery else None,
+            doubt=self.doubt[:500],
             **(_promise(pilot) if pilot is not None else {}),
         )
 

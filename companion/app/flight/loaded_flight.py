@@ -23,11 +23,13 @@ from companion.adapters.files.params import (
 )
 from companion.adapters.files.policy_file import read_policy
 from companion.adapters.files.signing_files import StampKeeper, read_signing_key
+from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import frame_at, site_map
 from companion.core.mission.preflight_checks import Requirement, RouteFacts
+from companion.core.monitor.doubts import NO_DOUBTS, Doubts
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
@@ -52,6 +54,10 @@ class RunOptions:
     policy: str | None = None
     settings_folder: Path | None = None
     """Where it stands what was changed on a vehicle and not put back; None: nowhere."""
+    monitor_folder: Path | None = None
+    """Where the record of the vehicle's service is kept; None: nowhere."""
+    pack: str = ""
+    """The pack that is aboard; empty: nobody named it."""
     operators: tuple[int, ...] = (GROUND_STATION,)
     """MAVLink systems whose orders count where nothing is signed."""
     record_at_once: bool = False
@@ -125,7 +131,7 @@ class LoadedFlight:
         of = f"mission {self.flight.name}, airframe {self.settings.airframe.name}"
         return f"{of}, wind process {self.wind_process.name}"
 
-    def pilot(self, checkpoint: Checkpoint | None) -> Pilot:
+    def pilot(self, checkpoint: Checkpoint | None, doubts: Doubts = NO_DOUBTS) -> Pilot:
         """A pilot for this flight, going on from what an earlier process kept."""
         return Pilot(
             self.flight,
@@ -137,6 +143,17 @@ class LoadedFlight:
             options=self.options.pilot,
             checkpoint=checkpoint,
             policy=self.settings.policy,
+            doubts=doubts,
+        )
+
+    def monitor(self) -> MonitorKeeper | None:
+        """The monitor of the vehicle's service; None: nothing is kept."""
+        options = self.options
+        if options.monitor_folder is None:
+            return None
+        airframe = self.settings.airframe
+        return MonitorKeeper.open(
+            options.monitor_folder, options.pilot.name, airframe, options.pack, self.digest
         )
 
     def kept(self) -> tuple[Checkpoint | None, str]:

@@ -19,6 +19,7 @@ from companion.adapters.autopilots.status_text import StatusTexts
 from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.adapters.files.signing_files import STAMPS, StampKeeper
 from companion.app.flight.hearing import STALL_S, Hearing
+from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.settings_keeper import SettingsKeeper
 from companion.core.mission.actions import (
@@ -96,6 +97,8 @@ class Loop:
     on_action: Callable[[Action], None] | None = None
     port: "FleetPort | None" = None
     """None: no dispatcher's desk; operators still speak MAVLink."""
+    monitor: MonitorKeeper | None = None
+    """Of the vehicle's service; None: nothing is kept."""
     stamps: StampKeeper | None = None
     """Of signed frames; None: nothing is signed."""
     wall_clock_s: Callable[[], float] = wall_s
@@ -378,6 +381,8 @@ class Loop:
         """Do what the mission asks."""
         t_s = self.clock.t_s
         for action in actions:
+            if isinstance(action, Finished):
+                action = self._counted(action)
             self.recorder.take(action, t_s)
             if self.port is not None:
                 self.port.take(action)
@@ -403,6 +408,17 @@ class Loop:
                     pass
             if self.on_action is not None:
                 self.recorder.show(self.on_action, action)
+
+    def _counted(self, finished: Finished) -> Finished:
+        """The flight joins the vehicle's service; the operator hears what came into doubt by it."""
+        if self.monitor is None:
+            return finished
+        finished, new = self.monitor.take(finished, self.recorder.keep_monitor)
+        self.recorder.note(self.clock.t_s, self.monitor.line(finished))
+        self.carry_out([Say(Severity.WARNING, words) for words in new])
+        if self.port is not None:
+            self.port.doubt = "; ".join(self.monitor.doubts.words)
+        return finished
 
     def _publish_next(self) -> None:
         """One named value a tick: of several at once PX4's log keeps the last (flown)."""

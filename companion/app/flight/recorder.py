@@ -46,6 +46,7 @@ from companion.core.pilot.telemetry_state import TelemetryState
 TEXT, STREAM, DECISIONS = "companion.log", "stream.tlog", "decisions.mcap"
 RESULT = "result.json"
 SETTINGS = "settings of the vehicle"
+MONITOR = "record of the monitor"
 SCREEN = "screen"
 FORMAT = "companion-result/1"
 TOPIC = {
@@ -162,6 +163,10 @@ class Recorder:
     def keep_settings(self, deed: Callable[[], None]) -> None:
         """Write what is to be put back on the vehicle, in the order of these calls."""
         self._disk.do(SETTINGS, deed, whole=True)
+
+    def keep_monitor(self, deed: Callable[[], None]) -> None:
+        """Write the record of the vehicle's service, in the order of these calls."""
+        self._disk.do(MONITOR, deed, whole=True)
 
     def settle(self) -> None:
         """Return once all that was recorded is on the disk."""

@@ -78,7 +78,8 @@ class Run:
         """
         options, settings = loaded.options, loaded.settings
         kept, trouble = loaded.kept()
-        pilot = loaded.pilot(kept)
+        monitor = loaded.monitor()
+        pilot = loaded.pilot(kept) if monitor is None else loaded.pilot(kept, monitor.doubts)
         lock = FolderLock.take(options.run_dir)
         try:
             link = open_link(options.link)
@@ -107,15 +108,21 @@ class Run:
             trust=OperatorTrust(frozenset(options.operators)),
         )
         loop.stamps = stamps
+        loop.monitor = None if options.pilot.check_only else monitor
         loop.on_action = on_action
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
+            port.doubt = "; ".join(pilot.doubts.words)
         recorder.note(pilot.telemetry.t_s, loaded.names)
         if stamps is not None and stamps.trouble:
             recorder.note(pilot.telemetry.t_s, stamps.trouble)
         if trouble:
             recorder.note(pilot.telemetry.t_s, trouble)
+        if monitor is not None and monitor.trouble:
+            recorder.note(pilot.telemetry.t_s, monitor.trouble)
+        if loop.monitor is not None:
+            loop.monitor.begin(recorder.keep_monitor)
         if not options.pilot.gate_on:
             recorder.note(pilot.telemetry.t_s, "GATE OFF: never turns back, for comparison only")
         if kept is not None and continues:

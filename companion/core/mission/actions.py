@@ -5,6 +5,7 @@ from enum import Enum, IntEnum
 
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
+from companion.core.monitor.figures import FlightFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +269,9 @@ class Finished(Action):
 
     `home` and `margin_wh` (energy above the reserve) are as the companion saw them at the end;
     `None` = it cannot tell. `drop_unproven`: the gripper was told to open, and nothing showed that
-    it did: somebody has to look where the parcel is.
+    it did: somebody has to look where the parcel is. `figures` is what the flight, begun at
+    `took_off_s`, tells the monitor of the service; None: it never flew. `evidence_nats` is
+    the log of the e-value against the energy model, once the flight is counted.
     """
 
     outcome: str
@@ -277,3 +280,6 @@ class Finished(Action):
     home: bool | None = None
     margin_wh: float | None = None
     drop_unproven: bool = False
+    took_off_s: float | None = None
+    figures: FlightFigures | None = None
+    evidence_nats: float | None = None

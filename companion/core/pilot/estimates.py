@@ -1,11 +1,15 @@
 """Estimates of wind and energy, and the gate's answer from them; updated at every tick."""
 
+import math
 import re
 from dataclasses import asdict, dataclass, replace
 
 from companion.core.base.geo import Ned
 from companion.core.mission.events import AutopilotKind, AutopilotWind, Battery
 from companion.core.mission.flight_file import Flight
+from companion.core.monitor.doubts import NO_DOUBTS, Doubts
+from companion.core.monitor.figures import FlightFigures
+from companion.core.monitor.tally import FlightTally
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
     ATTITUDE_MAX_AGE_S,
@@ -66,8 +70,11 @@ class Estimates:
         route_energy: RouteEnergy,
         wind_process: WindProcessParams,
         wind_filter: WindFilter | None = None,
+        doubts: Doubts = NO_DOUBTS,
     ) -> None:
-        """`wind_filter`: another wind estimator than ours, for a replay that compares them."""
+        """`wind_filter`: another wind estimator than ours, for a replay that compares them.
+        `doubts`: what the monitor of the vehicle's service has found; believed from the start.
+        """
         self._flight = flight
         self._airframe = airframe
         self.route_energy = route_energy
@@ -76,16 +83,25 @@ class Estimates:
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
-        self._outlook = WindOutlook(wind_process)
+        in_doubt = doubts.wind_variance != 1.0
+        self._outlook = WindOutlook(
+            wind_process.times(doubts.wind_variance) if in_doubt else wind_process
+        )
         self._ledger = EnergyLedger(
             airframe,
             route_energy.hover_power_w(flight.vehicle.payload_kg),
             route_energy.density_kgpm3,
-            health_frac=flight.vehicle.battery_health_frac,
+            health_frac=flight.vehicle.battery_health_frac * doubts.capacity_frac,
             temperature_c=flight.vehicle.temperature_c,
             charge_frac_stated=flight.vehicle.charge_frac_stated,
         )
-        self._scale = PowerScale(airframe.power_rotor.model_std_frac)
+        self._scale = PowerScale(
+            math.hypot(airframe.power_rotor.model_std_frac, doubts.draw_std),
+            prior_log=doubts.draw_log,
+        )
+        self._tally = FlightTally(airframe.battery, flight.vehicle.battery_health_frac)
+        # Of the file's own process: what is asked is whether that holds.
+        self._stated_outlook = WindOutlook(wind_process) if in_doubt else self._outlook
         self._accepted_loss: float | None = None
         self.hurry_mps: float | None = None
         self._hurried_s: float | None = None
@@ -122,6 +138,9 @@ class Estimates:
         self.wind = self._estimator.belief(t_s)
         if now.airborne:
             self._outlook.observe(self.wind)
+            if self._stated_outlook is not self._outlook:
+                self._stated_outlook.observe(self.wind)
+            self._tally.wind(self.wind, self._stated_outlook)
         warnings = [f"wind: {words}" for words in left_out if words not in self._left_out]
         self._left_out.update(left_out)
         energy = self.energy
@@ -149,9 +168,13 @@ class Estimates:
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
             self._compare_power(battery.voltage_v * current_a, modelled_w, now.current_age_s)
+        at_rest = now.state is not None and not now.armed and not now.airborne
+        if battery is not None:
+            volts, stands = battery.voltage_v, now.on_ground
+            self._tally.battery(t_s, volts, current_a, at_rest=at_rest, on_ground=stands)
         seen = BatteryObservation(
             t_s=t_s,
-            at_rest=now.state is not None and not now.armed and not now.airborne,
+            at_rest=at_rest,
             voltage_v=battery.voltage_v if battery else None,
             current_a=current_a,
             # PX4's SIH counts a percentage down by time and knows no current.
@@ -166,6 +189,7 @@ class Estimates:
             self._ledger.observe(one)
 
     def _compare_power(self, measured_w: float, modelled_w: float, age_s: float) -> None:
+        self._tally.compare(BATTERY_EVERY_S, measured_w, modelled_w, age_s)
         if self._scale.observe(BATTERY_EVERY_S, measured_w, modelled_w, age_s):
             error = self._scale.error()
             self.draw_change = f"draw {error.scale:.1f} +- {error.std:.1f} times the model's"
@@ -315,9 +339,14 @@ class Estimates:
         leg = Leg(LegKind.CRUISE, here_ned_m, to_ned_m, self.payload_kg, airspeed_mps=hurry)
         return self.route_energy.ground_speed_mps(leg, self.wind.mean_to_ne_mps)
 
+    def figures(self) -> FlightFigures:
+        """What this flight tells the monitor of the vehicle's service, so far."""
+        return self._tally.figures()
+
     def snapshot(self) -> dict[str, object]:
         """What the checkpoint keeps."""
         return {
+            "tally": self._tally.snapshot(),
             "ledger": self._ledger.snapshot(),
             "outlook": self._outlook.snapshot(),
             "scale": self._scale.snapshot(),
@@ -337,6 +366,8 @@ class Estimates:
         self._outlook.restore(kept.outlook)
         self._scale.restore(kept.scale)
         self._estimator.restore(kept.wind)
+        if kept.tally is not None:
+            self._tally.restore(kept.tally)
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
         self._accepted_loss = kept.accepted_loss
@@ -380,3 +411,4 @@ class EstimatesSnapshot:
     accepted_loss: float | None
     reserve_frac: float
     air: Air | None = None
+    tally: dict[str, object] | None = None

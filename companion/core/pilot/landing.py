@@ -11,6 +11,7 @@ from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import Disarm, Finished, Note, Severity
 from companion.core.mission.events import Ground
 from companion.core.mission.flight_plan import FlightPlan
+from companion.core.monitor.figures import FlightFigures
 from companion.core.pilot.context import (
     Airborne,
     Disarming,
@@ -144,7 +145,8 @@ class Landing:
             where += f", {margin_wh:.1f} Wh above the reserve"
             home = home and margin_wh >= 0.0
         outcome = self._outcome(home=home)
-        self._finish(context, outcome, where, home=home, margin_wh=margin_wh)
+        figures = context.estimates.figures()
+        self._finish(context, outcome, where, home=home, margin_wh=margin_wh, figures=figures)
 
     def _outcome(self, *, home: bool) -> str:
         """By delivery and home; where a person landed it elsewhere and whole it is no loss."""
@@ -180,12 +182,24 @@ class Landing:
         *,
         home: bool,
         margin_wh: float | None = None,
+        figures: FlightFigures | None = None,
     ) -> None:
         parcel = self._parcel
         context.decide("finished", f"{outcome}: {reason}")
         loaded = context.flight.vehicle.payload_kg > 0.0
         unproven = parcel.drop_begun and not parcel.delivered and loaded
-        context.do(Finished(outcome, parcel.delivered, reason, home, margin_wh, unproven))
+        context.do(
+            Finished(
+                outcome,
+                parcel.delivered,
+                reason,
+                home,
+                margin_wh,
+                unproven,
+                took_off_s=self._flight.took_off_s,
+                figures=figures,
+            )
+        )
 
     def _stands_still(self, context: FlightContext) -> bool:
         here, position = context.here_ned(), context.telemetry.position

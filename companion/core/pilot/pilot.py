@@ -57,6 +57,7 @@ from companion.core.mission.events import (
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.mission.preflight_checks import Finding
+from companion.core.monitor.doubts import NO_DOUBTS, Doubts
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import FlightContext, PilotOptions
@@ -119,6 +120,7 @@ class Pilot:
     `checkpoint`: of an earlier process of this flight, to go on from; a finished one is ignored.
     `estimates`: wind, energy and the gate; made of the airframe and the wind process when `None`.
     `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
+    `doubts`: what the monitor of the vehicle's service has found.
     """
 
     def __init__(
@@ -134,9 +136,13 @@ class Pilot:
         checkpoint: Checkpoint | None = None,
         estimates: Estimates | None = None,
         policy: AvoidancePolicy | None = None,
+        doubts: Doubts = NO_DOUBTS,
     ) -> None:
         route_energy = RouteEnergy.for_mission(airframe, flight.mission, REFERENCE_DENSITY_KGPM3)
-        estimates = estimates or Estimates(flight, airframe, route_energy, wind_process)
+        estimates = estimates or Estimates(
+            flight, airframe, route_energy, wind_process, doubts=doubts
+        )
+        self.doubts = doubts
         self._digest = digest
         self._reported = ReportTimes()
         self._context = FlightContext(flight, airframe, estimates, options or PilotOptions(), self)
@@ -305,6 +311,8 @@ class Pilot:
         context = self._context
         context.autopilot = event.autopilot_kind
         context.do(Note(f"{event.autopilot_kind.value} autopilot, system {event.system_id}"))
+        for words in self.doubts.words:
+            context.say(Severity.WARNING, words)
         self._authority.begin(context.telemetry.state)
         self._resume.identified(context)
 

@@ -44,11 +44,20 @@ class ModelError:
 
 
 class PowerScale:
-    """One per vehicle; `prior_std_frac` is the airframe file's `model_std_frac`."""
+    """One per vehicle; `prior_std_frac` is the airframe file's `model_std_frac`.
 
-    def __init__(self, prior_std_frac: float, params: PowerScaleParams | None = None) -> None:
+    `prior_log`: the log of the scale before anything is learned.
+    """
+
+    def __init__(
+        self,
+        prior_std_frac: float,
+        params: PowerScaleParams | None = None,
+        *,
+        prior_log: float = 0.0,
+    ) -> None:
         self._params = params or PowerScaleParams()
-        self._log = 0.0
+        self._log = prior_log
         self._floor = min(self._params.regime_std_frac, prior_std_frac)
         self._variance = prior_std_frac**2 - self._floor**2
         self._change = DrawChange()

@@ -17,6 +17,7 @@ from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError, check_range
 
 MOST_PARTS = 4
+MOST_VARIANCE_M2PS2 = 100.0
 
 
 class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -62,7 +63,7 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         if any(b <= a for a, b in zip(self.memory_s, self.memory_s[1:], strict=False)):
             raise LeewayError("memory_s: expected rising numbers")
         for variance in self.variance_m2ps2:
-            check_range("variance_m2ps2", variance, 0.0, 100.0)
+            check_range("variance_m2ps2", variance, 0.0, MOST_VARIANCE_M2PS2)
         check_range("reference_wind_mps", self.reference_wind_mps, 0.5, 50.0)
         check_range("least_scale", self.least_scale, 0.05, 1.0)
         check_range("most_scale", self.most_scale, 1.0, 10.0)
@@ -74,6 +75,12 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     def variance_scale(self, wind_mps: float) -> float:
         """Variances at this mean wind over those at the reference wind."""
         return min(max(wind_mps / self.reference_wind_mps, self.least_scale), self.most_scale) ** 2
+
+    def times(self, variance: float) -> "WindProcessParams":
+        """The same process with its variances so many times as large, as far as they may be."""
+        most = MOST_VARIANCE_M2PS2
+        scaled = tuple(min(each * variance, most) for each in self.variance_m2ps2)
+        return msgspec.structs.replace(self, variance_m2ps2=scaled)
 
     def mean_squared_change_m2ps2(self, lag_s: Floats, averaged_s: float) -> Floats:
         """E[(w(t + lag) - w(t))^2] of one axis, of means over `averaged_s`, reference wind."""

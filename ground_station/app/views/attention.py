@@ -25,6 +25,8 @@ def vehicle_alarms(seen: VehicleStatus, day: DayShown | None, t_s: float) -> Ite
     """What is wrong with one member."""
     state = seen.state
     yield from seen.doubts
+    if state is not None and state.doubt:
+        yield state.doubt
     if expected_silence(seen, day) is None and not seen.lives:
         yield "not on the network"
     elif seen.lives and not seen.present(t_s) and state is not None:

@@ -1,5 +1,6 @@
 """The day in figures: a report as JSON and as tables."""
 
+import math
 from collections import Counter
 from statistics import fmean, median
 from typing import Any
@@ -14,6 +15,9 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import TAKEN, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
+
+MONITOR = "monitor: "
+"""How a companion begins what its monitor of the service has found."""
 
 
 def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
@@ -36,6 +40,8 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "p_home_decided_min": min(p_home, default=None),
         "commands": dict(Counter(c.answer.value if c.answer else "waiting" for c in commands)),
         "events": len(events),
+        "fleet_evidence_nats": fleet_evidence_nats(outcomes),
+        "monitors": sorted(_said_by_monitors(events)),
         "held": [hold.words for hold in store.holds()],
         "by_vehicle": _by_vehicle(outcomes),
         "left": [
@@ -98,6 +104,24 @@ def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
             "margin_wh_min": min(margins, default=None),
         }
     return found
+
+
+def fleet_evidence_nats(outcomes: list[FleetEvent]) -> float | None:
+    """Log of the mean e-value over the fleet's vehicles, against "all energy models hold".
+
+    A mean of e-processes is one, however the vehicles' days hang together; their product would be
+    none, as they fly in the same air. From 4.6 (log of 100) on the fleet is in doubt.
+    """
+    newest = {e.vehicle: e.evidence_nats for e in outcomes if e.evidence_nats is not None}
+    if not newest:
+        return None
+    most = max(newest.values())
+    return most + math.log(fmean(math.exp(nats - most) for nats in newest.values()))
+
+
+def _said_by_monitors(events: list[FleetEvent]) -> set[str]:
+    said = (e for e in events if e.kind is EventKind.SAID and e.text.startswith(MONITOR))
+    return {f"{event.vehicle}: {event.text}" for event in said}
 
 
 def _is_lost(event: FleetEvent) -> bool:

@@ -157,6 +157,7 @@ class Launcher:
                 f"--fleet={self.data.day.fleet}",
                 f"--vehicle={drone.name}",
                 f"--zenoh={self.folder / MEMBER}",
+                f"--monitor={drone.folder / 'monitor'}",
                 "--configure",
             ],
         )

@@ -228,6 +228,7 @@ def build_craft(
             f"--gate={'on' if options.gate else 'off'}",
             "--configure",
             f"--vehicle-settings={own_dir / 'vehicle_settings'}",
+            f"--monitor={own_dir / 'monitor'}",
             *_signed_arguments(options.signing_key),
             *(["--lockstep"] if killed else []),
             *options.companion_arguments,

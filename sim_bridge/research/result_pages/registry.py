@@ -90,6 +90,15 @@ PAGES = (
         pictures=(("hard/reliability.png", "reliability.png"),),
     ),
     Page(
+        "monitor",
+        "The monitor in service",
+        "False alarms of the monitor over ten thousand services, flights until it finds what is"
+        " wrong, and what an alarm is worth at the gate.",
+        (PageCommand(_research("monitor", "--services", "10000", "--seed", "1", "--out", OUT)),),
+        5.0,
+        pictures=(("monitor.png", "monitor.png"),),
+    ),
+    Page(
         "anemometer-flight",
         "The wind estimator on a real flight",
         "Estimates of the wind against an anemometer on a real multirotor.",

@@ -39,6 +39,7 @@ from companion.core.mission.events import Ground, Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import ItemKind, MissionItem, differences
 from companion.core.mission.preflight_checks import Requirement
+from companion.core.monitor.figures import FlightFigures
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.estimates import Limits
@@ -110,6 +111,9 @@ class ScriptedJudge:
     def observe(self, now: Any, autopilot_kind: Any) -> tuple[str, ...]:
         self.t_s = now.t_s
         return ()
+
+    def figures(self) -> FlightFigures:
+        return FlightFigures()
 
     def depart(self, ahead: Ahead) -> Assessment | None:
         return self.assess(ahead)

@@ -1,6 +1,7 @@
 """The day's truth: nothing acknowledged is lost, nothing is dispatched twice, errors are words."""
 
 import itertools
+import math
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from companion.fleet.messages import Answered, EventKind, FleetEvent, Launch, Re
 from ground_station.adapters.store.database import Database, StoreError
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli import order as order_cli
-from ground_station.app.views.day_report import report_of
+from ground_station.app.views.day_report import fleet_evidence_nats, report_of
 from ground_station.core.schema.orders import ATTEMPTS, AssignmentState, Order, OrderState
 
 FLIGHT = {"format": "flight/1"}
@@ -158,6 +159,18 @@ def test_what_a_person_landed_after_the_delivery_is_delivered_and_not_lost(tmp_p
         assert store.assignments()[0].state is AssignmentState.DELIVERED
         figures = report_of(store)
         assert (figures["vehicles_not_home"], figures["vehicles_taken_over"]) == ([], ["d1"])
+
+
+def test_the_evidence_of_a_fleet_is_the_mean_over_its_vehicles_and_the_report_has_it():
+    def told(vehicle: str, seq: int, nats: float) -> FleetEvent:
+        event = an_outcome("a", "SUC", seq, vehicle)
+        return msgspec.structs.replace(event, evidence_nats=nats)
+
+    # The newest of each vehicle: e-values of 200, 1 and 0 are 67 on average.
+    events = [told("d1", 1, 9.0), told("d1", 2, math.log(200.0)), told("d2", 1, 0.0)]
+    events.append(told("d3", 1, -800.0))
+    assert fleet_evidence_nats(events) == pytest.approx(math.log(201.0 / 3.0))
+    assert fleet_evidence_nats([an_outcome("a", "SUC")]) is None
 
 
 def test_an_order_that_was_perhaps_dropped_is_not_dispatched_before_somebody_has_looked(tmp_path):

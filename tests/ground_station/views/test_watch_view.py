@@ -88,3 +88,15 @@ def test_holds_and_a_store_that_is_away_are_said_below_the_vehicles():
     lines = shown([flight("d1", "depot", 60.0, 60.0)])
     away = lines.index("STORE AWAY")
     assert lines[away + 1] == "d3 is held by anna: propeller"
+
+
+def test_what_a_vehicles_monitor_holds_in_doubt_is_to_be_looked_at():
+    status = seen()
+    words = "monitor: pack A7 has 78 % of its stated capacity"
+    state = status.of("d1").state
+    assert state is not None
+    status.of("d1").state = msgspec.structs.replace(state, doubt=words)
+    out = io.StringIO()
+    console = Console(width=120, file=out, color_system=None)
+    console.print(watch_view(status, WatchRows(), NOW_S))
+    assert f"LOOK: d1: {words}" in out.getvalue()
