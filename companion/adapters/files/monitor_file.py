@@ -13,13 +13,12 @@ from companion.adapters.files.atomic_file import read_whole, write_whole
 from companion.core.monitor.record import Service, service_from_dict
 
 
-def default_monitor_folder() -> Path:
-    """systemd's state folder where there is one, else the user's."""
+def default_monitor_folder() -> Path | None:
+    """In a service's state folder; None: no service. Whoever tries things at a terminal flies now
+    this vehicle and now that one: no record of theirs is to tighten anybody's gate.
+    """
     given = os.environ.get("STATE_DIRECTORY")
-    if given:
-        return Path(given.split(":")[0]) / "monitor"
-    base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(base).expanduser() / "leeway" / "monitor"
+    return Path(given.split(":")[0]) / "monitor" if given else None
 
 
 def service_file(folder: Path, vehicle: str) -> Path:

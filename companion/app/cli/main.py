@@ -122,8 +122,8 @@ MonitorFolder = Annotated[
     Path | None,
     typer.Option(
         "--monitor",
-        help="Folder of the monitor's records, one for each vehicle; default:"
-        " $STATE_DIRECTORY/monitor of a service, else ~/.local/state/leeway/monitor.",
+        help="Keep a monitor of the vehicle's service, in this folder; default:"
+        " $STATE_DIRECTORY/monitor of a service, else none is kept.",
     ),
 ]
 Pack = Annotated[
@@ -366,8 +366,8 @@ def settings_folder(named: Path | None) -> Path:
     return named or default_folder()
 
 
-def folder_of_monitor(named: Path | None) -> Path:
-    """Where the monitor keeps its records."""
+def folder_of_monitor(named: Path | None) -> Path | None:
+    """Where the monitor keeps its records; None: there is none."""
     from companion.adapters.files.monitor_file import default_monitor_folder
 
     return named or default_monitor_folder()

@@ -21,7 +21,7 @@ Vehicle = Annotated[
 Folder = Annotated[
     Path | None,
     typer.Option(
-        "--monitor", help="Folder of the records; default: as of `companion run --monitor`."
+        "--monitor", help="Folder of the records (of our services: /var/lib/leeway/monitor)."
     ),
 ]
 
@@ -73,6 +73,8 @@ def _record(folder: Path | None, vehicle: str | None) -> Path:
     from companion.adapters.files.monitor_file import default_monitor_folder, service_file
 
     folder = folder or default_monitor_folder()
+    if folder is None:
+        raise LeewayError("--monitor: expected the folder of the records")
     if vehicle is not None:
         return service_file(folder, vehicle)
     found = sorted(folder.glob("*.json"))
