@@ -71,11 +71,7 @@ class Vehicle:
 
         `temperature_c` is the pack's, and the air's unless `air_temperature_c` says otherwise.
         """
-        if not 0.0 <= payload_kg <= params.max_payload_kg:
-            raise TruthError(
-                f"payload_kg = {payload_kg:g}: expected 0 to {params.max_payload_kg:g} for"
-                f" {params.name}"
-            )
+        _check_payload(payload_kg, params)
         self._params = params
         self._wind = wind
         self._terrain = terrain or PlaneTerrain()
@@ -171,6 +167,13 @@ class Vehicle:
     def parcel_aboard(self) -> bool:
         """As `Truth.parcel_aboard`."""
         return self._payload_kg > 0.0
+
+    def load(self, payload_kg: float) -> None:
+        """Put another parcel on it, or none (0). Raises TruthError in the air, or if too heavy."""
+        if self.is_airborne:
+            raise TruthError(f"load: {self._params.name} is in the air, expected on the ground")
+        _check_payload(payload_kg, self._params)
+        self._payload_kg = payload_kg
 
     def fail_motors(self) -> None:
         """Take the motors away, for good."""
@@ -300,4 +303,12 @@ class Vehicle:
             airborne=not self._touching,
             motors_failed=self._motors_failed,
             crashed=self._crashed,
+        )
+
+
+def _check_payload(payload_kg: float, params: AirframeTruth) -> None:
+    if not 0.0 <= payload_kg <= params.max_payload_kg:
+        raise TruthError(
+            f"payload_kg = {payload_kg:g}: expected 0 to {params.max_payload_kg:g} for"
+            f" {params.name}"
         )

@@ -16,8 +16,9 @@ from companion.core.mission.flight_plan import frame_at
 from ground_station.adapters.files.day_files import read_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from sim_bridge.app.day.build import DayWish, here
+from sim_bridge.app.day.build import here
 from sim_bridge.app.day.desk import DeskHere
+from sim_bridge.app.day.faults import DayWish
 from sim_bridge.app.day.fly import finished, settings_of
 from sim_bridge.app.day.run import DayOptions, fly_day
 

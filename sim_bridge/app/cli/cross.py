@@ -51,7 +51,7 @@ def cross(
 
     from sim_bridge.app.crossing.crossing import CrossOptions
     from sim_bridge.app.crossing.report import cross_seeds, flights_table, verdict_words
-    from sim_bridge.app.day.build import AUTOPILOTS
+    from sim_bridge.app.day.faults import AUTOPILOTS
 
     if autopilot not in (*AUTOPILOTS, "mixed"):
         raise LeewayError(f"--autopilot {autopilot}: expected px4, ardupilot or mixed")

@@ -91,7 +91,7 @@ def day(
 
     from companion.adapters.files.params import bundled_path
     from ground_station.adapters.files.day_files import read_day
-    from sim_bridge.app.day.build import DayWish
+    from sim_bridge.app.day.faults import DayWish
     from sim_bridge.app.day.report import print_day, print_days
 
     path = bundled_path(day_file or "town", "days", "day")

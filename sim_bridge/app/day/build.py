@@ -27,7 +27,9 @@ from ground_station.core.schema.orders import place_of
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
+from sim_bridge.app.day.crew import DepotCrew, GroundCrew
 from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
+from sim_bridge.app.day.faults import AUTOPILOTS, DayWish, Faults, draw_faults
 from sim_bridge.app.day.truck import DayTruck, DriverTimes
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.errors import TruthError
@@ -43,20 +45,12 @@ from sim_bridge.truth.wind_params import (
     parse_wind,
 )
 
-AUTOPILOTS = ("px4", "ardupilot")
 SHELF_SPREAD_FRAC = 0.03
 """Packs wait after charging: their charge is below the day's by up to this fraction."""
 
 FORECAST_FROM_S = 600.0
 """The forecast of a recorded day is the mean of the ten minutes before it began, as a dispatcher
 with an anemometer at the depot has it."""
-
-KILLED_WITHIN = (0.1, 0.7)
-"""Kill times as fractions of the planned duration, while something is running."""
-
-CUT_S = (15.0, 180.0)
-"""How long the fleet's network is cut: from a passing shadow to some minutes. Shorter gaps are what
-`loss` is for; liveliness ends after 10 s."""
 
 FRONT_WITHIN = (0.2, 0.6)
 FRONT_TAKES_S = 120.0
@@ -70,52 +64,12 @@ step of half that std is added to a deviation that decays towards that mean."""
 
 
 @dataclass(frozen=True, slots=True)
-class DayWish:
-    """Command-line options of a day's world."""
-
-    wind_log: Path | None = None
-    wind_table: Path | None = None
-    loss: float = 0.0
-    companion_kills: int = 0
-    ground_kills: int = 0
-    truck_late_s: float = 0.0
-    network_cuts: int = 0
-    take_overs: int = 0
-    front_mps: float = 0.0
-    autopilots: tuple[str, ...] = AUTOPILOTS
-
-
-@dataclass(frozen=True, slots=True)
 class DayWind:
     """The true wind, and the forecast of it that the desk has."""
 
     params: WindParams
     mean: MeanWind
     forecast: Forecast
-
-
-@dataclass(slots=True)
-class Faults:
-    """Faults to inject, drawn before the day as fractions of its planned duration."""
-
-    ground_kills: list[float] = field(default_factory=list)
-    companion_kills: list[float] = field(default_factory=list)
-    log: list[tuple[float, str]] = field(default_factory=list)
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    ground_kills_s: list[float] = field(default_factory=list)
-    companion_kills_s: list[float] = field(default_factory=list)
-    network_cuts: list[tuple[float, float]] = field(default_factory=list)
-    """When the fleet's network is cut, and for how long (s)."""
-    take_overs: list[float] = field(default_factory=list)
-    network_cuts_s: list[tuple[float, float]] = field(default_factory=list)
-    take_overs_s: list[float] = field(default_factory=list)
-
-    def spread_over(self, makespan_s: float) -> None:
-        """Convert the fractions to times, once the planned duration is known."""
-        self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
-        self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
-        self.network_cuts_s = [(share * makespan_s, for_s) for share, for_s in self.network_cuts]
-        self.take_overs_s = [share * makespan_s for share in self.take_overs]
 
 
 class Network(Protocol):
@@ -157,7 +111,7 @@ class BuiltDay:
     clock: DayClock
     plumbing: Plumbing
     drones: list[DayDrone]
-    truck: DayTruck
+    crew: GroundCrew
     faults: Faults
     customers: dict[str, Ned] = field(default_factory=dict)
 
@@ -298,12 +252,14 @@ def build_day(
         air_temperature_c=data.day.forecast.air_temperature_c,
     )
     drones = _drones(data, wish, world, folder, drone_seed, plumbing.start)
-    truck_rng = np.random.default_rng(truck_seed)
-    truck = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
-    truck.late_s = wish.truck_late_s
-    faults = _faults(wish, np.random.default_rng(fault_seed))
+    crew: GroundCrew = _depot_crew(data, drones, plumbing)
+    if wish.truck:
+        truck_rng = np.random.default_rng(truck_seed)
+        crew = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
+        crew.late_s = wish.truck_late_s
+    faults = draw_faults(wish, np.random.default_rng(fault_seed))
     customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
-    return BuiltDay(data, frame, clock, plumbing, drones, truck, faults, customers)
+    return BuiltDay(data, frame, clock, plumbing, drones, crew, faults, customers)
 
 
 def _terrain(data: DayData) -> PlaneTerrain:
@@ -346,6 +302,13 @@ def _drones(
     return made
 
 
+def _depot_crew(data: DayData, drones: list[DayDrone], plumbing: Plumbing) -> DepotCrew:
+    """The times are those of the day's driver for a drone that is taken in and one put out."""
+    payload_kg = {order.id: order.mass_kg for order in data.orders}
+    change_s = data.day.truck.recover_s + data.day.truck.launch_s
+    return DepotCrew(drones, payload_kg, plumbing.network.states, change_s)
+
+
 def _truck(
     data: DayData,
     frame: LocalFrame,
@@ -378,14 +341,3 @@ def _truck(
         detour_factor=day.truck.detour_factor,
         rng=rng,
     )
-
-
-def _faults(wish: DayWish, rng: np.random.Generator) -> Faults:
-    ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
-    companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
-    cuts = [
-        (float(rng.uniform(*KILLED_WITHIN)), float(rng.uniform(*CUT_S)))
-        for _ in range(wish.network_cuts)
-    ]
-    taken = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.take_overs))
-    return Faults(ground, companions, rng=rng, network_cuts=sorted(cuts), take_overs=taken)

@@ -120,6 +120,11 @@ class PowerUp:
         """Seconds since power-on."""
         return self.steps * PHYSICS_STEP_S
 
+    def load(self, payload_kg: float, order: str | None) -> None:
+        """The parcel of another order is on it from now on, or none."""
+        self.vehicle.load(payload_kg)
+        self.order, self._loaded = order, self.vehicle.parcel_aboard
+
     def look(self) -> None:
         """Record the true position, and the parcel's release if it happened."""
         vehicle = self.vehicle
@@ -215,6 +220,11 @@ class DayDrone:
         autopilot.add_link(LINK, LinkKind.ONBOARD)
         self.up = PowerUp(t_s, pad_ne_m, order, charge_frac, vehicle, autopilot)
         self.companion_due_s = t_s if booted else t_s + COMPANION_BOOT_S
+
+    def load(self, payload_kg: float, order: str | None) -> None:
+        """Put the parcel of an order on it, or take off what is on it; it stands switched on."""
+        assert self.up is not None
+        self.up.load(payload_kg, order)
 
     def switch_off(self) -> None:
         """Power off autopilot and companion; an armed autopilot is disarmed by hand first."""

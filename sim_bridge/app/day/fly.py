@@ -14,8 +14,9 @@ from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import first_state
-from sim_bridge.app.day.build import BuiltDay, DayWish, here
+from sim_bridge.app.day.build import BuiltDay, here
 from sim_bridge.app.day.desk import DeskHere
+from sim_bridge.app.day.faults import DayWish
 from sim_bridge.app.day.processes import DeskProcess, apart
 from sim_bridge.app.day.report import watched
 from sim_bridge.app.day.run import RESULT, DayOptions, DeskSeat, fly_day

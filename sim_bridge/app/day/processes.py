@@ -306,14 +306,33 @@ class DeskProcess:
     @property
     def plans(self) -> list[DayPlan]:
         """All plans that were in force, from its store."""
-        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
+        with self._books() as books:
             return books.plans
 
     @property
     def told(self) -> dict[str, str]:
         """Each order's state and the reason, from its store."""
-        with contextlib.closing(Books.open(self.folder, self.clock)) as books:
+        with self._books() as books:
             return books.told
+
+    @property
+    def brought_by(self) -> dict[str, str]:
+        """Who brought each order that was delivered, from its store."""
+        with self._books() as books:
+            return books.brought_by
+
+    @property
+    def impossible(self) -> frozenset[str]:
+        """Orders that the first plan does not bring."""
+        return frozenset(line.order for plan in self.plans[:1] for line in plan.unplanned)
+
+    @property
+    def ended_by_itself(self) -> list[str]:
+        """Nothing: `turn` raises."""
+        return []
+
+    def _books(self) -> contextlib.closing[Books]:
+        return contextlib.closing(Books.open(store_url(self.folder), self.clock))
 
     def close(self) -> None:
         """SIGTERM, then SIGKILL after 10 s; leaves no process behind."""

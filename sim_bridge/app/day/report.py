@@ -37,7 +37,7 @@ class DayView:
         released = sum(
             up.released_s is not None for drone in world.drones for up in drone.power_ups
         )
-        brought = released + len(world.truck.delivered)
+        brought = released + len(world.crew.delivered)
         words = f"{brought} brought; in the air: {' '.join(flying) or 'none'}"
         self.bar.update(self.task, completed=world.clock.t_s, said=words)
         if not self.console.is_terminal and world.clock.t_s >= self._next_line_s:

@@ -16,14 +16,17 @@ from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ne
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.day.build import BuiltDay, DayWish, Plumb, build_day
+from sim_bridge.app.day.build import BuiltDay, Plumb, build_day
+from sim_bridge.app.day.drone import DayDrone
+from sim_bridge.app.day.faults import DayWish
 from sim_bridge.app.day.judge import DayFacts, DayVerdict, Pad, judge_day
 from sim_bridge.app.day.picture import DayScene, draw_day
+from sim_bridge.app.day.store_host import StoreHost
 from sim_bridge.app.day.world import DayWorld, Seat
 
 RESULT, PICTURE = "day.json", "day.png"
 FORMAT = "simulated-day/1"
-NO_FAULTS = ("wind_log", "wind_table", "autopilots")
+NO_FAULTS = ("wind_log", "wind_table", "autopilots", "truck", "least_cut_s")
 """What a wish says beside the faults."""
 
 EXPECTED_S = 3600.0
@@ -41,6 +44,21 @@ class DeskSeat(Seat, Protocol):
     @property
     def told(self) -> dict[str, str]:
         """The desk's state of each order, and the reason."""
+        ...
+
+    @property
+    def brought_by(self) -> dict[str, str]:
+        """Who brought each order that the desk has as delivered; the truck among them."""
+        ...
+
+    @property
+    def impossible(self) -> frozenset[str]:
+        """Orders that could not be brought on this day from its start."""
+        ...
+
+    @property
+    def ended_by_itself(self) -> list[str]:
+        """Each time that it ended and nobody had killed it, with the reason."""
         ...
 
     def close(self) -> None:
@@ -67,8 +85,12 @@ def fly_day(
     plumb: Plumb,
     take_seat: Callable[[BuiltDay, Path], DeskSeat],
     progress: Callable[[DayWorld], bool],
+    store: StoreHost | None = None,
 ) -> dict[str, Any]:
-    """Fly the day to its end; returns its result row, which is also written to the folder."""
+    """Fly the day to its end; returns its result row, which is also written to the folder.
+
+    `store`: the desk's, which goes away where the wish says so; None: none goes away.
+    """
     folder = options.folder
     if folder.exists():
         shutil.rmtree(folder)  # left by an interrupted run; the same seed flies the same day
@@ -77,14 +99,18 @@ def fly_day(
     with contextlib.ExitStack() as stack:  # each is closed even if another fails to
         made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
         stack.callback(made.plumbing.close)
-        stack.callback(made.truck.port.close)
+        stack.callback(made.crew.close)
         for drone in made.drones:
             stack.callback(drone.switch_off)
         seat = take_seat(made, folder)  # plans the day: may take minutes and be interrupted
         stack.callback(seat.close)
-        world = DayWorld(made.clock, made.plumbing, made.drones, made.truck, seat, made.faults)
+        world = DayWorld(
+            made.clock, made.plumbing, made.drones, made.crew, seat, made.faults, store
+        )
+        stack.callback(world.bring_store_back)
         began_wall_s, began_cpu_s = wall_s(), cpu_s()
         ended = world.run(options.limit_s, progress)
+        world.bring_store_back()
         spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
         row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}
     text = json.dumps(row, indent=1, allow_nan=False)
@@ -109,7 +135,7 @@ def _conclude(
         drop_height_m=mission.drop_height_m,
         tracks=tracks,
         stands=world.stands,
-        pads=_pads(built.frame, seat.plans),
+        pads=_pads(built.frame, seat.plans) if options.wish.truck else _at_depot(built.drones),
         homes=world.homes,
         served=world.served,
         rally=[place_ned(built.frame, place)[:2] for place in built.data.day.rally],
@@ -130,6 +156,11 @@ def _pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
     return sorted(found, key=lambda pad: (pad.stop, pad.vehicle, pad.ne_m))
 
 
+def _at_depot(drones: list[DayDrone]) -> list[Pad]:
+    """Without a truck all land where the depot is."""
+    return [Pad("depot", drone.name, (0.0, 0.0)) for drone in drones]
+
+
 def _row(
     options: DayOptions,
     built: BuiltDay,
@@ -141,7 +172,7 @@ def _row(
 ) -> dict[str, Any]:
     told, by = seat.told, verdict.delivered
     orders = [order.id for order in built.data.orders]
-    infeasible = {line.order: line for plan in seat.plans[:1] for line in plan.unplanned}
+    infeasible = seat.impossible
     undelivered = [
         {
             "order": id_,
@@ -166,7 +197,7 @@ def _row(
         "delivered": len(by),
         "by_truck": sum(who == "truck" for who in by.values()),
         "undelivered": undelivered,
-        "believed_otherwise": _believed_otherwise(orders, by, told),
+        "believed_otherwise": _believed_otherwise(orders, by, told, seat.brought_by),
         "vehicles": len(built.drones),
         "vehicles_lost": len(verdict.lost),
         "lost": verdict.lost,
@@ -196,19 +227,28 @@ def _row(
             f"companion of {drone.name} at {t_s:.1f} s"
             for drone in built.drones
             for t_s in drone.ended_by_itself
-        ],
+        ]
+        + seat.ended_by_itself,
         "powered_h": round(sum(up.t_s for d in built.drones for up in d.power_ups) / 3600.0, 4),
         "companions_started": sum(drone.companion_starts for drone in built.drones),
         "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
-        "replans": len(plans) - 1,
+        "faults_left": world.faults.left,
+        "replans": max(len(plans) - 1, 0),
         "plan": msgspec.to_builtins(plans[0]) if plans else None,
         "run": str(options.folder),
     }
 
 
-def _believed_otherwise(orders: list[str], by: dict[str, str], told: dict[str, str]) -> list[str]:
-    """Orders whose state at the desk differs from the truth."""
-    return [id_ for id_ in orders if (id_ in by) != told.get(id_, "").startswith("delivered")]
+def _believed_otherwise(
+    orders: list[str], by: dict[str, str], told: dict[str, str], brought_by: dict[str, str]
+) -> list[str]:
+    """Orders whose state at the desk, or who brought them by the desk, differs from the truth."""
+    return [
+        id_
+        for id_ in orders
+        if (id_ in by) != told.get(id_, "").startswith("delivered")
+        or by.get(id_) != brought_by.get(id_)
+    ]
 
 
 def _flight_row(flight: dict[str, Any]) -> dict[str, Any]:
@@ -241,9 +281,9 @@ def _draw(
         f" {world.clock.t_s / 60.0:.0f} min, {flights} flights, {len(verdict.lost)} lost{apart}",
         customers=built.customers,
         tracks=judged.tracks,
-        drives=built.truck.drives,
+        drives=built.crew.drives,
         stands=world.stands,
-        tasks=built.truck.done,
+        tasks=built.crew.done,
         verdict=verdict,
         ended_s=world.clock.t_s,
         faults=world.faults.log,

@@ -108,6 +108,15 @@ class DayTruck:
         (n0, e0), (n1, e1) = drive.from_ne_m, drive.to_ne_m
         return n0 + share * (n1 - n0), e0 + share * (e1 - e0)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the desk asks nothing of the driver."""
+        return not self.port.todo
+
+    def close(self) -> None:
+        """Leave the network."""
+        self.port.close()
+
     def turn(self, t_s: float) -> None:
         """Answer the desk, work on the current task, publish the state."""
         self.port.turn()

@@ -4,11 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from sim_bridge.app.day.build import Faults, Plumbing
+from sim_bridge.app.day.build import Plumbing
 from sim_bridge.app.day.clock import DayClock
+from sim_bridge.app.day.crew import GroundCrew
 from sim_bridge.app.day.drone import PHYSICS_STEP_S, DayDrone
+from sim_bridge.app.day.faults import Faults
 from sim_bridge.app.day.judge import HandedOver, Stand, Told
-from sim_bridge.app.day.truck import DayTruck
+from sim_bridge.app.day.store_host import StoreHost
 
 STEP_S = 0.1
 STEPS = round(STEP_S / PHYSICS_STEP_S)
@@ -49,13 +51,15 @@ class DayWorld:
     clock: DayClock
     plumbing: Plumbing
     drones: list[DayDrone]
-    truck: DayTruck
+    crew: GroundCrew
     seat: Seat
     faults: Faults
+    store: StoreHost | None = None
     homes: list[Told] = field(default_factory=list)
     _home: dict[str, str | None] = field(default_factory=dict)
     _desk_due_s: float = 0.0
     _desk_back_s: float | None = None
+    _store_back_s: float | None = None
     _steps: int = 0
 
     def run(self, limit_s: float, progress: Callable[["DayWorld"], bool]) -> bool:
@@ -74,9 +78,10 @@ class DayWorld:
 
     @property
     def is_over(self) -> bool:
-        """Whether the desk is up and done, the truck has no task, and nothing flies."""
-        at_rest = self._desk_back_s is None and not any(d.is_airborne for d in self.drones)
-        return at_rest and not self.truck.port.todo and self.seat.is_done
+        """Whether desk and store are up, the desk is done, the crew has no task, nothing flies."""
+        away = self._desk_back_s is not None or self._store_back_s is not None
+        at_rest = not away and not any(d.is_airborne for d in self.drones)
+        return at_rest and self.crew.at_rest and self.seat.is_done
 
     def step(self) -> None:
         """Advance by STEP_S."""
@@ -86,7 +91,7 @@ class DayWorld:
         for drone in self.drones:
             drone.advance(t_s, STEPS)
         self._note_homes(t_s)
-        self.truck.turn(t_s)
+        self.crew.turn(t_s)
         self._mind_faults(t_s)
         if self._desk_back_s is None and t_s >= self._desk_due_s:
             self._desk_due_s = t_s + DESK_EVERY_S - STEP_S / 2.0
@@ -101,6 +106,7 @@ class DayWorld:
 
     def _mind_faults(self, t_s: float) -> None:
         faults = self.faults
+        self._mind_store(t_s)
         if self._desk_back_s is not None and t_s >= self._desk_back_s:
             self._desk_back_s = None
             self.seat.start()
@@ -118,6 +124,27 @@ class DayWorld:
             self._take_over(t_s)
         if faults.network_cuts_s and t_s >= faults.network_cuts_s[0][0]:
             self._cut_the_network(t_s)
+        if faults.member_cuts_s and t_s >= faults.member_cuts_s[0][0]:
+            self._cut_a_member_off(t_s)
+
+    def _mind_store(self, t_s: float) -> None:
+        """Take the desk's store away, and bring it back; one outage after another."""
+        if self._store_back_s is not None and t_s >= self._store_back_s:
+            self.bring_store_back()
+        outages = self.faults.store_outages_s
+        if self.store is None or self._store_back_s is not None or not outages:
+            return
+        at_s, for_s = outages[0]
+        if t_s >= at_s:
+            outages.pop(0)
+            self._store_back_s = t_s + for_s
+            self.faults.log.append((t_s, f"{self.store.take_away()} for {for_s:.0f} s"))
+
+    def bring_store_back(self) -> None:
+        """The store works again, also where the day was over before."""
+        if self.store is not None and self._store_back_s is not None:
+            self.store.bring_back()
+            self._store_back_s = None
 
     def _kill_a_companion(self, t_s: float) -> None:
         """Kill one that has been in the air for LEAST_UP_S; if there is none, try again later."""
@@ -149,6 +176,17 @@ class DayWorld:
             self.plumbing.bus.cut(for_s)
             self.faults.log.append((t_s, f"network cut for {for_s:.0f} s"))
 
+    def _cut_a_member_off(self, t_s: float) -> None:
+        """One of those that are switched on, drawn, a truck among them; if there is none, later."""
+        bus = self.plumbing.bus
+        members = sorted({link.vehicle for link in bus.links_of()}) if bus is not None else []
+        if bus is None or not members:
+            return
+        _, for_s = self.faults.member_cuts_s.pop(0)
+        member = members[int(self.faults.rng.integers(len(members)))]
+        bus.cut_off(member, for_s)
+        self.faults.log.append((t_s, f"{member} cut off for {for_s:.0f} s"))
+
     # --- record --------------------------------------------------------------------------------
 
     @property
@@ -156,12 +194,12 @@ class DayWorld:
         """Where the truck stood, and from when to when."""
         found: list[Stand] = []
         here, ne_m, since_s = "depot", (0.0, 0.0), 0.0
-        for drive in self.truck.drives:
+        for drive in self.crew.drives:
             found.append(Stand(here, ne_m, since_s, drive.left_s))
             here, ne_m, since_s = drive.stop, drive.to_ne_m, drive.arrive_s
         return [*found, Stand(here, ne_m, since_s, float("inf"))]
 
     @property
     def served(self) -> list[HandedOver]:
-        """Orders that the driver handed over."""
-        return [HandedOver(order, t_s) for t_s, order in self.truck.delivered]
+        """Orders that the crew handed over."""
+        return [HandedOver(order, t_s) for t_s, order in self.crew.delivered]

@@ -117,6 +117,21 @@ class Desks:
         """The store's state of each order, and the reason."""
         return self.first.told
 
+    @property
+    def brought_by(self) -> dict[str, str]:
+        """Who brought each order that was delivered, by the store."""
+        return self.first.brought_by
+
+    @property
+    def impossible(self) -> frozenset[str]:
+        """Orders that the first plan does not bring."""
+        return self.first.impossible
+
+    @property
+    def ended_by_itself(self) -> list[str]:
+        """Each time that one ended and nobody had killed it, with the reason."""
+        return [words for desk in self.desks for words in desk.ended_by_itself]
+
     def close(self) -> None:
         """Orderly shutdown."""
         for desk in self.desks:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from sim_bridge.app.day.truck import DayTruck
 from sim_bridge.app.faults.case import FLYING
 from sim_bridge.app.fleet_faults.desks import OwnClock, StoreAway
 from sim_bridge.app.fleet_faults.fleet_case import FleetCase, FleetPlay
@@ -61,7 +62,9 @@ def away_for_an_hour(stage: FleetStage) -> Iterator[None]:
 def truck_late(stage: FleetStage) -> Iterator[None]:
     """The truck stands in traffic on its way to where it is promised."""
     yield from stage.reached()
-    stage.built.truck.hold_up(stage.rng.uniform(*LATE_S))
+    driver = stage.built.crew
+    assert isinstance(driver, DayTruck)
+    driver.hold_up(stage.rng.uniform(*LATE_S))
 
 
 def two_desks(off_s: float = 0.0) -> FleetPlay:

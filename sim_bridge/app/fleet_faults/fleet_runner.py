@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from ground_station.adapters.files.compiled_code import keep_compiled_code
-from sim_bridge.app.day.build import BuiltDay, DayWish, here
+from sim_bridge.app.day.build import BuiltDay, here
 from sim_bridge.app.day.clock import DayClock
-from sim_bridge.app.day.desk import Books, DeskHere
+from sim_bridge.app.day.desk import Books, DeskHere, store_url
+from sim_bridge.app.day.faults import DayWish
 from sim_bridge.app.day.run import DayOptions, DeskSeat, fly_day
 from sim_bridge.app.day.world import DayWorld
 from sim_bridge.app.faults.case import BOTH
@@ -76,7 +77,7 @@ def fly_fleet_fault(case: FleetCase, task: FaultTask) -> FaultRow:
         why = f"an exception: {type(error).__name__}: {error}"
         return _row(task, case.group, NOTHING, exceptions=1, why=why)
     assert performance.stage is not None
-    with contextlib.closing(Books.open(folder, DayClock())) as books:
+    with contextlib.closing(Books.open(store_url(folder), DayClock())) as books:
         kept = books.store.events(), books.store.assignments()
     return _judged(task, case, FlownDay(row, performance.stage, folder, *kept))
 

@@ -10,9 +10,10 @@ from companion.adapters.files.params import bundled_path
 from ground_station.adapters.files.day_files import read_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.order_states import Service
-from sim_bridge.app.day.build import AUTOPILOTS, DayWish
+from sim_bridge.app.day.faults import AUTOPILOTS, CUT_S, MEMBER_CUT_S, DayWish
 
 SITES = ("harbour", "town")
+SQLITE, POSTGRESQL = STORES = ("sqlite", "postgresql")
 MOST_VEHICLES = 6
 MOST_ORDERS_EACH = 4
 """Orders of a day are at most so many for each vehicle: some forty minutes, three turns each."""
@@ -45,11 +46,20 @@ class DayCase(msgspec.Struct, frozen=True, kw_only=True):
     truck_late_s: float
     searches: int
     """Trials of the plan's search."""
+    truck: bool = True
+    """Else the drones start from the depot, and the desk has no plan."""
+    store: str = SQLITE
+    store_outages: int = 0
+    member_cuts: int = 0
+    """How often one member alone is cut off."""
+    least_cut_s: float = CUT_S[0]
+    """The shortest cut of the network."""
 
     @property
     def name(self) -> str:
         """Names run folder and case file."""
-        return f"days-{self.site}-seed{self.seed}"
+        kind = "" if self.truck else "-depot"
+        return f"days-{self.site}{kind}-{self.store}-seed{self.seed}"
 
     @property
     def wish(self) -> DayWish:
@@ -63,6 +73,10 @@ class DayCase(msgspec.Struct, frozen=True, kw_only=True):
             take_overs=self.take_overs,
             front_mps=self.front_mps,
             autopilots=self.autopilots,
+            truck=self.truck,
+            store_outages=self.store_outages,
+            member_cuts=self.member_cuts,
+            least_cut_s=self.least_cut_s,
         )
 
 
@@ -72,7 +86,10 @@ def drawn(
     most_vehicles: int = MOST_VEHICLES,
     most_orders_each: int = MOST_ORDERS_EACH,
 ) -> DayCase:
-    """The case of this number, of a trial with this seed; smaller days where bounds say so."""
+    """The case of this number, of a trial with this seed; smaller days where bounds say so.
+
+    What is new is drawn last, so that the same number stays the same day in all else.
+    """
     rng = np.random.default_rng([seed, number])
     site = str(rng.choice(SITES))
     vehicles = int(rng.integers(1, most_vehicles + 1))
@@ -96,6 +113,21 @@ def drawn(
         take_overs=int(rng.random() < 0.3),
         truck_late_s=_sometimes(rng, 0.3, 20.0, 240.0),
         searches=200,
+        truck=bool(rng.random() < 0.5),
+        store_outages=int(rng.integers(0, 3)),
+        member_cuts=int(rng.integers(0, 3)),
+    )
+
+
+def with_all_faults(case: DayCase) -> DayCase:
+    """This day with each kind of kill and cut once at least, and no cut under a minute."""
+    return msgspec.structs.replace(
+        case,
+        ground_kills=max(case.ground_kills, 1),
+        companion_kills=max(case.companion_kills, 1),
+        store_outages=max(case.store_outages, 1),
+        network_cuts=max(case.network_cuts, 1),
+        least_cut_s=MEMBER_CUT_S[0],
     )
 
 
