@@ -9,6 +9,7 @@ from typing import Any
 
 from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import FleetPort
+from companion.core.mission.events import Position
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
@@ -18,6 +19,8 @@ from companion.fleet.zenoh_config import read_config
 from companion.fleet.zenoh_link import ZenohLink
 
 FLEET = "harbour"
+AT_HARBOUR = Position(0.0, 55.47, 8.45, 12.0, 0.0, 0.0, 0.0, 0.0)
+"""Where params/days/harbour.toml has its depot."""
 
 
 def free_port() -> int:
@@ -64,7 +67,7 @@ class Vehicle:
         self.woken = threading.Event()
         self.port = FleetPort.open(name, "m100", read_airframe("m100"), folder, link_of)
         self.port.link.be_woken(self.woken.set)
-        self.situation = TelemetryState()
+        self.situation = TelemetryState(position=AT_HARBOUR)
         self.phase = "standby"
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

@@ -107,13 +107,19 @@ class DepotDispatcher:
         return Progress.CHANGED if free and self._assign(free) else Progress.NONE
 
     def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
+        """Those that stand at the depot with nothing to do; who stands elsewhere is fetched."""
         busy = {row.vehicle for row in self.store.assignments(in_force=True)}
         holds, now_s = self.store.holds(), self.clock.monotonic_s()
-        return [
-            FreeDrone(seen.vehicle, status.charge_frac_at_rest(seen.vehicle))
-            for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle)
-            if seen.free(now_s) and seen.vehicle not in busy and not holding(holds, seen.vehicle)
-        ]
+        found: list[FreeDrone] = []
+        for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle):
+            vehicle, state = seen.vehicle, seen.state
+            if not seen.free(now_s) or vehicle in busy or holding(holds, vehicle):
+                continue
+            stand = state and self.assigner.stand_of(state.lat_deg, state.lon_deg)
+            if stand is not None:
+                charge_frac = status.charge_frac_at_rest(vehicle)
+                found.append(FreeDrone(vehicle, charge_frac, stand))
+        return found
 
     def _assign(self, free: list[FreeDrone]) -> bool:
         done, rows = False, self.store.assignments()
@@ -121,7 +127,7 @@ class DepotDispatcher:
         chosen = self.assigner.assign(self.store.orders(), rows, free)
         for choice in chosen:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
-            flight = self.assigner.flight_of(choice.order, vehicle, layer)
+            flight = self.assigner.flight_of(choice.order, vehicle, layer, choice.stand)
             no_fly, by = self.data.no_fly, self.params.by
             id_ = self.store.assign(order, vehicle, flight, no_fly, by, layer)
             if id_ is not None:

@@ -13,9 +13,11 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, place_ned
+from companion.core.base.place import Place
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.deconfliction.depot_layers import DepotLayers
+from ground_station.core.dispatch.dispatch_rules import ON_PAD_M, distance_m
 from ground_station.core.dispatch.flight_tables import delivery_table
 from ground_station.core.feasibility.reach import (
     Feasible,
@@ -41,20 +43,22 @@ from ground_station.core.schema.orders import (
 @dataclass(frozen=True, slots=True)
 class FreeDrone:
     """A drone that may be given work. `charge_frac`: by its resting voltage, None where not
-    known.
+    known. `stand`: where it stands; None: where the day's depot is.
     """
 
     vehicle: str
     charge_frac: float | None
+    stand: Place | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class DroneAssignment:
-    """This order goes to this drone, in this layer over the depot."""
+    """This order goes to this drone, in this layer over the depot; it lands where it stands."""
 
     order: Order
     vehicle: str
     layer: int = 0
+    stand: Place | None = None
 
 
 _Kind = tuple[str, float | None, float, float]
@@ -126,7 +130,7 @@ class DepotAssigner:
                 _, vehicle, drone = min(able, key=lambda a: a[:2])
                 free.remove(drone)
                 taken.add(layer)
-                chosen.append(DroneAssignment(order, vehicle, layer))
+                chosen.append(DroneAssignment(order, vehicle, layer, drone.stand))
         return chosen
 
     def _time_s(self, order: Order, drone: FreeDrone, layer: int) -> float | None:
@@ -190,13 +194,31 @@ class DepotAssigner:
         # A stop of the truck can mend "out of reach", not "too heavy".
         return max(cannot, key=lambda f: "short" in f.why)
 
-    def flight_of(self, order: Order, vehicle: str, layer: int = 0) -> dict[str, Any]:
-        """The `flight/1` table of an order for a drone, in a layer over the depot."""
+    def flight_of(
+        self, order: Order, vehicle: str, layer: int = 0, stand: Place | None = None
+    ) -> dict[str, Any]:
+        """The `flight/1` table of an order for a drone, in a layer over the depot.
+
+        It lands at `stand`, where it takes off: each drone of a depot has a landing place of its
+        own, as far from others as it stands from them. None: where the day's depot is.
+        """
         drone = self._day.drone(vehicle)
         if drone is None:
             raise LeewayError(f"{vehicle}: not in the day's fleet")
         mission = self.layers.mission_in(layer)
-        return delivery_table(msgspec.structs.replace(self._day, mission=mission), drone, order)
+        depot = self._day.depot
+        if stand is not None:
+            depot = msgspec.structs.replace(depot, lat_deg=stand.lat_deg, lon_deg=stand.lon_deg)
+        day = msgspec.structs.replace(self._day, mission=mission, depot=depot)
+        return delivery_table(day, drone, order)
+
+    def stand_of(self, lat_deg: float | None, lon_deg: float | None) -> Place | None:
+        """Where a drone stands that is seen at the depot; None where it is not."""
+        depot = self._day.depot.place
+        away_m = distance_m(lat_deg, lon_deg, depot)
+        if away_m is None or away_m > ON_PAD_M:
+            return None
+        return Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=depot.alt_amsl_m)
 
 
 def _taken(assignments: list[AssignmentRow]) -> set[int]:

@@ -16,8 +16,8 @@ from sim_bridge.app.day.drone import BY_HAND_AFTER_S, DayDrone
 from sim_bridge.app.day.truck import ON_PAD_M, Drive, DriverTask
 
 STANDS_RADIUS_M = 21.0
-"""Waiting drones stand on a ring about the depot's landing place: two may climb and descend at
-once (`ground_station.core.deconfliction.pads`), and a companion takes 30 m for being there."""
+"""Drones stand on a ring about the depot, six of them 21 m apart, so that two may climb and descend
+at once (`ground_station.core.deconfliction.pads`); a desk takes 30 m for being there."""
 
 EVERY_S = 0.5
 """They look so often; a companion takes seconds from its assignment until it is ready."""

@@ -157,8 +157,8 @@ def _pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
 
 
 def _at_depot(drones: list[DayDrone]) -> list[Pad]:
-    """Without a truck all land where the depot is."""
-    return [Pad("depot", drone.name, (0.0, 0.0)) for drone in drones]
+    """Without a truck each lands where it took off."""
+    return [Pad("depot", drone.name, up.pad_ne_m) for drone in drones for up in drone.power_ups]
 
 
 def _row(

@@ -99,3 +99,17 @@ def test_what_is_impossible_for_a_kind_is_what_is_impossible_for_each_of_its_dro
             continue
         each = [isinstance(assigner.can_bring(order, d.id), Infeasible) for d in day.drones]
         assert (assigner.impossible(order) is not None) == all(each)
+
+
+def test_each_drone_lands_where_it_stands_and_one_that_is_not_at_the_depot_gets_nothing():
+    """Two that come home at once come down as far apart as they stand (safety rule 7)."""
+    assigner, order = DepotAssigner(DAY.day, DAY.airframes), DAY.orders[0]
+    depot = DAY.day.depot
+    north = assigner.stand_of(depot.lat_deg + 20.0 / 111_200.0, depot.lon_deg)
+    south = assigner.stand_of(depot.lat_deg - 20.0 / 111_200.0, depot.lon_deg)
+    tables = [assigner.flight_of(order, "d1", 0, stand)["site"]["depot"] for stand in (north, south)]
+    apart_m = (tables[0]["lat_deg"] - tables[1]["lat_deg"]) * 111_200.0
+    assert apart_m == pytest.approx(40.0, abs=0.1)
+    assert {table["alt_amsl_m"] for table in tables} == {depot.alt_amsl_m}
+    assert assigner.stand_of(depot.lat_deg + 40.0 / 111_200.0, depot.lon_deg) is None
+    assert assigner.stand_of(None, None) is None
