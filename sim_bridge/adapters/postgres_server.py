@@ -1,4 +1,4 @@
-"""A PostgreSQL server of one's own: of this machine's programs, on loopback, in a folder of its own.
+"""A PostgreSQL server of one's own: this machine's programs, on loopback, in a temporary folder.
 
 It ends with who started it, however that ends, and its folder goes with it.
 """
@@ -64,7 +64,7 @@ def _found(program: str) -> str:
 
 @dataclass(slots=True)
 class PostgresServer:
-    """One server on its data. `kill` is a real SIGKILL; `start` starts it again on the same data."""
+    """One server on its data. `kill` is a real SIGKILL; `start` goes on with the same data."""
 
     programs: PostgresPrograms
     home: Path

@@ -181,6 +181,23 @@ def days(
         typer.Option(min=0.01, help="Until vehicles were switched on for so many hours in all."),
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="So many days at most.")] = None,
+    store: Annotated[
+        str, typer.Option(help="sqlite, postgresql (a server of each day's own), or both by turns.")
+    ] = "sqlite",
+    truck: Annotated[
+        bool | None,
+        typer.Option("--truck/--depot", help="Only days with a truck, or without; default: both."),
+    ] = None,
+    all_faults: Annotated[
+        bool,
+        typer.Option(
+            "--all-faults", help="Each day with every kill, and its network cut for a minute."
+        ),
+    ] = False,
+    most_drones: Annotated[int, typer.Option(min=1, max=6, help="Of a day, at most.")] = 6,
+    most_orders: Annotated[
+        int, typer.Option(min=1, help="Of a day for each of its drones, at most.")
+    ] = 4,
     seed: SeedOption = 1,
     minutes: MinutesOption = None,
     jobs: JobsOption = 2,
@@ -188,28 +205,37 @@ def days(
     json_out: JsonOption = None,
     runs: RunsOption = RUNS,
 ) -> None:
-    """Fly whole days: desk, truck, drones of both autopilots, network, under drawn faults.
+    """Fly whole days: desk, store, truck or depot, drones, network, under drawn faults.
 
-    Example: sim-bridge trials days --vehicle-hours 2 --seed 3 --json days.json
+    Example: sim-bridge trials days --count 10 --store both --all-faults --most-drones 3
 
     Each day is one of `sim-bridge day`, in one process on one clock: a shipped site, one to six
-    drones, some of its orders, a forecast, packs; and drawn with them a loss of messages, cuts of
-    the network, companions and desk killed, a late truck, a front, a person who takes a drone over.
+    drones on a truck or at a depot, some of its orders, a forecast, packs; and drawn with them a
+    loss of messages, cuts of the network and of one member, companions and desk killed, the store
+    away (PostgreSQL killed, SQLite locked), a late truck, a front, a person who takes a drone over.
     What must hold: the day ends; no vehicle is lost, no order lost or brought twice; the store
     equals the truth; the truck keeps its promises; no two come near; nothing is commanded after
-    hands off; energy left never rises in flight; no companion ends by itself; no exception.
+    hands off; energy left never rises in flight; neither desk nor companion ends by itself; no
+    exception.
 
     Without a bound: until Ctrl-C. Exit code 0 where all hold, 1 where one does not, 2 for a mistake
     in the options. About two minutes of CPU a vehicle-hour.
     """
     from itertools import islice
 
+    from sim_bridge.adapters.postgres_server import PostgresPrograms
     from sim_bridge.app.trials import days as trial
-    from sim_bridge.app.trials.day_case import DayCase
+    from sim_bridge.app.trials.day_case import POSTGRESQL, STORES, DayCase
     from sim_bridge.app.trials.trial import read_case, tried
 
+    if store not in (*STORES, "both"):
+        raise LeewayError(f"--store {store}: expected {', '.join(STORES)} or both")
+    stores = STORES if store == "both" else (store,)
     again = [read_case(path, DayCase) for path in case or []]
-    cases = again or islice(trial.cases_of(seed), count)
+    if POSTGRESQL in (*stores, *(one.store for one in again)):
+        PostgresPrograms.find()  # before the first day, not in it
+    draw = trial.DayDraw(seed, stores, truck, all_faults, most_drones, most_orders)
+    cases = again or islice(draw.cases(), count)
     rows = tried(cases, trial.DayFlyer(runs), _bounds(jobs, minutes))
     total = len(again) or count
     _report("days", seed, trial.until_hours(rows, vehicle_hours), total, runs, json_out)

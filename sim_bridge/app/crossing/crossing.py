@@ -24,11 +24,11 @@ from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.track import Track as Told
 from companion.fleet.messages import decode_track, encode
-from sim_bridge.app.day.faults import AUTOPILOTS
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.companion import MemoryLink
 from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
+from sim_bridge.app.day.faults import AUTOPILOTS
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain

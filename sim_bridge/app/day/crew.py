@@ -133,7 +133,5 @@ class DepotCrew:
         away_m = math.hypot(*drone.up.vehicle.pos_ned_m[:2])
         way_s = 0.0 if away_m <= ON_PAD_M else 2.0 * away_m / FETCH_MPS
         self._back_s[drone.name] = t_s + way_s + self.change_s
-        self.done.append(
-            DriverTask("fetch", "depot", drone.up.order, drone.name, t_s, t_s + way_s)
-        )
+        self.done.append(DriverTask("fetch", "depot", drone.up.order, drone.name, t_s, t_s + way_s))
         drone.switch_off()

@@ -133,9 +133,7 @@ class DeskHere:
         return seat
 
     @classmethod
-    def at_depot(
-        cls, built: BuiltDay, folder: Path, clock: Clock | None = None, host: StoreHost | None = None
-    ) -> "DeskHere":
+    def at_depot(cls, built: BuiltDay, folder: Path, host: StoreHost | None = None) -> "DeskHere":
         """Store the orders and start the desk of a depot without a truck, as `--auto-launch` does.
 
         Raises LeewayError if the store holds other orders.
@@ -150,7 +148,7 @@ class DeskHere:
             known = DepotAssigner(data.day, data.airframes)
             return open_depot_desk(data, books.store, fleet, say, params, impossible, clock, known)
 
-        seat = cls._begun(built, folder, clock, host, sit_down, impossible)
+        seat = cls._begun(built, folder, None, host, sit_down, impossible)
         built.faults.spread_over(depot_day_s(data, assigner))
         seat._take_place()
         return seat

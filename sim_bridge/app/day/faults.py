@@ -1,5 +1,6 @@
 """What is asked of a day beside its orders: its wind, and the faults that are drawn for it."""
 
+from collections.abc import Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -72,6 +73,9 @@ class Faults:
     store_outages_s: list[Lasting] = field(default_factory=list)
     member_cuts_s: list[Lasting] = field(default_factory=list)
 
+    cut_s: float = 0.0
+    """The longest cut that was done, of the network or of a member."""
+
     def spread_over(self, makespan_s: float) -> None:
         """Convert the fractions to times, once the planned duration is known."""
         self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
@@ -82,17 +86,17 @@ class Faults:
         self.member_cuts_s = _spread(self.member_cuts, makespan_s)
 
     @property
-    def left(self) -> list[str]:
-        """The kinds of fault of which some have not come: the day was over before."""
-        waiting = {
-            "desk kill": self.ground_kills_s,
-            "companion kill": self.companion_kills_s,
-            "network cut": self.network_cuts_s,
-            "take-over": self.take_overs_s,
-            "store outage": self.store_outages_s,
-            "member cut": self.member_cuts_s,
+    def came(self) -> dict[str, int]:
+        """How many of each kind were done; what is left came too late, the day was over."""
+        drawn_and_left: dict[str, tuple[Sized, Sized]] = {
+            "desk_kills": (self.ground_kills, self.ground_kills_s),
+            "companion_kills": (self.companion_kills, self.companion_kills_s),
+            "store_outages": (self.store_outages, self.store_outages_s),
+            "network_cuts": (self.network_cuts, self.network_cuts_s),
+            "member_cuts": (self.member_cuts, self.member_cuts_s),
+            "take_overs": (self.take_overs, self.take_overs_s),
         }
-        return [kind for kind, times in waiting.items() if times]
+        return {kind: len(drawn) - len(left) for kind, (drawn, left) in drawn_and_left.items()}
 
 
 def _spread(faults: list[Lasting], makespan_s: float) -> list[Lasting]:
@@ -100,7 +104,7 @@ def _spread(faults: list[Lasting], makespan_s: float) -> list[Lasting]:
 
 
 def draw_faults(wish: DayWish, rng: np.random.Generator) -> Faults:
-    """The faults of one day. A new kind is drawn behind all others: older days stay what they were."""
+    """The faults of one day. What is new is drawn last: older days stay what they were."""
     ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
     companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
     cuts = _drawn(rng, wish.network_cuts, (wish.least_cut_s, CUT_S[1]))

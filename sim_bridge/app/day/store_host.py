@@ -14,7 +14,7 @@ meanwhile, so that a longer wait would only cost time."""
 
 
 class StoreHost(Protocol):
-    """A desk's store as its surroundings have it. `busy_ms`: how long a locked one is waited for."""
+    """A desk's store from without. `busy_ms`: how long a desk waits for one that is locked."""
 
     @property
     def url(self) -> str: ...

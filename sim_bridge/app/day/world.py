@@ -174,6 +174,7 @@ class DayWorld:
         _, for_s = self.faults.network_cuts_s.pop(0)
         if self.plumbing.bus is not None:
             self.plumbing.bus.cut(for_s)
+            self.faults.cut_s = max(self.faults.cut_s, for_s)
             self.faults.log.append((t_s, f"network cut for {for_s:.0f} s"))
 
     def _cut_a_member_off(self, t_s: float) -> None:
@@ -185,6 +186,7 @@ class DayWorld:
         _, for_s = self.faults.member_cuts_s.pop(0)
         member = members[int(self.faults.rng.integers(len(members)))]
         bus.cut_off(member, for_s)
+        self.faults.cut_s = max(self.faults.cut_s, for_s)
         self.faults.log.append((t_s, f"{member} cut off for {for_s:.0f} s"))
 
     # --- record --------------------------------------------------------------------------------

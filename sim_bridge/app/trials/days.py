@@ -1,4 +1,4 @@
-"""Whole days drawn from a seed: desk, truck, drones of both autopilots, a network, and faults.
+"""Whole days drawn from a seed: desk, store, truck or depot, drones, a network, and faults.
 
 Each case is one day by the machinery of `sim-bridge day`, in one process on one clock, judged by
 truth at its end and watched while it goes on. All that decides it is in its case.
@@ -13,12 +13,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from sim_bridge.app.day.rules import ASKS, STUCK, raises_nothing
 from sim_bridge.app.day.world import DayWorld
-from sim_bridge.app.trials.day_case import DayCase, drawn
+from sim_bridge.app.trials.day_case import (
+    MOST_ORDERS_EACH,
+    MOST_VEHICLES,
+    SQLITE,
+    DayCase,
+    drawn,
+    with_all_faults,
+)
 from sim_bridge.app.trials.trial import TrialRow
 
 ROUNDING_WH = 2e-5
@@ -95,15 +104,17 @@ def attempt(case: DayCase, folder: Path) -> TrialRow:
     wrong = wrong_with(row, watch, folder)
     if not wrong:
         shutil.rmtree(folder)
-    return TrialRow(name=case.name, held=not wrong, why="; ".join(wrong), told=told(row), case=case)
+    why = "; ".join(wrong)
+    return TrialRow(name=case.name, held=not wrong, why=why, told=told(row, case), case=case)
 
 
-def told(row: dict[str, Any]) -> dict[str, Any]:
+def told(row: dict[str, Any], case: DayCase) -> dict[str, Any]:
     """What a day came to."""
     flights = row["flights"]
     flown_s = sum((f["land_s"] or row["duration_s"]) - f["launch_s"] for f in flights)
     return {
         "program": row["settings"],
+        "kind": f"{case.store}, {'truck' if case.truck else 'depot'}",
         "minutes": round(row["duration_s"] / 60.0, 1),
         "vehicle_h": row["powered_h"],
         "flown_h": round(flown_s / 3600.0, 4),
@@ -111,6 +122,8 @@ def told(row: dict[str, Any]) -> dict[str, Any]:
         "delivered": row["delivered"],
         "orders": row["orders"],
         "taken_over": sum(flight["taken"] for flight in flights),
+        **row["faults_came"],
+        "longest_cut_s": row["longest_cut_s"],
         "wrong_went": row["what_went_wrong"],
         "stuck": [line for line in row["undelivered"] if line["why"].startswith(STUCK)],
         "nearest_m": row["separation_min_m"],
@@ -119,9 +132,28 @@ def told(row: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def cases_of(seed: int) -> Iterator[DayCase]:
-    """The cases of a trial, without an end."""
-    return (drawn(seed, number) for number in itertools.count())
+@dataclass(frozen=True, slots=True)
+class DayDraw:
+    """How days are drawn. `truck` None: with one and without, drawn too."""
+
+    seed: int
+    stores: tuple[str, ...] = (SQLITE,)
+    truck: bool | None = None
+    all_faults: bool = False
+    most_vehicles: int = MOST_VEHICLES
+    most_orders_each: int = MOST_ORDERS_EACH
+
+    def cases(self) -> Iterator[DayCase]:
+        """The cases of a trial, without an end; each day on each of the stores."""
+        for number in itertools.count():
+            case = self._drawn(number)
+            yield from (msgspec.structs.replace(case, store=store) for store in self.stores)
+
+    def _drawn(self, number: int) -> DayCase:
+        case = drawn(self.seed, number, self.most_vehicles, self.most_orders_each)
+        if self.truck is not None:
+            case = msgspec.structs.replace(case, truck=self.truck)
+        return with_all_faults(case) if self.all_faults else case
 
 
 def until_hours(rows: Iterable[TrialRow], vehicle_h: float | None) -> Iterator[TrialRow]:

@@ -11,10 +11,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sim_bridge.app.trials.trial import TrialRow, write_case, write_result
 
 CASES = "cases"
-COUNTED = ("ended", "home", "phase", "then")
+COUNTED = ("ended", "home", "phase", "then", "kind")
 """Of what rows tell: counted at the end."""
 
 SUMMED = ("vehicle_h", "flown_h", "flights", "delivered", "orders", "taken_over")
+EACH = ("desk_kills", "companion_kills", "store_outages", "network_cuts", "member_cuts")
+"""Summed, with the least of any row."""
+
+LEAST = ("longest_cut_s",)
 HIGHEST = ("cpu_s", "grown_mb")
 TOLD = ("flights", "memory_mb", "growth_mb", "slope_mb_per_h", "files", "threads",
         "disk_mb_per_flight")  # fmt: skip
@@ -64,6 +68,14 @@ class TrialReport:
             values = [row.told[key] for row in rows if key in row.told]
             if len(values) > 1:
                 lines.append(f"  {key}: {round(sum(values), 3)} in all")
+        for key in EACH:
+            values = [row.told[key] for row in rows if key in row.told]
+            if len(values) > 1:
+                lines.append(f"  {key}: {sum(values)} in all, at least {min(values)} each")
+        for key in LEAST:
+            values = [row.told[key] for row in rows if key in row.told]
+            if values:
+                lines.append(f"  {key}: at least {min(values)}")
         for key in HIGHEST:
             values = [row.told[key] for row in rows if key in row.told]
             if values:

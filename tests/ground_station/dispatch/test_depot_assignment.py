@@ -107,9 +107,10 @@ def test_each_drone_lands_where_it_stands_and_one_that_is_not_at_the_depot_gets_
     depot = DAY.day.depot
     north = assigner.stand_of(depot.lat_deg + 20.0 / 111_200.0, depot.lon_deg)
     south = assigner.stand_of(depot.lat_deg - 20.0 / 111_200.0, depot.lon_deg)
-    tables = [assigner.flight_of(order, "d1", 0, stand)["site"]["depot"] for stand in (north, south)]
-    apart_m = (tables[0]["lat_deg"] - tables[1]["lat_deg"]) * 111_200.0
+    flights = [assigner.flight_of(order, "d1", 0, stand) for stand in (north, south)]
+    first, second = (flight["site"]["depot"] for flight in flights)
+    apart_m = (first["lat_deg"] - second["lat_deg"]) * 111_200.0
     assert apart_m == pytest.approx(40.0, abs=0.1)
-    assert {table["alt_amsl_m"] for table in tables} == {depot.alt_amsl_m}
+    assert first["alt_amsl_m"] == second["alt_amsl_m"] == depot.alt_amsl_m
     assert assigner.stand_of(depot.lat_deg + 40.0 / 111_200.0, depot.lon_deg) is None
     assert assigner.stand_of(None, None) is None
