@@ -62,7 +62,8 @@ class DepotCrew:
     the desk's screen: the parcel is on it as soon as it has taken an assignment, for with
     `--auto-launch` the desk waits for nobody. What has flown is switched off where it is down and
     is back at its stand, with another pack, `change_s` and the way later. No drone flies twice on
-    one pack. `states`: what drones tell, by name.
+    one pack. `states`: what drones tell, by name; `gone`: by order, whether its parcel was gone from
+    the drone that was fetched.
     """
 
     drones: list[DayDrone]
@@ -72,6 +73,7 @@ class DepotCrew:
     drives: list[Drive] = field(default_factory=list)
     done: list[DriverTask] = field(default_factory=list)
     delivered: list[tuple[float, str]] = field(default_factory=list)
+    gone: dict[str, bool] = field(default_factory=dict)
     _back_s: dict[str, float] = field(default_factory=dict)
     """When each drone that is switched off stands at its stand again."""
     _due_s: float = 0.0
@@ -111,6 +113,7 @@ class DepotCrew:
                 self._fetch(drone, t_s)
         elif state is not None and state.phase in BEFORE_ARMING and state.order != drone.up.order:
             drone.load(self.payload_kg.get(state.order or "", 0.0), state.order)
+            self.gone.pop(state.order or "", None)
 
     def _told_since(self, drone: DayDrone, since_s: float) -> State | None:
         """Its newest state, if it is of this time at its stand."""
@@ -133,5 +136,7 @@ class DepotCrew:
         away_m = math.hypot(*drone.up.vehicle.pos_ned_m[:2])
         way_s = 0.0 if away_m <= ON_PAD_M else 2.0 * away_m / FETCH_MPS
         self._back_s[drone.name] = t_s + way_s + self.change_s
+        if drone.up.order is not None:
+            self.gone[drone.up.order] = not drone.carries_parcel
         self.done.append(DriverTask("fetch", "depot", drone.up.order, drone.name, t_s, t_s + way_s))
         drone.switch_off()

@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -11,6 +12,7 @@ from ground_station.adapters.store.database import BUSY_MS, Database, StoreError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.outage import Outage
+from ground_station.adapters.store.settle import settle
 from ground_station.app.desk.depot_dispatcher import DepotParams
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
@@ -20,9 +22,10 @@ from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.orders import Service
+from ground_station.core.schema.order_states import OrderState, Service, Settled
 from sim_bridge.app.day.build import BuiltDay
 from sim_bridge.app.day.bus import BusFleet
+from sim_bridge.app.day.crew import DepotCrew
 from sim_bridge.app.day.store_host import SqliteHost, StoreHost
 
 LOG = "desk.log"
@@ -95,6 +98,8 @@ class DeskHere:
     books: Books
     sit_down: SitDown
     impossible: frozenset[str] = frozenset()
+    gone: dict[str, bool] = field(default_factory=dict)
+    """What a depot's people saw: by order, whether its parcel was gone when its drone was back."""
     desk: Desk | None = None
     ended_by_itself: list[str] = field(default_factory=list)
     _is_started: bool = True
@@ -149,6 +154,8 @@ class DeskHere:
             return open_depot_desk(data, books.store, fleet, say, params, impossible, clock, known)
 
         seat = cls._begun(built, folder, None, host, sit_down, impossible)
+        if isinstance(built.crew, DepotCrew):
+            seat.gone = built.crew.gone
         built.faults.spread_over(depot_day_s(data, assigner))
         seat._take_place()
         return seat
@@ -208,6 +215,20 @@ class DeskHere:
             self.desk.turn(0.0)
         except Exception as error:  # noqa: BLE001 - the desk's process would have ended: judged
             self._fall(error)
+        if self.desk is not None and self.gone:
+            self._settle()
+
+    def _settle(self) -> None:
+        """Somebody says of each parcel that waits for it where it is, as `order settle` does."""
+        with suppress(StoreError):  # it is away: said later
+            for row in self.books.store.orders():
+                order = row.order.id
+                if row.state is not OrderState.STUCK or order not in self.gone:
+                    continue
+                word = Settled.DELIVERED if self.gone[order] else Settled.BACK
+                database, epoch_us = self.books.database, self.clock.epoch_us
+                self._say(str(settle(database, epoch_us, order, word, "seen on its drone", "crew")))
+                del self.gone[order]
 
     def _fall(self, error: Exception) -> None:
         for line in traceback.format_exc().splitlines():

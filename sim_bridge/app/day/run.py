@@ -243,12 +243,12 @@ def _row(
 def _believed_otherwise(
     orders: list[str], by: dict[str, str], told: dict[str, str], brought_by: dict[str, str]
 ) -> list[str]:
-    """Orders whose state at the desk, or who brought them by the desk, differs from the truth."""
+    """Orders whose state at the desk, or who brought them where it knows, differs from the truth."""
     return [
         id_
         for id_ in orders
         if (id_ in by) != told.get(id_, "").startswith("delivered")
-        or by.get(id_) != brought_by.get(id_)
+        or brought_by.get(id_) not in (None, by.get(id_))
     ]
 
 
