@@ -1,6 +1,7 @@
 """A database by its URL, SQLite (WAL) or PostgreSQL: transactions, and errors in words."""
 
 import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -10,7 +11,13 @@ from urllib.parse import quote, unquote
 
 import sqlalchemy as sa
 from sqlalchemy import event
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    IntegrityError,
+    NoSuchModuleError,
+    OperationalError,
+)
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import monotonic_s
@@ -35,6 +42,10 @@ SCHEMA_LOCK = 0x4C454557
 
 class StoreError(LeewayError):
     """The store could not do it; nothing was written."""
+
+
+class StoreAway(StoreError):
+    """It cannot be used now, and may be back by itself: no mistake in the settings."""
 
 
 class Database:
@@ -142,9 +153,23 @@ class Database:
             why = f"store {self.shown}: nothing {what}: {' '.join(str(error.orig).split())}"
             if outage is not None:
                 outage.failed(why, writing=writing)
-            raise StoreError(why) from error
+            raise (StoreAway if _is_away(error) else StoreError)(why) from error
         if outage is not None:
             outage.ended(writing=writing)
+
+
+def _is_away(error: DBAPIError) -> bool:
+    """Whether time may mend it: a lock, a full disk, a server that is not there or just starts.
+
+    libpq has no code for a connection that failed. A server that refuses one says FATAL; only where
+    it starts, stops or recovers does it go on with its system's state.
+    """
+    words = str(error.orig)
+    if not isinstance(error, OperationalError):
+        return False
+    if isinstance(error.orig, sqlite3.Error):
+        return "locked" in words or "full" in words
+    return "FATAL" not in words or "the database system is" in words
 
 
 def schema_of(db: sa.Connection) -> int | None:

@@ -2,7 +2,9 @@
 
 import json
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -25,6 +27,7 @@ from ground_station.app.cli.options import (
     open_day,
     open_fleet,
     open_store,
+    open_when_there,
     url_of,
     who,
 )
@@ -102,9 +105,10 @@ def dispatch(
     data = open_day(day)
     person = who(user, identity, data.day.fleet)
     chosen = None if plan is None else read_day_plan(plan)
+    open_desk_store = partial(open_store, store, store_file, create=True, goes_on=True)
     with (
         hold_port(metrics, open_metrics) as server,
-        closing(open_store(store, store_file, create=True, goes_on=True)) as opened,
+        closing(open_when_there(open_desk_store, _say, Event().wait)) as opened,
     ):
         take_orders(opened, data.orders, person.name)
         assigner = assigner_of(data)

@@ -1,5 +1,6 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -109,6 +110,30 @@ def open_store(
 
     outage = Outage(monotonic_s) if goes_on else None
     return Store(Database(url_of(url, file), create=create, outage=outage), WallClock().epoch_us)
+
+
+def open_when_there(
+    attempt: "Callable[[], Store]",
+    say: Callable[[str], None],
+    wait: Callable[[float], object],
+) -> "Store":
+    """What `attempt` opens, as soon as that is there; why it waits is said once.
+
+    A desk that was killed while its store was away is started again by its service before the
+    store is: it would end as by a mistake in its settings, and stay down.
+    """
+    from ground_station.adapters.store.database import StoreAway
+    from ground_station.adapters.store.outage import FIRST_S, MOST_S
+
+    wait_s = FIRST_S
+    while True:
+        try:
+            return attempt()
+        except StoreAway as error:
+            if wait_s == FIRST_S:
+                say(f"STORE AWAY: waits for it, Ctrl-C stops: {error}")
+        wait(wait_s)
+        wait_s = min(2.0 * wait_s, MOST_S)
 
 
 def open_at_once(url: str) -> "Store":

@@ -62,8 +62,8 @@ class DepotCrew:
     the desk's screen: the parcel is on it as soon as it has taken an assignment, for with
     `--auto-launch` the desk waits for nobody. What has flown is switched off where it is down and
     is back at its stand, with another pack, `change_s` and the way later. No drone flies twice on
-    one pack. `states`: what drones tell, by name; `gone`: by order, whether its parcel was gone from
-    the drone that was fetched.
+    one pack. `states`: what drones tell, by name. `gone`: by order, whether its parcel was gone
+    from the drone that was fetched.
     """
 
     drones: list[DayDrone]

@@ -243,7 +243,7 @@ def _row(
 def _believed_otherwise(
     orders: list[str], by: dict[str, str], told: dict[str, str], brought_by: dict[str, str]
 ) -> list[str]:
-    """Orders whose state at the desk, or who brought them where it knows, differs from the truth."""
+    """Orders whose state at the desk, or who it says brought them, differs from the truth."""
     return [
         id_
         for id_ in orders

@@ -1,5 +1,7 @@
 """Where the store is: never made by a reader, never with a password that others can read."""
 
+import contextlib
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +11,11 @@ from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.store_file import read_store_file
-from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.database import Database, StoreAway, StoreError
+from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.main import app
+from ground_station.app.cli.options import open_when_there
+from sim_bridge.adapters.postgres_server import PostgresServer
 
 CODE = "from ground_station.app.cli.main import main; main()"
 
@@ -79,3 +84,43 @@ def test_a_store_file_holds_one_url(text: str, tmp_path: Path):
     file.chmod(0o600)
     with pytest.raises(LeewayError, match="expected one URL"):
         read_store_file(file)
+
+
+def test_a_desk_that_starts_while_its_postgresql_is_down_waits_for_it(own_server: PostgresServer):
+    """Its service takes exit code 2 for a mistake in the settings, and leaves it down."""
+    url = own_server.create_database("late")
+    said: list[str] = []
+    waits: list[float] = []
+
+    def wait(wait_s: float) -> None:
+        waits.append(wait_s)
+        if len(waits) == 3:
+            own_server.start()
+
+    own_server.kill()
+    opened = open_when_there(lambda: Store(Database(url), lambda: 1), said.append, wait)
+    assert opened.orders() == []
+    opened.close()
+    assert waits == [1.0, 2.0, 4.0]
+    assert len(said) == 1
+    assert "STORE AWAY: waits for it" in said[0]
+
+
+def test_a_desk_that_starts_while_another_has_its_file_locked_waits_for_it(tmp_path: Path):
+    url = f"sqlite:///{tmp_path}/d.db"
+    Database(url).close()
+    with contextlib.closing(sqlite3.connect(tmp_path / "d.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        attempt = lambda: Store(Database(url, busy_ms=1), lambda: 1)  # noqa: E731
+        opened = open_when_there(attempt, lambda words: None, lambda s: other.execute("ROLLBACK"))
+        opened.close()
+
+
+def test_a_database_that_is_not_there_or_no_database_is_a_mistake_and_is_not_waited_for(
+    own_server: PostgresServer, tmp_path: Path
+):
+    (tmp_path / "text.db").write_text("not a database, but long enough to be read as one" * 9)
+    for url in (f"{own_server.url}/nobody", f"sqlite:///{tmp_path}/text.db"):
+        with pytest.raises(StoreError) as caught:
+            Database(url)
+        assert not isinstance(caught.value, StoreAway)
