@@ -197,7 +197,7 @@ def _row(
         "delivered": len(by),
         "by_truck": sum(who == "truck" for who in by.values()),
         "undelivered": undelivered,
-        "believed_otherwise": _believed_otherwise(orders, by, told, seat.brought_by),
+        "believed_otherwise": believed_otherwise(orders, by, told, seat.brought_by),
         "vehicles": len(built.drones),
         "vehicles_lost": len(verdict.lost),
         "lost": verdict.lost,
@@ -240,7 +240,7 @@ def _row(
     }
 
 
-def _believed_otherwise(
+def believed_otherwise(
     orders: list[str], by: dict[str, str], told: dict[str, str], brought_by: dict[str, str]
 ) -> list[str]:
     """Orders whose state at the desk, or who it says brought them, differs from the truth."""

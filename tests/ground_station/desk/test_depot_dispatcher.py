@@ -1,6 +1,7 @@
 """The running desk with drones from the depot, over real zenoh, with obedient vehicles."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,23 @@ def test_the_day_is_flown_each_order_once_and_what_no_drone_can_is_left(day):
     flown = [a.partition(".")[0] for drone in drones for a in drone.launches()]
     assert sorted(flown) == sorted(ground.orders(OrderState.DELIVERED))
     assert all(drone.launches() for drone in drones)
+
+
+def test_a_drone_that_does_not_stand_at_the_depot_is_given_nothing_until_it_does(day):
+    """Its pilot has landed it elsewhere: it would be refused there, and the order would wait."""
+    make_ground, make_vehicle = day
+    ground, drone = make_ground(), make_vehicle("d1")
+    at_depot, status = drone.situation.position, ground.desk.exchange.status
+    away = replace(at_depot, lat_deg=at_depot.lat_deg + 0.001)  # 111 m
+    drone.situation = replace(drone.situation, position=away)
+    seen = lambda place: status.of("d1").state and status.of("d1").state.lat_deg == place.lat_deg  # noqa: E731
+    ground.until(lambda: seen(away))
+    ground.store.add_orders(DAY.orders[:1])
+    for _ in range(20):
+        ground.desk.turn(0.02)
+    assert ground.store.assignments() == []
+    drone.situation = replace(drone.situation, position=at_depot)
+    ground.until(lambda: drone.launches() == ["H-101.1"])
 
 
 def test_nobody_is_launched_without_a_person_and_each_word_is_for_one_launch(day):

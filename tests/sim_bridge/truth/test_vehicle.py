@@ -184,3 +184,18 @@ def test_ice_lets_the_same_wind_push_twice_as_hard() -> None:
         return north
 
     assert pushed_mps(2.0) == pytest.approx(2.0 * pushed_mps(1.0), rel=0.1)
+
+
+def test_a_parcel_is_put_on_and_taken_off_on_the_ground_only() -> None:
+    vehicle = _vehicle()
+    bare_kg = vehicle.mass_kg
+    vehicle.load(0.5)
+    assert vehicle.mass_kg == pytest.approx(bare_kg + 0.5)
+    vehicle.load(0.0)
+    assert (vehicle.mass_kg, vehicle.parcel_aboard) == (bare_kg, False)
+    with pytest.raises(TruthError, match="payload_kg = 99"):
+        vehicle.load(99.0)
+    _fly(vehicle, 1.0, 1.3)
+    assert vehicle.is_airborne
+    with pytest.raises(TruthError, match="in the air, expected on the ground"):
+        vehicle.load(0.5)

@@ -1,9 +1,11 @@
 """Each rule of a day finds what breaks it in a made-up row, and nothing where all holds."""
 
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.files.day_files import read_day
 from sim_bridge.app.day.build import with_front
+from sim_bridge.app.day.faults import DayWish
+from sim_bridge.app.day.run import believed_otherwise
 from sim_bridge.app.trials import day_case, days
 from sim_bridge.app.trials.trial import TrialRow
 from sim_bridge.truth.wind_field import RampedWind
@@ -109,6 +113,45 @@ def test_the_same_seed_draws_the_same_day_of_orders_that_its_site_has():
         data = day_case.data_of(case)
         assert {order.id for order in data.orders} == set(case.orders)
         assert len(data.day.drones) == len(case.autopilots)
+
+
+OLD_CASE = """{"seed": 1, "site": "harbour", "autopilots": ["px4"], "orders": ["H-102"],
+ "drones_only": true, "forecast_mps": 3.0, "forecast_from_deg": 80.0, "front_mps": 0.0,
+ "charge_frac": 0.97, "temperature_c": 15.0, "loss": 0.0, "network_cuts": 1,
+ "companion_kills": 0, "ground_kills": 0, "take_overs": 0, "truck_late_s": 0.0, "searches": 50}"""
+
+
+def test_a_case_of_before_there_were_depots_and_other_stores_is_the_same_day_still():
+    case = msgspec.json.decode(OLD_CASE, type=day_case.DayCase)
+    assert (case.truck, case.store, case.store_outages, case.member_cuts) == (True, "sqlite", 0, 0)
+    assert case.wish == DayWish(network_cuts=1, autopilots=("px4",))
+
+
+def test_each_day_is_flown_on_each_store_and_with_all_faults_none_is_missing():
+    draw = days.DayDraw(3, day_case.STORES, truck=False, all_faults=True, most_vehicles=2)
+    first, again, second = itertools.islice(draw.cases(), 3)
+    assert (first.store, again.store, second.store) == ("sqlite", "postgresql", "sqlite")
+    assert msgspec.structs.replace(first, store="postgresql") == again
+    assert second.seed == first.seed + 1
+    for case in (first, second):
+        assert not case.truck
+        assert len(case.autopilots) <= 2
+        assert min(case.ground_kills, case.companion_kills, case.store_outages) >= 1
+        assert case.network_cuts >= 1
+        assert case.least_cut_s > 60.0
+
+
+def test_both_days_with_a_truck_and_days_without_are_drawn():
+    assert {case.truck for case in itertools.islice(days.DayDraw(1).cases(), 9)} == {True, False}
+
+
+def test_the_store_is_wrong_where_it_says_that_another_one_brought_an_order():
+    orders, told = ["o1"], {"o1": "delivered SUC"}
+    assert believed_otherwise(orders, {"o1": "d1"}, told, {"o1": "d1"}) == []
+    assert believed_otherwise(orders, {"o1": "d1"}, told, {"o1": "d2"}) == ["o1"]
+    assert believed_otherwise(orders, {}, told, {"o1": "d1"}) == ["o1"]
+    assert believed_otherwise(orders, {"o1": "d1"}, {"o1": "open"}, {}) == ["o1"]
+    assert believed_otherwise(orders, {"o1": "d1"}, told, {}) == []  # a person said that it was
 
 
 def test_a_trial_ends_once_its_vehicle_hours_are_flown():
