@@ -9,6 +9,8 @@ import pytest
 
 from companion.app.flight.hearing import Hearing
 from companion.app.flight.loop import Loop, mavlink
+from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.postgres_server import PostgresPrograms
 from sim_bridge.app.flight import companion_process
 from sim_bridge.app.trials import day_case, days, fuzz, logs, soak, stall
 
@@ -45,6 +47,14 @@ GUARDS = {
     " replace(one, p_home=float('nan')) if isinstance(one, a.Assessed) else one, t_s);",
 }
 """By what the trial then says: the patch."""
+
+
+def stores() -> tuple[str, ...]:
+    try:
+        PostgresPrograms.find()
+    except LeewayError:
+        return (day_case.SQLITE,)
+    return day_case.STORES
 
 
 def broken(rows) -> list[tuple[str, str]]:
@@ -99,8 +109,10 @@ def test_ten_minutes_of_standby_and_flights_leave_no_more_in_memory(tmp_path):
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize("number", range(12))
 def test_a_small_day_under_drawn_faults_keeps_every_rule(tmp_path, number):
+    """With a truck and from a depot, on SQLite and on PostgreSQL, where a server is installed."""
     drawn = day_case.drawn(0, number, most_vehicles=2, most_orders_each=1)
-    case = msgspec.structs.replace(drawn, drones_only=True)
+    store = stores()[number % len(stores())]
+    case = msgspec.structs.replace(drawn, drones_only=True, store=store)
     assert not broken([days.attempt(case, tmp_path / case.name)])
 
 

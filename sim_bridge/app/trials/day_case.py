@@ -18,6 +18,9 @@ MOST_VEHICLES = 6
 MOST_ORDERS_EACH = 4
 """Orders of a day are at most so many for each vehicle: some forty minutes, three turns each."""
 
+LEAST_ORDERS_FOR_ALL = 2
+"""With fewer a day may be over before all faults have come."""
+
 LONGEST_FRONT_MPS = 4.0
 """Twice the std of the shipped forecasts: what a desk that plans with them must live with."""
 
@@ -85,6 +88,7 @@ def drawn(
     number: int,
     most_vehicles: int = MOST_VEHICLES,
     most_orders_each: int = MOST_ORDERS_EACH,
+    least_orders: int = 1,
 ) -> DayCase:
     """The case of this number, of a trial with this seed; smaller days where bounds say so.
 
@@ -94,7 +98,8 @@ def drawn(
     site = str(rng.choice(SITES))
     vehicles = int(rng.integers(1, most_vehicles + 1))
     known = [order.id for order in read_day(path_of(site)).orders]
-    count = int(rng.integers(1, min(most_orders_each * vehicles, len(known)) + 1))
+    most = min(most_orders_each * vehicles, len(known))
+    count = int(rng.integers(min(least_orders, most), most + 1))
     return DayCase(
         seed=1000 * seed + number,
         site=site,

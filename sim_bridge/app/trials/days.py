@@ -21,6 +21,7 @@ from ground_station.adapters.files.compiled_code import keep_compiled_code
 from sim_bridge.app.day.rules import ASKS, STUCK, raises_nothing
 from sim_bridge.app.day.world import DayWorld
 from sim_bridge.app.trials.day_case import (
+    LEAST_ORDERS_FOR_ALL,
     MOST_ORDERS_EACH,
     MOST_VEHICLES,
     SQLITE,
@@ -150,7 +151,8 @@ class DayDraw:
             yield from (msgspec.structs.replace(case, store=store) for store in self.stores)
 
     def _drawn(self, number: int) -> DayCase:
-        case = drawn(self.seed, number, self.most_vehicles, self.most_orders_each)
+        least = LEAST_ORDERS_FOR_ALL if self.all_faults else 1
+        case = drawn(self.seed, number, self.most_vehicles, self.most_orders_each, least)
         if self.truck is not None:
             case = msgspec.structs.replace(case, truck=self.truck)
         return with_all_faults(case) if self.all_faults else case
