@@ -42,12 +42,14 @@ night: $(VENV)/.night lint  ## all tests with a coverage report, then the long t
 # Another seed each day; SEED=N tries an earlier day's again. What broke: logs/trials/cases.
 SEED := $(shell date +%Y%j)
 TRIAL := $(BIN)/sim-bridge trials
+# Whole days keep their store in PostgreSQL, too, where a server is installed.
+STORES := $(if $(wildcard /usr/lib/postgresql/*/bin/postgres)$(shell command -v postgres),both,sqlite)
 trials: $(VENV)/.sim  ## lies, stalls, damaged logs, half a day of flights, whole days; SEED=N again
 	@failed=0; \
 	$(TRIAL) fuzz --count 500 --seed $(SEED) --json logs/trials/fuzz.json || failed=1; \
 	$(TRIAL) stall --seed $(SEED) --json logs/trials/stall.json || failed=1; \
 	$(TRIAL) logs --minutes 60 --seed $(SEED) --json logs/trials/logs.json || failed=1; \
-	$(TRIAL) days --vehicle-hours 200 --seed $(SEED) --json logs/trials/days.json || failed=1; \
+	$(TRIAL) days --vehicle-hours 200 --store $(STORES) --seed $(SEED) --json logs/trials/days.json || failed=1; \
 	$(TRIAL) soak --seed $(SEED) --json logs/trials/soak.json || failed=1; \
 	exit $$failed
 
