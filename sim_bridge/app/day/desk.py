@@ -34,8 +34,9 @@ IDLE_S = 300.0
 """At a depot the day is over, too, after so long without news while nothing is under way: the
 default of `dispatch --idle`."""
 
-GROUND_S = 180.0
-"""What a flight from the depot takes besides flying: another pack, boot, checks."""
+GROUND_S = 60.0
+"""What a flight from the depot takes at least besides flying: another pack, boot, checks. Too long
+a day would put its faults behind its end."""
 
 
 def store_url(folder: Path) -> str:
@@ -324,4 +325,4 @@ def depot_day_s(data: DayData, assigner: DepotAssigner) -> float:
     first = data.day.drones[0].id
     found = [assigner.can_bring(order, first) for order in data.orders]
     flown_s = [one.time_s + GROUND_S for one in found if isinstance(one, Feasible)]
-    return GROUND_S + sum(flown_s) / len(data.day.drones)
+    return sum(flown_s) / len(data.day.drones)
