@@ -7,12 +7,13 @@ flight has a factor of its own for its current sensor's scale.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.sparse import lil_array
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.drag import DRAG_KEYS, WindSeen
@@ -198,9 +199,10 @@ def fit_power(
         x_scale=np.r_[stds, np.full(len(flights), 0.02)],
         loss="soft_l1",
         f_scale=2.0,
+        jac_sparsity=_pattern([len(p.noise_w) for p in pieces], standing, count),
     )
     x = solution.x
-    cov = widened_covariance(solution.jac, residuals(x), _clusters(flown, settled))
+    cov = widened_covariance(solution.jac.toarray(), residuals(x), _clusters(flown, settled))
     tried = with_values(airframe, drag, x[:count])
     left = tuple(
         piece.blocks.power_w / (piece.expected_w(tried) * (1.0 + scale)) - 1.0
@@ -214,6 +216,19 @@ def fit_power(
         settled=tuple(settled),
         residual_frac=left,
     )
+
+
+def _pattern(rows: list[int], standing: Sequence[object], shared: int) -> lil_array:
+    """Which residual depends on what: a flight's on the power's values and on its own sensor's."""
+    flights = len(rows)
+    own = [i for i, count in enumerate(rows) for _ in range(count)]
+    own += [i for i, seen in enumerate(standing) if seen is not None]
+    pattern = lil_array((len(own) + shared + flights, shared + flights))
+    pattern[: len(own), :shared] = 1
+    pattern[np.arange(len(own)), shared + np.array(own)] = 1
+    last = np.arange(shared + flights)
+    pattern[len(own) + last, last] = 1
+    return pattern
 
 
 def _settled(blocks: Blocks, wind: WindSeen) -> Ints:
