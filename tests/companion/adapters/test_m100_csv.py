@@ -13,23 +13,11 @@ from companion.adapters.logs.open_log import open_log
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Airspeed, Attitude, Battery, Position, VehicleState
 
-COLUMNS = [
-    "time",
-    "wind_speed",
-    "wind_angle",
-    "battery_voltage",
-    "battery_current",
-    "position_x",
-    "position_y",
-    "position_z",
-    "orientation_x",
-    "orientation_y",
-    "orientation_z",
-    "orientation_w",
-    "velocity_x",
-    "velocity_y",
-    "velocity_z",
-]
+_PLACE = [f"position_{axis}" for axis in "xyz"]
+_ATTITUDE = [f"orientation_{axis}" for axis in "xyzw"]
+_VELOCITY = [f"velocity_{axis}" for axis in "xyz"]
+_SENSORS = ["time", "wind_speed", "wind_angle", "battery_voltage", "battery_current"]
+COLUMNS = [*_SENSORS, *_PLACE, *_ATTITUDE, *_VELOCITY]
 TABLE = "flight,speed,payload,altitude,date,local_time,route\n"
 
 
