@@ -27,7 +27,8 @@ POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "a
 VERTICAL_KEY = "vertical_quadratic_n_per_mps2"
 """Of the table drag: the fifth value where the start airframe states it, else left out. Tilt tells
 nothing of it (it lies along the thrust), power in fast flight does."""
-_LOW = (1.0, 0.2, 0.0, 0.0, 0.0)
+LEAST_VALUES = (1.0, 0.2, 0.0, 0.0, 0.0)
+"""What `power_values` can be at the least, and _HIGH at the most."""
 _HIGH = (2.0, 1.0, 0.5, 5000.0, 50.0)
 _LEAST_PRIOR_STD = (0.05, 0.02, 0.005, 2.0, 0.01)
 _SETTLED_MPS2 = 1.0  # acceleration below which a block's power is taken, corrected for it
@@ -188,7 +189,7 @@ def fit_power(
         parts.append(x[count:] / p.sensor_scale_std)
         return np.concatenate(parts)
 
-    least, most = np.array(_LOW[:count]), np.array(_HIGH[:count])
+    least, most = np.array(LEAST_VALUES[:count]), np.array(_HIGH[:count])
     x0 = np.r_[np.clip(start, least + 1e-6, most), np.zeros(len(flights))]
     low = np.r_[least, np.full(len(flights), -0.3)]
     high = np.r_[most, np.full(len(flights), 0.3)]
