@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from companion.core.base.errors import LeewayError
 from companion.core.measured_energy.energy_scatter import EnergyScatter, fit_scatter
 from companion.core.measured_energy.flown_track import STEP_S, FlownTrack
 from companion.core.measured_energy.route_times import FlownRoute, RouteTimes, fit_times
@@ -95,18 +96,21 @@ class EnergyForecast:
 
 def fit_forecast(airframe: Airframe, flights: Sequence[KnownFlight]) -> EnergyForecast:
     """Everything from flights on several days; LeewayError where they are too few."""
+    days = sorted({f.day for f in flights})
+    if len(days) < _LEAST_DAYS:
+        raise LeewayError(f"energy forecast: flights on {len(days)} days, {_LEAST_DAYS} expected")
     bare = with_flown(airframe, None)
     modelled = [track_power_w(bare, f.track, f.wind_to_ne_mps, f.density_kgpm3) for f in flights]
     logs: dict[str, list[tuple[int, float, float]]] = {}
-    for day in sorted({f.day for f in flights}):
+    for day in days:
         kept = [i for i, f in enumerate(flights) if f.day != day]
         fitted = _fit(bare, flights, modelled, kept)
         for i in (i for i, f in enumerate(flights) if f.day == day):
             for name, so_far, log in _left(*fitted, flights[i], modelled[i]):
                 logs.setdefault(name, []).append((i, so_far, log))
     final, times = _fit(bare, flights, modelled, range(len(flights)))
+    flown = _point(logs.pop("flown", []), flights).scatter
     points = {n: _point(rows, flights) for n, rows in logs.items() if _enough(rows, flights)}
-    flown = points.pop("flown").scatter
     return EnergyForecast(final, times, flown, points)
 
 
@@ -166,7 +170,7 @@ def _enough(rows: list[tuple[int, float, float]], flights: Sequence[KnownFlight]
 
 
 def _point(rows: list[tuple[int, float, float]], flights: Sequence[KnownFlight]) -> PointScatter:
-    so_far, logs = np.array([row[1:] for row in rows]).T
+    so_far, logs = np.array([row[1:] for row in rows]).reshape(-1, 2).T
     slope = 0.0
     if float(np.var(so_far)) > 0.0:
         slope = float(np.clip(np.cov(so_far, logs)[0, 1] / np.var(so_far, ddof=1), 0.0, 1.0))

@@ -176,3 +176,15 @@ def test_routes_price_descent_by_the_table():
     ratio = flown.costs(land, calm).energy_wh / plain.costs(land, calm).energy_wh
     assert ratio[0, 0] == pytest.approx(0.9)
     assert flown.costs(hover, calm).energy_wh == pytest.approx(plain.costs(hover, calm).energy_wh)
+
+
+def test_few_flights_tell_a_bound_for_all_of_a_flight_and_none_for_its_parts():
+    flights = [flight for flight in known() if flight.day in ("d0", "d1", "d2")][::2]
+    forecast = fit_forecast(M100, flights)
+    assert forecast.points == {}
+    assert forecast.flown.days == 3
+
+
+def test_flights_of_one_day_are_refused():
+    with pytest.raises(LeewayError, match="1 days, 3 expected"):
+        fit_forecast(M100, [flight for flight in known() if flight.day == "d0"])
