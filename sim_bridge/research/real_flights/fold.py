@@ -25,7 +25,7 @@ from sim_bridge.research.real_flights.wind_replay import (
     AirspeedMean,
     AnemometerScale,
     Levelling,
-    WindTrack,
+    WindReplay,
     airspeed_mean,
     fit_scale,
     levelling,
@@ -263,7 +263,7 @@ def _odd_payload(flight: ReadFlight, ratio: float, airframe: Airframe) -> list[s
     ]
 
 
-def _wind(flight: ReadFlight, wind: WindTrack, scale: AnemometerScale | None) -> JudgedWind:
+def _wind(flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None) -> JudgedWind:
     legs = flown_legs(flight.track, flight.ordered.speed_mps)
     spans = stretches(flight.track, [(leg.first, leg.last) for leg in legs], STEP_S)
     parts = [part for span in spans for part in windows(span, STEP_S)]

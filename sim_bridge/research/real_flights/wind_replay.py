@@ -29,7 +29,7 @@ _LEAST_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class WindTrack:
+class WindReplay:
     """Belief at the track's grid: mean (n, 2), where the air moves to, and covariance (n, 2, 2)."""
 
     mean_ne_mps: Floats
@@ -105,7 +105,7 @@ def replay_wind(
     *,
     with_airspeed: bool = False,
     make: type[WindFilter] = WindEstimator,
-) -> WindTrack:
+) -> WindReplay:
     """The product's estimator over one flight; its belief at each point of the track's grid."""
     estimator = make(airframe)  # pyright: ignore[reportCallIssue]
     times, means, covs = [], [], []
@@ -116,7 +116,7 @@ def replay_wind(
         means.append(belief.mean_to_ne_mps)
         covs.append(belief.cov_ne_m2ps2)
     at = np.clip(np.searchsorted(times, flight.track.t_s, side="right") - 1, 0, len(times) - 1)
-    return WindTrack(np.array(means)[at], np.array(covs)[at])
+    return WindReplay(np.array(means)[at], np.array(covs)[at])
 
 
 def fit_scale(flights: Sequence[ReadFlight], winds: Sequence[WindSeen]) -> AnemometerScale:
@@ -162,7 +162,7 @@ def windows(span: slice, step_s: float) -> list[slice]:
 
 
 def airspeed_mean(
-    flight: ReadFlight, wind: WindTrack, scale: AnemometerScale | None, span: slice
+    flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None, span: slice
 ) -> AirspeedMean | None:
     """Means over a stretch, the belief as the anemometer would read it; `None` in its gaps."""
     read = anemometer_mps(flight)[span]
