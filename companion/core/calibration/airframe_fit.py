@@ -202,7 +202,7 @@ def _assembled(
     )
     pack = start.battery
     if identified["pack's resistance"]:
-        pack = replace(pack, resistance_ohm=battery.resistance_ohm)
+        pack = replace(pack, resistance_ohm=max(battery.resistance_ohm, 0.0))
     if (usable := battery.usable) is not None:
         pack = replace(
             pack,

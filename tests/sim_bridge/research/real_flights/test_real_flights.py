@@ -25,7 +25,7 @@ COLUMNS = (
     "time wind_speed wind_angle battery_voltage battery_current position_x position_y position_z"
     " orientation_x orientation_y orientation_z orientation_w velocity_x velocity_y velocity_z"
 )
-CORNERS = ((0.0, 0.0), (39.0, 72.0), (-63.0, 21.0), (0.0, 0.0))  # north, east
+CORNERS = ((0.0, 0.0), (65.0, 120.0), (-105.0, 35.0), (0.0, 0.0))  # north, east
 DAYS = ("2019-06-01", "2019-06-02", "2019-06-03", "2019-06-04")
 OF_DAY = (1.02, 0.98, 1.01, 0.99)
 
@@ -116,7 +116,7 @@ def made(tmp_path_factory):
     rng = np.random.default_rng(4)
     lines, truth = ["flight,speed,payload,altitude,date,local_time,route"], {}
     for number in range(16):
-        day, speed = number // 4, (5.0, 7.0)[number % 2]
+        day, speed = number // 4, (6.0, 10.0)[number % 2]
         grams = 500.0 * (number // 2 % 2)
         wind = rng.normal(0.0, 2.0, 2)
         wrong = {"drawn_kg": 1.0} if number == 5 else {}
