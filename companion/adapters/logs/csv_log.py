@@ -5,16 +5,14 @@ An empty cell is unknown, and so is a missing column but for time and velocities
 do not know are left alone. `airspeed_mps` is a magnitude.
 """
 
-import csv
-import math
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from companion.adapters.logs.log_time import running_time, told
+from companion.adapters.logs.csv_table import CsvTable, column_names
+from companion.adapters.logs.log_time import running_time
 from companion.adapters.logs.log_units import Columns, mend_units
+from companion.adapters.logs.m100_csv import is_m100_csv, read_m100_table
 from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import moved_deg
@@ -59,21 +57,26 @@ LIMITS = {
 """Outside, a value is not what its name says: it is taken as unknown."""
 
 KNOWN = ("t_s", *LIMITS)
-LARGEST = 1e20
-"""Time in nanoseconds since 1970 is 1.7e18. The square of what is larger overflows some day."""
-
 UNSEEN_HEIGHT_M = 20.0
 """Height of a log that begins in the air: above what the estimators take for ground effect."""
 
 
 def read_csv_log(path: Path) -> RecordedFlight:
-    """Read CSV telemetry; LeewayError where there is nothing to begin with."""
-    table = _Table.read(path)
+    """Read CSV telemetry, ours or the M100 field flights' (`m100_csv`).
+
+    LeewayError where there is nothing to begin with.
+    """
+    if is_m100_csv(column_names(path)):
+        return _flight(path, read_m100_table(path), "m100 csv")
+    table = CsvTable.read(path, REQUIRED, KNOWN)
+    table.findings += mend_units(table.columns)
+    return _flight(path, table, "csv")
+
+
+def _flight(path: Path, table: CsvTable, source: str) -> RecordedFlight:
     if len(table.lines) < 2:
         raise LeewayError(f"{path}: line 2: {len(table.lines)} rows as wide as line 1")
-    findings = table.findings
-    findings += mend_units(table.columns)
-    findings += table.check_limits()
+    findings = table.findings + table.check_limits(LIMITS)
     time = running_time(table.columns["t_s"], table.where)
     findings += time.findings
     rows = {name: values[time.kept] for name, values in table.columns.items()}
@@ -83,103 +86,12 @@ def read_csv_log(path: Path) -> RecordedFlight:
     events, measured = _events(rows, findings)
     findings += _missing(rows)
     return RecordedFlight(
-        source="csv",
+        source=source,
         events=tuple(events),
         findings=tuple(findings),
         position_measured=measured,
         reference=_reference(rows),
     )
-
-
-@dataclass(slots=True)
-class _Table:
-    """Numbers by column, NaN where unknown, and the line in the file of each row."""
-
-    columns: Columns
-    lines: list[int]
-    findings: list[LogFinding] = field(default_factory=list)
-
-    @classmethod
-    def read(cls, path: Path) -> "_Table":
-        text = path.read_bytes().decode("utf-8-sig", errors="replace").replace("\0", "")
-        reader = csv.reader(text.splitlines())
-        header = [name.strip() for name in next(reader, [])]
-        missing = [name for name in REQUIRED if name not in header]
-        if missing:
-            seen = ", ".join(header[:8]) or "nothing"
-            raise LeewayError(
-                f"{path}: line 1: columns {', '.join(REQUIRED)} expected, comma separated;"
-                f" missing {', '.join(missing)}; found {seen}"
-            )
-        twice = sorted({name for name in KNOWN if header.count(name) > 1})
-        if twice:
-            raise LeewayError(f"{path}: line 1: column {twice[0]} stands there twice")
-        return cls._filled(header, reader)
-
-    @classmethod
-    def _filled(cls, header: list[str], reader: Any) -> "_Table":
-        known = [(name, header.index(name)) for name in KNOWN if name in header]
-        cells: dict[str, list[float]] = {name: [] for name, _ in known}
-        lines: list[int] = []
-        torn: list[int] = []
-        bad: dict[str, list[int]] = {}
-        try:
-            for row in reader:
-                if not row:
-                    continue
-                if len(row) != len(header):
-                    torn.append(reader.line_num)
-                    continue
-                lines.append(reader.line_num)
-                for name, index in known:
-                    value = _number(row[index])
-                    if value is None:
-                        bad.setdefault(name, []).append(reader.line_num)
-                    cells[name].append(math.nan if value is None else value)
-        except csv.Error as error:
-            torn.append(reader.line_num)
-            bad.setdefault(str(error), []).append(reader.line_num)
-        table = cls({name: np.array(values) for name, values in cells.items()}, lines)
-        if torn:
-            what = f"a number of cells other than the header's {len(header)} (cut off?)"
-            table.findings.append(told(torn, _line, what, "left out"))
-        for name, rows in bad.items():
-            what = f"{name} is no finite number"
-            table.findings.append(told(rows, _line, what, "taken as unknown"))
-        return table
-
-    def where(self, row: int) -> str:
-        return _line(self.lines[row])
-
-    def check_limits(self) -> list[LogFinding]:
-        """Make values unknown that cannot be what their column's name says."""
-        found: list[LogFinding] = []
-        for name, (low, high) in LIMITS.items():
-            values = self.columns.get(name)
-            if values is None:
-                continue
-            wrong = np.flatnonzero((values < low) | (values > high))
-            if wrong.size:
-                what = f"{name} = {values[wrong[0]]:g}, expected {low:g} to {high:g}"
-                found.append(told(wrong.tolist(), self.where, what, "taken as unknown"))
-                values[wrong] = np.nan
-        return found
-
-
-def _line(number: int) -> str:
-    return f"line {number}"
-
-
-def _number(cell: str) -> float | None:
-    """A finite number, NaN for an empty cell, `None` for anything else."""
-    cell = cell.strip()
-    if not cell:
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        return None
-    return value if abs(value) <= LARGEST else None  # NaN and infinities too
 
 
 def _missing(rows: Columns) -> list[LogFinding]:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from companion.adapters.logs.csv_log import read_csv_log
+from companion.adapters.logs.csv_table import GZIP, plain_bytes
 from companion.adapters.logs.dataflash_log import read_dataflash_log
 from companion.adapters.logs.mcap_log import read_mcap_log
 from companion.adapters.logs.sound_events import sound
@@ -16,8 +17,8 @@ ULOG = b"ULog\x01\x12\x35"
 MCAP = b"\x89MCAP0\r\n"
 DATAFLASH = b"\xa3\x95"
 HEAD_BYTES = 4096
-KINDS = "PX4 ULog (.ulg), ArduPilot dataflash (.bin), .tlog, our .mcap or CSV"
-PACKED = {b"\x1f\x8b": "gzip", b"PK": "zip", b"7z": "7-Zip", b"\xfd7zXZ": "xz"}
+KINDS = "PX4 ULog (.ulg), ArduPilot dataflash (.bin), .tlog, our .mcap or CSV (also .csv.gz)"
+PACKED = {b"PK": "zip", b"7z": "7-Zip", b"\xfd7zXZ": "xz"}
 
 
 def open_log(path: Path) -> RecordedFlight:
@@ -37,6 +38,8 @@ def _reader(path: Path, head: bytes) -> Callable[[Path], RecordedFlight]:
         return read_ulog
     if head.startswith(MCAP):
         return read_mcap_log
+    if head.startswith(GZIP):  # before dataflash, whose two bytes turn up in what is packed
+        return _packed_csv(path)
     if DATAFLASH in head[:512]:
         return read_dataflash_log
     for magic, name in PACKED.items():
@@ -51,7 +54,14 @@ def _reader(path: Path, head: bytes) -> Callable[[Path], RecordedFlight]:
     raise LeewayError(f"{path}: none of the logs that are known: expected {KINDS}")
 
 
+def _packed_csv(path: Path) -> Callable[[Path], RecordedFlight]:
+    """CSV may be packed; other logs are read from the file itself, piece by piece."""
+    if _is_text(plain_bytes(path)[:HEAD_BYTES]):
+        return read_csv_log
+    raise LeewayError(f"{path}: this is packed (gzip), and no CSV: unpack it first")
+
+
 def _is_text(head: bytes) -> bool:
     """Tell whether it begins with a line of printable characters."""
-    line = head.removeprefix(b"\xef\xbb\xbf").splitlines()[0][:200]
+    line = (head.removeprefix(b"\xef\xbb\xbf").splitlines() or [b""])[0][:200]
     return len(line) > 3 and all(32 <= byte < 127 or byte == 9 for byte in line)

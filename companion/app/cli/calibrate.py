@@ -27,7 +27,11 @@ def calibrate_command(
         "my_airframe.toml"
     ),
     payload_kg: Annotated[
-        str, typer.Option(help="Parcel aboard in each log, in their order: 0,0.8,0.4. Default: 0.")
+        str,
+        typer.Option(
+            help="Parcel aboard in each log, in their order: 0,0.8,0.4. Default: by parameters.csv"
+            " beside the log, else 0."
+        ),
     ] = "",
     holdout: Annotated[
         list[str] | None,

@@ -59,8 +59,13 @@ def replay_command(
         ),
     ] = None,
     payload: Annotated[
-        float, typer.Option(min=0.0, help="Parcel aboard the whole flight, kg; without --flight.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Parcel aboard the whole flight, kg; without --flight. Default: by parameters.csv"
+            " beside the log, else 0.",
+        ),
+    ] = None,
     max_loss: Annotated[
         float | None,
         typer.Option(help="The loss probability that is accepted; default: the flight's, or 0.01."),

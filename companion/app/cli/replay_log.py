@@ -19,6 +19,7 @@ from companion.adapters.files.params import (
     read_wind_process,
 )
 from companion.adapters.files.replay_files import replay_record, write_record, write_wind
+from companion.adapters.logs.flight_table import payload_in_table_kg
 from companion.adapters.logs.open_log import open_log
 from companion.app.tools.replay_picture import draw, require_matplotlib
 from companion.app.tools.replay_report import report
@@ -43,7 +44,7 @@ class ReplayRequest:
     log: Path
     airframe: str | None
     flight: Path | None
-    payload_kg: float
+    payload_kg: float | None
     max_loss: float | None
     reserve_frac: float | None
     every_s: float
@@ -124,13 +125,20 @@ def _unplanned(asked: ReplayRequest, airframe: Airframe, log: RecordedFlight) ->
     """A flight of which only the log is known: any charge, whatever sensors the log has."""
     vehicle = Vehicle(
         airframe=airframe.name,
-        payload_kg=asked.payload_kg,
+        payload_kg=_payload_kg(asked),
         charge_frac=[0.05, 1.0],
         pitot=log.has(Airspeed),
         autopilot_wind=True,  # readers pass on only winds that are real estimates
     )
     nowhere = Site(customer=Place(east_m=0.0, north_m=0.0))
     return Flight(format="flight/1", site=nowhere, vehicle=vehicle, mission=Mission())
+
+
+def _payload_kg(asked: ReplayRequest) -> float:
+    """As asked for; else of the table beside the log; else none."""
+    if asked.payload_kg is not None:
+        return asked.payload_kg
+    return payload_in_table_kg(asked.log) or 0.0
 
 
 def _with_limits(asked: ReplayRequest, flight: Flight) -> Flight:

@@ -17,6 +17,7 @@ from companion.adapters.files.airframe_toml import write_airframe
 from companion.adapters.files.params import read_airframe
 from companion.adapters.files.qgc_plan import write_plan
 from companion.adapters.logs.calibration_logs import read_calibration_log
+from companion.adapters.logs.flight_table import payload_in_table_kg
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.calibration.airframe_fit import Calibration, HeldOutFlight, calibrate, predict
@@ -60,7 +61,7 @@ def run_calibration(o: CalibrateOptions) -> None:
     console = Console(highlight=False, soft_wrap=True)
     try:
         start = read_airframe(o.airframe)
-        loads = _loads(o.payload_kg, len(o.logs))
+        loads = _loads(o.payload_kg, o.logs)
         with console.status("reading") as status:
             flights = [
                 _read(console, path, load, start, o.temperature_c)
@@ -142,22 +143,25 @@ def _frame(words: str) -> LocalFrame:
     return LocalFrame(float(np.radians(lat_deg)), float(np.radians(lon_deg)), alt_m)
 
 
-def _loads(words: str, count: int) -> list[float]:
+def _loads(words: str, logs: tuple[Path, ...]) -> list[float]:
+    """As typed; else of the table beside each log, where there is one; else nothing."""
     if not words:
-        return [0.0] * count
+        return [payload_in_table_kg(log) or 0.0 for log in logs]
     try:
         loads = [float(word) for word in words.split(",")]
     except ValueError as error:
         raise LeewayError(f"--payload-kg {words}: numbers with commas expected") from error
-    if len(loads) != count or not all(0.0 <= load <= 500.0 for load in loads):
-        raise LeewayError(f"--payload-kg {words}: {count} loads in kg expected, one for each log")
+    if len(loads) != len(logs) or not all(0.0 <= load <= 500.0 for load in loads):
+        raise LeewayError(
+            f"--payload-kg {words}: {len(logs)} loads in kg expected, one for each log"
+        )
     return loads
 
 
 def _log_and_load(words: str) -> tuple[Path, float]:
     name, colon, load = words.rpartition(":")
     if not colon:
-        return Path(words), 0.0
+        return Path(words), payload_in_table_kg(Path(words)) or 0.0
     try:
         return Path(name), float(load)
     except ValueError as error:

@@ -35,6 +35,16 @@ def offset_m(
     return float(north), float(east)
 
 
+def offsets_m(
+    lat_deg: float, lon_deg: float, to_lat_deg: Floats, to_lon_deg: Floats
+) -> tuple[Floats, Floats]:
+    """The same from one place to many, (n,) each."""
+    north, east, _ = pymap3d.geodetic2ned(
+        to_lat_deg, to_lon_deg, 0.0, lat_deg, lon_deg, 0.0, ell=None, deg=True
+    )
+    return np.asarray(north, np.float64), np.asarray(east, np.float64)
+
+
 def moved_deg(
     lat_deg: Floats | float, lon_deg: Floats | float, north_m: Angle, east_m: Angle
 ) -> tuple[Angle, Angle]:

@@ -80,8 +80,14 @@ def calibrate(
     flights: list[Blocks],
     start: Airframe,
     told: Callable[[str], None] = lambda doing: None,
+    *,
+    leave_out: bool = True,
 ) -> Calibration:
-    """Fit an airframe to flights; `start` is what is believed before, `told` hears of progress."""
+    """Fit an airframe to flights; `start` is what is believed before, `told` hears of progress.
+
+    `leave_out`: fit again without each flight, to say how well it is predicted unseen. Without it
+    the start's `power_rotor.model_std_frac` stays.
+    """
     told("drag and wind")
     drag = fit_drag(flights, start)
     dragged = with_values(start, drag.values, power_values(start))
@@ -90,7 +96,7 @@ def calibrate(
     told("battery")
     battery = fit_battery(flights, start.battery)
     quantities = quantities_of(flights, start, drag, power, battery)
-    holdouts = tuple(_leave_out(flights, start, told))
+    holdouts = tuple(_leave_out(flights, start, told)) if leave_out else ()
     airframe, notes = _assembled(start, drag, power, battery, quantities, holdouts)
     notes = (*notes, *_extrapolated(flights, drag, airframe), *_bladeless(airframe, start.name))
     return Calibration(airframe, drag, power, battery, quantities, holdouts, notes)
@@ -186,7 +192,9 @@ def _assembled(
     identified = {q.name: q.identified for q in quantities}
     fitted = with_values(start, drag.values, power.values)
     pieces = np.array([e for h in holdouts for e in h.piece_errors])
-    model_std = max(float(np.sqrt(np.mean(pieces**2))), _LEAST_MODEL_STD_FRAC)
+    model_std = start.power_rotor.model_std_frac
+    if len(pieces):
+        model_std = max(float(np.sqrt(np.mean(pieces**2))), _LEAST_MODEL_STD_FRAC)
     fitted = replace(
         fitted,
         drag=replace(fitted.drag, gain_std_frac=_gain_std(start, drag)),
@@ -194,7 +202,7 @@ def _assembled(
     )
     pack = start.battery
     if identified["pack's resistance"]:
-        pack = replace(pack, resistance_ohm=battery.resistance_ohm)
+        pack = replace(pack, resistance_ohm=max(battery.resistance_ohm, 0.0))
     if (usable := battery.usable) is not None:
         pack = replace(
             pack,

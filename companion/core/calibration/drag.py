@@ -14,10 +14,12 @@ The wind over the flight is then the best linear prediction from the same residu
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
+from scipy.sparse import block_diag, csr_array, eye_array, hstack, issparse, vstack
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.records import BLOCK_S, Blocks
@@ -158,22 +160,43 @@ def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: b
         return np.concatenate(parts)
 
     low = np.r_[np.zeros(globals_), np.full(len(x) - globals_, -np.inf)]
+    pattern = _pattern([m.size for m in models], globals_) if len(models) > 1 else None
     solution = None
     for turn in range(_ROUNDS):
         drag, own = split(x)
         for model, mine in zip(models, own, strict=True):
             model.weigh(drag, mine, settle=turn == 1)
         solution = least_squares(
-            residuals, np.maximum(x, low + 1e-9), bounds=(low, np.inf), x_scale="jac"
+            residuals,
+            np.maximum(x, low + 1e-9),
+            bounds=(low, np.inf),
+            x_scale="jac",
+            jac_sparsity=pattern,
         )
         x = solution.x
     assert solution is not None
     drag, own = split(x)
-    cov = widened_covariance(solution.jac, solution.fun, _clusters(models), _OPTIMISM)
+    cov = widened_covariance(_dense(solution.jac), solution.fun, _clusters(models), _OPTIMISM)
     cov = cov[:globals_, :globals_]
     winds = tuple(m.wind(drag, mine) for m, mine in zip(models, own, strict=True))
     left = tuple(m.unexplained(drag, mine) for m, mine in zip(models, own, strict=True))
     return DragFit(drag, cov, prior_cov, winds, left)
+
+
+def _pattern(rows: list[int], globals_: int) -> csr_array:
+    """Which residual depends on what: a flight's on drag and on its own, priors on one each."""
+    own = block_diag([np.ones((count, _NUISANCES)) for count in rows])
+    shared = np.ones((sum(rows), globals_))
+    nuisances = _NUISANCES * len(rows)
+    width = globals_ + nuisances
+    priors = [eye_array(nuisances, width, k=globals_)]
+    drag = csr_array(np.c_[np.ones((globals_, globals_)), np.zeros((globals_, width - globals_))])
+    return csr_array(vstack([hstack([shared, own]), *priors, drag]))
+
+
+def _dense(jac: Any) -> Floats:
+    """The Jacobian as least_squares leaves it: sparse where it was told a pattern."""
+    return jac.toarray() if issparse(jac) else jac
 
 
 def _clusters(models: list["_FlightModel"]) -> Iterator[Ints]:

@@ -7,12 +7,13 @@ flight has a factor of its own for its current sensor's scale.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.sparse import lil_array
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.drag import DRAG_KEYS, WindSeen
@@ -26,7 +27,8 @@ POWER_KEYS = ("induced_factor", "drive_efficiency", "blade_drag_coefficient", "a
 VERTICAL_KEY = "vertical_quadratic_n_per_mps2"
 """Of the table drag: the fifth value where the start airframe states it, else left out. Tilt tells
 nothing of it (it lies along the thrust), power in fast flight does."""
-_LOW = (1.0, 0.2, 0.0, 0.0, 0.0)
+LEAST_VALUES = (1.0, 0.2, 0.0, 0.0, 0.0)
+"""What `power_values` can be at the least, and _HIGH at the most."""
 _HIGH = (2.0, 1.0, 0.5, 5000.0, 50.0)
 _LEAST_PRIOR_STD = (0.05, 0.02, 0.005, 2.0, 0.01)
 _SETTLED_MPS2 = 1.0  # acceleration below which a block's power is taken, corrected for it
@@ -187,7 +189,7 @@ def fit_power(
         parts.append(x[count:] / p.sensor_scale_std)
         return np.concatenate(parts)
 
-    least, most = np.array(_LOW[:count]), np.array(_HIGH[:count])
+    least, most = np.array(LEAST_VALUES[:count]), np.array(_HIGH[:count])
     x0 = np.r_[np.clip(start, least + 1e-6, most), np.zeros(len(flights))]
     low = np.r_[least, np.full(len(flights), -0.3)]
     high = np.r_[most, np.full(len(flights), 0.3)]
@@ -198,9 +200,10 @@ def fit_power(
         x_scale=np.r_[stds, np.full(len(flights), 0.02)],
         loss="soft_l1",
         f_scale=2.0,
+        jac_sparsity=_pattern([len(p.noise_w) for p in pieces], standing, count),
     )
     x = solution.x
-    cov = widened_covariance(solution.jac, residuals(x), _clusters(flown, settled))
+    cov = widened_covariance(solution.jac.toarray(), residuals(x), _clusters(flown, settled))
     tried = with_values(airframe, drag, x[:count])
     left = tuple(
         piece.blocks.power_w / (piece.expected_w(tried) * (1.0 + scale)) - 1.0
@@ -214,6 +217,19 @@ def fit_power(
         settled=tuple(settled),
         residual_frac=left,
     )
+
+
+def _pattern(rows: list[int], standing: Sequence[object], shared: int) -> lil_array:
+    """Which residual depends on what: a flight's on the power's values and on its own sensor's."""
+    flights = len(rows)
+    own = [i for i, count in enumerate(rows) for _ in range(count)]
+    own += [i for i, seen in enumerate(standing) if seen is not None]
+    pattern = lil_array((len(own) + shared + flights, shared + flights))
+    pattern[: len(own), :shared] = 1
+    pattern[np.arange(len(own)), shared + np.array(own)] = 1
+    last = np.arange(shared + flights)
+    pattern[len(own) + last, last] = 1
+    return pattern
 
 
 def _settled(blocks: Blocks, wind: WindSeen) -> Ints:

@@ -12,7 +12,7 @@ from companion.core.base.arrays import Floats
 from companion.core.calibration.battery import BatteryFit
 from companion.core.calibration.drag import DragFit
 from companion.core.calibration.flight import square_speeds_mps
-from companion.core.calibration.power import POWER_KEYS, PowerFit, with_values
+from companion.core.calibration.power import LEAST_VALUES, POWER_KEYS, PowerFit, with_values
 from companion.core.calibration.records import Blocks
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
@@ -202,7 +202,7 @@ def power_and_slope(
     slopes = np.zeros(len(power))
     for i in range(len(power)):
         step = -_STEP * max(abs(power[i]), 0.01)  # down: efficiency may stand at its greatest
-        if power[i] + step < 0.0:
+        if power[i] + step < LEAST_VALUES[i]:
             step = -step
         moved = power.copy()
         moved[i] += step

@@ -19,7 +19,7 @@ from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import GRAVITY_MPS2
+from companion.core.vehicle.power import GRAVITY_MPS2, flown_frac
 from companion.core.vehicle.speed_to_fly import (
     CruiseTable,
     SpeedRule,
@@ -91,6 +91,7 @@ class _Group:
     payload_kg: float
     cruise: bool
     climbing: bool
+    sinking: bool
     airspeed_mps: float | None
     ground_speed_mps: float | None
     north: Floats
@@ -147,6 +148,7 @@ class RouteEnergy:
         self.slowest_airspeed_mps = slowest_airspeed_mps(speed_rule, self.cruise_airspeed_mps)
         self.density_kgpm3 = density_kgpm3
         self._holds_airspeed = holds_airspeed
+        self._sinking_frac = float(flown_frac(airframe, -1.0) / flown_frac(airframe, 0.0))
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
@@ -186,7 +188,8 @@ class RouteEnergy:
         for index, leg in enumerate(legs):
             cruise = leg.kind is LegKind.CRUISE
             speeds = (leg.airspeed_mps, leg.ground_speed_mps) if cruise else (None, None)
-            key = (cruise, leg.kind is LegKind.CLIMB, leg.payload_kg, *speeds)
+            sinking = leg.kind in (LegKind.DESCEND, LegKind.LAND)
+            key = (cruise, leg.kind is LegKind.CLIMB, sinking, leg.payload_kg, *speeds)
             members.setdefault(key, []).append(index)
         stops = [_stop(b, leg) for b, leg in zip(before, legs, strict=True)]
         groups = tuple(self._group(legs, stops, indices) for indices in members.values())
@@ -202,6 +205,7 @@ class RouteEnergy:
             payload_kg=first.payload_kg,
             cruise=cruise,
             climbing=first.kind is LegKind.CLIMB,
+            sinking=first.kind in (LegKind.DESCEND, LegKind.LAND),
             airspeed_mps=first.airspeed_mps if cruise else None,
             ground_speed_mps=first.ground_speed_mps if cruise else None,
             north=np.cos(courses),
@@ -272,6 +276,8 @@ class RouteEnergy:
         power = self._steady_power(group.payload_kg)
         speed = np.hypot(north, east)
         draw = power.climb_w(speed) if group.climbing else power.level_w(speed)
+        if group.sinking:
+            draw = draw * self._sinking_frac
         energy = draw * (group.duration_s / 3600.0)
         return energy, group.duration_s, speed <= power.max_airspeed_mps
 

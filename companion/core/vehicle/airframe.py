@@ -184,6 +184,24 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return self.rotor_count * math.pi * self.rotor_radius_m**2
 
 
+class FlownPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Measured power over that of `power_rotor`, by what the vehicle does; from recorded flights.
+
+    Without this table all of it is 1, and descent is priced as level flight.
+    """
+
+    climb_frac: float
+    """Climbing at 1 m/s or more."""
+    level_frac: float
+    """Level flight and hover."""
+    descent_frac: float
+    """Sinking at 1 m/s or more."""
+
+    def __post_init__(self) -> None:
+        for key in ("climb_frac", "level_frac", "descent_frac"):
+            check_range(f"power_flown.{key}", getattr(self, key), 0.5, 2.0)
+
+
 class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One pack as a whole; `usable_wh` says what it gives."""
 
@@ -268,7 +286,9 @@ class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return self.nominal_wh * max(self.usable_frac - loss, 0.05) * warm * health_frac
 
 
-class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Airframe(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """An `airframe/1` file: what planner and return budget believe about an airframe."""
 
     format: Literal["airframe/1"]
@@ -287,6 +307,8 @@ class Airframe(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """The multirotor power model."""
     battery: BatteryPack
     """The pack."""
+    power_flown: FlownPower | None = None
+    """What flights drew over what `power_rotor` says, by phase."""
 
     def __post_init__(self) -> None:
         self._check_thrust()

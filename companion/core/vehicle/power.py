@@ -101,7 +101,8 @@ def multirotor_power_w(
     `sigma C_d0 / 8 rho A (Omega R)^3 (1 + 4.65 mu^2)` with `Omega R = sqrt(T / (C_T rho A))`
     (Leishman, Principles of Helicopter Aerodynamics, 2.14 and 5.4), over the drive's efficiency,
     plus avionics. Descent is priced as level flight: no energy comes back (as in the paper), and
-    multirotors measured in descent draw about hover power.
+    multirotors measured in descent draw about hover power. All of it is scaled by what flights of
+    this airframe drew, where its file says so (`flown_frac`).
 
     Where the airframe states `drag.vertical_quadratic_n_per_mps2`, thrust and parasite power follow
     the body's axes. Tilt is as before (drag along the rotors' axis does not change it), but thrust
@@ -136,4 +137,17 @@ def multirotor_power_w(
         * (1.0 + _PROFILE_ADVANCE * advance**2)
     )
     shaft = rotor.induced_factor * thrust * induced + parasite + weight * climb + profile
-    return shaft / rotor.drive_efficiency + rotor.avionics_w
+    return flown_frac(airframe, climb_mps) * (shaft / rotor.drive_efficiency + rotor.avionics_w)
+
+
+def flown_frac(airframe: Airframe, climb_mps: ArrayLike) -> Floats:
+    """Measured over modelled power at this climb rate, by `power_flown`; 1 without that table.
+
+    From level flight to that of a climb or a descent in proportion to the rate, up to 1 m/s.
+    """
+    flown, climb = airframe.power_flown, np.asarray(climb_mps, float)
+    if flown is None:
+        return np.ones_like(climb)
+    up, down = np.clip(climb, 0.0, 1.0), np.clip(-climb, 0.0, 1.0)
+    level = flown.level_frac
+    return level + (flown.climb_frac - level) * up + (flown.descent_frac - level) * down

@@ -6,6 +6,7 @@ from sim_bridge.research.result_pages.page import DATA, OUT, Page, PageCommand
 COAST = f"{DATA}/wind/coast_2023_1hz.csv"
 COAST_TAIL = f"{DATA}/wind/coast_2023_tail_1hz.csv"
 ANEMOMETER = "estimator/anemometer_uav_5hz.csv"
+M100_FLIGHTS = "m100_flights"
 NOTHING_DRAWN = "nothing is drawn"
 FIXED = "fixed in the code"
 
@@ -111,6 +112,22 @@ PAGES = (
         1.0,
         needs=(ANEMOMETER,),
         pictures=(("estimator_flight.png", "wind-estimator.png"),),
+    ),
+    Page(
+        "real-flights",
+        "Real delivery flights",
+        "Energy and wind of 119 recorded flights on routes, each day predicted from the flights of"
+        " ten others: with what error, and under which bound.",
+        (
+            PageCommand(
+                _research("real-flights", f"{DATA}/{M100_FLIGHTS}",
+                          "--json", f"{OUT}/real_flights.json", "--out", OUT),
+                NOTHING_DRAWN,
+            ),
+        ),
+        8.0,
+        needs=(M100_FLIGHTS,),
+        pictures=(("real_flights.png", "real-flights.png"),),
     ),
     Page(
         "wind-estimator",

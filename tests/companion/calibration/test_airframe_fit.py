@@ -14,7 +14,7 @@ from companion.adapters.files.params import params_dir, read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.calibration.airframe_fit import calibrate, predict
 from companion.core.calibration.battery import fit_battery
-from companion.core.calibration.drag import WindSeen, fit_drag
+from companion.core.calibration.drag import DRAG_KEYS, WindSeen, fit_drag
 from companion.core.calibration.flight import (
     CHANGE_SPEED,
     WAYPOINT,
@@ -522,3 +522,14 @@ def test_drag_that_was_flown_in_thin_air_is_fitted_at_the_files_density():
     expected_n = LINEAR[0] * 14.0 + QUADRATIC[0] * 14.0**2
     fitted_n = fit.values[0] * 14.0 + fit.values[2] * 14.0**2
     assert fitted_n == pytest.approx(expected_n, rel=0.08)
+
+
+def test_power_s_slope_is_known_where_an_ideal_rotor_is_the_limit():
+    # Induced power of exactly the ideal rotor's is the least that an airframe may state.
+    m100 = read_airframe("m100")
+    values = np.array([1.0, 0.7, 0.02, 15.0])
+    drag = np.array([getattr(m100.drag, key) for key in DRAG_KEYS])
+    value, slopes = power_and_slope(m100, values, drag, 0.0, 0.0)
+    assert value > 0.0
+    assert slopes[0] > 0.0
+    assert slopes[1] < 0.0

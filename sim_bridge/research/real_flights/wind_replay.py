@@ -1,0 +1,183 @@
+"""The wind estimator over a recorded flight, and its airspeed against the anemometer's.
+
+The anemometer's direction errs with heading, so that its magnitude alone is the truth. It sits in
+the rotors' flow and reads `scale * airspeed + bias`: both are learned on the flights that the
+airframe is calibrated on, from the airspeed that the calibration itself sees.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.base.arrays import Floats
+from companion.core.calibration.drag import WindSeen
+from companion.core.calibration.power import air_speeds
+from companion.core.measured_energy.flown_track import FlownTrack
+from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.power import GRAVITY_MPS2
+from companion.core.wind.estimator import WindEstimator
+from companion.core.wind.observation import WindFilter, WindObservation
+from sim_bridge.research.real_flights.folder import ReadFlight
+
+_LEAST_HEIGHT_M = 2.0  # below, the gate's estimator takes nothing in either
+WINDOW_S = 10.0
+_SETTLED_S = 2.0
+"""Of a leg's ends: the anemometer's own filter has not caught up."""
+_LEAST_SHARE = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class WindReplay:
+    """Belief at the track's grid: mean (n, 2), where the air moves to, and covariance (n, 2, 2)."""
+
+    mean_ne_mps: Floats
+    cov_ne_m2ps2: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Levelling:
+    """How far the reported attitude leans against the thrust on average over a vehicle's flights,
+    along body forward and right, rad: how autopilot and centre of gravity sit in the airframe."""
+
+    forward_rad: float = 0.0
+    right_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AnemometerScale:
+    """What the anemometer makes of an airspeed; `std_mps` is left over in a 2 s mean."""
+
+    scale: float
+    bias_mps: float
+    std_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class AirspeedMean:
+    """One stretch: airspeed by the anemometer, by the estimator with its std, and over ground."""
+
+    read_mps: float
+    believed_mps: float
+    std_mps: float
+    ground_mps: float
+
+
+def levelling(residuals_mps2: Sequence[Floats]) -> Levelling:
+    """Mean of what the drag fit leaves over, flight by flight, (n, 2) each, as a tilt."""
+    mean = np.mean([left.mean(axis=0) for left in residuals_mps2], axis=0) / GRAVITY_MPS2
+    return Levelling(float(mean[0]), float(mean[1]))
+
+
+def observations(
+    flight: ReadFlight, airframe: Airframe, level: Levelling, *, with_airspeed: bool
+) -> Iterable[WindObservation]:
+    """What the estimator hears: velocity and levelled attitude, and the anemometer if asked for."""
+    s = flight.samples
+    mass_kg = airframe.mass_kg(flight.ordered.payload_kg)
+    for i, t_s in enumerate(s.t_s.tolist()):
+        airspeed = float(s.airspeed_mps[i])
+        velocity = (float(s.vel_n_mps[i]), float(s.vel_e_mps[i]), float(s.vel_d_mps[i]))
+        yield WindObservation(
+            t_s=t_s,
+            airborne=bool(s.airborne[i] and s.height_rel_m[i] > _LEAST_HEIGHT_M),
+            mass_kg=mass_kg,
+            vel_ned_mps=velocity if all(map(math.isfinite, velocity)) else None,
+            roll_rad=_known(s.roll_rad[i] + level.right_rad),
+            pitch_rad=_known(s.pitch_rad[i] - level.forward_rad),
+            yaw_rad=_known(s.yaw_rad[i]),
+            airspeed_mps=airspeed if with_airspeed and math.isfinite(airspeed) else None,
+            airspeed_is_magnitude=True,
+            height_m=_known(s.height_rel_m[i]),
+            density_kgpm3=flight.density_kgpm3,
+        )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def replay_wind(
+    flight: ReadFlight,
+    airframe: Airframe,
+    level: Levelling,
+    *,
+    with_airspeed: bool = False,
+    make: type[WindFilter] = WindEstimator,
+) -> WindReplay:
+    """The product's estimator over one flight; its belief at each point of the track's grid."""
+    estimator = make(airframe)  # pyright: ignore[reportCallIssue]
+    times, means, covs = [], [], []
+    for seen in observations(flight, airframe, level, with_airspeed=with_airspeed):
+        estimator.update(seen)
+        belief = estimator.belief(seen.t_s)
+        times.append(seen.t_s)
+        means.append(belief.mean_to_ne_mps)
+        covs.append(belief.cov_ne_m2ps2)
+    at = np.clip(np.searchsorted(times, flight.track.t_s, side="right") - 1, 0, len(times) - 1)
+    return WindReplay(np.array(means)[at], np.array(covs)[at])
+
+
+def fit_scale(flights: Sequence[ReadFlight], winds: Sequence[WindSeen]) -> AnemometerScale:
+    """Least squares of the reading over the airspeed that the calibration saw, in 2 s blocks."""
+    parts = [_readings(f, w) for f, w in zip(flights, winds, strict=True)]
+    air, read = np.concatenate(parts, axis=1)
+    scale, bias = np.polyfit(air, read, 1)
+    left = read - scale * air - bias
+    return AnemometerScale(float(scale), float(bias), float(np.std(left)))
+
+
+def _readings(flight: ReadFlight, wind: WindSeen) -> Floats:
+    """(2, n): airspeed seen and read in each airborne block."""
+    air, _ = air_speeds(flight.blocks, wind)
+    t_s = flight.blocks.t_s[flight.blocks.airborne]
+    read = np.interp(t_s, flight.track.t_s, anemometer_mps(flight), left=np.nan, right=np.nan)
+    known = np.isfinite(read)
+    return np.stack([air[known], read[known]])
+
+
+def anemometer_mps(flight: ReadFlight) -> Floats:
+    """The anemometer on the track's grid as a running 2 s mean; NaN where unknown."""
+    s, track = flight.samples, flight.track
+    known = np.isfinite(s.airspeed_mps)
+    if known.sum() < 2:
+        return np.full(len(track.t_s), np.nan)
+    read = np.interp(track.t_s, s.t_s[known], s.airspeed_mps[known], left=np.nan, right=np.nan)
+    width = 11
+    return np.convolve(read, np.full(width, 1.0 / width), "same")
+
+
+def stretches(track: FlownTrack, spans: Iterable[tuple[int, int]], step_s: float) -> list[slice]:
+    """Legs without the seconds at their ends, as slices of the grid."""
+    off = round(_SETTLED_S / step_s)
+    return [slice(a + off, b - off) for a, b in spans if b - a > 4 * off and b <= len(track.t_s)]
+
+
+def windows(span: slice, step_s: float) -> list[slice]:
+    """Whole windows of WINDOW_S within a stretch."""
+    width = round(WINDOW_S / step_s)
+    starts = range(span.start, span.stop - width + 1, width)
+    return [slice(a, a + width) for a in starts]
+
+
+def airspeed_mean(
+    flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None, span: slice
+) -> AirspeedMean | None:
+    """Means over a stretch, the belief as the anemometer would read it; `None` in its gaps."""
+    read = anemometer_mps(flight)[span]
+    if np.isfinite(read).mean() < _LEAST_SHARE:
+        return None
+    track = flight.track
+    ground = np.stack([track.vel_n_mps[span], track.vel_e_mps[span]], axis=1)
+    air = ground - wind.mean_ne_mps[span]
+    speed = np.hypot(air[:, 0], air[:, 1])
+    unit = air.mean(axis=0) / max(float(np.hypot(*air.mean(axis=0))), 1e-9)
+    variance = float(unit @ wind.cov_ne_m2ps2[span].mean(axis=0) @ unit)
+    gain, bias = (1.0, 0.0) if scale is None else (scale.scale, scale.bias_mps)
+    return AirspeedMean(
+        float(np.nanmean(read)),
+        gain * float(speed.mean()) + bias,
+        gain * math.sqrt(variance),
+        float(np.hypot(ground[:, 0], ground[:, 1]).mean()),
+    )
