@@ -5,22 +5,23 @@ The modules here hold the command lines. What a command does is imported when it
 
 import typer
 
-<<<<<<< HEAD
-from sim_bridge.research.cli import avoid, bench, campaign, monitor, promise, results, tables
-=======
-from sim_bridge.research.cli import avoid, bench, campaign, promise, real_flights, results, tables
->>>>>>> real
+from sim_bridge.research.cli import (
+    avoid,
+    bench,
+    campaign,
+    monitor,
+    promise,
+    real_flights,
+    results,
+    tables,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
     help="The paper's experiments, training of the avoidance policy, and benchmarks.",
 )
 
-<<<<<<< HEAD
-for part in (campaign, tables, promise, monitor, avoid, results):
-=======
-for part in (campaign, tables, promise, real_flights, avoid, results):
->>>>>>> real
+for part in (campaign, tables, promise, monitor, real_flights, avoid, results):
     app.registered_commands += part.app.registered_commands
 app.registered_commands += bench.fleet.registered_commands
 app.add_typer(bench.app, name="bench")
