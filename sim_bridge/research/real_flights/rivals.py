@@ -11,24 +11,25 @@ from companion.core.measured_energy.flown_track import STEP_S
 from companion.core.measured_energy.track_power import PHASES, phases
 from sim_bridge.research.real_flights.folder import ReadFlight
 
-CONSTANT, BY_PAYLOAD, PUBLISHED = "constant power", "power by payload", "Rodrigues et al. 2022"
+CONSTANT, BY_PAYLOAD, INDUCED = "constant power", "power by payload", "induced power by phase"
 
 EMPTY_KG = 3.68
 """The aircraft with pack and sensors (Rodrigues et al. 2021)."""
 
-PUBLISHED_SLOPES = (80.4, 68.9, 71.5)
-PUBLISHED_W = (13.8, 16.8, -24.3)
-"""Of climb, cruise and descent: `P = slope * m^1.5 / sqrt(density) + constant` (Rodrigues et al.,
-Patterns 3, 100569, 2022). Fitted by them to this very campaign, judged days included."""
-
 
 @dataclass(frozen=True, slots=True)
 class Rivals:
-    """Mean power, and power with its slope over payload, of the fitting flights."""
+    """Mean power, power with its slope over payload, and by phase, of the fitting flights.
+
+    `induced_w` (2, phases): of climb, level and descent the slope over `m^1.5 / sqrt(density)`, the
+    induced power of momentum theory, and a constant; the form of Rodrigues et al. (Patterns 3,
+    100569, 2022), with our own fit.
+    """
 
     constant_w: float
     empty_w: float
     payload_w_per_kg: float
+    induced_w: Floats
 
     def predicted_wh(self, flight: ReadFlight) -> dict[str, float]:
         """Energy of one flight by each model; its duration is known, as to the airframe's model."""
@@ -37,7 +38,7 @@ class Rivals:
         return {
             CONSTANT: self.constant_w * hours,
             BY_PAYLOAD: (self.empty_w + self.payload_w_per_kg * payload_kg) * hours,
-            PUBLISHED: _published_wh(flight),
+            INDUCED: float(_by_phase(flight) @ self.induced_w.ravel()) / 3600.0,
         }
 
 
@@ -48,17 +49,16 @@ def fit_rivals(flights: Sequence[ReadFlight]) -> Rivals:
     slope, empty = (0.0, float(power.mean()))
     if float(np.ptp(payload)) > 0.0:
         slope, empty = (float(one) for one in np.polyfit(payload, power, 1))
-    return Rivals(float(power.mean()), empty, slope)
+    by_phase = np.array([_by_phase(flight) for flight in flights])
+    energy_j = power * np.array([len(f.track.t_s) * STEP_S for f in flights])
+    induced, *_ = np.linalg.lstsq(by_phase, energy_j, rcond=None)
+    shape = 2, len(PHASES)
+    return Rivals(float(power.mean()), empty, slope, np.asarray(induced, float).reshape(shape))
 
 
-def published_w(mass_kg: float, density_kgpm3: float) -> Floats:
-    """Power in climb, cruise and descent, W, in the order of PHASES."""
-    load = mass_kg**1.5 / math.sqrt(density_kgpm3)
-    return np.array(PUBLISHED_SLOPES) * load + np.array(PUBLISHED_W)
-
-
-def _published_wh(flight: ReadFlight) -> float:
-    """Each phase at its own power."""
+def _by_phase(flight: ReadFlight) -> Floats:
+    """(2 phases,): seconds in each phase, times the load, and as they are."""
     seconds = np.bincount(phases(flight.track), minlength=len(PHASES)) * STEP_S
-    power = published_w(EMPTY_KG + flight.ordered.payload_kg, flight.density_kgpm3)
-    return float(seconds @ power) / 3600.0
+    mass_kg = EMPTY_KG + flight.ordered.payload_kg
+    load = mass_kg**1.5 / math.sqrt(flight.density_kgpm3)
+    return np.concatenate([seconds * load, np.asarray(seconds, float)])

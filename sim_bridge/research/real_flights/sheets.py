@@ -67,9 +67,7 @@ def rivals_sheet(found: RealFlights) -> Sheet:
         "Flown energy by plainer models",
         ("model", "MAPE %"),
         rows,
-        "Duration and track are known to all. Constant power and power by payload are fitted to the"
-        " same other days. The published model was fitted by its authors to this campaign, the"
-        " judged days included.",
+        "Duration and track are known to all, and all are fitted to the same other days.",
     )
 
 
