@@ -7,9 +7,6 @@ import os
 import shutil
 from pathlib import Path
 
-import numba
-from numba.core import config
-
 import ground_station.core
 
 KEPT_STATES = 4
@@ -20,8 +17,11 @@ def keep_compiled_code() -> bool:
 
     False: it compiles for the first time, which takes some ten seconds of one core.
     """
+    import numba  # 80 MB: a desk names its planner, and has it plan in a process of its own
+    from numba.core import config
+
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leeway"
-    folder = root / f"truck_drones-{_digest()}"
+    folder = root / f"truck_drones-{_digest(numba.__version__)}"
     known = folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -33,8 +33,8 @@ def keep_compiled_code() -> bool:
     return known
 
 
-def _digest() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+def _digest(compiler: str) -> str:
+    digest = hashlib.sha256(compiler.encode())
     for package in ground_station.core.__path__:
         for path in sorted(Path(package, "truck_drones").glob("*.py")):
             digest.update(path.name.encode() + b"\0" + path.read_bytes())

@@ -133,3 +133,10 @@ def _lives(pid: int) -> bool:
     except FileNotFoundError:
         return False
     return stat.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_a_desk_carries_no_compiler():
+    """It plans in a process of its own: a third of its memory was the compiler of that."""
+    code = "import sys, ground_station.app.desk.open_desk; print('numba' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "False"
