@@ -1,5 +1,5 @@
 // The user's PMTiles extract below our own drawing, by MapLibre GL; only where one was given.
-// Layers are those of the Protomaps basemap schema (version 4). No labels: they need glyphs from a server.
+// Layers are those of the Protomaps basemap schema (version 4). Without labels.
 
 import { $, html, say } from "./dom.js";
 
