@@ -381,6 +381,9 @@ def test_unknown_columns_empty_cells_and_missing_columns_break_nothing(make, wor
     assert not of_kind(log, Airspeed)
 
 
+WITH_TILT = b"t_s,vel_n_mps,vel_e_mps,vel_d_mps,roll_deg,pitch_deg,yaw_deg"
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -389,6 +392,8 @@ def test_unknown_columns_empty_cells_and_missing_columns_break_nothing(make, wor
         ("a.csv", b"t_s;vel_n_mps;vel_e_mps;vel_d_mps\n1;2;3;4\n", "comma separated"),
         ("a.csv", b"t_s,vel_n_mps,vel_e_mps,vel_d_mps,t_s\n", "column t_s stands there twice"),
         ("a.csv", b"t_s,vel_n_mps,vel_e_mps,vel_d_mps\n", "0 rows"),
+        ("a.csv", WITH_TILT + b"\n", "0 rows"),
+        ("a.csv", WITH_TILT + b"\n" + b"nan,nan,nan,nan,nan,nan,nan\n" * 3, "0 rows"),
         ("a.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "none of vehicle_attitude"),
         ("a.ulg", b"ULog\x01\x12\x35", "pyulog cannot read"),
         ("a.bin", b"\xa3\x95\x80" + bytes(300), "dataflash|DFReader"),

@@ -119,6 +119,8 @@ def _motion(columns: Columns) -> _Motion | None:
         return None
     table = np.stack([columns[name] for name in names])
     table = table[:, np.isfinite(table).all(axis=0)][:, :_MOST_ROWS]
+    if table.shape[1] < _LEAST_ROWS:
+        return None
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(table[0])) > 0.0])
     table = table[:, rising]
     if table.shape[1] < _LEAST_ROWS:
