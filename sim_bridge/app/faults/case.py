@@ -39,7 +39,8 @@ def from_the_start(stage: Stage) -> Iterator[None]:
 class FaultCase:
     """One row. `asks` are judged by truth; each returns what is wrong, or None.
 
-    `flight` changes the flight file, table by table; `arguments` are more of the companion's.
+    `flight` changes the flight file, table by table; `untold` changes the world's alone, and the
+    companion is given a file without it. `arguments` are more of the companion's.
     `before_companion` is Python that runs first in its process: a computer that is not what it
     should be. `ends_after_s`: the flight is ended so long after a person has taken over, where
     nobody is expected to come home. `signed`: autopilot and companion share a signing key.
@@ -54,6 +55,7 @@ class FaultCase:
     phases: tuple[str, ...] = ("outbound",)
     autopilots: tuple[str, ...] = BOTH
     flight: dict[str, Any] = field(default_factory=dict)
+    untold: dict[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     before_companion: str = ""
     ends_after_s: float | None = None

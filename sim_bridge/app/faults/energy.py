@@ -243,7 +243,7 @@ CASES = (
         from_the_start,
         SAFE,
         ("ready",),
-        flight={"vehicle": {"temperature_c": -10.0}},
+        untold={"vehicle": {"temperature_c": -10.0}},
     ),
     FaultCase(
         29,
@@ -253,7 +253,7 @@ CASES = (
         from_the_start,
         SAFE,
         ("ready",),
-        flight={"vehicle": {"battery_health_frac": 0.8}},
+        untold={"vehicle": {"battery_health_frac": 0.8}},
     ),
     FaultCase(
         30,

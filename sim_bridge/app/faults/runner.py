@@ -30,8 +30,10 @@ def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
     folder.mkdir(parents=True, exist_ok=True)
     draws = np.random.default_rng([task.seed, case.number])
     performance = Performance(case.play, task.phase, draws)
+    told = write_flight(folder / "flight.toml", case.flight)
     options = FlyOptions(
-        flight_file=write_flight(case.flight, folder),
+        flight_file=write_flight(folder / "world.toml", case.flight, case.untold),
+        told=told,
         autopilot=task.autopilot,
         seed=task.seed,
         run_root=folder,
@@ -55,11 +57,12 @@ def _key_in(folder: Path) -> Path:
     return path
 
 
-def write_flight(changes: dict[str, Any], folder: Path) -> Path:
+def write_flight(path: Path, *changes: dict[str, Any]) -> Path:
     """Write the suite's flight with some of its tables changed; returns its file."""
     table = tomllib.loads((params_dir() / "flights" / FLIGHT).read_text())
-    path = folder / "flight.toml"
-    path.write_bytes(msgspec.toml.encode(_merged(table, changes)))
+    for changed in changes:
+        table = _merged(table, changed)
+    path.write_bytes(msgspec.toml.encode(table))
     return path
 
 

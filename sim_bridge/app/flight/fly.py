@@ -67,6 +67,7 @@ class FlyOptions:
     """What the command line asks. `speedup` None flies as fast as the machine can.
 
     `believed` is the airframe that the companion is told, a name or a file; None: the true one's.
+    `told` is the flight file that a single vehicle's companion is given; None: the world's own.
     With `signing_key` (a file of 32 bytes) the companion's link is signed; the companion is then
     authorised on its command line, since the operator's own frames are not. `before_companion` is
     Python that its process runs before its `main`: a slow disk, a computer without memory.
@@ -83,6 +84,7 @@ class FlyOptions:
     picture: bool = True
     lockstep_limit_s: float = 20.0
     believed: str | None = None
+    told: Path | None = None
     signing_key: Path | None = None
     before_companion: str = ""
     companion_arguments: tuple[str, ...] = ()
@@ -194,7 +196,7 @@ def build_craft(
     depot = _shifted(flight.site.depot or HOME_DEFAULT, VEHICLE_SPACING_M * index)
     own_dir = run_dir if options.vehicles == 1 else run_dir / f"vehicle{number}"
     own_dir.mkdir(exist_ok=True)
-    mission_file = options.flight_file
+    mission_file = options.told or options.flight_file
     if index > 0:  # a depot of its own, so that vehicles of one call never share a path
         mission_file = _write_own_flight(options.flight_file, depot, own_dir)
     terrain = build_terrain(flight.site.terrain, options.flight_file.parent)

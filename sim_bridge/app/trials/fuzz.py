@@ -313,7 +313,7 @@ def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
     folder.mkdir(parents=True, exist_ok=True)
     witness = Witness.of(case)
     options = FlyOptions(
-        flight_file=write_flight(FLIGHT, folder),
+        flight_file=write_flight(folder / "flight.toml", FLIGHT),
         autopilot=case.autopilot,
         seed=case.seed,
         run_root=folder,

@@ -279,7 +279,7 @@ def attempt(case: SoakCase, folder: Path) -> TrialRow:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     write_network(folder, relayed=False)
-    flight_file = write_flight(FLIGHT, folder)
+    flight_file = write_flight(folder / "flight.toml", FLIGHT)
     ears = ZenohFleet(FLEET, folder / ROUTER)
     endpoints = EndpointSet(["udpin:127.0.0.1:0"])
     companion = _companion(folder, endpoints.urls[0])

@@ -148,7 +148,7 @@ class StallWorld:
     """One vehicle and its companion in this process; both see the time only of this world."""
 
     def __init__(self, autopilot: str, seed: int, folder: Path) -> None:
-        path = write_flight(FLIGHT, folder)
+        path = write_flight(folder / "flight.toml", FLIGHT)
         options = FlyOptions(flight_file=path, autopilot=autopilot, seed=seed, picture=False)
         flight = read_flight(path)
         wind_seed, vehicle_seed = np.random.SeedSequence(seed).spawn(2)
