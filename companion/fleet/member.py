@@ -5,8 +5,9 @@ kept until somebody asks, is the same for all.
 """
 
 import secrets
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import msgspec
 
 from companion.adapters.clock import epoch_us, wall_s
 from companion.adapters.files.atomic_file import read_whole, write_whole
+from companion.adapters.files.disk import Disk, DiskAtOnce
 from companion.fleet.command_log import ONCE, CommandBook, Verdict, book_from_dict
 from companion.fleet.event_log import EventLog
 from companion.fleet.messages import (
@@ -40,8 +42,21 @@ read_record, write_record = read_whole, write_whole
 
 
 @dataclass(slots=True)
+class _Begun:
+    """A command that is carried out once it lies on the disk that it has begun."""
+
+    asked: Asked
+    command: Command
+    written: bool = False
+    trouble: str = ""
+
+
+@dataclass(slots=True)
 class FleetMember:
-    """`clock_s` counts this life's seconds; `remark` is the newest thing to be said about it."""
+    """`clock_s` counts this life's seconds; `remark` is the newest thing to be said about it.
+
+    In flight nobody waits for the `disk`: what must lie there first is done once it does.
+    """
 
     vehicle: str
     folder: Path
@@ -51,9 +66,12 @@ class FleetMember:
     log: EventLog
     clock_s: Callable[[], float]
     born_s: float
+    disk: Disk
     epoch_us: Callable[[], int] = epoch_us
     remark: str = ""
     _twin_told_s: float | None = None
+    _begun: deque[_Begun] = field(default_factory=deque)
+    _book_trouble: str = ""
 
     @classmethod
     def open(
@@ -63,8 +81,10 @@ class FleetMember:
         link_of: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
         epoch_us: Callable[[], int] = epoch_us,
+        disk: Disk | None = None,
     ) -> "FleetMember":
-        """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
+        """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link. `disk`
+        writes in its own time; None: at once.
 
         Raises LeewayError where a file there is broken: a member that forgot its commands must
         not take new ones.
@@ -73,8 +93,10 @@ class FleetMember:
         kept = read_whole(folder / BOOK, "book of commands")
         book = CommandBook() if kept is None else book_from_dict(kept, str(folder / BOOK))
         life = secrets.token_hex(6)
-        log = EventLog(folder / EVENTS)
-        return cls(vehicle, folder, link_of(life), life, book, log, clock_s, clock_s(), epoch_us)
+        disk = disk or DiskAtOnce(lambda words: None)
+        log = EventLog(folder / EVENTS, disk)
+        link = link_of(life)
+        return cls(vehicle, folder, link, life, book, log, clock_s, clock_s(), disk, epoch_us)
 
     @property
     def uptime_s(self) -> float:
@@ -84,11 +106,12 @@ class FleetMember:
     # --- commands ------------------------------------------------------------------------------
 
     def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
-        """Answer everything that was asked."""
+        """Answer everything that was asked, and tell what has come to lie on the disk."""
+        self._carry_out_begun(carry_out)
         for asked in self.link.asked():
             match asked.ask:
                 case Ask.COMMAND:
-                    asked.answer([encode(self._answered(asked, carry_out))])
+                    self._take(asked, carry_out)
                 case Ask.EVENTS:
                     asked.answer([encode(event) for event in self.log.after(asked.after)])
                 case Ask.TWIN:
@@ -98,6 +121,7 @@ class FleetMember:
                     self.tell(EventKind.SAID, self.remark)
                 case Ask.ROSTER:
                     pass  # without a roster of its own this member believes everybody
+        self._publish_written()
 
     def _hear_twin(self) -> None:
         """Say it; a flood of namesakes must not push flights out of the log of events."""
@@ -108,44 +132,94 @@ class FleetMember:
         self.remark = f"another life of {self.vehicle} is on the network"
         self.tell(EventKind.SAID, self.remark)
 
-    def _answered(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> Result:
+    def _take(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> None:
         command = decode_command(asked.payload)
         if isinstance(command, Refused):
-            return self._result("", Verdict(Answered.REFUSED, command.reason))
+            return self._answer(asked, "", Verdict(Answered.REFUSED, command.reason))
         if command.vehicle != self.vehicle:
             words = f"meant for {command.vehicle}, this is {self.vehicle}"
-            return self._result(command.id, Verdict(Answered.REFUSED, words))
+            return self._answer(asked, command.id, Verdict(Answered.REFUSED, words))
         command = _named_by_signer(command, asked.signer)
         verdict = self.book.look(command, self.life, self.uptime_s)
-        if verdict is None:
-            verdict = self._carry_out(command, carry_out)
-        return self._result(command.id, verdict)
+        if verdict is not None:
+            return self._answer(asked, command.id, verdict)
+        if isinstance(command.deed, ONCE):
+            self._begin(_Begun(asked, command))
+            return self._carry_out_begun(carry_out)
+        # The rest, done twice, is the same as done once, and waits for no disk.
+        self._give_up_begun(f"overtaken by {_name_of(command)}")
+        verdict = self._finish(command, carry_out)
+        return self._answer(asked, command.id, verdict)
 
-    def _carry_out(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
-        once = isinstance(command.deed, ONCE)
-        if once:  # the rest, done twice, is the same as done once
-            self.book.begin(command)
+    def _begin(self, begun: _Begun) -> None:
+        """Have it written that this has begun."""
+        self.book.begin(begun.command)
+        save = self._book_as_it_is(settle=True)
+
+        def write() -> None:
             try:
-                self._save_book()
+                save()
             except OSError as error:
-                self.book.end(command, Verdict(Answered.LATER))
-                return Verdict(Answered.LATER, f"cannot write it down: {error.strerror}")
+                begun.trouble = f"cannot write it down: {error.strerror}"
+            begun.written = True
+
+        if not self.disk.do(BOOK, write, whole=True):
+            begun.written, begun.trouble = True, "cannot write it down: the disk takes no more"
+        self._begun.append(begun)
+
+    def _carry_out_begun(self, carry_out: Callable[[Command], Verdict]) -> None:
+        while self._begun and self._begun[0].written:
+            begun = self._begun.popleft()
+            asked, command = begun.asked, begun.command
+            if begun.trouble:
+                self._leave_undone(begun, begun.trouble)
+            else:
+                self._answer(asked, command.id, self._finish(command, carry_out))
+
+    def _give_up_begun(self, why: str) -> None:
+        """What still waits for the disk is not done behind a younger order."""
+        while self._begun:
+            self._leave_undone(self._begun.popleft(), why)
+
+    def _leave_undone(self, begun: _Begun, why: str) -> None:
+        verdict = Verdict(Answered.LATER, why)
+        self.book.end(begun.command, verdict)
+        self._answer(begun.asked, begun.command.id, verdict)
+
+    def _finish(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
         verdict = carry_out(command)
         self.book.end(command, verdict)
-        self.try_to_save_book(settle=once)
+        self.save_book(settle=isinstance(command.deed, ONCE))
         said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
         self.tell(EventKind.COMMAND, said.strip())
         return verdict
 
-    def try_to_save_book(self, *, settle: bool = True) -> None:
-        """Write the book; a disk that does not take it is said."""
-        try:
-            self._save_book(settle=settle)
-        except OSError as error:
-            self.remark = f"book of commands not written: {error.strerror}"
+    def save_book(self, *, settle: bool = True) -> None:
+        """Have the book written; a disk that does not take it is said with the next state."""
+        save = self._book_as_it_is(settle=settle)
 
-    def _save_book(self, *, settle: bool = True) -> None:
-        write_whole(self.folder / BOOK, msgspec.to_builtins(self.book.kept()), settle=settle)
+        def write() -> None:
+            try:
+                save()
+                self._book_trouble = ""
+            except OSError as error:
+                self._book_trouble = f"book of commands not written: {error.strerror}"
+
+        if not self.disk.do(BOOK, write, whole=True, newest_only=not settle):
+            self._book_trouble = "book of commands not written: the disk takes no more"
+
+    def _book_as_it_is(self, *, settle: bool) -> Callable[[], None]:
+        """What writes the book with what stands in it now."""
+        path, content = self.folder / BOOK, msgspec.to_builtins(self.book.kept())
+        return lambda: write_whole(path, content, settle=settle)
+
+    def settle(self) -> None:
+        """Wait for the disk, on the ground; then tell what lies there."""
+        self.disk.settle()
+        self._publish_written()
+
+    def _answer(self, asked: Asked, id_: str, verdict: Verdict) -> None:
+        asked.answer([encode(self._result(id_, verdict))])
 
     def _result(self, id_: str, verdict: Verdict) -> Result:
         return Result(
@@ -159,7 +233,7 @@ class FleetMember:
     # --- out -----------------------------------------------------------------------------------
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:
-        """Write an event down, then tell it."""
+        """Have an event written down; it is told once it lies on the disk."""
         event = FleetEvent(
             vehicle=self.vehicle,
             log=self.log.log,
@@ -169,7 +243,12 @@ class FleetMember:
             text=text[:500],
             **more,
         )
-        self.link.publish_event(encode(self.log.append(event)))
+        self.log.append(event)
+        self._publish_written()
+
+    def _publish_written(self) -> None:
+        for event in self.log.newly_written():
+            self.link.publish_event(encode(event))
 
     def publish(self, airframe: str, max_payload_kg: float, phase: str, **more: Any) -> None:
         """Tell the state; `more` are the fields that this member knows."""
@@ -183,13 +262,15 @@ class FleetMember:
             phase=phase,
             log=self.log.log,
             last_seq=self.log.last_seq,
-            text=(self.log.trouble or self.remark)[:500],
+            text=(self.log.trouble or self._book_trouble or self.remark)[:500],
             **more,
         )
         self.link.publish_state(encode(state))
 
     def close(self) -> None:
-        """Leave the network and end the files."""
+        """Have all written and told, leave the network and end the files."""
+        self.disk.close()
+        self._publish_written()
         self.link.close()
         self.log.close()
 

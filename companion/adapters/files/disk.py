@@ -30,8 +30,11 @@ class Disk(Protocol):
 
     def do(
         self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
-    ) -> None:
-        """Do it, now or later. `newest_only`: in place of the last such deed that still waits."""
+    ) -> bool:
+        """Do it, now or later. `newest_only`: in place of the last such deed that still waits.
+
+        False: it was not taken, and will not be done.
+        """
         ...
 
     def settle(self) -> None:
@@ -77,9 +80,10 @@ class DiskAtOnce:
 
     def do(
         self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
-    ) -> None:
+    ) -> bool:
         """See `Disk`."""
         self._faults.attempt(record, deed, whole=whole)
+        return True
 
     def settle(self) -> None:
         """Nothing ever waits."""
@@ -120,18 +124,20 @@ class DiskThread:
 
     def do(
         self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
-    ) -> None:
+    ) -> bool:
         """See `Disk`."""
         with self._changed:
             if self._closed:
-                return
+                return False
             older = self._newest.get(record) if newest_only else self._newest.pop(record, None)
             if newest_only and older is not None:
                 older.deed = deed
             elif len(self._waiting) >= self._limit:
                 self._faults.tell("speed", "records: the disk is too slow, rows are lost")
+                return False
             else:
                 self._queue(_Waiting(record, deed, whole), newest_only=newest_only)
+            return True
 
     def _queue(self, entry: _Waiting, *, newest_only: bool) -> None:
         self._waiting.append(entry)

@@ -14,6 +14,7 @@ import msgspec
 
 from companion.adapters.clock import epoch_us, is_due, wall_s
 from companion.adapters.files.atomic_file import read_whole, settle_folder, write_whole
+from companion.adapters.files.disk import Disk
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import (
     Action,
@@ -110,15 +111,17 @@ class FleetPort:
         clock_s: Callable[[], float] = wall_s,
         epoch_us: Callable[[], int] = epoch_us,
         trouble_until: Callable[[float], str] = lambda seconds: "",
+        disk: Disk | None = None,
     ) -> "FleetPort":
         """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link.
-        `trouble_until(seconds)` says why nothing may begin that takes so long.
+        `trouble_until(seconds)` says why nothing may begin that takes so long. `disk` writes in its
+        own time; None: at once.
 
         Raises LeewayError where a file there is broken: a vehicle that forgot its commands must
         not take new ones.
         """
         current, trouble = _read_current(folder / CURRENT)
-        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us)
+        member = FleetMember.open(vehicle, folder, link_of, clock_s, epoch_us, disk)
         longest_s = longest_flight_s(airframe)
         port = cls(member, airframe_name, airframe.mass.max_payload_kg, current)
         port.begin_trouble = lambda: trouble_until(longest_s)
@@ -190,7 +193,8 @@ class FleetPort:
         if self.current is None:
             return
         self.book.close(self.current.assignment)
-        self.member.try_to_save_book()  # its outcome stands in the log of events all the same
+        self.member.save_book()  # its outcome stands in the log of events all the same
+        self.member.settle()
         self.member.remark = ""  # what was said of one flight is not said of the next
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
@@ -267,7 +271,7 @@ class FleetPort:
         ]
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:
-        """Write an event down, then tell it."""
+        """Have an event written down; it is told once it lies on the disk."""
         here = self.current
         self.member.tell(
             kind,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.adapters.autopilots.link import open_link
+from companion.adapters.files.disk import DiskThread
 from companion.app.flight.assignment import take_up
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
@@ -43,6 +44,7 @@ def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> F
             options.run_dir,
             membership.open_link,
             trouble_until=membership.trouble_until,
+            disk=None if options.record_at_once else DiskThread(lambda words: None),
         )
     except OSError as error:
         raise LeewayError(f"{options.run_dir}: {error.strerror}") from error

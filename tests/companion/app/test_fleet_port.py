@@ -17,6 +17,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet import member as fleet_member
 from companion.fleet.command_log import Verdict
 from companion.fleet.event_log import BATCH, KEPT, LEAP, SLACK, EventLog
+from companion.fleet.member import FleetMember
 from companion.fleet.messages import (
     Answered,
     Assign,
@@ -27,7 +28,10 @@ from companion.fleet.messages import (
     Launch,
     Recall,
     Result,
+    State,
+    decode_event,
     decode_result,
+    decode_state,
 )
 from companion.fleet.messages import encode as encoded
 from companion.fleet.network import Ask, Asked
@@ -250,3 +254,160 @@ def test_what_is_aboard_stays_aboard_when_the_certificate_ends(port):
     port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
     again = Assign(assignment="a1", order="o1", flight={})
     assert ask(port, again).answer is Answered.DONE
+
+
+class HeldDisk:
+    """A card that is busy until `let_go`: every deed waits; `full` takes none."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Any] = []
+        self.full = False
+
+    def do(self, record: str, deed: Any, *, whole: bool = False, newest_only: bool = False) -> bool:
+        if not self.full:
+            self.waiting.append(deed)
+        return not self.full
+
+    def let_go(self) -> None:
+        while self.waiting:
+            self.waiting.pop(0)()
+
+    settle = close = let_go
+
+
+class HandLink:
+    """A network by hand: what is asked is put in `waiting`, what is told stands in lists."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Asked] = []
+        self.events: list[FleetEvent] = []
+        self.states: list[State] = []
+
+    def asked(self) -> list[Asked]:
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def publish_event(self, raw: bytes) -> None:
+        event = decode_event(raw)
+        assert isinstance(event, FleetEvent)
+        self.events.append(event)
+
+    def publish_state(self, raw: bytes) -> None:
+        state = decode_state(raw)
+        assert isinstance(state, State)
+        self.states.append(state)
+
+    def close(self) -> None:
+        pass
+
+
+class OnBusyDisk:
+    """A member whose disk is busy: its commands, its answers, and what it carried out."""
+
+    def __init__(self, folder: Path) -> None:
+        self.link, self.disk = HandLink(), HeldDisk()
+        self.member = FleetMember.open("d1", folder, lambda life: self.link, disk=self.disk)
+        self.done: list[Deed] = []
+        self.answers: dict[str, list[bytes]] = {}
+
+    def ask(self, deed: Deed, id_: str) -> None:
+        command = Command(
+            id=id_, vehicle="d1", life=self.member.life, as_of_s=0.0, by="desk", deed=deed
+        )
+        replies = self.answers.setdefault(id_, [])
+        self.link.waiting.append(Asked(Ask.COMMAND, replies.extend, encoded(command)))
+
+    def turn(self) -> None:
+        def carry_out(command: Command) -> Verdict:
+            self.done.append(command.deed)
+            return Verdict(Answered.DONE)
+
+        self.member.turn(carry_out)
+
+    def answer(self, id_: str) -> tuple[Answered, str] | None:
+        results = [decode_result(raw) for raw in self.answers[id_]]
+        assert all(isinstance(result, Result) for result in results)
+        return (results[-1].answer, results[-1].reason) if results else None
+
+
+@pytest.fixture
+def on_busy_disk(tmp_path: Path) -> Any:
+    one = OnBusyDisk(tmp_path / "d1")
+    yield one
+    one.member.close()
+
+
+def test_a_launch_is_carried_out_once_it_lies_on_the_disk_and_nobody_waits_for_it(on_busy_disk):
+    one = on_busy_disk
+    one.ask(Launch(assignment="a1"), "c1")
+    one.turn()
+    one.turn()
+    assert (one.done, one.answer("c1")) == ([], None)
+    one.disk.let_go()
+    one.turn()
+    assert one.done == [Launch(assignment="a1")]
+    assert one.answer("c1") == (Answered.DONE, "")
+
+
+def test_a_recall_waits_for_no_disk_and_a_launch_behind_it_is_not_carried_out(on_busy_disk):
+    one = on_busy_disk
+    one.ask(Launch(assignment="a1"), "c1")
+    one.turn()
+    one.ask(Recall(), "c2")
+    one.turn()
+    assert one.done == [Recall()]
+    assert one.answer("c2") == (Answered.DONE, "")
+    assert one.answer("c1") == (Answered.LATER, "overtaken by recall (c2)")
+    one.disk.let_go()
+    one.turn()
+    assert one.done == [Recall()]
+
+
+def test_a_launch_comes_once_though_the_desk_asks_again_while_it_is_written(on_busy_disk):
+    one = on_busy_disk
+    for _ in range(3):
+        one.ask(Launch(assignment="a1"), "c1")
+        one.turn()
+    one.disk.let_go()
+    one.turn()
+    one.turn()
+    assert one.done == [Launch(assignment="a1")]
+
+
+def test_nobody_hears_of_an_outcome_that_does_not_lie_on_the_disk_yet(on_busy_disk):
+    one = on_busy_disk
+    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.turn()
+    one.member.publish("m100", 1.0, "standby")
+    assert (one.link.events, one.link.states[-1].last_seq) == ([], 0)
+    assert one.member.log.after(0) == []
+    one.disk.let_go()
+    one.turn()
+    one.member.publish("m100", 1.0, "standby")
+    assert [event.outcome for event in one.link.events] == ["SUC"]
+    assert one.link.states[-1].last_seq == one.link.events[0].seq
+    one.turn()
+    assert len(one.link.events) == 1
+
+
+def test_where_the_disk_takes_no_more_it_is_told_all_the_same_and_nothing_is_launched(on_busy_disk):
+    one = on_busy_disk
+    one.disk.full = True
+    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.ask(Launch(assignment="a1"), "c1")
+    one.turn()
+    one.member.publish("m100", 1.0, "standby")
+    assert [event.outcome for event in one.link.events] == ["SUC"]
+    assert "only kept in memory" in one.link.states[-1].text
+    assert one.done == []
+    assert one.answer("c1") == (Answered.LATER, "cannot write it down: the disk takes no more")
+
+
+def test_what_waits_for_the_disk_when_a_member_leaves_is_written_and_told(on_busy_disk):
+    one = on_busy_disk
+    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.member.close()
+    assert [event.outcome for event in one.link.events] == ["SUC"]
+    again = EventLog(one.member.folder / "events.jsonl")
+    assert [event.outcome for event in again.after(0)] == ["SUC"]
+    again.close()
