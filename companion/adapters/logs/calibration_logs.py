@@ -19,12 +19,18 @@ def read_calibration_log(
     path: Path, payload_kg: float, temperature_c: float
 ) -> tuple[FlightRecord, tuple[str, ...]]:
     """A log's telemetry with the parcel that hung below, and what its reader found wrong."""
-    flight = open_log(path)
-    if not flight.flies_by_tilt:
-        raise LeewayError(f"{path}: a {flight.vehicle}; a multirotor expected")
+    flight = open_multirotor_log(path)
     return as_record(flight, path.name, payload_kg, temperature_c), tuple(
         f"{path.name}: {finding}" for finding in flight.findings
     )
+
+
+def open_multirotor_log(path: Path) -> RecordedFlight:
+    """A log of a multirotor; LeewayError for another vehicle."""
+    flight = open_log(path)
+    if not flight.flies_by_tilt:
+        raise LeewayError(f"{path}: a {flight.vehicle}; a multirotor expected")
+    return flight
 
 
 def as_record(

@@ -3,7 +3,7 @@
 import datetime
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from rich.table import Table
 from companion.adapters.files.airframe_toml import write_airframe
 from companion.adapters.files.params import read_airframe
 from companion.adapters.files.qgc_plan import write_plan
-from companion.adapters.logs.calibration_logs import read_calibration_log
+from companion.adapters.logs.calibration_logs import as_record, open_multirotor_log
 from companion.adapters.logs.flight_table import payload_in_table_kg
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
@@ -34,11 +34,22 @@ from companion.core.calibration.flight import (
 )
 from companion.core.calibration.power import power_keys
 from companion.core.calibration.records import Blocks, prepare
+from companion.core.calibration.trim import TRIM_KEYS
+from companion.core.measured_energy.flown_track import FlownTrack, flown_track
+from companion.core.measured_energy.identified_phases import identify_phases
+from companion.core.measured_energy.track_power import (
+    PHASES,
+    phase_energy,
+    track_power_w,
+    with_flown,
+)
 from companion.core.mission.qgc_document import PlanItem
+from companion.core.replay.recorded_flight import sampled
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 
 NOT_IDENTIFIED = 3
+TRACK_EVERY_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +74,17 @@ def run_calibration(o: CalibrateOptions) -> None:
         start = read_airframe(o.airframe)
         loads = _loads(o.payload_kg, o.logs)
         with console.status("reading") as status:
-            flights = [
+            read = [
                 _read(console, path, load, start, o.temperature_c)
                 for path, load in zip(o.logs, loads, strict=True)
             ]
             kept = [
-                _read(console, path, load, start, o.temperature_c)
+                _read(console, path, load, start, o.temperature_c).blocks
                 for path, load in map(_log_and_load, o.holdouts)
             ]
+            flights = [log.blocks for log in read]
             done = calibrate(flights, start, lambda words: status.update(f"fitting: {words}"))
+            done = _with_phases(done, read)
             unseen = [predict(blocks, done.airframe) for blocks in kept]
         _show(console, done, unseen)
         if o.plots is not None:
@@ -168,15 +181,54 @@ def _log_and_load(words: str) -> tuple[Path, float]:
         raise LeewayError(f"--holdout {words}: LOG or LOG:KG expected") from error
 
 
+@dataclass(frozen=True, slots=True)
+class _Log:
+    """`track` is `None`, and `untracked` says why, where the log has no positions."""
+
+    blocks: Blocks
+    track: FlownTrack | None
+    untracked: str = ""
+
+
 def _read(
     console: Console, path: Path, payload_kg: float, start: Airframe, temperature_c: float
-) -> Blocks:
-    record, findings = read_calibration_log(path, payload_kg, temperature_c)
+) -> _Log:
+    flight = open_multirotor_log(path)
+    record = as_record(flight, path.name, payload_kg, temperature_c)
     hover_w = float(multirotor_power_w(start, start.mass_kg(payload_kg), 0.0))
     prepared = prepare(record, hover_w, start.battery.cells)
-    for words in (*findings, *prepared.notes):
+    for words in (*(f"{path.name}: {finding}" for finding in flight.findings), *prepared.notes):
         console.print(f"  {words}")
-    return prepared.blocks
+    try:
+        track = flown_track(path.name, sampled(flight, TRACK_EVERY_S), payload_kg)
+    except LeewayError as error:
+        return _Log(prepared.blocks, None, str(error))
+    return _Log(prepared.blocks, track)
+
+
+def _with_phases(done: Calibration, logs: list[_Log]) -> Calibration:
+    """The calibration with the power of each phase over its model's, where the tracks tell it."""
+    energies, notes = [], list(done.notes)
+    for log, wind in zip(logs, done.drag.winds, strict=True):
+        if log.track is None:
+            notes.append(f"power by phase: left out: {log.untracked}")
+            continue
+        mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
+        power = track_power_w(done.airframe, log.track, mean, log.blocks.density_kgpm3)
+        energies.append(phase_energy(log.track, power))
+    phases = identify_phases(energies)
+    start = "the power model" if phases.table is None else "level flight"
+    notes += [
+        f"{q.name}: not identified, priced as {start} is; what would: {q.flight}"
+        for q in phases.quantities
+        if not q.identified
+    ]
+    return replace(
+        done,
+        airframe=with_flown(done.airframe, phases.table),
+        quantities=(*done.quantities, *phases.quantities),
+        notes=tuple(notes),
+    )
 
 
 def _show(console: Console, done: Calibration, unseen: list[HeldOutFlight]) -> None:
@@ -259,6 +311,12 @@ def _sources(done: Calibration) -> dict[tuple[str, str], str]:
     found["power_rotor", "model_std_frac"] = (
         "rms over two-minute pieces of flights left out, or 0.03"
     )
+    for q in done.quantities:
+        if q.name in TRIM_KEYS and q.identified:
+            found["drag", TRIM_KEYS[q.name]] = f"mean over flights, ± {q.std:.2g}"
+    for phase, q in zip(PHASES, done.quantities[-len(PHASES) :], strict=True):
+        words = f"measured over flights, ± {q.std:.2g}" if q.identified else "as level flight"
+        found["power_flown", f"{phase}_frac"] = words
     battery = done.battery
     if any(q.name == "pack's resistance" and q.identified for q in done.quantities):
         found["battery", "resistance_ohm"] = f"fitted, ± {battery.resistance_std_ohm:.2g}"

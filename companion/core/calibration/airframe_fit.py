@@ -25,6 +25,7 @@ from companion.core.calibration.power import (
 )
 from companion.core.calibration.quantities import Quantity, quantities_of
 from companion.core.calibration.records import BLOCK_S, Blocks
+from companion.core.calibration.trim import TRIM_KEYS, trim_quantities
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps
 
@@ -86,8 +87,10 @@ def calibrate(
     """Fit an airframe to flights; `start` is what is believed before, `told` hears of progress.
 
     `leave_out`: fit again without each flight, to say how well it is predicted unseen. Without it
-    the start's `power_rotor.model_std_frac` stays.
+    the start's `power_rotor.model_std_frac` stays. The start's `power_flown` does not: tracks tell
+    it (`measured_energy.identified_phases`).
     """
+    start = msgspec.structs.replace(start, power_flown=None)  # it belongs to the start's own power
     told("drag and wind")
     drag = fit_drag(flights, start)
     dragged = with_values(start, drag.values, power_values(start))
@@ -96,6 +99,7 @@ def calibrate(
     told("battery")
     battery = fit_battery(flights, start.battery)
     quantities = quantities_of(flights, start, drag, power, battery)
+    quantities += trim_quantities(flights, start, drag)
     holdouts = tuple(_leave_out(flights, start, told)) if leave_out else ()
     airframe, notes = _assembled(start, drag, power, battery, quantities, holdouts)
     notes = (*notes, *_extrapolated(flights, drag, airframe), *_bladeless(airframe, start.name))
@@ -197,7 +201,7 @@ def _assembled(
         model_std = max(float(np.sqrt(np.mean(pieces**2))), _LEAST_MODEL_STD_FRAC)
     fitted = replace(
         fitted,
-        drag=replace(fitted.drag, gain_std_frac=_gain_std(start, drag)),
+        drag=replace(fitted.drag, gain_std_frac=_gain_std(start, drag), **_trims(quantities)),
         power_rotor=replace(fitted.power_rotor, model_std_frac=min(model_std, 0.5)),
     )
     pack = start.battery
@@ -212,6 +216,12 @@ def _assembled(
             usable_std_frac=usable.std_frac,
         )
     return replace(fitted, battery=pack), tuple(notes)
+
+
+def _trims(quantities: tuple[Quantity, ...]) -> dict[str, float]:
+    """Both mean trims by their keys, where they are identified; a trim may not pass its range."""
+    found = {q.name: q for q in quantities if q.name in TRIM_KEYS and q.identified}
+    return {TRIM_KEYS[name]: float(np.clip(q.value, -5.0, 5.0)) for name, q in found.items()}
 
 
 def _gain_std(start: Airframe, drag: DragFit) -> float:

@@ -89,7 +89,8 @@ class WindSeen:
 class DragFit:
     """`values` and `cov` as in DRAG_KEYS; `prior_cov` what was believed before.
 
-    `residual_mps2` per flight: (n, 2) measured less expected drag deceleration, wind explained.
+    `residual_mps2` per flight: (n, 2) measured less expected drag deceleration, wind explained;
+    its mean over a flight is gravity times the trim beside the start airframe's.
     """
 
     values: Floats
@@ -139,7 +140,7 @@ def _ratios(value: Floats) -> tuple[float, ...]:
 
 
 def _fit(flights: list[Blocks], airframe: Airframe, priors: DragPriors, fixed: bool) -> DragFit:
-    models = [_FlightModel(b.pick(b.airborne), airframe.mass.empty_kg, priors) for b in flights]
+    models = [_FlightModel(b.pick(b.airborne), airframe, priors) for b in flights]
     start = drag_values(airframe)
     prior_cov = drag_prior_cov(airframe, priors)
     globals_ = 0 if fixed else len(start)
@@ -211,8 +212,10 @@ def _clusters(models: list["_FlightModel"]) -> Iterator[Ints]:
 class _FlightModel:
     """One flight: expected drag decelerations, their covariance, and its square root."""
 
-    def __init__(self, blocks: Blocks, empty_kg: float, priors: DragPriors) -> None:
+    def __init__(self, blocks: Blocks, airframe: Airframe, priors: DragPriors) -> None:
         self._b, self._priors = blocks, priors
+        drag, empty_kg = airframe.drag, airframe.mass.empty_kg
+        self._trim_mps2 = GRAVITY_MPS2 * np.radians([drag.trim_forward_deg, drag.trim_right_deg])
         self._mass = empty_kg + blocks.payload_kg
         self._mass_root = np.sqrt(self._mass / empty_kg)
         self._parcel = blocks.payload_kg > 0.001 * empty_kg
@@ -274,8 +277,8 @@ class _FlightModel:
         accel_f = ahead_f + error * ahead_r
         accel_r = ahead_r - error * ahead_f
         return np.r_[
-            accel_f - b.thrust_forward_mps2 - expected_f,
-            accel_r - b.thrust_right_mps2 - expected_r,
+            accel_f - b.thrust_forward_mps2 - self._trim_mps2[0] - expected_f,
+            accel_r - b.thrust_right_mps2 - self._trim_mps2[1] - expected_r,
         ]
 
     def _wind_slopes(self, drag: Floats, own: Floats) -> Floats:

@@ -29,6 +29,7 @@ class Quantity:
     """Something the fit should know: its value, std now and before, and the limit on the std.
 
     `needed`: refused where it is not identified; otherwise kept from the start airframe, and said.
+    `limit_std`: the limit in the unit itself, of a quantity whose value may be zero.
     """
 
     name: str
@@ -39,11 +40,13 @@ class Quantity:
     limit_frac: float
     needed: bool
     flight: str
+    limit_std: float | None = None
 
     @property
     def identified(self) -> bool:
         """Known well enough, and by these flights rather than by belief."""
-        well = self.std <= self.limit_frac * abs(self.value)
+        limit = self.limit_frac * abs(self.value) if self.limit_std is None else self.limit_std
+        well = self.std <= limit
         return well and self.std <= _POSTERIOR_OVER_PRIOR * self.prior_std
 
 

@@ -104,13 +104,19 @@ class Drag(
     vertical wind, interference.
     """
     trim_std_deg: float
-    """How far the reported attitude may lean against the thrust."""
+    """How far the reported attitude may lean against the thrust, beside the mean trims below."""
     vertical_quadratic_n_per_mps2: float | None = None
     """Drag of the flow down through the rotors, upon the vehicle's top: about 0.7 of its plan
     area in m^2 (body, arms and packs, half rho Cd A with a plate's 1.1 to 1.2). With it power
     is priced along the body's axes (`power.multirotor_power_w`). Without it the vehicle drags
     alike from all sides and the rotors' own drag is paid for in full.
     """
+    trim_forward_deg: float = 0.0
+    """How far the thrust leans forward of where the reported attitude puts it, the mean over
+    flights: how autopilot and centre of gravity sit in the airframe.
+    """
+    trim_right_deg: float = 0.0
+    """The same to the right."""
 
     def __post_init__(self) -> None:
         for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
@@ -124,6 +130,8 @@ class Drag(
         check_range("drag.axis_gain_std_frac", self.axis_gain_std_frac, 0.0, 1.0)
         check_range("drag.model_std_frac", self.model_std_frac, 0.0, 0.5)
         check_range("drag.trim_std_deg", self.trim_std_deg, 0.05, 5.0)
+        check_range("drag.trim_forward_deg", self.trim_forward_deg, -5.0, 5.0)
+        check_range("drag.trim_right_deg", self.trim_right_deg, -5.0, 5.0)
         if self.linear_forward_n_per_mps + self.quadratic_forward_n_per_mps2 <= 0.0:
             raise LeewayError("drag.linear_forward_n_per_mps: some drag expected, all are 0")
         if self.linear_right_n_per_mps + self.quadratic_right_n_per_mps2 <= 0.0:

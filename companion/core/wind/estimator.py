@@ -62,6 +62,8 @@ class WindEstimator:
 
     def __init__(self, airframe: Airframe, params: WindEstimatorParams | None = None) -> None:
         self._airframe = airframe
+        drag = airframe.drag
+        self._mean_trim_rad = math.radians(drag.trim_forward_deg), math.radians(drag.trim_right_deg)
         self._params = params or params_for(airframe)
         self._alone = Airs.unseen(airframe, self._params)  # without any airspeed
         self._with_airspeed: WindState | None = None
@@ -79,7 +81,7 @@ class WindEstimator:
 
     @property
     def trim_rad(self) -> tuple[float, float]:
-        """Tilt trim believed, along body forward and right."""
+        """Tilt trim believed beside the airframe's mean trim, along body forward and right."""
         x = self._believed.x
         return float(x[At.TRIM]), float(x[At.TRIM + 1])
 
@@ -111,6 +113,8 @@ class WindEstimator:
         Late or repeated times are ignored. Raises ValueError on NaN or infinity.
         """
         observation.refuse_nan()
+        if any(self._mean_trim_rad):
+            observation = observation.levelled(*self._mean_trim_rad)
         before_s = self._t_s
         if before_s is not None and observation.t_s <= before_s:
             return ()

@@ -1,7 +1,7 @@
 """Input and output of the wind estimator: observations and the belief."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.core.base.arrays import Floats
@@ -48,6 +48,13 @@ class WindObservation:
             nn, ne, ee = self.autopilot_wind_cov_m2ps2
             if nn < 0.0 or ee < 0.0 or ne * ne > nn * ee:
                 raise ValueError(f"wind observation with a covariance that is none: {self}")
+
+    def levelled(self, forward_rad: float, right_rad: float) -> "WindObservation":
+        """The same with the attitude leaned forward and right by these trims."""
+        if self.roll_rad is None or self.pitch_rad is None:
+            return self
+        roll, pitch = self.roll_rad + right_rad, self.pitch_rad - forward_rad
+        return replace(self, roll_rad=roll, pitch_rad=pitch)
 
 
 @dataclass(frozen=True, slots=True)

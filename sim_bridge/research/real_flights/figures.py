@@ -190,7 +190,8 @@ def _fitted(fold: FoldResult) -> dict[str, Any]:
     return {
         "without": fold.day,
         "anemometer": msgspec.to_builtins(fold.scale),
-        "levelling": msgspec.to_builtins(fold.level),
+        "trim_forward_deg": fold.trim_deg[0],
+        "trim_right_deg": fold.trim_deg[1],
         "trim_std_deg": fold.drag_stds[0],
         "drag_model_std_frac": fold.drag_stds[1],
         "power_flown": dict(

@@ -24,11 +24,9 @@ from sim_bridge.research.real_flights.rivals import Rivals, fit_rivals
 from sim_bridge.research.real_flights.wind_replay import (
     AirspeedMean,
     AnemometerScale,
-    Levelling,
     WindReplay,
     airspeed_mean,
     fit_scale,
-    levelling,
     replay_wind,
     stretches,
     windows,
@@ -96,7 +94,7 @@ class FoldResult:
     day: str
     flights: tuple[JudgedFlight, ...]
     scale: AnemometerScale
-    level: Levelling
+    trim_deg: tuple[float, float]
     drag_stds: tuple[float, float]
     scatter: dict[str, EnergyScatter]
     slopes: dict[str, float]
@@ -110,7 +108,6 @@ class _Fitted:
     calibration: Calibration
     flying: Airframe
     scale: AnemometerScale
-    level: Levelling
     forecast: EnergyForecast
     rivals: Rivals
 
@@ -131,7 +128,7 @@ def run_fold(fold: Fold) -> FoldResult:
         fold.day,
         done,
         fitted.scale,
-        fitted.level,
+        (fitted.flying.drag.trim_forward_deg, fitted.flying.drag.trim_right_deg),
         (fitted.flying.drag.trim_std_deg, fitted.flying.drag.model_std_frac),
         {"flown": forecast.flown, **{n: p.scatter for n, p in forecast.points.items()}},
         {n: p.slope for n, p in forecast.points.items()},
@@ -157,15 +154,20 @@ def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
     scale = fit_scale([train[i] for i in chosen], [seen[i] for i in chosen])
     charges = charges_of([f.ordered.date for f in train], [f.start_v for f in train])
     known = [_known(*row) for row in zip(train, winds, charges, strict=True)]
-    level = levelling(done.drag.residual_mps2)
     scored = [train[i] for i in chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]]
-    flying = _likeliest(done.airframe, scored, scale, level)
+    flying = _likeliest(done.airframe, scored, scale)
     forecast = fit_forecast(done.airframe, known)
-    return _Fitted(done, flying, scale, level, forecast, fit_rivals(train))
+    return _Fitted(done, flying, scale, forecast, fit_rivals(train))
+
+
+def as_reported(airframe: Airframe) -> Airframe:
+    """The airframe without its mean trims: the attitude is taken as the autopilot reports it."""
+    changed = msgspec.structs.replace
+    return changed(airframe, drag=changed(airframe.drag, trim_forward_deg=0.0, trim_right_deg=0.0))
 
 
 def _likeliest(
-    airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale, level: Levelling
+    airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale
 ) -> Airframe:
     """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest."""
     changed = msgspec.structs.replace
@@ -173,15 +175,13 @@ def _likeliest(
         changed(airframe, drag=changed(airframe.drag, trim_std_deg=trim, model_std_frac=model))
         for trim, model in DRAG_STDS
     ]
-    losses = [_wind_loss(one, flights, scale, level) for one in tried]
+    losses = [_wind_loss(one, flights, scale) for one in tried]
     return tried[int(np.argmin(losses))]
 
 
-def _wind_loss(
-    airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale, level: Levelling
-) -> float:
+def _wind_loss(airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale) -> float:
     """Minus twice the log-likelihood of the 10 s means, normal errors of the stated std."""
-    judged = [_wind(f, replay_wind(f, airframe, level), scale) for f in flights]
+    judged = [_wind(f, replay_wind(f, airframe), scale) for f in flights]
     means = [mean for wind in judged for mean in wind.windows]
     return sum(
         ((m.believed_mps - m.read_mps) / m.std_mps) ** 2 + 2.0 * math.log(m.std_mps) for m in means
@@ -211,9 +211,9 @@ def planned_route(flight: ReadFlight) -> tuple[FlownRoute | None, str]:
 
 def _judge(flight: ReadFlight, fitted: _Fitted) -> JudgedFlight:
     airframe = fitted.flying
-    alone = replay_wind(flight, airframe, fitted.level)
-    aided = replay_wind(flight, airframe, fitted.level, with_airspeed=True)
-    leaning = replay_wind(flight, airframe, Levelling())
+    alone = replay_wind(flight, airframe)
+    aided = replay_wind(flight, airframe, with_airspeed=True)
+    leaning = replay_wind(flight, as_reported(airframe))
     energies, words = _energies(flight, fitted.forecast, alone.mean_ne_mps)
     return JudgedFlight(
         flight.ordered.name,

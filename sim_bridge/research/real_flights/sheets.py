@@ -131,12 +131,12 @@ def fitted_sheet(found: RealFlights) -> Sheet:
         ["descent", _range(f["power_flown"]["descent_frac"] for f in found.fitted)],
     ]  # fmt: skip
     for key, name in (
-        ("trim_std_deg", "trim that the estimator expects, degrees"),
+        ("trim_forward_deg", "mean trim forward, degrees"),
+        ("trim_right_deg", "mean trim right, degrees"),
+        ("trim_std_deg", "trim beside it that the estimator expects, degrees"),
         ("drag_model_std_frac", "drag error that it expects"),
     ):
         rows.append([name, _range(f[key] for f in found.fitted)])
-    leans = [f["levelling"]["forward_rad"] for f in found.fitted]
-    rows.append(["mean lean of the reported attitude forward, rad", _range(leans)])
     for what in ("day", "charge", "flight"):
         stds = [100.0 * f["scatter"]["flown"][f"{what}_variance"] ** 0.5 for f in found.fitted]
         rows.append([f"scatter of flown energy between {what}s, %", _range(stds)])

@@ -16,7 +16,6 @@ from companion.core.calibration.drag import WindSeen
 from companion.core.calibration.power import air_speeds
 from companion.core.measured_energy.flown_track import FlownTrack
 from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.wind.estimator import WindEstimator
 from companion.core.wind.observation import WindFilter, WindObservation
 from sim_bridge.research.real_flights.folder import ReadFlight
@@ -34,15 +33,6 @@ class WindReplay:
 
     mean_ne_mps: Floats
     cov_ne_m2ps2: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Levelling:
-    """How far the reported attitude leans against the thrust on average over a vehicle's flights,
-    along body forward and right, rad: how autopilot and centre of gravity sit in the airframe."""
-
-    forward_rad: float = 0.0
-    right_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,16 +54,10 @@ class AirspeedMean:
     ground_mps: float
 
 
-def levelling(residuals_mps2: Sequence[Floats]) -> Levelling:
-    """Mean of what the drag fit leaves over, flight by flight, (n, 2) each, as a tilt."""
-    mean = np.mean([left.mean(axis=0) for left in residuals_mps2], axis=0) / GRAVITY_MPS2
-    return Levelling(float(mean[0]), float(mean[1]))
-
-
 def observations(
-    flight: ReadFlight, airframe: Airframe, level: Levelling, *, with_airspeed: bool
+    flight: ReadFlight, airframe: Airframe, *, with_airspeed: bool
 ) -> Iterable[WindObservation]:
-    """What the estimator hears: velocity and levelled attitude, and the anemometer if asked for."""
+    """What the estimator hears: velocity and attitude, and the anemometer if asked for."""
     s = flight.samples
     mass_kg = airframe.mass_kg(flight.ordered.payload_kg)
     for i, t_s in enumerate(s.t_s.tolist()):
@@ -84,8 +68,8 @@ def observations(
             airborne=bool(s.airborne[i] and s.height_rel_m[i] > _LEAST_HEIGHT_M),
             mass_kg=mass_kg,
             vel_ned_mps=velocity if all(map(math.isfinite, velocity)) else None,
-            roll_rad=_known(s.roll_rad[i] + level.right_rad),
-            pitch_rad=_known(s.pitch_rad[i] - level.forward_rad),
+            roll_rad=_known(s.roll_rad[i]),
+            pitch_rad=_known(s.pitch_rad[i]),
             yaw_rad=_known(s.yaw_rad[i]),
             airspeed_mps=airspeed if with_airspeed and math.isfinite(airspeed) else None,
             airspeed_is_magnitude=True,
@@ -101,7 +85,6 @@ def _known(value: float) -> float | None:
 def replay_wind(
     flight: ReadFlight,
     airframe: Airframe,
-    level: Levelling,
     *,
     with_airspeed: bool = False,
     make: type[WindFilter] = WindEstimator,
@@ -109,7 +92,7 @@ def replay_wind(
     """The product's estimator over one flight; its belief at each point of the track's grid."""
     estimator = make(airframe)  # pyright: ignore[reportCallIssue]
     times, means, covs = [], [], []
-    for seen in observations(flight, airframe, level, with_airspeed=with_airspeed):
+    for seen in observations(flight, airframe, with_airspeed=with_airspeed):
         estimator.update(seen)
         belief = estimator.belief(seen.t_s)
         times.append(seen.t_s)

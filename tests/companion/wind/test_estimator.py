@@ -595,3 +595,19 @@ def test_in_thin_air_the_wind_is_right_only_where_the_filter_is_told_its_density
         )
     off = abs(float(estimator.belief(30.0).mean_to_ne_mps[0] - wind[0]))
     assert off < 0.2 if told else off > 1.5
+
+
+def test_an_airframe_that_states_its_mean_trim_takes_a_leaning_attitude_as_the_level_one():
+    trimmed = msgspec.structs.replace(
+        airframe().drag, trim_forward_deg=math.degrees(0.03), trim_right_deg=math.degrees(-0.02)
+    )
+    level = WindEstimator(airframe())
+    leaning = WindEstimator(msgspec.structs.replace(airframe(), drag=trimmed))
+    for k in range(100):
+        seen = steady(0.1 * k, 0.7, 8.0, (2.0, -1.0))
+        level.update(seen)
+        pitch, roll = seen.pitch_rad + 0.03, seen.roll_rad + 0.02
+        leaning.update(replace(seen, pitch_rad=pitch, roll_rad=roll))
+    assert leaning.belief(10.0).mean_to_ne_mps == pytest.approx(
+        level.belief(10.0).mean_to_ne_mps, abs=1e-9
+    )
