@@ -97,7 +97,8 @@ def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, gue
     assert flown is not None
     # The truth's rotors pay for a climb and sink for less; the model books both as level flight.
     assert 0.7 < flown.descent_frac < flown.level_frac < 1.1
-    assert "trim_forward_deg" in out.read_text()
+    # The nose of one of the three is held: two flights that turn are too few for the trim.
+    assert "trim forward: not identified" in done.output
     record, _ = read_calibration_log(logs / "unseen.tlog", 0.6, 20.0)
     blocks = prepare(record, 500.0, 6).blocks
     assert abs(predict(blocks, read_airframe(str(guess))).error_frac) > 0.05
