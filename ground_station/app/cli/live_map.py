@@ -79,13 +79,15 @@ def show_map(
         from ground_station.adapters.web.map_server import MapAnswers
         from ground_station.app.map.fleet_ear import FleetEar
         from ground_station.app.map.map_feed import MapFeed
+        from ground_station.app.map.map_view import MapView
         from ground_station.core.fleet.fleet_status import FleetStatus
 
         clock = WallClock()
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WORDS,) if open_network else ()
         ear = FleetEar(ears, clock, status)
-        feed = MapFeed(name, ear, opened, clock, data, notes, basemap is not None)
+        view = MapView(name, data, notes, basemap is not None)
+        feed = MapFeed(view, ear, opened, clock)
         server.serve(MapAnswers(feed.stream, feed.history, feed.reach, basemap))
         shown = f"[{host}]" if ":" in host else host
         typer.echo(f"the map of {name}: http://{shown}:{server.port}/  Ctrl-C ends it")

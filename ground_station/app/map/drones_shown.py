@@ -14,17 +14,12 @@ from ground_station.core.fleet.fleet_status import STANDBY, VehicleStatus
 from ground_station.core.schema.orders import AssignmentRow, Order
 from ground_station.core.schema.sortie_rows import SortieRow
 
-DIVERT = "divert"
-"""The phase of a flight that lands elsewhere than it was promised."""
-
-DIVERTED = "divert: to "
-"""How the decision's words begin that name the place."""
-
 
 @dataclass(frozen=True, slots=True)
 class DroneFacts:
-    """What is known of one drone at one moment. `places`: rally points by name, `depot`: where
-    flights without a truck begin and end.
+    """What is known of one drone at one moment. `decision`: the last on this flight;
+    `diverted_to`: the place of a diversion in force; `places`: rally points by name, `depot`:
+    where flights without a truck begin and end.
     """
 
     seen: VehicleStatus
@@ -33,6 +28,7 @@ class DroneFacts:
     order: Order | None
     day: DayShown | None
     decision: HeardDecision | None
+    diverted_to: str | None
     depot: Point | None
     places: dict[str, Point]
 
@@ -48,14 +44,6 @@ class DroneFacts:
         if state is None or state.lat_deg is None or state.lon_deg is None:
             return None
         return state.lat_deg, state.lon_deg
-
-    @property
-    def own_decision(self) -> HeardDecision | None:
-        """Its last decision, if that was on the flight that it is on."""
-        state, decision = self.seen.state, self.decision
-        if state is None or decision is None or state.assignment is None:
-            return None
-        return decision if decision.event.assignment == state.assignment else None
 
 
 def drone_shown(facts: DroneFacts, t_s: float) -> DroneShown:
@@ -77,7 +65,7 @@ def drone_shown(facts: DroneFacts, t_s: float) -> DroneShown:
 
 
 def _flying(facts: DroneFacts, state: State, common: dict[str, Any]) -> DroneShown:
-    decision, wind = facts.own_decision, (state.wind_to_n_mps, state.wind_to_e_mps)
+    decision, wind = facts.decision, (state.wind_to_n_mps, state.wind_to_e_mps)
     return DroneShown(
         phase=_phase(facts, state),
         at=facts.at,
@@ -112,7 +100,7 @@ def _way(facts: DroneFacts, state: State) -> WayShown:
         return WayShown()
     customer = (order.lat_deg, order.lon_deg)
     start, end = _pad(facts, "launch"), _pad(facts, "promised")
-    asked, landing = _pad(facts, "asked"), _landing(facts, state)
+    asked, landing = _pad(facts, "asked"), _landing(facts)
     before = start is not None and not state.delivered
     return WayShown(
         out=[start, customer] if before and start is not None else [],
@@ -134,13 +122,9 @@ def _pad(facts: DroneFacts, which: str) -> Point | None:
     return point_of(sortie.pads.get(names[which] or ""))
 
 
-def _landing(facts: DroneFacts, state: State) -> Point | None:
-    """Where a diversion in force lands, by the decision's own words."""
-    decision = facts.own_decision
-    if state.phase != DIVERT or decision is None:
-        return None
-    text = decision.event.text
-    name = text.removeprefix(DIVERTED).partition(":")[0] if text.startswith(DIVERTED) else ""
+def _landing(facts: DroneFacts) -> Point | None:
+    """Where a diversion in force lands."""
+    name = facts.diverted_to or ""
     pads = {} if facts.sortie is None else facts.sortie.pads
     return facts.places.get(name) or point_of(pads.get(name))
 

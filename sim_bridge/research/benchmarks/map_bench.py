@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +29,16 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.web.map_server import MapAnswers, MapServer
 from ground_station.app.map.fleet_ear import FleetEar
 from ground_station.app.map.map_feed import MapFeed
+from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, StateReceived
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.orders import Order
+from sim_bridge.research.map_pages.chromium import page
+from sim_bridge.research.map_pages.frame_rate import FrameRate, frame_rate
 
 WARM_S = 3.0
 GATHER_S = 0.05
+WINDOW_PX = {"width": 1280, "height": 800}
 WINDOW = """
 import sys, urllib.request
 with urllib.request.urlopen(sys.argv[1]) as stream:
@@ -46,7 +50,7 @@ with urllib.request.urlopen(sys.argv[1]) as stream:
 @dataclass(frozen=True, slots=True)
 class MapLoad:
     """What was measured. `whole_kb`: the first event of a window; `change_kb`: one of the others,
-    on average.
+    on average. `at_rest`, `moving`: frames of one more window, a headless Chromium's, if asked for.
     """
 
     drones: int
@@ -58,6 +62,8 @@ class MapLoad:
     whole_kb: float
     change_kb: float
     memory_mb: float
+    at_rest: FrameRate | None = None
+    moving: FrameRate | None = None
 
 
 class BenchLink:
@@ -103,9 +109,15 @@ class BenchLink:
 
 
 def bench(
-    drones: int, orders: int, windows: int, seconds: float, seed: int, json_file: Path | None
+    drones: int,
+    orders: int,
+    windows: int,
+    seconds: float,
+    seed: int,
+    json_file: Path | None,
+    in_browser: bool = False,
 ) -> MapLoad:
-    """Measure, print, and write the figures."""
+    """Measure, print, and write the figures. `in_browser`: the page's frames too, afterwards."""
     with ExitStack() as held:
         folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="leeway-map-")))
         rng = np.random.default_rng(seed)
@@ -113,7 +125,7 @@ def bench(
         held.callback(store.close)
         clock = WallClock()
         ear = FleetEar(BenchLink(drones, rng), clock, FleetStatus())
-        feed = MapFeed("bench", ear, store, clock)
+        feed = MapFeed(MapView("bench"), ear, store, clock)
         server = MapServer("127.0.0.1", 0)
         held.callback(server.close)
         server.serve(MapAnswers(feed.stream, feed.history, feed.reach))
@@ -121,6 +133,8 @@ def bench(
             held.enter_context(_window(f"http://127.0.0.1:{server.port}/events"))
         _turn(feed, WARM_S)
         load = _measured(feed, (drones, orders, windows), seconds)
+        if in_browser:
+            load = _with_frames(load, feed, f"http://127.0.0.1:{server.port}/", seconds)
     Console().print(_words(load), highlight=False)
     if json_file is not None:
         json_file.write_text(json.dumps(asdict(load), indent=1) + "\n")
@@ -184,10 +198,45 @@ def _measured(feed: MapFeed, size: tuple[int, int, int], seconds: float) -> MapL
     )
 
 
+def _with_frames(load: MapLoad, feed: MapFeed, address: str, seconds: float) -> MapLoad:
+    with _turned_beside(feed), page(address, viewport=WINDOW_PX) as window:
+        window.wait_for_timeout(1000.0 * WARM_S)
+        at_rest = frame_rate(window, seconds, moving=False)
+        return replace(load, at_rest=at_rest, moving=frame_rate(window, seconds, moving=True))
+
+
+@contextmanager
+def _turned_beside(feed: MapFeed) -> Iterator[None]:
+    """The feed goes on in a thread of its own."""
+    ended = threading.Event()
+
+    def turn() -> None:
+        while not ended.is_set():
+            feed.turn()
+
+    thread = threading.Thread(target=turn, name="feed")
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _frame_words(load: MapLoad) -> str:
+    frames = {"at rest": load.at_rest, "moved": load.moving}
+    return "".join(
+        f"; {name} {rate.frames_hz:.1f} frames/s, {rate.task_ms:.0f} ms of work each,"
+        f" at most {rate.longest_ms:.0f} ms apart"
+        for name, rate in frames.items()
+        if rate is not None
+    )
+
+
 def _words(load: MapLoad) -> str:
     return (
         f"{load.drones} drones, {load.orders} orders, {load.windows} windows:"
         f" {load.core_pct:.1f} % of a core at {load.pictures_hz:.1f} pictures/s;"
         f" whole {load.whole_kb:.0f} kB, change {load.change_kb:.1f} kB;"
-        f" {load.memory_mb:.0f} MB of memory"
+        f" {load.memory_mb:.0f} MB of memory{_frame_words(load)}"
     )

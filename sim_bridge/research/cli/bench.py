@@ -60,17 +60,25 @@ def live_map(
     windows: Annotated[int, typer.Option(min=0, max=32, help="Browsers that follow it.")] = 3,
     seconds: Annotated[float, typer.Option(min=1.0, help="How long it is measured.")] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Places, winds and speeds.")] = 1,
+    browser: Annotated[
+        bool,
+        typer.Option(
+            "--browser",
+            help="Also count the frames of the page in a headless Chromium, drawn in software: at"
+            " rest, and while the map is moved. They go with the machine and its load.",
+        ),
+    ] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
 ) -> None:
     """The share of a core that `ground-station map` takes with many drones and orders.
 
-    sim-bridge research bench map --drones 200 --orders 1000
+    sim-bridge research bench map --drones 200 --orders 1000 --browser
     """
     try:
         from sim_bridge.research.benchmarks.map_bench import bench as bench_now
     except ImportError as error:
         raise LeewayError(f"bench map needs leeway-uas[ground]: {error}") from error
-    bench_now(drones, orders, windows, seconds, seed, json_file)
+    bench_now(drones, orders, windows, seconds, seed, json_file, browser)
 
 
 fleet = typer.Typer()

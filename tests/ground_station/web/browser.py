@@ -1,6 +1,5 @@
 """Debian's Chromium by Playwright, without a network but this machine's; tests skip without it."""
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,17 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from sim_bridge.research.map_pages.chromium import NAMES, OPTIONS, chromium
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_MS = 30_000.0
 
 
 def needs_chromium() -> str:
     """The browser's program; skips the test where it or its driver is not installed."""
     pytest.importorskip("playwright.sync_api", reason="playwright: the page was not looked at")
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
+    found = chromium()
     if found is None:
         pytest.skip(f"none of {', '.join(NAMES)} is installed: the page was not looked at")
     return found
@@ -30,9 +30,8 @@ def browsing(program: str, **context: Any) -> "Iterator[Page]":
     from playwright.sync_api import sync_playwright
 
     wrong: list[str] = []
-    options = ["--no-sandbox", "--enable-unsafe-swiftshader", "--disable-background-networking"]
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=options)
+        browser = driver.chromium.launch(executable_path=program, args=OPTIONS)
         page = browser.new_context(**context).new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("pageerror", lambda error: wrong.append(str(error)))

@@ -21,6 +21,7 @@ from ground_station.app.desk.open_desk import open_truck_desk
 from ground_station.app.desk.replanner import InlineReplanner
 from ground_station.app.map.fleet_ear import FleetEar
 from ground_station.app.map.map_feed import MapFeed
+from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, StateReceived
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.hand_made_day import PLAN, by_truck
@@ -98,7 +99,7 @@ class MapSite:
         self.ears.known = set()
         ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
         has_tiles = basemap is not None
-        self.feed = MapFeed("harbour", ear, self.reader, clock, HARBOUR, basemap=has_tiles)
+        self.feed = MapFeed(MapView("harbour", HARBOUR, basemap=has_tiles), ear, self.reader, clock)
         self.server = MapServer("127.0.0.1", port)
         answers = MapAnswers(self.feed.stream, self.feed.history, self.feed.reach, basemap)
         self.server.serve(answers)

@@ -103,6 +103,49 @@ def test_a_drone_on_the_map_turns_and_moves(site, page):
     assert drone.get_attribute("transform") != before
 
 
+CHANGED = """() => {
+  window.changed = new Set();
+  const note = (found) => found.forEach((one) => window.changed.add(one.target));
+  const all = { subtree: true, attributes: true };
+  new MutationObserver(note).observe(document.querySelector('#map'), all);
+}"""
+
+
+def changed(page) -> int:
+    """How many elements of the map have changed since `CHANGED`, once that has come to rest."""
+    page.wait_for_function("window.changed.size > 0")
+    page.wait_for_timeout(300)
+    return page.evaluate("window.changed.size")
+
+
+def test_to_move_the_map_moves_one_element_and_to_zoom_draws_all_anew(page):
+    page.evaluate(CHANGED)
+    page.keyboard.press("ArrowLeft")
+    assert changed(page) == 1
+    page.evaluate(CHANGED)
+    page.keyboard.press("+")
+    assert changed(page) > 10
+
+
+def test_what_has_not_changed_is_not_drawn_again(page):
+    """`keyed` on a list of the test's own: one item of three is another object."""
+    run = """async () => {
+      const { keyed } = await import('/page/dom.js');
+      const list = document.createElement('ul');
+      const [told, make] = [[], () => document.createElement('li')];
+      const tell = (li, item, key) => told.push(key);
+      const draw = (items, look) => keyed(list, Object.entries(items), make, tell, () => look);
+      const items = { a: {}, b: {}, c: {} };
+      draw(items, 1);
+      draw(items, 1);
+      draw({ ...items, b: {} }, 1);
+      const before = told.join('');
+      draw(items, 2);
+      return [before, told.join('').slice(before.length)];
+    }"""
+    assert page.evaluate(run) == ["abcb", "abc"]
+
+
 def test_words_from_outside_are_shown_and_do_nothing(site, page):
     words = '<img src=x onerror="window.hit=1"><b>bold</b>'
     site.ears.more["d1"] = {"text": words}

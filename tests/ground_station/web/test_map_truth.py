@@ -154,6 +154,31 @@ def test_a_diversion_in_force_is_drawn_to_where_the_decision_says(site):
     assert "home" not in shown["way"]
 
 
+def test_a_diversion_stays_on_the_map_while_it_is_in_force(site):
+    """Later decisions that choose no other place, and the landing, leave it; what does ends it."""
+    site.until_flying("d1")
+    drone = site.world.drones["d1"]
+    assert drone.flight is not None
+    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
+    stop, pad = next(iter(row.pads.items()))
+
+    def line(phase: str, words: str) -> list | None:
+        drone.tell(EventKind.DECISION, words, assignment=drone.flight.assignment)
+        site.ears.more["d1"] = {"phase": phase, "lat_deg": 55.48, "lon_deg": 8.46}
+        site.step(2)
+        return site.picture["drones"]["d1"]["way"].get("now")
+
+    there = [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
+    assert line("divert", f"divert: to {stop}: the depot is out of reach") == there
+    assert line("divert", "looked_again: margin moved by -4.0 Wh: 3.1 Wh above") == there
+    assert line("link lost", "link_back: nothing heard for 4 s") == there
+    assert line("land", "looked_again: wind moved by 2.1 m/s: 3.0 Wh above") == there
+    assert line("suspended", "suspended: mode not ours") is None
+    assert line("divert", "position_back: after 3 s") == there
+    assert line("return", "turn_back: the mission aboard went home by itself") is None
+    assert line("divert", "looked_again: 4.0 Wh above") is None
+
+
 def test_the_words_of_an_earlier_flight_are_not_those_of_this_one(site):
     site.until_flying("d1")
     site.world.drones["d1"].tell(EventKind.DECISION, "turn_back: gone", assignment="older.1")

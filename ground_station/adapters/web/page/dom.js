@@ -29,8 +29,20 @@ export function say(element, words) {
   if (element.textContent !== words) element.textContent = words;
 }
 
+// Does a deed only if one of the things that it depends on is another one than the last time.
+export function remembering() {
+  const last = new Map();
+  return (name, depends, deed) => {
+    const before = last.get(name);
+    if (before && before.every((one, k) => Object.is(one, depends[k]))) return;
+    last.set(name, depends);
+    deed();
+  };
+}
+
 // One child of `parent` for each [key, item]: made once, told of every change, taken away at the end.
-export function keyed(parent, entries, make, update) {
+// With `look(item, key)` a child is left alone while its item is the same object and looks the same.
+export function keyed(parent, entries, make, update, look) {
   const there = new Map([...parent.children].map((child) => [child.dataset.key, child]));
   let before = null;
   for (const [key, item] of entries) {
@@ -40,7 +52,11 @@ export function keyed(parent, entries, make, update) {
       child = make(key, item);
       child.dataset.key = key;
     }
-    update(child, item, key);
+    const looks = look?.(item, key);
+    if (!look || child.shownItem !== item || child.shownLook !== looks) {
+      update(child, item, key);
+      [child.shownItem, child.shownLook] = [item, looks];
+    }
     const next = before ? before.nextElementSibling : parent.firstElementChild;
     if (next !== child) parent.insertBefore(child, next);
     before = child;

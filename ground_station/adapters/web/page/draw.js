@@ -1,8 +1,9 @@
 // Everything that lies on the ground or flies over it, as SVG in the view's pixels.
 
-import { $, keyed, say, set, svg } from "./dom.js";
+import { $, keyed, remembering, say, set, svg } from "./dom.js";
 import { truckWords, windWords } from "./words.js";
 
+const [NONE, NO_WINDS] = [{}, []];
 const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "truck", "drones"];
 const ORDER_SHAPES = {
   open: "M-5,0a5,5 0 1,0 10,0a5,5 0 1,0 -10,0",
@@ -19,20 +20,27 @@ export class Drawing {
     this.view = view;
     this.select = select;
     this.groups = Object.fromEntries(LAYERS.map((name) => [name, svg("g", { class: name })]));
-    $("#map").append(...Object.values(this.groups));
+    this.ground = svg("g", {}, ...Object.values(this.groups));
+    this.if = remembering();
+    $("#map").append(this.ground);
   }
 
   draw(picture, { selected, reach, nowUs }) {
-    this.#areas(picture.site?.areas ?? []);
-    this.#plan(picture.plan);
-    this.#ways(picture.drones ?? {}, selected);
-    this.#reach(reach);
-    this.#orders(picture.orders ?? {}, selected);
-    this.#rally(picture.site ?? {});
-    this.#truck(picture.truck, nowUs);
-    this.#drones(picture.drones ?? {}, selected);
-    this.#wind(picture.winds ?? []);
-    this.#scale();
+    const { site = NONE, plan, drones = NONE, orders = NONE, truck, winds = NO_WINDS } = picture;
+    const { drawing } = this.view;
+    const [x, y] = this.view.offset;
+    const second = Math.floor(nowUs / 1e6);
+    this.if("ground", [x, y], () => set(this.ground, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)})` }));
+    this.if("areas", [site, drawing], () => this.#areas(site.areas ?? []));
+    this.if("plan", [plan, drawing], () => this.#plan(plan));
+    this.if("ways", [drones, selected, drawing], () => this.#ways(drones, selected));
+    this.if("reach", [reach, drawing], () => this.#reach(reach));
+    this.if("orders", [orders, selected, drawing], () => this.#orders(orders, selected));
+    this.if("rally", [site, drawing], () => this.#rally(site));
+    this.if("truck", [truck, second, drawing], () => this.#truck(truck, nowUs));
+    this.if("drones", [drones, selected, drawing], () => this.#drones(drones, selected));
+    this.if("wind", [winds], () => this.#wind(winds));
+    this.if("scale", [this.view.metresPerPixel], () => this.#scale());
   }
 
   #areas(areas) {
@@ -64,9 +72,10 @@ export class Drawing {
   #ways(drones, selected) {
     const lines = Object.entries(drones).flatMap(([name, drone]) =>
       Object.entries(drone.way ?? {}).filter(([, points]) => points.length).map(([kind, points]) =>
-        [`${name} ${kind}`, { kind, points, chosen: name === selected }]));
-    keyed(this.groups.ways, lines, () => svg("polyline"), (line, way) =>
-      set(line, { points: this.view.path(way.points), class: `way-${way.kind}${way.chosen ? " chosen" : ""}` }));
+        [`${name} ${kind}`, points]));
+    const kindOf = (key) => `way-${key.split(" ").at(-1)}${key.startsWith(`${selected} `) ? " chosen" : ""}`;
+    keyed(this.groups.ways, lines, () => svg("polyline"), (line, points, key) =>
+      set(line, { points: this.view.path(points), class: kindOf(key) }), (points, key) => `${this.view.drawing} ${kindOf(key)}`);
   }
 
   #reach(ring) {
@@ -82,7 +91,7 @@ export class Drawing {
       say(group.children[1], this.view.zoom > 14.5 || id === selected ? id : "");
       say(group.children[2], `${id}: ${order.state}`);
       this.#move(group, order.at);
-    });
+    }, (order, id) => this.#look(id, selected));
   }
 
   #rally(site) {
@@ -118,7 +127,7 @@ export class Drawing {
       say(group.children[2], name);
       say(group.children[3], alarm ? "!" : "");
       this.#move(group, drone.at);
-    });
+    }, (drone, name) => this.#look(name, selected));
   }
 
   #wind(winds) {
@@ -134,6 +143,11 @@ export class Drawing {
     const bar = $("#scale");
     bar.style.width = `${metres / this.view.metresPerPixel}px`;
     say(bar, metres >= 1000 ? `${metres / 1000} km` : `${metres} m`);
+  }
+
+  // What the looks of a thing depend on beside itself.
+  #look(name, selected) {
+    return this.view.drawing * (name === selected ? -1 : 1);
   }
 
   #move(group, at) {

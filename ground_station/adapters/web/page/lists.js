@@ -1,20 +1,26 @@
 // What is not a place: what wants a person's eye, drones, truck, what comes next, orders.
 
-import { $, html, keyed, say, set } from "./dom.js";
+import { $, html, keyed, remembering, say, set } from "./dom.js";
 import { clock, figure, truckWords } from "./words.js";
 
 const CALM = "nothing wants your eye";
 const ORDER_RANK = { stuck: 0, assigned: 1, open: 2, delivered: 3, cancelled: 4 };
 
+const NONE = [];
+const byName = new Intl.Collator(undefined, { numeric: true }).compare;
+const when = remembering();
+
 export function drawLists(picture, { selected, select, nowUs }) {
-  attention(picture.attention ?? [], select);
-  notes(picture.notes ?? []);
-  drones(picture.drones ?? {}, selected, select);
-  orders(picture.orders ?? {}, selected, select);
-  next(picture.plan);
-  say($("#truck"), picture.truck ? `truck: ${truckWords(picture.truck, nowUs)}` : "");
-  say($("#title"), picture.plan ? `${picture.fleet}, ${picture.plan.title}` : picture.fleet);
-  say($("#counts"), counts(picture.orders ?? {}));
+  const { attention: found = NONE, notes: said = NONE, plan, truck, fleet } = picture;
+  const second = Math.floor(nowUs / 1e6);
+  when("attention", [found], () => attention(found, select));
+  when("notes", [said], () => notes(said));
+  when("drones", [picture.drones, selected], () => drones(picture.drones ?? {}, selected, select));
+  when("orders", [picture.orders, selected], () => orders(picture.orders ?? {}, selected, select));
+  when("next", [plan], () => next(plan));
+  when("truck", [truck, second], () => say($("#truck"), truck ? `truck: ${truckWords(truck, nowUs)}` : ""));
+  when("title", [plan, fleet], () => say($("#title"), plan ? `${fleet}, ${plan.title}` : fleet ?? "Leeway"));
+  when("counts", [picture.orders], () => say($("#counts"), counts(picture.orders ?? {})));
 }
 
 function attention(found, select) {
@@ -45,13 +51,13 @@ function table(selector, entries, selected, select, cells) {
     while (row.children.length < words.length) row.append(html("td"));
     words.forEach((word, k) => say(row.children[k], word));
     set(row, { class: [item.alarms?.length ? "alarm" : "", key === selected ? "chosen" : "", item.state ?? ""].join(" ").trim() });
-  });
+  }, (item, key) => key === selected);
 }
 
 function drones(found, selected, select) {
   const alarming = (one) => (one.alarms?.length ? 0 : 1);
   const entries = Object.entries(found).sort((a, b) =>
-    alarming(a[1]) - alarming(b[1]) || a[0].localeCompare(b[0], undefined, { numeric: true }));
+    alarming(a[1]) - alarming(b[1]) || byName(a[0], b[0]));
   table("#drones", entries, selected, select, (name, drone) => [
     drone.alarms?.length ? `! ${name}` : name,
     drone.phase,
@@ -64,7 +70,7 @@ function drones(found, selected, select) {
 
 function orders(found, selected, select) {
   const entries = Object.entries(found).sort((a, b) =>
-    ORDER_RANK[a[1].state] - ORDER_RANK[b[1].state] || a[0].localeCompare(b[0], undefined, { numeric: true }));
+    ORDER_RANK[a[1].state] - ORDER_RANK[b[1].state] || byName(a[0], b[0]));
   table("#orders", entries, selected, select, (id, order) => [id, order.state, order.vehicle ?? "", order.why ?? ""]);
 }
 

@@ -1,6 +1,6 @@
 // The page: what the server says, drawn; what the person does, heard. It sends nothing but questions.
 
-import { $, say, set } from "./dom.js";
+import { $, remembering, say, set } from "./dom.js";
 import { listen } from "./stream.js";
 import { View } from "./view.js";
 import { Drawing } from "./draw.js";
@@ -12,6 +12,7 @@ const ASK_MS = 2000; // the selected drone's history and reach
 const QUIET_MS = 4000; // the server speaks at least once a second
 
 const seen = { picture: {}, aheadUs: 0, heardMs: null, selected: decodeURIComponent(location.hash.slice(1)) || null };
+const when = remembering();
 let [fitted, waiting, reachWanted, basemap] = [false, false, true, null];
 
 const nowUs = () => Date.now() * 1000 + seen.aheadUs;
@@ -21,11 +22,13 @@ function redraw() {
   waiting = true;
   requestAnimationFrame(() => {
     waiting = false;
+    const second = Math.floor(nowUs() / 1e6);
     const shared = { ...seen, select, nowUs: nowUs(), reach: reachWanted ? seen.reach : null };
     drawing.draw(seen.picture, shared);
     drawLists(seen.picture, shared);
-    drawDetail(seen.picture, shared);
-    basemap?.follow();
+    when("detail", [seen.picture.drones?.[seen.selected], seen.picture.orders?.[seen.selected], seen.selected, seen.history, second], () =>
+      drawDetail(seen.picture, shared));
+    when("basemap", [basemap, view.x, view.y, view.zoom, view.width, view.height], () => basemap?.follow());
   });
 }
 

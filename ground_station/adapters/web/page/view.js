@@ -2,6 +2,7 @@
 
 const TILE = 512;
 const MOST_ZOOM = 20;
+const FAR_PX = 20000; // SVG coordinates are single precision: 0.002 px there
 const EARTH_M = 40075016.7; // round the equator of EPSG:3857
 
 export function unit([lat, lon]) {
@@ -9,12 +10,14 @@ export function unit([lat, lon]) {
   return [0.5 + lon / 360, 0.5 - Math.log((1 + sine) / (1 - sine)) / (4 * Math.PI)];
 }
 
+// Things are drawn about an anchor, and the drawing as a whole is moved: to pan moves one element.
 export class View {
   constructor(element, moved) {
     this.element = element;
     this.moved = moved;
     [this.x, this.y, this.zoom] = [0.5, 0.5, 1];
     this.width = this.height = 1;
+    this.drawn = { x: 0.5, y: 0.5, zoom: null, number: 0 };
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
     this.#followPointers();
@@ -41,9 +44,26 @@ export class View {
     return (EARTH_M * Math.cos((this.latitude * Math.PI) / 180)) / this.scale;
   }
 
+  // The number of the drawing that `at` holds for: where it is another one, all is drawn anew.
+  get drawing() {
+    const far = Math.max(Math.abs(this.x - this.drawn.x), Math.abs(this.y - this.drawn.y)) * this.scale;
+    if (this.drawn.zoom !== this.zoom || far > FAR_PX)
+      this.drawn = { x: this.x, y: this.y, zoom: this.zoom, number: this.drawn.number + 1 };
+    return this.drawn.number;
+  }
+
+  // Where the anchor is in the window, in pixels.
+  get offset() {
+    return [
+      (this.drawn.x - this.x) * this.scale + this.width / 2,
+      (this.drawn.y - this.y) * this.scale + this.height / 2,
+    ];
+  }
+
+  // A place in pixels from the anchor.
   at(point) {
     const [x, y] = unit(point);
-    return [(x - this.x) * this.scale + this.width / 2, (y - this.y) * this.scale + this.height / 2];
+    return [(x - this.drawn.x) * this.scale, (y - this.drawn.y) * this.scale];
   }
 
   path(points) {
