@@ -380,7 +380,7 @@ def test_a_replay_says_what_the_flight_said(fly_case):
     flight = read_flight(flown.run_dir.parents[1] / "case.toml")
     process = read_wind_process(flight.mission.wind_process)
     terms = ReplayTerms(read_airframe("m100"), flight, process, planned=True, with_energy=True)
-    wind = _table(result["wind"], "t_s", "n", "e")
+    wind = _table(result["wind"], "t_s", "to_n_mps", "to_e_mps")
     for name, allowed_mps in (("decisions.mcap", 0.02), ("stream.tlog", 0.3)):
         seen = replay(
             open_log(flown.run_dir / name), replace(terms, with_energy="tlog" not in name)

@@ -1,6 +1,8 @@
 """Write the decision log: telemetry, estimates and decisions as MCAP with JSON schemas.
 
-Foxglove opens it.
+Foxglove and PlotJuggler open it. Messages are stamped in UTC by the computer's clock as it was at
+the first of them; `t_s` in each is the autopilot's. Beside our rows stand Foxglove's own messages
+for its Map and Log panels (`foxglove_rows`); our readers skip them.
 
 Chunks are off and every message is handed to the system at once, so that after `kill -9` the file
 lacks only its index: readers that stream it, and `mcap recover`, get every message.
@@ -8,7 +10,7 @@ lacks only its index: readers that stream it, and `mcap recover`, get every mess
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -18,10 +20,12 @@ import msgspec
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
+from companion.adapters.clock import epoch_us
+from companion.adapters.logs.foxglove_rows import FOXGLOVE, foxglove_row
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
@@ -51,6 +55,11 @@ UNDECODABLE = (McapError, struct.error, ValueError, EOFError, RuntimeError, Over
 """What damaged bytes raise in `mcap` and under it: UnicodeDecodeError and msgspec's are
 ValueErrors, lz4 raises RuntimeError."""
 
+FORMAT = "decision-log/2"
+METADATA = "leeway"
+UTC_AT_ZERO = "utc_at_t_s_0_ns"
+"""Nanoseconds since 1970 when the autopilot's clock was at zero."""
+
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
 MAYBE = {"type": ["number", "null"]}
@@ -69,11 +78,11 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     },
     "wind": {
         "t_s": NUMBER,
-        "n": NUMBER,
-        "e": NUMBER,
-        "nn": NUMBER,
-        "ne": NUMBER,
-        "ee": NUMBER,
+        "to_n_mps": NUMBER,
+        "to_e_mps": NUMBER,
+        "nn_m2ps2": NUMBER,
+        "ne_m2ps2": NUMBER,
+        "ee_m2ps2": NUMBER,
     },
     "energy": {
         "t_s": NUMBER,
@@ -195,38 +204,62 @@ def _samples(now: TelemetryState, name: str) -> list[Event]:
 class DecisionLog:
     """One MCAP file; a run that goes on in the same folder gets a file of its own."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, wall_clock_us: Callable[[], int] = epoch_us) -> None:
+        """`wall_clock_us`: microseconds since 1970, read once, with the first message."""
         self._file = path.open("wb")
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE, use_statistics=True
         )
         self._writer.start(profile="", library="leeway")
+        self._wall_clock_us = wall_clock_us
+        self._utc_at_zero_ns: int | None = None
         self._sequence = 0
         self._channels: dict[str, int] = {}
         for name, fields in SCHEMAS.items():
-            schema = {
-                "title": f"leeway.{name}",
-                "type": "object",
-                "properties": fields,
-                "required": list(fields),
-            }
-            schema_id = self._writer.register_schema(
-                f"leeway.{name}", "jsonschema", json.dumps(schema).encode()
-            )
-            self._channels[name] = self._writer.register_channel(f"/{name}", "json", schema_id)
+            self._add_channel(name, f"leeway.{name}", fields)
+        for name, (schema, fields) in FOXGLOVE.items():
+            self._add_channel(name, schema, fields)
+
+    def _add_channel(self, name: str, title: str, fields: dict[str, Any]) -> None:
+        schema = {"title": title, "type": "object", "properties": fields, "required": list(fields)}
+        schema_id = self._writer.register_schema(title, "jsonschema", json.dumps(schema).encode())
+        self._channels[name] = self._writer.register_channel(f"/{name}", "json", schema_id)
 
     def write(self, kind: str, row: dict[str, Any]) -> None:
-        """Append one message; its time is the autopilot's."""
-        stamp_ns = max(0, round(float(row["t_s"]) * 1e9))
+        """Append one message of ours, and what it is for Foxglove."""
+        t_ns = round(float(row["t_s"]) * 1e9)
+        if self._utc_at_zero_ns is None:
+            self._utc_at_zero_ns = self._wall_clock_us() * 1000 - t_ns
+            self._describe(self._utc_at_zero_ns)
+        stamp_ns = max(0, self._utc_at_zero_ns + t_ns)
+        self._add(kind, row, stamp_ns)
+        topic, message = foxglove_row(kind, row, stamp_ns)
+        if topic:
+            self._add(topic, message, stamp_ns)
+        self._file.flush()
+
+    def _describe(self, utc_at_zero_ns: int) -> None:
+        self._writer.add_metadata(
+            METADATA,
+            {
+                "format": FORMAT,
+                "log_time": "UTC, by the companion computer's clock at the first message",
+                "t_s": "seconds on the autopilot's clock",
+                UTC_AT_ZERO: str(utc_at_zero_ns),
+                "wind": "where the air moves to, north and east",
+                "heights": "alt_amsl_m above mean sea level, height_rel_m above the home position",
+            },
+        )
+
+    def _add(self, topic: str, row: dict[str, Any], stamp_ns: int) -> None:
         self._sequence += 1
         self._writer.add_message(
-            self._channels[kind],
+            self._channels[topic],
             log_time=stamp_ns,
             data=json.dumps(row, allow_nan=False).encode(),
             publish_time=stamp_ns,
             sequence=self._sequence,
         )
-        self._file.flush()
 
     def close(self) -> None:
         """Write the index and end the file."""
@@ -255,11 +288,13 @@ def aside_name(path: Path) -> Path:
 class LogRows:
     """(topic, row) of every whole message; `damage` is the first place that is none, in words.
 
-    A file that was merely cut off (a killed companion's) is not damaged.
+    A file that was merely cut off (a killed companion's) is not damaged. `utc_at_zero_s`: seconds
+    since 1970 when `t_s` was 0, where the file tells.
     """
 
     rows: list[tuple[str, dict[str, Any]]]
     damage: str | None = None
+    utc_at_zero_s: float | None = None
 
 
 def read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -286,7 +321,7 @@ def read_log(path: Path) -> LogRows:
         at = body + length
         if opcode == Opcode.FOOTER:
             break
-    return LogRows(rows.found, rows.damage)
+    return LogRows(rows.found, rows.damage, rows.utc_at_zero_s)
 
 
 class _Rows:
@@ -295,6 +330,7 @@ class _Rows:
     def __init__(self) -> None:
         self.found: list[tuple[str, dict[str, Any]]] = []
         self.damage: str | None = None
+        self.utc_at_zero_s: float | None = None
         self._topics: dict[int, str] = {}
 
     def damaged(self, at: int, what: str) -> None:
@@ -309,21 +345,28 @@ class _Rows:
             self.damaged(at, f"damaged record ({error})")
 
     def _keep(self, record: McapRecord) -> None:
-        if isinstance(record, Channel):
-            self._topics[record.id] = record.topic.removeprefix("/")
+        if isinstance(record, Metadata):
+            if record.name == METADATA and UTC_AT_ZERO in record.metadata:
+                self.utc_at_zero_s = int(record.metadata[UTC_AT_ZERO]) / 1e9
+        elif isinstance(record, Channel):
+            topic = record.topic.removeprefix("/")
+            if topic not in FOXGLOVE:
+                self._topics[record.id] = topic
         elif isinstance(record, Message) and record.channel_id in self._topics:
             row = msgspec.json.decode(record.data, type=dict[str, Any])
             self.found.append((self._topics[record.channel_id], row))
 
 
 def _decoded(opcode: int, body: bytes) -> list[McapRecord]:
-    """The channels and messages of one record's bytes: itself, or a chunk's."""
+    """Channels, messages and metadata of one record's bytes: itself, or a chunk's."""
     stream = ReadDataStream(BytesIO(body))
     match opcode:
         case Opcode.CHANNEL:
             return [Channel.read(stream)]
         case Opcode.MESSAGE:
             return [Message.read(stream, len(body))]
+        case Opcode.METADATA:
+            return [Metadata.read(stream)]
         case Opcode.CHUNK:
             chunk = Chunk.read(stream)
             if chunk.uncompressed_size > CHUNK_LIMIT_BYTES:

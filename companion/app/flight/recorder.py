@@ -48,7 +48,7 @@ RESULT = "result.json"
 SETTINGS = "settings of the vehicle"
 MONITOR = "record of the monitor"
 SCREEN = "screen"
-FORMAT = "companion-result/1"
+FORMAT = "companion-result/2"
 TOPIC = {
     "decisions": "decision",
     "assessments": "assessment",
@@ -203,11 +203,11 @@ class Recorder:
             case WindReport():
                 row = {
                     "t_s": action.t_s,
-                    "n": action.n_mps,
-                    "e": action.e_mps,
-                    "nn": action.nn_m2ps2,
-                    "ne": action.ne_m2ps2,
-                    "ee": action.ee_m2ps2,
+                    "to_n_mps": action.n_mps,
+                    "to_e_mps": action.e_mps,
+                    "nn_m2ps2": action.nn_m2ps2,
+                    "ne_m2ps2": action.ne_m2ps2,
+                    "ee_m2ps2": action.ee_m2ps2,
                 }
                 self._row("wind", _rounded(row))
             case EnergyReport():

@@ -98,7 +98,8 @@ def wind_errors(
 ) -> tuple[float | None, float | None]:
     """RMSE of the wind vector (m/s) and mean normalised error squared (2 is ideal), or None.
 
-    `estimates`: rows with t_s, n, e (m/s, where the air moves to) and nn, ne, ee (m2/s2).
+    `estimates`: rows with t_s, to_n_mps, to_e_mps (where the air moves to) and the covariance
+    nn_m2ps2, ne_m2ps2, ee_m2ps2.
     """
     if took_off_s is None or not estimates:
         return None, None
@@ -110,7 +111,9 @@ def wind_errors(
     at = np.array([r["t_s"] for r in rows])
     mean_n = np.interp(at, t, centred_mean(t, truth["wind_to_n_mps"], WIND_WINDOW_S))
     mean_e = np.interp(at, t, centred_mean(t, truth["wind_to_e_mps"], WIND_WINDOW_S))
-    err = np.stack([np.array([r["n"] for r in rows]) - mean_n, [r["e"] for r in rows] - mean_e], 1)
-    cov = np.array([[[r["nn"], r["ne"]], [r["ne"], r["ee"]]] for r in rows])
+    to_ne = np.array([(r["to_n_mps"], r["to_e_mps"]) for r in rows])
+    err = to_ne - np.stack([mean_n, mean_e], 1)
+    nn, ne, ee = np.array([(r["nn_m2ps2"], r["ne_m2ps2"], r["ee_m2ps2"]) for r in rows]).T
+    cov = np.moveaxis(np.array([[nn, ne], [ne, ee]]), -1, 0)
     nees = np.einsum("ki,kij,kj->k", err, np.linalg.inv(cov), err)
     return float(np.sqrt(np.mean(np.sum(err**2, axis=1)))), float(np.mean(nees))

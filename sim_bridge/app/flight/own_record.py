@@ -86,7 +86,7 @@ def _wind_std_mps(
     rows = [row for row in wind if took_off_s + WIND_WARM_UP_S <= row["t_s"] <= last_s]
     if not rows:
         return None
-    return round(math.sqrt(sum(row["nn"] + row["ee"] for row in rows) / len(rows)), 4)
+    return round(math.sqrt(sum(row["nn_m2ps2"] + row["ee_m2ps2"] for row in rows) / len(rows)), 4)
 
 
 def _rounded(value: float | None) -> float | None:

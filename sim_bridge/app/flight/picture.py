@@ -24,6 +24,8 @@ LEAST_LOSS = 1e-5
 
 AFTER_S = 10.0
 BARBS = 14
+AXES = (("to_n_mps", "nn_m2ps2", OUT, "north"), ("to_e_mps", "ee_m2ps2", BACK, "east"))
+"""Keys of the wind and of its variance in the record, colour and word of each axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +182,7 @@ def _draw_map(axis, course: Course, result, places, polygons) -> None:
 def _draw_barbs(axis, course: Course, result) -> None:
     """The true wind, or where nobody knows it the estimate."""
     flying = np.flatnonzero(course.airborne)
-    rows = _rows(course, result, "wind", "n")
+    rows = _rows(course, result, "wind", "to_n_mps")
     if not flying.size or (course.wind_to_ne_mps is None and not rows):
         return
     chosen = flying[np.linspace(0, flying.size - 1, BARBS).astype(int)]
@@ -189,7 +191,7 @@ def _draw_barbs(axis, course: Course, result) -> None:
     else:
         times = _times(course, rows)
         north, east = (
-            np.interp(course.t_s[chosen], times, [row[key] for row in rows]) for key in ("n", "e")
+            np.interp(course.t_s[chosen], times, [row[key] for row in rows]) for key, *_ in AXES
         )
     axis.barbs(
         course.east_m[chosen],
@@ -237,15 +239,15 @@ def _draw_loss(axis, course: Course, result, max_loss: float) -> None:
 
 
 def _draw_wind(axis, course: Course, result) -> None:
-    rows = _rows(course, result, "wind", "n")
-    for number, (key, colour, name) in enumerate((("n", OUT, "north"), ("e", BACK, "east"))):
+    rows = _rows(course, result, "wind", "to_n_mps")
+    for number, (key, variance, colour, name) in enumerate(AXES):
         if course.wind_to_ne_mps is not None:
             mean = centred_mean(course.t_s, course.wind_to_ne_mps[number], WIND_WINDOW_S)
             axis.plot(course.t_s, mean, color=colour, lw=1, alpha=0.55)
         if rows:
             times = _times(course, rows)
             values = np.array([row[key] for row in rows])
-            spread = np.sqrt(np.array([row[key * 2] for row in rows]))
+            spread = np.sqrt(np.array([row[variance] for row in rows]))
             axis.plot(times, values, color=colour, lw=1.6, label=f"to the {name}")
             axis.fill_between(times, values - spread, values + spread, color=colour, alpha=0.15)
     thin = "" if course.wind_to_ne_mps is None else "thin: truth, 10 s mean; "

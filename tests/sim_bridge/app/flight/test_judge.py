@@ -132,7 +132,14 @@ def test_wind_errors_are_the_bias_that_was_put_in():
         "wind_to_e_mps": np.full_like(t, -4.0),
     }
     rows = [
-        {"t_s": s, "n": 3.3, "e": -4.4, "nn": 0.25, "ne": 0.0, "ee": 0.25}
+        {
+            "t_s": s,
+            "to_n_mps": 3.3,
+            "to_e_mps": -4.4,
+            "nn_m2ps2": 0.25,
+            "ne_m2ps2": 0.0,
+            "ee_m2ps2": 0.25,
+        }
         for s in np.arange(0.0, 90.0, 0.5)
     ]
     rmse, nees = wind_errors(truth, 10.0, 90.0, rows)
