@@ -11,7 +11,7 @@ from typing import Any
 from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
 from companion.fleet.roster import Roster, RosterMember
 from companion.fleet.topics import VehicleKeys, roster_key
-from companion.fleet.zenoh_config import LEASE_MS
+from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
 
 TLS_CERTIFICATE, TLS_KEY, TLS_AUTHORITIES = "tls.pem", "tls.key", "ca.pem"
 
@@ -29,8 +29,12 @@ def zenoh_json(roster: Roster, member: RosterMember) -> str:
     table = _listener(roster, member) if listens else _client(roster)
     table["scouting"] = {"multicast": {"enabled": False}}
     table["transport"] = {
-        "link": {"tx": {"lease": LEASE_MS}, "tls": _tls(listens=listens)},
-        "shared_memory": {"enabled": False},  # as `read_config` has it: for zenoh's own router
+        "link": {
+            "tx": {"lease": LEASE_MS, "batch_size": BATCH_BYTES},
+            "rx": {"buffer_size": RECEIVE_BUFFER_BYTES},
+            "tls": _tls(listens=listens),
+        },
+        "shared_memory": {"enabled": False},  # all as `read_config` has it: for zenoh's own router
     }
     if listens:
         table["transport"]["unicast"] = MANY_CALLERS
