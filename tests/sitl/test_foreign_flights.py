@@ -18,7 +18,7 @@ from rich.console import Console
 from companion.core.base.errors import LeewayError
 from sim_bridge import main as cli
 from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
-from sim_bridge.app.flight.report import grounded_words, results_table
+from sim_bridge.app.flight.report import ending_words, grounded_words, results_table
 from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -61,9 +61,19 @@ def stood(autopilot_kind: AutopilotKind, home: Home | None = None) -> ServedVehi
 
 
 def fly(
-    served: ServedVehicle, endpoint: str, link: str, folder: Path, file: Path, **options: bool
+    served: ServedVehicle,
+    endpoint: str,
+    link: str,
+    folder: Path,
+    file: Path,
+    told: list[str] | None = None,
+    **options: bool,
 ) -> dict[str, Any]:
-    """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken)."""
+    """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken).
+
+    `told` takes the lines that the terminal shows as they fall.
+    """
+    lines = [] if told is None else told
     with Host(SPEEDUP) as host:
         (url,) = host.add(served, onboard=[endpoint])
         links = (link.replace("PORT", url.rsplit(":", 1)[1]),)
@@ -71,6 +81,7 @@ def fly(
             result = fly_foreign(
                 ForeignOptions(file, links, run_root=folder / "runs", **options),
                 lambda vehicles, t_s: None,
+                lines.append,
             )
     (row,) = result["flights"]
     return row
@@ -99,7 +110,8 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
 ):
     served = stood(autopilot_kind)
     before = settings(served)
-    row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), configure=True)
+    told: list[str] = []
+    row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), told, configure=True)
     assert row["outcome"] == "SUC", row
     assert row["judged_by"] == "companion"
     assert row["autopilot"] == autopilot_kind.value
@@ -108,6 +120,15 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
     assert not truth.airborne
     assert away_m(served) < 12.0
     assert {n: v for n, v in settings(served).items() if before[n] != v} == {}
+    assert row["settings"]
+    for setting in row["settings"]:
+        assert setting["restored"]
+        assert setting["before"] == pytest.approx(before[setting["name"]])
+        assert any(line.strip().startswith(f"setting {setting['name']}: ") for line in told)
+    for decision in row["decisions"]:
+        said = f"{decision['kind']}: {decision['reason']}"
+        assert sum(said in line for line in told) >= 1, said
+    assert ending_words(row)[0] == f"1 ended: SUC: {row['reason']}"
     # The companion's count ends as it sees the landing; battery sensors are good to a few per cent.
     assert row["energy_used_wh"] == pytest.approx(truth.energy_used_wh, rel=0.1)
     assert row["energy_predicted_wh"] == pytest.approx(row["energy_used_wh"], rel=0.3)
@@ -156,6 +177,7 @@ def test_a_site_elsewhere_is_refused(tmp_path):
     link = "udpout:127.0.0.1:PORT"
     row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path), configure=True)
     assert row["outcome"] == "ABRT"
+    assert ending_words(row)[0] == f"1 no take-off: {row['reason']}"
     assert "the vehicle stands" in row["reason"]
     assert "--here" in row["reason"]
 

@@ -17,6 +17,9 @@ from companion.core.mission.actions import Action, Decision, Note, PhaseChanged,
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 
+SHOWN_NOTES = ("pre-flight", "not granted", "setting ", "settings ")
+"""How the notes begin that `run` prints: what is missing, refused, or changed on the vehicle."""
+
 
 @dataclass(frozen=True, slots=True)
 class CommandLine:
@@ -130,7 +133,7 @@ def _show(action: Action) -> None:
         case Decision():
             promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
             typer.echo(f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}")
-        case Note() if action.text.startswith(("pre-flight", "not granted")):
+        case Note() if action.text.startswith(SHOWN_NOTES):
             typer.echo(f"  {action.text}")
         case _:
             return

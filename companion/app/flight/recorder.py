@@ -41,6 +41,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_plan import FlightPlan, plan_row
 from companion.core.mission.preflight_checks import Finding
+from companion.core.pilot.ground_sequence import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
 
 TEXT, STREAM, DECISIONS = "companion.log", "stream.tlog", "decisions.mcap"
@@ -264,6 +265,7 @@ class Recorder:
         flown: FlightPlan | None,
         phase: str,
         findings: Sequence[Finding] = (),
+        settings: Sequence[SettingChange] = (),
     ) -> None:
         """Write `result.json`, whole or not at all, with the rows of the run that we go on from."""
         done = self._finished
@@ -276,6 +278,10 @@ class Recorder:
             "margin_wh": done.margin_wh if done is not None else None,
             "phase": phase,
             "findings": [asdict(finding) for finding in findings],
+            "settings": [
+                {"name": s.name, "before": s.before, "set": s.value_set, "restored": s.restored}
+                for s in settings
+            ],
             "plan": None if flown is None else plan_row(flown),
         }
         self._disk.do(RESULT, lambda: self._write_result(result), whole=True)

@@ -151,6 +151,7 @@ class Run:
             flown=pilot.flight_plan,
             phase=pilot.phase.value,
             findings=pilot.findings,
+            settings=pilot.setting_changes,
         )
         loop.link.close()
         recorder.close()

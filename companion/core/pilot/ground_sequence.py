@@ -107,6 +107,20 @@ class PreflightReport:
     settings_left: dict[str, float]
 
 
+@dataclass(frozen=True, slots=True)
+class SettingChange:
+    """One parameter of the autopilot that this flight changed, or found changed by an earlier one.
+
+    `before` is the vehicle's own value. `value_set`: `None` where the autopilot did not take it, or
+    another run set it. `restored`: the autopilot has confirmed its own value again.
+    """
+
+    name: str
+    before: float
+    value_set: float | None
+    restored: bool
+
+
 @dataclass(slots=True)
 class GroundWork:
     """What was asked for and found before take-off."""
@@ -119,6 +133,8 @@ class GroundWork:
     uploads: int = 0
     values: dict[str, float | None] = field(default_factory=dict)
     settings_before: dict[str, float] = field(default_factory=dict)
+    settings_changed: dict[str, tuple[float, float | None]] = field(default_factory=dict)
+    """The vehicle's own value, and what this run set."""
     settings_left: dict[str, float] = field(default_factory=dict)
     """The vehicle's own, changed by an earlier flight that did not put them back."""
     settings_asked_back: bool = False
@@ -174,6 +190,15 @@ class GroundSequence:
         return self._state.settings_before
 
     @property
+    def setting_changes(self) -> tuple[SettingChange, ...]:
+        """Every setting of the autopilot that was changed, in the order of their names."""
+        state = self._state
+        return tuple(
+            SettingChange(name, before, value, restored=name not in state.settings_before)
+            for name, (before, value) in sorted(state.settings_changed.items())
+        )
+
+    @property
     def restoring(self) -> bool:
         """Settings were ordered back after the flight, and that is not confirmed yet."""
         return self._state.settings_asked_back and bool(self._state.settings_before)
@@ -200,6 +225,7 @@ class GroundSequence:
         """Go on from a checkpoint."""
         self._state.authorised = checkpoint.authorised
         self._state.settings_before = dict(checkpoint.settings_before)
+        self._known_before(checkpoint.settings_before)
 
     # --- phases, ticks, events -------------------------------------------------------------------
 
@@ -272,6 +298,8 @@ class GroundSequence:
                     context.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
                 if state.giving_up or state.settings_asked_back:
                     self._put_back(context, event)
+                else:
+                    self._not_set(event)
             case SettingsLeft():
                 self._settings_left(context, event)
             case MissionUploaded() if state.clearing:
@@ -287,8 +315,22 @@ class GroundSequence:
         """Settings are the vehicle's own again, but for those that could not be set."""
         state = self._state
         still = {n: value for n, value in state.settings_before.items() if n in event.failed}
+        for name, value in sorted(state.settings_before.items()):
+            if name not in still:
+                context.do(Note(f"setting {name}: back to {value:g}"))
         state.settings_before = still
         context.save()
+
+    def _not_set(self, event: ParametersSet) -> None:
+        changed = self._state.settings_changed
+        for name in event.failed:
+            if name in changed:
+                changed[name] = (changed[name][0], None)
+
+    def _known_before(self, values: dict[str, float]) -> None:
+        """Take the vehicle's own values of what another run had set."""
+        for name, value in values.items():
+            self._state.settings_changed.setdefault(name, (value, None))
 
     def _settings_left(self, context: FlightContext, event: SettingsLeft) -> None:
         """An earlier flight died before it put them back: ours to do where we may set anything."""
@@ -300,6 +342,7 @@ class GroundSequence:
             return
         if context.options.configure:
             state.settings_before = state.settings_before | event.values
+            self._known_before(event.values)
             context.save()
         else:
             context.say(Severity.WARNING, "settings of an earlier flight stand: see log")
@@ -538,6 +581,7 @@ class GroundSequence:
             state.settings_before = before | state.settings_before
             context.save()
             for name, value in wanted.items():
+                state.settings_changed[name] = (state.settings_before[name], value)
                 context.do(Note(f"setting {name}: {before[name]:g} to {value:g}"))
             context.do(Configure(wanted))
             return

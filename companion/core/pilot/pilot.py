@@ -63,7 +63,12 @@ from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import FlightContext, PilotOptions
 from companion.core.pilot.estimates import Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
-from companion.core.pilot.ground_sequence import GroundSequence, PreflightReport, Requirements
+from companion.core.pilot.ground_sequence import (
+    GroundSequence,
+    PreflightReport,
+    Requirements,
+    SettingChange,
+)
 from companion.core.pilot.home_watch import HomeWatch
 from companion.core.pilot.landing import Landing
 from companion.core.pilot.landing_site import LandingSite, PromisedStop
@@ -528,6 +533,11 @@ class Pilot:
     def settings_before(self) -> dict[str, float]:
         """The autopilot's own values of what is still to be put back."""
         return dict(self._ground.settings_before)
+
+    @property
+    def setting_changes(self) -> tuple[SettingChange, ...]:
+        """Every setting of the autopilot that was changed, restored or not."""
+        return self._ground.setting_changes
 
     def preflight(self) -> PreflightReport:
         """The pre-flight now."""

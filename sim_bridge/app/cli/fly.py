@@ -125,7 +125,12 @@ def fly(
     from sim_bridge.app.flight.fly import FlyOptions
     from sim_bridge.app.flight.fly import fly as fly_now
     from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
-    from sim_bridge.app.flight.report import LiveView, grounded_words, results_table
+    from sim_bridge.app.flight.report import (
+        LiveView,
+        ending_words,
+        grounded_words,
+        results_table,
+    )
 
     console = Console()
     file = _flight_file(flight, wind_log)
@@ -141,7 +146,7 @@ def fly(
         _refuse_with_link([name for name, value in simulators.items() if value is not None])
         foreign = ForeignOptions(file, tuple(link), gate_on, configure, here, runs, picture)
         with LiveView(console=console) as view:
-            result = fly_foreign(foreign, view.show)
+            result = fly_foreign(foreign, view.show, view.tell)
     else:
         if configure or here:
             name = "--configure" if configure else "--here"
@@ -161,7 +166,7 @@ def fly(
             result = fly_now(options, view)
     console.print(results_table(result, gate=gate_on))
     for row in result["flights"]:
-        for words in grounded_words(row):
+        for words in [*ending_words(row), *grounded_words(row)]:
             console.print(words, highlight=False, soft_wrap=True)
         console.print(f"run folder: {row['run']}", highlight=False)
     if json_out is not None:

@@ -28,6 +28,8 @@ class CompanionProcess:
     stalled: bool = False
     _process: subprocess.Popen[bytes] | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
+    _read_bytes: int = 0
+    """Of what it printed, given out by `new_lines`."""
 
     def start(self) -> None:
         """Start it; its standard output and errors are appended to `companion.out`."""
@@ -135,6 +137,17 @@ class CompanionProcess:
         text = path.read_text(errors="replace") if path.exists() else ""
         changes = [line for line in text.splitlines() if " -> " in line]
         return changes[-1].rsplit(" -> ", 1)[1] if changes else ""
+
+    def new_lines(self) -> list[str]:
+        """Whole lines that it printed since this was asked last."""
+        path = self.run_dir / "companion.out"
+        if not path.exists():
+            return []
+        with path.open("rb") as file:
+            file.seek(self._read_bytes)
+            whole = file.read().rpartition(b"\n")
+        self._read_bytes += len(whole[0]) + len(whole[1])
+        return whole[0].decode(errors="replace").splitlines()
 
     def last_words(self, lines: int = 5) -> str:
         """The end of what it printed, for an error message."""

@@ -33,7 +33,11 @@ LOOK_EVERY_S = 0.2  # of the wall's time
 EXIT_USAGE, EXIT_NO_LINK, EXIT_LINK_CLOSED = 2, 4, 6
 """The companion's exit codes for a mistake, for nobody there, and for a link that did not open."""
 
+PHASE_MARK = " -> "
+"""In a line of the companion's that tells a change of phase: the live view shows the phase."""
+
 Show = Callable[[list[Shown], float], None]
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +81,13 @@ class _Guest:
         return max(0.0, self.heard.t_s - (self.began_s or 0.0))
 
 
-def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
+def fly_foreign(
+    options: ForeignOptions, show: Show, tell: Tell = lambda line: None
+) -> dict[str, Any]:
     """Fly to the end; `{"flights": [...]}` as the companions saw it.
+
+    `show` is given the vehicles several times a second; `tell` each decision with its reason, what
+    the companion says, and each setting of the vehicle that it changes, once, as it falls.
 
     Raises LeewayError for a mistake in the input, and where no link brought an autopilot.
     """
@@ -93,7 +102,7 @@ def fly_foreign(options: ForeignOptions, show: Show) -> dict[str, Any]:
             stack.callback(guest.companion.end)
             guest.companion.start()
         with saved_on_interrupt(run_dir):
-            _watch(guests, show)
+            _watch(guests, show, tell)
     for guest in guests:
         _complain(guest)
     rows = [
@@ -145,13 +154,17 @@ def _guest(options: ForeignOptions, number: int, run_dir: Path) -> _Guest:
     return _Guest(number, link, companion, Overheard(own_dir / "stream.tlog"))
 
 
-def _watch(guests: list[_Guest], show: Show) -> None:
+def _watch(guests: list[_Guest], show: Show, tell: Tell) -> None:
     """Look on until every companion has ended by itself."""
+    several = len(guests) > 1
     running = True
     while running:
         running = any(guest.companion.running for guest in guests)
         for guest in guests:
             guest.heard.listen()
+            for line in guest.companion.new_lines():
+                if PHASE_MARK not in line:
+                    tell(f"{guest.number} {line}" if several else line)
         show([guest.shown() for guest in guests], max(guest.flown_s() for guest in guests))
         next((g for g in guests if g.companion.running), guests[0]).companion.wait(LOOK_EVERY_S)
 

@@ -42,6 +42,7 @@ def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -
         "clairvoyant_margin_wh": None,
         "findings": result.get("findings", []),
         "reason": result.get("reason"),
+        "settings": result.get("settings", []),
         "decisions": [{key: d.get(key) for key in DECISION_KEYS} for d in decisions],
         "run": run,
     }

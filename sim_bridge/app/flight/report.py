@@ -52,6 +52,10 @@ class LiveView(Progress):
         if self._live is not None:
             self._live.__exit__(*exc_info)
 
+    def tell(self, line: str) -> None:
+        """Print a line for good, above the live table where there is one."""
+        self.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     def update(self, crafts: list[Craft], t_s: float) -> None:
         """Show where everybody is; called ten times a simulated second."""
         if wall_s() >= self._next_wall_s:
@@ -170,8 +174,8 @@ def results_table(result: dict[str, Any], *, gate: bool) -> RenderableType:
 
 
 def grounded_words(row: dict[str, Any]) -> list[str]:
-    """What kept a vehicle of somebody else's on the ground, and what would help; or how its
-    companion died.
+    """What is missing on a vehicle of somebody else's that stayed on the ground, and what would
+    help; or how its companion died.
     """
     if row.get("died"):
         return [row["died"]]
@@ -179,10 +183,35 @@ def grounded_words(row: dict[str, Any]) -> list[str]:
         return []
     findings = row["findings"]
     words = [f"{'MISSING' if f['blocks'] else 'off    '}  {f['words']}" for f in findings]
-    words.append(f"no take-off: {row['reason']}")
     if any(f["blocks"] for f in findings):
         words.append("--configure sets these and puts the old values back after landing")
     return words
+
+
+def ending_words(row: dict[str, Any]) -> list[str]:
+    """Why the flight ended, in its companion's words, and what became of the vehicle's settings."""
+    number = row["vehicle"].rpartition("-")[2]
+    reasons = {d["kind"]: d["reason"] for d in row["decisions"]}
+    reason = reasons.get("grounded") or reasons.get("finished") or row.get("reason")
+    ended = "no take-off" if row["flight_time_s"] == 0.0 else "ended"
+    words = [f"{number} {ended}: {reason}"] if reason else []
+    settings = row.get("settings", [])
+    restored = ", ".join(_setting_words(s) for s in settings if s["restored"])
+    left = ", ".join(_setting_words(s) for s in settings if not s["restored"])
+    if restored:
+        words.append(f"{number} settings changed and put back: {restored}")
+    if left:
+        words.append(
+            f"{number} settings NOT put back: {left}; `companion restore` puts them back once it is"
+            " disarmed"
+        )
+    return words
+
+
+def _setting_words(setting: dict[str, Any]) -> str:
+    value = setting["set"]
+    now = "as an earlier flight left it" if value is None else f"{value:g}"
+    return f"{setting['name']} ({setting['before']:g}, set {now})"
 
 
 def _decision_words(decisions: list[dict[str, Any]]) -> list[str]:

@@ -34,6 +34,7 @@ from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
 from companion.core.mission.events import Attitude, AutopilotKind
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
+from companion.core.pilot.ground_sequence import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.routing.route_planner import Plan, RallyWay
 
@@ -176,7 +177,8 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     second = Recorder(tmp_path, continues=True)
     second.take(Decision(40.0, "recognised", "our mission"), 40.0)
     second.take(Finished("SUC", True, "home"), 50.0)
-    second.write_result(delivered=True, flown=None, phase="done")
+    changed = SettingChange("LOW_ACT", 0.0, 3.0, restored=True)
+    second.write_result(delivered=True, flown=None, phase="done", settings=[changed])
     second.close()
     first.close()
     result = json.loads((tmp_path / "result.json").read_text())
@@ -184,6 +186,8 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     wind = {"to_n_mps": 1.0, "to_e_mps": 2.0, "nn_m2ps2": 0.1, "ne_m2ps2": 0.0, "ee_m2ps2": 0.1}
     assert result["wind"] == [{"t_s": 13.0, **wind}]
     assert (result["outcome"], result["delivered"]) == ("SUC", True)
+    told = {"name": "LOW_ACT", "before": 0.0, "set": 3.0, "restored": True}
+    assert result["settings"] == [told]
     assert {"t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason"} == set(
         result["decisions"][0]
     )
