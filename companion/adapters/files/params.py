@@ -30,9 +30,14 @@ def params_dir(explicit: Path | None = None) -> Path:
     raise LeewayError("no params folder: name one with --params")
 
 
+def airframe_path(name: str, params: Path | None = None) -> Path:
+    """The file that an airframe is read from; LeewayError where there is none."""
+    return _params_file(name, "airframes", "airframe", params)
+
+
 def read_airframe(name: str, params: Path | None = None) -> Airframe:
     """Read an airframe by its name (params/airframes/NAME.toml) or by a file's path."""
-    path = _params_file(name, "airframes", "airframe", params)
+    path = airframe_path(name, params)
     return airframe_from_dict(_read_toml(path), str(path))
 
 

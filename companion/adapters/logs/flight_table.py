@@ -62,11 +62,17 @@ def read_flight_table(folder: Path) -> tuple[TabledFlight, ...]:
 
 def payload_in_table_kg(log: Path) -> float | None:
     """The parcel that a table beside this log states; `None` where there is no table or no row."""
+    row = row_of(log)
+    return None if row is None else row.payload_kg
+
+
+def row_of(log: Path) -> TabledFlight | None:
+    """What a table beside this log says of it; `None` where there is no table or no row."""
     if not (log.parent / TABLE).is_file():
         return None
     name = log.name.split(".")[0]
     found = (flight for flight in read_flight_table(log.parent) if flight.name == name)
-    return next((flight.payload_kg for flight in found), None)
+    return next(found, None)
 
 
 def _flight(folder: Path, where: str, row: dict[str, str | None]) -> TabledFlight:

@@ -21,6 +21,7 @@ def report(pilot: Pilot) -> tuple[list[str], bool]:
         for name, value in sorted(preflight.settings_left.items())
     ]
     lines += [f"DOUBT    {words}" for words in pilot.doubts.words]
+    lines += _certificate(pilot)
     lines += _battery(pilot) + _air(pilot) + _route(pilot) + _home(pilot)
     blocked = any(finding.blocks for finding in findings)
     if any(finding.blocks and finding.name[0].isupper() for finding in findings):
@@ -44,6 +45,17 @@ def _word(finding: Finding) -> str:
 
 def _rank(finding: Finding) -> int:
     return ("MISSING", "WAITING", "off    ").index(_word(finding))
+
+
+def _certificate(pilot: Pilot) -> list[str]:
+    """What recorded days support of the draw, and where this flight is not among them."""
+    certificate = pilot.certificate
+    if certificate is None:
+        return []
+    lines = [f"ok       certificate: {certificate.statement}"]
+    if words := certificate.support_of(pilot.estimates.limits.max_loss):
+        lines.append(f"note     certificate: {words}")
+    return lines + [f"DOUBT    {words}" for words in pilot.estimates.outside_envelope]
 
 
 def _battery(pilot: Pilot) -> list[str]:

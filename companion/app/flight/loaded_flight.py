@@ -13,8 +13,10 @@ from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.operator_port import GROUND_STATION
 from companion.adapters.autopilots.px4 import Px4
+from companion.adapters.files.certificate_file import read_certificate
 from companion.adapters.files.checkpoint_file import read_checkpoint
 from companion.adapters.files.params import (
+    airframe_path,
     digest_of,
     read_airframe,
     read_flight,
@@ -25,6 +27,7 @@ from companion.adapters.files.policy_file import read_policy
 from companion.adapters.files.signing_files import StampKeeper, read_signing_key
 from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.core.base.errors import LeewayError
+from companion.core.certificate.certificate import Certificate
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import frame_at, site_map
@@ -74,6 +77,8 @@ class Settings:
     """What stays the same from flight to flight. `wind_process` None: the flight file's own."""
 
     airframe: Airframe
+    certificate: Certificate | None
+    """What lies beside the airframe file."""
     wind_process: WindProcessParams | None
     policy: AvoidancePolicy | None
     signing_key: bytes | None
@@ -84,8 +89,10 @@ class Settings:
     def read(cls, options: RunOptions) -> "Settings":
         """Raises LeewayError for a mistake in the command line, or a file that it names."""
         process, key = options.wind_process, options.signing_key
+        airframe = read_airframe(options.airframe, options.params)
         return cls(
-            read_airframe(options.airframe, options.params),
+            airframe,
+            read_certificate(airframe_path(options.airframe, options.params), airframe),
             read_wind_process(process, options.params) if process is not None else None,
             flying_policy(options.policy) if options.policy is not None else None,
             read_signing_key(key) if key is not None else None,
@@ -144,6 +151,7 @@ class LoadedFlight:
             checkpoint=checkpoint,
             policy=self.settings.policy,
             doubts=doubts,
+            certificate=self.settings.certificate,
         )
 
     def monitor(self) -> MonitorKeeper | None:

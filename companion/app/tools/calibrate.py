@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from companion.adapters.files.airframe_toml import write_airframe
+from companion.adapters.files.airframe_toml import FITTED_TO, write_airframe
 from companion.adapters.files.params import read_airframe
 from companion.adapters.files.qgc_plan import write_plan
 from companion.adapters.logs.calibration_logs import as_record, open_multirotor_log
@@ -277,7 +277,7 @@ def _write(
     fitted = msgspec.structs.replace(done.airframe, name=out.stem)
     flown = ", ".join(f"{p.name} ({_day(p)}, {kg:g} kg)" for p, kg in zip(logs, loads, strict=True))
     header = [
-        f"Fitted by `companion calibrate` to: {flown}; air at {temperature_c:g} C. Start and prior:"
+        f"{FITTED_TO}{flown}; air at {temperature_c:g} C. Start and prior:"
         f" {start.name}; numbers without a comment are as there.",
     ]
     header += [f"Predicted unseen: {_words(h)}" for h in (*done.holdouts, *unseen)]

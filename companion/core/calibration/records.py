@@ -87,6 +87,11 @@ class Prepared:
     blocks: Blocks
     notes: tuple[str, ...]
 
+    @property
+    def cut_short(self) -> bool:
+        """The log ends in the air."""
+        return bool(self.blocks.airborne[-1])
+
 
 def prepare(record: FlightRecord, hover_w: float, cells: int) -> Prepared:
     """Blocks of a record; LeewayError names flight and row where it cannot be used.
@@ -116,11 +121,11 @@ def prepare(record: FlightRecord, hover_w: float, cells: int) -> Prepared:
             f"{record.name}: {airborne_s:.0f} s of flight with attitude, velocity, voltage and"
             f" current, at least {_LEAST_AIRBORNE_S:.0f} s expected"
         )
-    if blocks.airborne[-1]:
-        notes.append(
-            f"{record.name}: cut off in flight at {blocks.t_s[-1]:.0f} s; used up to there"
-        )
-    return Prepared(blocks, tuple(notes))
+    prepared = Prepared(blocks, tuple(notes))
+    if not prepared.cut_short:
+        return prepared
+    words = f"{record.name}: cut off in flight at {blocks.t_s[-1]:.0f} s; used up to there"
+    return Prepared(blocks, (*notes, words))
 
 
 def _in_order(record: FlightRecord, notes: list[str]) -> FlightRecord:

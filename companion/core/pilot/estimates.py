@@ -2,9 +2,11 @@
 
 import math
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from companion.core.base.geo import Ned
+from companion.core.certificate.certificate import Certificate
+from companion.core.certificate.watch import EnvelopeWatch
 from companion.core.mission.events import AutopilotKind, AutopilotWind, Battery
 from companion.core.mission.flight_file import Flight
 from companion.core.monitor.doubts import NO_DOUBTS, Doubts
@@ -25,7 +27,7 @@ from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
-from companion.core.vehicle.power_bias import PowerScale
+from companion.core.vehicle.power_bias import ModelError, PowerScale
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.observation import WindFilter
@@ -71,9 +73,11 @@ class Estimates:
         wind_process: WindProcessParams,
         wind_filter: WindFilter | None = None,
         doubts: Doubts = NO_DOUBTS,
+        certificate: Certificate | None = None,
     ) -> None:
         """`wind_filter`: another wind estimator than ours, for a replay that compares them.
         `doubts`: what the monitor of the vehicle's service has found; believed from the start.
+        `certificate`: what recorded days support of the draw; its envelope is watched.
         """
         self._flight = flight
         self._airframe = airframe
@@ -95,10 +99,8 @@ class Estimates:
             temperature_c=flight.vehicle.temperature_c,
             charge_frac_stated=flight.vehicle.charge_frac_stated,
         )
-        self._scale = PowerScale(
-            math.hypot(airframe.power_rotor.model_std_frac, doubts.draw_std),
-            prior_log=doubts.draw_log,
-        )
+        self._watch = EnvelopeWatch(certificate)
+        self._scale = _believed_draw(airframe, doubts, certificate)
         self._tally = FlightTally(airframe.battery, flight.vehicle.battery_health_frac)
         # Of the file's own process: what is asked is whether that holds.
         self._stated_outlook = WindOutlook(wind_process) if in_doubt else self._outlook
@@ -114,6 +116,8 @@ class Estimates:
         self._warned: set[str] = set()
         self.draw_change = ""
         """In words, at the tick at which the draw was found changed for good."""
+        self.left_envelope: tuple[str, ...] = ()
+        """In words, at the tick at which the certificate's envelope was left."""
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -136,6 +140,7 @@ class Estimates:
             self._observe_battery(now, autopilot_kind, t_s)
         left_out = self._observe_wind(now, t_s)
         self.wind = self._estimator.belief(t_s)
+        self.left_envelope = self._watch_envelope(now, t_s)
         if now.airborne:
             self._outlook.observe(self.wind)
             if self._stated_outlook is not self._outlook:
@@ -149,6 +154,33 @@ class Estimates:
             warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
             self._warned.update(kinds)
         return tuple(warnings)
+
+    def _watch_envelope(self, now: TelemetryState, t_s: float) -> tuple[str, ...]:
+        temperature_c = None if self.air is None else self.air.known_temperature_c
+        left = self._watch.settle(self.payload_kg, temperature_c)
+        wind, airspeed_mps = self._wind_ne_mps, None
+        if not now.airborne:
+            return left
+        if wind is not None and now.is_fresh(now.position, POSITION_MAX_AGE_S):
+            airspeed_mps = _airspeed_mps(now, wind)
+        return left + self._watch.observe(t_s, wind and math.hypot(*wind), airspeed_mps)
+
+    @property
+    def _wind_ne_mps(self) -> tuple[float, float] | None:
+        """Where the air moves to, where that is known."""
+        if self.wind is None or not self.wind.valid:
+            return None
+        north, east = (float(x) for x in self.wind.mean_to_ne_mps)
+        return north, east
+
+    @property
+    def outside_envelope(self) -> tuple[str, ...]:
+        """What is outside the certificate's envelope, in words."""
+        return self._watch.outside
+
+    def _model_error(self) -> ModelError:
+        """Draw over the model's as the gate counts with it."""
+        return self._watch.careful(self._scale.error())
 
     def _battery_due(self, t_s: float) -> bool:
         """Often enough, and at once where time went back."""
@@ -209,10 +241,7 @@ class Estimates:
             return self.route_energy.hover_power_w(self.payload_kg)
         position = now.position
         assert position is not None
-        wind_n = wind_e = 0.0
-        if self.wind is not None and self.wind.valid:
-            wind_n, wind_e = (float(x) for x in self.wind.mean_to_ne_mps)
-        airspeed = ((position.vel_n_mps - wind_n) ** 2 + (position.vel_e_mps - wind_e) ** 2) ** 0.5
+        airspeed = _airspeed_mps(now, self._wind_ne_mps or (0.0, 0.0))
         return self.route_energy.power_w(self.payload_kg, airspeed, max(0.0, -position.vel_d_mps))
 
     def _idles(self, now: TelemetryState) -> bool:
@@ -266,7 +295,7 @@ class Estimates:
         if energy is None or self.wind is None or not self.wind.valid:
             return None
         answer = self._gate_for(energy).assess(
-            ahead, self.wind, self._outlook, energy, self._scale.error(), self._accepted_loss
+            ahead, self.wind, self._outlook, energy, self._model_error(), self._accepted_loss
         )
         if self.route_energy.speed_rule == "fastest":
             self._hurry(ahead, answer, energy)
@@ -291,7 +320,7 @@ class Estimates:
                 self.wind,
                 self._outlook,
                 energy,
-                self._scale.error(),
+                self._model_error(),
                 self._accepted_loss,
                 weighs_worth=False,
             )
@@ -309,7 +338,7 @@ class Estimates:
         if energy is None or self.wind is None or not self.wind.valid:
             return None
         self._accepted_loss, seen = self._gate_for(energy).depart(
-            ahead, self.wind, self._outlook, energy, self._scale.error()
+            ahead, self.wind, self._outlook, energy, self._model_error()
         )
         return seen
 
@@ -356,6 +385,7 @@ class Estimates:
             "accepted_loss": self._accepted_loss,
             "reserve_frac": self.limits.reserve_frac,
             "air": None if self.air is None else asdict(self.air),
+            "outside_envelope": self._watch.snapshot(),
         }
 
     def restore(self, kept: "EstimatesSnapshot") -> None:
@@ -368,9 +398,27 @@ class Estimates:
         self._estimator.restore(kept.wind)
         if kept.tally is not None:
             self._tally.restore(kept.tally)
+        self._watch.restore(kept.outside_envelope)
         self.payload_kg = kept.payload_kg
         self.limits = Limits(kept.max_loss, kept.reserve_frac)
         self._accepted_loss = kept.accepted_loss
+
+
+def _believed_draw(
+    airframe: Airframe, doubts: Doubts, certificate: Certificate | None
+) -> PowerScale:
+    """Draw over the model's before the flight: never better than the airframe file says."""
+    log, std = doubts.draw_log, airframe.power_rotor.model_std_frac
+    if certificate is not None:
+        log, std = max(log, certificate.draw_log), max(std, certificate.draw_std_frac)
+    return PowerScale(math.hypot(std, doubts.draw_std), prior_log=log)
+
+
+def _airspeed_mps(now: TelemetryState, wind_ne_mps: tuple[float, float]) -> float:
+    """Horizontal; the position is known."""
+    assert now.position is not None
+    north, east = wind_ne_mps
+    return math.hypot(now.position.vel_n_mps - north, now.position.vel_e_mps - east)
 
 
 def _told_by(seen: BatteryObservation, message: Battery) -> BatteryObservation:
@@ -412,3 +460,4 @@ class EstimatesSnapshot:
     reserve_frac: float
     air: Air | None = None
     tally: dict[str, object] | None = None
+    outside_envelope: dict[str, str] = field(default_factory=dict)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from companion.core.certificate.certificate import Certificate
 from companion.core.mission.actions import (
     Action,
     Assessed,
@@ -126,6 +127,7 @@ class Pilot:
     `estimates`: wind, energy and the gate; made of the airframe and the wind process when `None`.
     `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
     `doubts`: what the monitor of the vehicle's service has found.
+    `certificate`: what recorded days support of the airframe's draw.
     """
 
     def __init__(
@@ -142,12 +144,19 @@ class Pilot:
         estimates: Estimates | None = None,
         policy: AvoidancePolicy | None = None,
         doubts: Doubts = NO_DOUBTS,
+        certificate: Certificate | None = None,
     ) -> None:
         route_energy = RouteEnergy.for_mission(airframe, flight.mission, REFERENCE_DENSITY_KGPM3)
         estimates = estimates or Estimates(
-            flight, airframe, route_energy, wind_process, doubts=doubts
+            flight,
+            airframe,
+            route_energy,
+            wind_process,
+            doubts=doubts,
+            certificate=certificate,
         )
         self.doubts = doubts
+        self.certificate = certificate
         self._digest = digest
         self._reported = ReportTimes()
         self._context = FlightContext(flight, airframe, estimates, options or PilotOptions(), self)
@@ -318,6 +327,8 @@ class Pilot:
         context.do(Note(f"{event.autopilot_kind.value} autopilot, system {event.system_id}"))
         for words in self.doubts.words:
             context.say(Severity.WARNING, words)
+        if self.certificate is not None:
+            context.do(Note(f"certificate: {self.certificate.statement}"))
         self._authority.begin(context.telemetry.state)
         self._resume.identified(context)
 
@@ -330,6 +341,8 @@ class Pilot:
             context.do(Note(words))
         if context.estimates.draw_change:
             context.say(Severity.WARNING, context.estimates.draw_change)
+        for words in context.estimates.left_envelope:
+            context.say(Severity.WARNING, words)
         if late:
             return
         if context.phase is Phase.RECOGNISE:

@@ -30,6 +30,9 @@ COLDEST_C, WARMEST_C = -60.0, 55.0
 """Air in which anything flies; the records are -68 and 57 where people live."""
 
 
+_BY_STANDARD = "standard temperature"
+
+
 @dataclass(frozen=True, slots=True)
 class Air:
     """Pressure and temperature at the depot; `source` says in words where they are from."""
@@ -42,6 +45,11 @@ class Air:
     def density_kgpm3(self) -> float:
         """Density of dry air: damp air is 1 % lighter at 30 degrees C, which is left out."""
         return self.pressure_pa / (_GAS_CONSTANT_AIR * (self.temperature_c + _ZERO_C_K))
+
+    @property
+    def known_temperature_c(self) -> float | None:
+        """The temperature where somebody stated or measured it."""
+        return None if self.source.endswith(_BY_STANDARD) else self.temperature_c
 
     def __str__(self) -> str:
         pressure_hpa = self.pressure_pa / 100.0
@@ -82,7 +90,7 @@ def air_at(
     if (by_board_c := _by_board_c(board_temperature_c)) is not None:
         words = f"{by}, its board {BOARD_WARMTH_C:.0f} C warmer"
         return Air(pressure_pa, by_board_c, words)
-    return Air(pressure_pa, standard_temperature_c(alt_amsl_m), f"{by}, standard temperature")
+    return Air(pressure_pa, standard_temperature_c(alt_amsl_m), f"{by}, {_BY_STANDARD}")
 
 
 def _by_board_c(board_temperature_c: float | None) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from companion.adapters.files.params import params_dir
+from companion.core.certificate.certificate import Certificate
 from companion.core.mission.flight_file import Flight
 from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe
@@ -58,6 +59,7 @@ def formats() -> tuple[Format, ...]:
             },
         ),
         Format("airframe/1", Airframe, _read("airframes")),
+        Format("certificate/1", Certificate),
         Format("wind-process/1", WindProcessParams, _read("wind")),
         Format("day/1", Day, _read("days")),
         Format("day-plan/1", DayPlan, _read("days")),

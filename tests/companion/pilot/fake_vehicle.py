@@ -94,6 +94,8 @@ class ScriptedJudge:
     asked: list[Ahead] = field(default_factory=list)
     restored: bool = False
     draw_change: str = ""
+    left_envelope: tuple[str, ...] = ()
+    outside_envelope: tuple[str, ...] = ()
     air: Air | None = None
 
     def fly_in(self, air: Air) -> None:
