@@ -1,6 +1,7 @@
 """Serves the live map on loopback, in a thread of its own, until it is closed."""
 
 import asyncio
+import re
 import socket
 import threading
 from collections.abc import Callable
@@ -30,20 +31,36 @@ END_S = 1.0
 """Who is being answered when the server ends has so long."""
 
 STARTED_S = 10.0
+TIME = re.compile(r"[0-9]{1,17}")
 QUEUE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class PastAnswers:
+    """What a page that shows the past asks for; times are microseconds since 1970.
+
+    `span()`: from when to when, `moment(t_us)`: the picture of a time; both as JSON has it.
+    """
+
+    span: Callable[[], Any]
+    moment: Callable[[int], Any]
+    history: Callable[[str, int], Any]
+    reach: Callable[[str, int], Any]
 
 
 @dataclass(frozen=True, slots=True)
 class MapAnswers:
     """What the page asks for beside the stream; each is called in the server's thread.
 
-    `history(vehicle)` and `reach(vehicle)` give what can be written as JSON, None: not known.
+    `history(vehicle)` and `reach(vehicle)` give what can be written as JSON, None: not known. With
+    `past` the page shows the past: then the stream stays silent.
     """
 
     stream: LiveStream
     history: Callable[[str], Any]
     reach: Callable[[str], Any]
     basemap: Path | None = None
+    past: PastAnswers | None = None
 
 
 class MapServer:
@@ -96,13 +113,29 @@ def map_app(answers: MapAnswers, port: int) -> ASGIApp:
         Mount("/page", page),
         Route("/events", _events(answers.stream)),
         Route("/picture.json", _picture(answers.stream)),
-        Route("/history.json", _asked(answers.history)),
-        Route("/reach.json", _asked(answers.reach)),
+        *(_live(answers) if answers.past is None else _past(answers.past)),
     ]
     if answers.basemap is not None:
         routes += [Route("/basemap.pmtiles", _file(answers.basemap))]
         routes += [Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False))]
     return WebGuard(Starlette(routes=routes), port)
+
+
+def _live(answers: MapAnswers) -> list[BaseRoute]:
+    return [
+        Route("/span.json", _told(lambda: None)),
+        Route("/history.json", _asked(answers.history)),
+        Route("/reach.json", _asked(answers.reach)),
+    ]
+
+
+def _past(past: PastAnswers) -> list[BaseRoute]:
+    return [
+        Route("/span.json", _told(past.span)),
+        Route("/moment.json", _at_time(lambda vehicle, t_us: past.moment(t_us))),
+        Route("/history.json", _at_time(past.history)),
+        Route("/reach.json", _at_time(past.reach)),
+    ]
 
 
 def _file(path: Path) -> Any:
@@ -132,6 +165,24 @@ def _picture(stream: LiveStream) -> Any:
 def _asked(ask: Callable[[str], Any]) -> Any:
     def answer(request: Request) -> Response:  # in a worker thread: it may take milliseconds
         return _json(ask(request.query_params.get("vehicle", "")))
+
+    return answer
+
+
+def _told(tell: Callable[[], Any]) -> Any:
+    def answer(request: Request) -> Response:
+        return _json(tell())
+
+    return answer
+
+
+def _at_time(ask: Callable[[str, int], Any]) -> Any:
+    def answer(request: Request) -> Response:
+        asked = request.query_params
+        t_us = asked.get("t_us", "")
+        if TIME.fullmatch(t_us) is None:
+            return PlainTextResponse("t_us: expected microseconds since 1970\n", 400)
+        return _json(ask(asked.get("vehicle", ""), int(t_us)))
 
     return answer
 

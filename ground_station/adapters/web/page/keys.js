@@ -2,7 +2,7 @@
 
 const STEP_PX = 80;
 
-export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme, close, help }) {
+export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme, close, help, past }) {
   const deeds = {
     j: () => nextDrone(1),
     k: () => nextDrone(-1),
@@ -12,6 +12,12 @@ export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme
     r: reach,
     t: theme,
     "?": help,
+    " ": () => past()?.toggle(),
+    ",": () => past()?.step(-1),
+    ".": () => past()?.step(1),
+    "<": () => past()?.faster(-1),
+    ">": () => past()?.faster(1),
+    m: () => past()?.nextMark(),
     Escape: close,
     "+": () => view.zoomBy(0.5),
     "=": () => view.zoomBy(0.5),
@@ -24,7 +30,8 @@ export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme
   document.addEventListener("keydown", (event) => {
     const deed = deeds[event.key];
     if (!deed || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key.startsWith("Arrow") && document.activeElement?.closest("#lists, #attention")) return;
+    if (event.key.startsWith("Arrow") && document.activeElement?.closest("#lists, #attention, #past")) return;
+    if (event.key === " " && document.activeElement?.closest("button, select")) return;
     event.preventDefault();
     deed();
   });

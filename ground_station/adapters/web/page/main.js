@@ -1,6 +1,7 @@
 // The page: what the server says, drawn; what the person does, heard. It sends nothing but questions.
 
 import { $, remembering, say, set } from "./dom.js";
+import { Past } from "./past.js";
 import { listen } from "./stream.js";
 import { View } from "./view.js";
 import { Drawing } from "./draw.js";
@@ -13,9 +14,9 @@ const QUIET_MS = 4000; // the server speaks at least once a second
 
 const seen = { picture: {}, aheadUs: 0, heardMs: null, selected: decodeURIComponent(location.hash.slice(1)) || null };
 const when = remembering();
-let [fitted, waiting, reachWanted, basemap] = [false, false, true, null];
+let [fitted, waiting, reachWanted, basemap, past] = [false, false, true, null, null];
 
-const nowUs = () => Date.now() * 1000 + seen.aheadUs;
+const nowUs = () => seen.pastUs ?? Date.now() * 1000 + seen.aheadUs;
 
 function redraw() {
   if (waiting) return;
@@ -41,7 +42,8 @@ function select(name) {
 }
 
 async function answer(question) {
-  const found = await fetch(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}`).catch(() => null);
+  const when = past ? `&t_us=${past.tUs}` : "";
+  const found = await fetch(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}${when}`).catch(() => null);
   return found?.status === 200 ? found.json() : null; // 204: not known
 }
 
@@ -100,8 +102,14 @@ function show(picture, serverUs) {
   if (!fitted && places().length) [fitted] = [true, fit()];
   if (first) ask();
   if (first && picture.basemap) showBasemap().catch((error) => say($("#attribution"), `base map: ${error.message}`));
-  tell("live", "live");
+  if (!past) tell("live", "live");
   redraw();
+}
+
+function showPast(picture, tUs) {
+  seen.pastUs = tUs;
+  show(picture, tUs);
+  tell("past", "the past");
 }
 
 function tell(kind, words) {
@@ -112,7 +120,7 @@ function tell(kind, words) {
 function everySecond() {
   if (seen.heardMs !== null) say($("#clock"), new Date(nowUs() / 1000).toLocaleTimeString());
   const quietMs = seen.heardMs === null ? 0 : performance.now() - seen.heardMs;
-  if (quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
+  if (!past && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
   redraw();
 }
 
@@ -128,7 +136,16 @@ bindKeys({
   reach: () => { reachWanted = !reachWanted; redraw(); },
   close: () => ($("#help").open ? $("#help").close() : select(null)),
   help: () => $("#help").showModal(),
+  past: () => past,
 });
-listen(show, () => tell("lost", "NO CONNECTION: trying again"));
+
+async function begin() {
+  const lost = () => tell("lost", "NO CONNECTION: trying again");
+  const found = await fetch("/span.json").catch(() => null);
+  if (found?.status === 200) past = new Past(await found.json(), showPast, lost);
+  else listen(show, lost);
+}
+
+begin();
 setInterval(everySecond, 1000);
 setInterval(ask, ASK_MS);

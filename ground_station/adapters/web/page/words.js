@@ -2,6 +2,8 @@
 
 export const clock = (us) => new Date(us / 1000).toLocaleTimeString();
 
+export const moment = (us) => new Date(us / 1000).toLocaleString();
+
 export function minutes(seconds) {
   const whole = Math.max(0, Math.round(seconds));
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;

@@ -1,0 +1,287 @@
+"""A past day on the map: what it shows of a moment is what the live map showed then."""
+
+import math
+import shutil
+import socket
+from pathlib import Path
+
+import httpx
+import pytest
+from typer.testing import CliRunner
+
+from companion.adapters.logs.decision_log import DecisionLog
+from companion.core.base.errors import LeewayError
+from companion.fleet.messages import EventKind
+from ground_station.adapters.store.past_store import PastStore
+from ground_station.adapters.web.live_stream import LiveStream
+from ground_station.adapters.web.map_server import MapAnswers, MapServer, PastAnswers
+from ground_station.app.cli.main import app
+from ground_station.app.map.map_view import MapView
+from ground_station.app.map.replay.past_folder import past_files
+from ground_station.app.map.replay.replay_feed import ReplayFeed
+from tests.ground_station.web.browser import browsing, needs_chromium
+from tests.ground_station.web.map_site import HARBOUR, MapSite
+
+pytestmark = pytest.mark.timeout(180)
+TOOK_OFF_S = 1000.0
+"""When the recorded flight began, by the autopilot's clock."""
+
+
+def replay(site: MapSite, folder: Path | None = None) -> ReplayFeed:
+    records = () if folder is None else past_files(str(folder)).records
+    return ReplayFeed(MapView("harbour", HARBOUR), PastStore(site.reader.database), records)
+
+
+def test_a_moment_of_the_past_has_the_orders_truck_and_plan_that_were_shown_live(site: MapSite):
+    """Every 20 s of the day until the first parcel is brought, and a while after."""
+    shown = {}
+    for _ in range(24):
+        site.step(20)
+        shown[site.world.clock.epoch_us()] = site.picture
+    assert {"open", "assigned", "delivered"} <= {
+        order["state"] for order in site.picture["orders"].values()
+    }
+    past = replay(site)
+    for t_us, live in shown.items():
+        then = past.moment(t_us)
+        for id_, order in live["orders"].items():
+            was = then["orders"][id_]
+            assert (was["state"], was.get("vehicle")) == (order["state"], order.get("vehicle")), id_
+        assert then["plan"]["title"] == live["plan"]["title"]
+        assert then["truck"]["stop"] == live["truck"]["stop"], (then["truck"], live["truck"])
+        assert then["truck"]["phase"] == live["truck"]["phase"]
+        homes = {name: one.get("home") for name, one in live["drones"].items()}
+        assert {name: one.get("home") for name, one in then["drones"].items()} == homes
+
+
+def test_before_its_first_order_there_is_nothing_and_the_span_is_the_days(site: MapSite):
+    site.step(30)
+    past = replay(site)
+    span = past.span()
+    assert 20e6 < span["to_us"] - span["from_us"] <= 30e6  # until the last row was written
+    assert past.moment(span["from_us"] - 1)["orders"] == {}
+    assert past.moment(span["from_us"])["orders"].keys() == site.picture["orders"].keys()
+
+
+def test_holds_and_confirmations_are_shown_while_they_were_in_force(site: MapSite):
+    from ground_station.adapters.store.hold_store import HoldStore
+
+    clock = site.world.clock
+    holds = HoldStore(site.store.database, clock.epoch_us)
+    site.step(5)
+    before_us = clock.epoch_us()
+    site.step(5)
+    holds.set(["d2"], "propeller", "anna")
+    held_us = clock.epoch_us()
+    site.step(5)
+    holds.release(["d2"], "anna")
+    after_us = clock.epoch_us()
+    past = replay(site)
+    assert "notes" not in past.moment(before_us)
+    assert past.moment(held_us)["notes"] == ["d2 is held by anna: propeller"]
+    assert "notes" not in past.moment(after_us)
+
+
+def write_record(path: Path, decisions: dict[float, str]) -> None:
+    """50 s of flight to the north at 10 m/s, a decision at some times, and a promise that sinks."""
+    path.parent.mkdir(parents=True)
+    log = DecisionLog(path)
+    log.write("phase", {"t_s": TOOK_OFF_S, "before": "arm", "now": "outbound", "why": "go"})
+    state = {"mode": "", "mode_name": "", "failsafe": False, "ready_state": True}
+    log.write("heard_state", {"t_s": TOOK_OFF_S, "armed": True, **state})
+    for k in range(50):
+        t_s = TOOK_OFF_S + k
+        log.write("heard_position", {
+            "t_s": t_s, "lat_deg": 55.47 + k * 10.0 / 111_320.0, "lon_deg": 8.45,
+            "alt_amsl_m": 50.0, "height_rel_m": 40.0,
+            "vel_n_mps": 10.0, "vel_e_mps": 0.0, "vel_d_mps": 0.0,
+        })  # fmt: skip
+        log.write("assessment", {
+            "t_s": t_s, "p_home": 0.999, "p_home_now": 0.999, "p_success": 0.99,
+            "margin_wh": 30.0 - k, "energy_left_wh": 90.0, "energy_need_wh": 40.0,
+            "p_home_unattended": None,
+        })  # fmt: skip
+        log.write(
+            "energy", {"t_s": t_s, "left_wh": 90.0, "std_wh": 1.0, "source": "", "used_wh": 0}
+        )
+        for kind, _, reason in (
+            words.partition(": ") for at, words in decisions.items() if at == k
+        ):
+            none = dict.fromkeys(("p_home", "p_home_now", "p_success", "margin_wh"))
+            log.write("decision", {"t_s": t_s, "kind": kind, "reason": reason, **none})
+    log.close()
+
+
+@pytest.fixture
+def flown(site: MapSite, tmp_path: Path) -> tuple[MapSite, Path, int]:
+    """A day in which d1 flies, its record, and the desk's time at which the record begins."""
+    site.until_flying("d1")
+    drone = site.world.drones["d1"]
+    assert drone.flight is not None
+    assignment = drone.flight.assignment
+    began_us = site.world.clock.epoch_us()
+    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
+    told = {10.0: "go: 12 Wh above", 30.0: f"divert: to {row.promised}: the wind has turned"}
+    for k in range(45):
+        if k in told:
+            drone.tell(EventKind.DECISION, told[k], assignment=assignment)
+        site.step()
+    folder = tmp_path / "run"
+    write_record(folder / "d1" / f"assignment-{assignment}" / "decisions.mcap", told)
+    return site, folder, began_us
+
+
+def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(flown):
+    site, folder, began_us = flown
+    past = replay(site, folder)
+    for k in (5, 20, 40):
+        drone = past.moment(began_us + k * 1_000_000)["drones"]["d1"]
+        assert drone["at"][0] == pytest.approx(55.47 + k * 10.0 / 111_320.0, abs=2 * 10 / 111_320)
+        assert drone["margin_wh"] == pytest.approx(30.0 - k, abs=2.0)
+        assert math.cos(math.radians(drone["course_deg"])) > 0.999
+        assert drone["armed"]
+    assert drone["phase"] == "outbound"
+    assert drone["why"].startswith("divert: to ")
+    (mark,) = past.span()["marks"]
+    assert mark["words"].startswith("d1: divert: to ")
+    assert mark["t_us"] == pytest.approx(began_us + 30e6, abs=2e6)
+    history = past.history("d1", began_us + 20_000_000)
+    assert history is not None
+    assert [one["margin_wh"] for one in history] == [30.0 - k for k in range(len(history))]
+    assert 18 <= len(history) <= 22
+    reach = past.reach("d1", began_us + 20_000_000)
+    assert reach is not None
+    assert len(reach) > 10
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def overwrite(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    middle = len(raw) // 2
+    raw[middle : middle + 400] = bytes(range(200)) * 2
+    path.write_bytes(raw)
+
+
+@pytest.mark.parametrize("damage", [cut, overwrite, lambda p: p.write_bytes(b"nothing")])
+def test_a_damaged_record_is_a_note_and_the_rest_is_shown(flown, damage):
+    site, folder, began_us = flown
+    (record,) = folder.rglob("*.mcap")
+    damage(record)
+    with served(replay(site, folder)) as address:
+        found = httpx.get(f"{address}/moment.json?t_us={began_us + 10_000_000}")
+        assert found.status_code == 200
+        assert [words for words in found.json()["notes"] if words.startswith("d1 (H-")]
+        assert found.json()["orders"].keys() == site.picture["orders"].keys()
+        for question in ("history", "reach"):
+            where = f"{address}/{question}.json?vehicle=d1&t_us={began_us + 10_000_000}"
+            assert httpx.get(where).status_code in (200, 204)
+
+
+def test_a_record_whose_rows_lack_what_is_shown_is_a_note(flown):
+    site, folder, began_us = flown
+    (record,) = folder.rglob("*.mcap")
+    record.write_bytes(record.read_bytes().replace(b'"lat_deg"', b'"lat_dog"'))
+    notes = replay(site, folder).moment(began_us + 10_000_000)["notes"]
+    assert any("a row of heard_position without t_s, lat_deg, lon_deg" in words for words in notes)
+
+
+def test_a_record_that_is_missing_is_a_note_and_the_desks_words_stand_in(flown):
+    site, folder, began_us = flown
+    shutil.rmtree(folder / "d1")
+    with pytest.raises(LeewayError, match="no store"):
+        past_files(str(folder))
+    then = replay(site).moment(began_us + 40_000_000)
+    assert any("no records of flights" in words for words in then["notes"])
+    assert "at" not in then["drones"]["d1"]
+    assert then["drones"]["d1"]["why"].startswith("divert: to ")
+
+
+class served:
+    """A server that shows this past."""
+
+    def __init__(self, feed: ReplayFeed) -> None:
+        past = PastAnswers(feed.span, feed.moment, feed.history, feed.reach)
+        self.server = MapServer("127.0.0.1", 0)
+        none = LiveStream()
+        self.server.serve(MapAnswers(none, lambda _: None, lambda _: None, None, past))
+
+    def __enter__(self) -> str:
+        return f"http://127.0.0.1:{self.server.port}"
+
+    def __exit__(self, *_: object) -> None:
+        self.server.close()
+
+
+@pytest.mark.parametrize("t_us", ["", "-1", "x", "1e9", "1" * 18])
+def test_a_time_that_is_none_is_refused(site: MapSite, t_us: str):
+    site.step()
+    with served(replay(site)) as address:
+        for path in ("moment", "history", "reach"):
+            assert httpx.get(f"{address}/{path}.json?t_us={t_us}").status_code == 400
+        far = httpx.get(f"{address}/moment.json?t_us={'9' * 17}")
+        assert far.status_code == 200
+
+
+def test_the_live_map_has_no_past(site: MapSite):
+    site.step()
+    assert httpx.get(f"{site.address}/span.json").status_code == 204
+    assert httpx.get(f"{site.address}/moment.json?t_us=1").status_code == 404
+
+
+def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
+    program = needs_chromium()
+    site, folder, began_us = flown
+    feed = replay(site, folder)
+    with (
+        served(feed) as address,
+        browsing(program, viewport={"width": 1280, "height": 800}) as page,
+    ):
+        page.goto(address)
+        page.wait_for_selector("#link.past")
+        page.keyboard.press("m")  # to the diversion
+        at = "Number(document.querySelector('#time').value)"
+        assert page.evaluate(at) == pytest.approx(began_us + 30e6, abs=2e6)
+        page.locator('#map .drone[data-key="d1"]').wait_for(state="attached")
+        page.keyboard.press(",")
+        assert page.evaluate(at) == pytest.approx(began_us + 20e6, abs=2e6)
+        page.keyboard.press("j")
+        page.locator("#detail dd", has_text="go: 12 Wh above").wait_for()
+        page.keyboard.press(".")
+        page.locator("#detail dd", has_text="divert: to").wait_for()
+        page.evaluate("document.activeElement.blur()")
+        for key in (",", ",", "<", " "):
+            page.keyboard.press(key)
+        page.wait_for_function(f"() => {at} >= {began_us + 14e6}")
+        page.keyboard.press(" ")
+        assert page.locator("#play").inner_text() == "play"
+        page.locator("#time").focus()
+        page.keyboard.press("Home")
+        page.locator("#map .drone").first.wait_for(state="detached")
+
+
+def test_the_command_shows_a_run_or_says_what_it_expected(flown, tmp_path: Path):
+    site, folder, _ = flown
+    shutil.copy(site.url.removeprefix("sqlite:///"), folder / "desk.db")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = CliRunner().invoke(app, ["map", "--replay", str(folder), "--port", str(port)])
+        assert "Address already in use" in str(done.exception)
+    assert past_files(str(folder)).store == f"sqlite:///{folder}/desk.db"
+    assert past_files(str(folder / "desk.db")).records == ()
+    assert len(past_files(str(folder / "desk.db"), folder).records) == 1
+    shutil.copy(folder / "desk.db", folder / "other.db")
+    for options, words in (
+        (["--replay", str(folder)], "expected one store"),
+        (["--replay", str(tmp_path / "none")], "expected a store's URL or file, or a run's folder"),
+        (
+            ["--replay", str(folder / "desk.db"), "--records", "/none"],
+            "expected a folder of flights",
+        ),
+        (["--records", str(folder), "--fleet", "x"], "expected --replay beside it"),
+    ):
+        done = CliRunner().invoke(app, ["map", "--port", "0", *options])
+        assert isinstance(done.exception, LeewayError)
+        assert words in str(done.exception)
