@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from pymavlink import mavutil
 
 from companion.adapters.files.params import read_airframe, read_flight, read_wind_process
@@ -399,6 +400,30 @@ def test_a_replay_says_what_the_flight_said(fly_case):
             now = [d.t_s for d in seen.decisions if d.kind == kind]
             assert len(now) == len(was), kind
             assert np.allclose(now, was, atol=1.5), kind
+
+
+def test_a_flights_mission_is_in_its_run_folder_and_on_foxgloves_map(fly_case):
+    """The items in mission.plan are those that the autopilot was sent, place by place."""
+    flown = _flown_once(fly_case, "px4", {}, gate=True)
+    document = json.loads((flown.run_dir / "mission.plan").read_text())
+    stream = mavutil.mavlink_connection(str(flown.run_dir / "stream.tlog"))
+    sent = {}
+    while (message := stream.recv_match(type="MISSION_ITEM_INT")) is not None:
+        if message.mission_type == 0:
+            sent[message.seq] = (message.command, message.x, message.y, message.z)
+    stream.close()
+    items = document["mission"]["items"]
+    assert len(items) == len(sent)
+    for (command, x, y, z), item in zip((sent[k] for k in sorted(sent)), items, strict=True):
+        lat_deg, lon_deg, height_m = item["params"][4:]
+        assert item["command"] == command
+        assert (lat_deg * 1e7, lon_deg * 1e7) == pytest.approx((x, y), abs=1.0)
+        assert height_m == pytest.approx(z, abs=0.01)
+    with (flown.run_dir / "decisions.mcap").open("rb") as file:
+        routes = [message for _, _, message in make_reader(file).iter_messages("/foxglove_route")]
+    drawn = json.loads(json.loads(routes[-1].data)["geojson"])
+    names = {feature["properties"]["name"] for feature in drawn["features"]}
+    assert {"launch", "customer", "outbound", "homeward"} <= names
 
 
 def _table(rows, *names):

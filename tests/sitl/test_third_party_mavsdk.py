@@ -20,6 +20,8 @@ from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
+from companion.app.tools.export import ExportRequest, export
+from companion.core.exports.export_format import ExportFormat
 from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -247,6 +249,33 @@ def on_ardupilot_over_tcp() -> None:
         (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
         with host.running():
             asyncio.run(body(url.rsplit(":", 1)[1]))
+
+
+def test_mavsdk_opens_an_exported_mission_with_its_fence_and_rally_points() -> None:
+    """Both of its readers, a QGroundControl plan's and Mission Planner's, find the same items."""
+    default = Path("default")
+    plan_text, _ = export(ExportRequest(default, ExportFormat.PLAN, "px4"))
+    wpl_text, _ = export(ExportRequest(default, ExportFormat.WPL, "ardupilot"))
+    port = free_udp_port()
+
+    async def body() -> None:
+        async with connected(f"udpin://127.0.0.1:{port}") as system:
+            raw = MissionRawAsync(system)
+            of_plan = await raw.import_qgroundcontrol_mission_from_string(plan_text)
+            of_wpl = await raw.import_mission_planner_mission_from_string(wpl_text)
+            found = [(item.command, item.x, item.y) for item in of_plan.mission_items]
+            home, *rest = [(item.command, item.x, item.y) for item in of_wpl.mission_items]
+            assert home == (16, 554_700_000, 84_500_000)
+            assert found == rest
+            assert len(found) > 30
+            assert len(of_plan.rally_items) == 1
+            corners = [item for item in of_plan.geofence_items if item.command == 5002]
+            assert len(corners) == len(of_plan.geofence_items) == 8  # MAV_CMD 5002: keep out
+
+    with Host(SPEEDUP) as host:
+        host.add(on_the_ground(AutopilotKind.PX4), onboard=[f"udpout:127.0.0.1:{port}"])
+        with host.running():
+            asyncio.run(body())
 
 
 @pytest.mark.drawn(keep=1)

@@ -6,7 +6,7 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
-from companion.core.mission.qgc_document import PlanItem, plan_document
+from companion.core.exports.qgc_plan import PlanItem, plan_document
 
 
 def write_plan(

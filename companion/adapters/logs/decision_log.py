@@ -25,7 +25,7 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from companion.adapters.clock import epoch_us
-from companion.adapters.logs.foxglove_rows import FOXGLOVE, foxglove_row
+from companion.adapters.logs.foxglove_rows import FOXGLOVE, ROUTE, foxglove_row
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
@@ -227,16 +227,25 @@ class DecisionLog:
 
     def write(self, kind: str, row: dict[str, Any]) -> None:
         """Append one message of ours, and what it is for Foxglove."""
-        t_ns = round(float(row["t_s"]) * 1e9)
-        if self._utc_at_zero_ns is None:
-            self._utc_at_zero_ns = self._wall_clock_us() * 1000 - t_ns
-            self._describe(self._utc_at_zero_ns)
-        stamp_ns = max(0, self._utc_at_zero_ns + t_ns)
+        stamp_ns = self._stamp_ns(row["t_s"])
         self._add(kind, row, stamp_ns)
         topic, message = foxglove_row(kind, row, stamp_ns)
         if topic:
             self._add(topic, message, stamp_ns)
         self._file.flush()
+
+    def write_route(self, t_s: float, document: dict[str, Any]) -> None:
+        """Append a GeoJSON document for Foxglove's map."""
+        text = json.dumps(document, allow_nan=False)
+        self._add(ROUTE, {"geojson": text}, self._stamp_ns(t_s))
+        self._file.flush()
+
+    def _stamp_ns(self, t_s: float) -> int:
+        t_ns = round(float(t_s) * 1e9)
+        if self._utc_at_zero_ns is None:
+            self._utc_at_zero_ns = self._wall_clock_us() * 1000 - t_ns
+            self._describe(self._utc_at_zero_ns)
+        return max(0, self._utc_at_zero_ns + t_ns)
 
     def _describe(self, utc_at_zero_ns: int) -> None:
         self._writer.add_metadata(

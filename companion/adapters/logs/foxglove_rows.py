@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.core.mission.actions import Severity
 
-POSITION, LOG = "foxglove_position", "foxglove_log"
+POSITION, ROUTE, LOG = "foxglove_position", "foxglove_route", "foxglove_log"
 
 TIME = {
     "type": "object",
@@ -48,6 +48,7 @@ FOXGLOVE: dict[str, tuple[str, dict[str, Any]]] = {
             "position_covariance_type": COUNT,
         },
     ),
+    ROUTE: ("foxglove.GeoJSON", {"geojson": TEXT}),
     LOG: (
         "foxglove.Log",
         {

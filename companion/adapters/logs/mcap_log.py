@@ -47,4 +47,5 @@ def read_mcap_log(path: Path) -> RecordedFlight:
         findings=tuple(findings),
         autopilot_kind=identified.autopilot_kind if identified is not None else None,
         vehicle=MULTIROTOR,
+        utc_at_zero_s=log.utc_at_zero_s,
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from companion.app.cli import calibrate, certify, fit_wind, monitor, replay, signing
+from companion.app.cli import calibrate, certify, export, fit_wind, monitor, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
@@ -373,7 +373,7 @@ def folder_of_monitor(named: Path | None) -> Path | None:
     return named or default_monitor_folder()
 
 
-for part in (replay.app, fit_wind.app, calibrate.app, certify.app):
+for part in (replay.app, export.app, fit_wind.app, calibrate.app, certify.app):
     app.registered_commands += part.registered_commands
 app.add_typer(signing.app, name="signing")
 app.add_typer(monitor.app, name="monitor")

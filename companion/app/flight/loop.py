@@ -275,6 +275,8 @@ class Loop:
         t_s = self.clock.t_s
         self._ticked_s = t_s
         self.recorder.heard(self.pilot.telemetry, self.pilot.autopilot, self.autopilot.system_id)
+        if self.pilot.flight_plan is not None and self.pilot.autopilot is not None:
+            self.recorder.planned(t_s, self.pilot.flight_plan, self.pilot.autopilot)
         self._mind_records()
         if not self.hearing.may_decide():
             self._give([Tick(t_s, late=True)])

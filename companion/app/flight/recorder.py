@@ -26,6 +26,10 @@ from companion.adapters.logs.decision_log import (
 )
 from companion.adapters.logs.text_log import TextLog, dated
 from companion.adapters.logs.tlog_writer import Tlog
+from companion.core.exports.export_format import ExportFormat
+from companion.core.exports.exported import MissionExport, mission_export
+from companion.core.exports.formats import mission_text
+from companion.core.exports.geojson import mission_geojson
 from companion.core.mission.actions import (
     Action,
     Assessed,
@@ -45,7 +49,7 @@ from companion.core.pilot.ground_sequence import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
 
 TEXT, STREAM, DECISIONS = "companion.log", "stream.tlog", "decisions.mcap"
-RESULT = "result.json"
+RESULT, MISSION = "result.json", "mission.plan"
 SETTINGS = "settings of the vehicle"
 MONITOR = "record of the monitor"
 SCREEN = "screen"
@@ -79,6 +83,7 @@ class Recorder:
         self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TOPIC}
         self._heard = HeardRows()
         self._autopilot_kind: AutopilotKind | None = None
+        self._plan: FlightPlan | None = None
         self._finished: Finished | None = None
         self._troubles: deque[str] = deque()
         self._ends = contextlib.ExitStack()
@@ -187,6 +192,23 @@ class Recorder:
             self._topic(IDENTIFIED, row)
         for topic, row in self._heard.new(now):
             self._topic(topic, row)
+
+    def planned(self, t_s: float, flown: FlightPlan, autopilot_kind: AutopilotKind) -> None:
+        """Record the mission of a new plan, as QGroundControl opens it and for Foxglove's map."""
+        if flown is self._plan:
+            return
+        self._plan = flown
+        mission = mission_export(flown, self.run_dir.name)
+        self._disk.do(MISSION, lambda: self._write_mission(mission, autopilot_kind), whole=True)
+        self._disk.do(DECISIONS, lambda: self._write_route(t_s, mission))
+
+    def _write_mission(self, mission: MissionExport, autopilot_kind: AutopilotKind) -> None:
+        text = mission_text(mission, ExportFormat.PLAN, autopilot_kind.value)
+        write_text_whole(self.run_dir / MISSION, text, settle=False)
+
+    def _write_route(self, t_s: float, mission: MissionExport) -> None:
+        assert self._decisions is not None
+        self._decisions.write_route(t_s, mission_geojson(mission))
 
     def take(self, action: Action, t_s: float) -> None:
         """Record one action."""

@@ -35,6 +35,7 @@ from companion.core.calibration.flight import (
 from companion.core.calibration.power import power_keys
 from companion.core.calibration.records import Blocks, prepare
 from companion.core.calibration.trim import TRIM_KEYS
+from companion.core.exports.qgc_plan import PlanItem
 from companion.core.measured_energy.flown_track import FlownTrack, flown_track
 from companion.core.measured_energy.identified_phases import identify_phases
 from companion.core.measured_energy.track_power import (
@@ -43,7 +44,6 @@ from companion.core.measured_energy.track_power import (
     track_power_w,
     with_flown,
 )
-from companion.core.mission.qgc_document import PlanItem
 from companion.core.replay.recorded_flight import sampled
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w

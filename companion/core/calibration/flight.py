@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.core.mission.qgc_document import PlanItem
+from companion.core.exports.qgc_plan import PlanItem
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 

@@ -51,6 +51,7 @@ class RecordedFlight:
     """`events` in the order of their times. `vehicle` is `MULTIROTOR`, another kind's name, or
     `None` where the log does not tell.
 
+    `utc_at_zero_s`: seconds since 1970 at zero of the log's clock, where the log states that.
     `position_measured`: false where the log has velocities only and positions are their sum from
     the first row, about 0 N 0 E. `powered`: the log tells voltage and current.
     """
@@ -63,6 +64,7 @@ class RecordedFlight:
     firmware: str | None = None
     position_measured: bool = True
     reference: WindReference | None = None
+    utc_at_zero_s: float | None = None
 
     @property
     def start_s(self) -> float:

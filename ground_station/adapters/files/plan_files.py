@@ -16,9 +16,14 @@ def write_day_plan(path: Path, plan: DayPlan) -> None:
 
 def write_json(path: Path, document: Any) -> None:
     """Write a JSON file, as a whole or not at all."""
+    write_text(path, msgspec.json.format(msgspec.json.encode(document)).decode() + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, as a whole or not at all."""
     fresh = path.with_name(path.name + ".new")
     try:
-        fresh.write_bytes(msgspec.json.format(msgspec.json.encode(document)) + b"\n")
+        fresh.write_text(text, encoding="utf-8")
         fresh.replace(path)
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from companion.core.exports.export_format import ExportFormat
 from ground_station.app.cli.options import DayArgument, open_day
 
 if TYPE_CHECKING:
@@ -31,10 +32,20 @@ def plan(
         Path | None, typer.Option(help="Write the plan here (day-plan/1, JSON).")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the map into this PNG.")] = None,
-    qgc: Annotated[
+    missions: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Each sortie's mission as a QGroundControl .plan."),
+        typer.Option(
+            metavar="DIR",
+            help="Write each sortie's mission here, as its companion would upload it.",
+        ),
     ] = None,
+    export: Annotated[
+        ExportFormat,
+        typer.Option(
+            help="Format of --missions: plan (QGroundControl), wpl (Mission Planner, MAVProxy),"
+            " kml, gpx or geojson."
+        ),
+    ] = ExportFormat.PLAN,
     policy: Annotated[
         PolicyName,
         typer.Option(help="Simulated annealing, or the dynamic assignment of arXiv 2604.13441."),
@@ -71,12 +82,12 @@ def plan(
 
         draw_day_plan(data, made, picture)
         console.print(f"{picture}: the map", highlight=False)
-    if qgc is not None:
-        from ground_station.app.planning.qgc_missions import write_missions
+    if missions is not None:
+        from ground_station.app.planning.sortie_missions import write_missions
 
         with console.status("missions as the companions would upload them"):
-            count = write_missions(data, made, qgc)
-        console.print(f"{qgc}: {count} missions (.plan)", highlight=False)
+            count = write_missions(data, made, missions, export)
+        console.print(f"{missions}: {count} missions ({export.suffix})", highlight=False)
 
 
 def _planned(

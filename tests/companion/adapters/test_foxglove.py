@@ -56,7 +56,8 @@ def foxglove_messages(path):
                 stamp = row.pop("timestamp", {"sec": 0, "nsec": 0})
                 # Foxglove's JSON has a time as two integers, protobuf's has RFC 3339.
                 decoded = json_format.ParseDict(row, TYPES[schema.name]())
-                decoded.timestamp.seconds, decoded.timestamp.nanos = stamp["sec"], stamp["nsec"]
+                if "timestamp" in TYPES[schema.name].DESCRIPTOR.fields_by_name:
+                    decoded.timestamp.seconds, decoded.timestamp.nanos = stamp["sec"], stamp["nsec"]
                 yield message.log_time, decoded
 
 
@@ -72,6 +73,17 @@ def test_positions_and_words_decode_into_foxgloves_own_messages(log_path):
         (Log.INFO, "decision", "go: gate open"),
         (Log.DEBUG, "phase", "settle -> outbound (go)"),
     ]
+
+
+def test_the_route_is_a_geojson_document_for_the_map(tmp_path):
+    document = {"type": "FeatureCollection", "features": []}
+    log = DecisionLog(tmp_path / "decisions.mcap", lambda: START_US)
+    log.write_route(100.0, document)
+    log.close()
+    ((stamp_ns, message),) = foxglove_messages(tmp_path / "decisions.mcap")
+    assert isinstance(message, GeoJSON)
+    assert json.loads(message.geojson) == document
+    assert stamp_ns == START_US * 1000
 
 
 def test_every_field_of_our_foxglove_schemas_is_one_of_foxgloves():

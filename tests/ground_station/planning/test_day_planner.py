@@ -242,7 +242,7 @@ def test_the_command_writes_plan_picture_and_missions(tmp_path):
     out, picture, qgc = tmp_path / "plan.json", tmp_path / "map.png", tmp_path / "qgc"
     done = CliRunner().invoke(
         app,
-        f"{DAYS}/harbour.toml --trials 200 --out {out} --picture {picture} --qgc {qgc}",
+        f"{DAYS}/harbour.toml --trials 200 --out {out} --picture {picture} --missions {qgc}",
         env={"COLUMNS": "120"},
     )
     assert done.exit_code == 0, done.output

@@ -1,0 +1,1 @@
+"""Missions and flown tracks as documents of other tools: text and plain values, no files."""

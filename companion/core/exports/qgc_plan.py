@@ -1,0 +1,126 @@
+"""Missions as QGroundControl's `.plan` documents (docs.qgroundcontrol.com, "Plan")."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from companion.core.base.geo import LocalFrame
+from companion.core.exports.exported import Area, CommandItem, MissionExport, RallyPoint
+
+_RELATIVE, _MISSION = 3, 2
+_FIRMWARE = {"px4": 12, "ardupilot": 3}
+_QUADROTOR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class PlanItem:
+    """A MAVLink mission item about home: metres north, east and up, or None without a place."""
+
+    command: int
+    place_neu_m: tuple[float, float, float] | None = None
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+def plan_document(
+    items: list[PlanItem], home: LocalFrame, autopilot: str, speed_mps: float
+) -> dict[str, Any]:
+    """A mission about `home` for one autopilot ("px4" or "ardupilot")."""
+    return _document(
+        [_item(number, item, home) for number, item in enumerate(items, 1)],
+        _degrees(home, (0.0, 0.0, 0.0)),
+        autopilot,
+        speed_mps,
+    )
+
+
+def mission_plan(mission: MissionExport, autopilot: str) -> dict[str, Any]:
+    """A mission for one autopilot, with a geofence and the rally points of its site.
+
+    The fence excludes the areas that the mission may not fly over. Lower obstacles are left out of
+    it: a fence of an autopilot has no upper end.
+    """
+    return _document(
+        [_command_item(number, item) for number, item in enumerate(mission.items, 1)],
+        mission.home,
+        autopilot,
+        mission.speed_mps,
+        areas=[area for area in mission.areas if area.in_fence],
+        rally=mission.rally,
+    )
+
+
+def _document(
+    items: list[dict[str, Any]],
+    home: tuple[float, float, float],
+    autopilot: str,
+    speed_mps: float,
+    *,
+    areas: Sequence[Area] = (),
+    rally: Sequence[RallyPoint] = (),
+) -> dict[str, Any]:
+    return {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {
+            "version": 2,
+            "circles": [],
+            "polygons": [
+                {"version": 1, "inclusion": False, "polygon": [list(at) for at in area.ring_deg]}
+                for area in areas
+            ],
+        },
+        "rallyPoints": {
+            "version": 2,
+            "points": [
+                [point.spot.lat_deg, point.spot.lon_deg, point.spot.height_rel_m] for point in rally
+            ],
+        },
+        "mission": {
+            "version": 2,
+            "firmwareType": _FIRMWARE[autopilot],
+            "vehicleType": _QUADROTOR,
+            "cruiseSpeed": speed_mps,
+            "hoverSpeed": speed_mps,
+            "plannedHomePosition": list(home),
+            "items": items,
+        },
+    }
+
+
+def _item(number: int, item: PlanItem, home: LocalFrame) -> dict[str, Any]:
+    place: tuple[float, float, float] | None = None
+    if item.place_neu_m is not None:
+        north, east, up = item.place_neu_m
+        lat_deg, lon_deg, _ = _degrees(home, (north, east, -up))
+        place = lat_deg, lon_deg, up
+    return _simple_item(number, item.command, item.params, place)
+
+
+def _command_item(number: int, item: CommandItem) -> dict[str, Any]:
+    spot = item.spot
+    place = None if spot is None else (spot.lat_deg, spot.lon_deg, spot.height_rel_m)
+    return _simple_item(number, item.command, item.params, place)
+
+
+def _simple_item(
+    number: int,
+    command: int,
+    params: tuple[float, float, float, float],
+    place: tuple[float, float, float] | None,
+) -> dict[str, Any]:
+    known: list[float | None] = [None if math.isnan(p) else p for p in params]
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": command,
+        "doJumpId": number,
+        "frame": _MISSION if place is None else _RELATIVE,
+        "params": [*known, *(place or (0.0, 0.0, 0.0))],
+    }
+
+
+def _degrees(home: LocalFrame, ned_m: tuple[float, float, float]) -> tuple[float, float, float]:
+    lat_rad, lon_rad, alt_amsl_m = home.to_geodetic(ned_m)
+    return math.degrees(lat_rad), math.degrees(lon_rad), alt_amsl_m
