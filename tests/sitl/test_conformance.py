@@ -13,7 +13,13 @@ import pytest
 from typer.testing import CliRunner
 
 from sim_bridge.app.cli import conforming
-from sim_bridge.app.serve.server import Home, Host, ServedVehicle
+from sim_bridge.app.serve.server import (
+    SITL_RECEIVER,
+    SITL_SETTINGS,
+    Home,
+    Host,
+    ServedVehicle,
+)
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
 from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult
@@ -33,11 +39,6 @@ STEPS_A_TURN = 2
 BOTH = pytest.mark.parametrize("kind", AutopilotKind)
 SPEEDUP = 20.0
 HOME = Home()
-SETTINGS = {AutopilotKind.PX4: {}, AutopilotKind.ARDUPILOT: {"GRIP_ENABLE": 1.0}}
-RECEIVER = {  # SIH has none; ArduPilot's SITL has one, its throttle down, its switch at STABILIZE
-    AutopilotKind.PX4: None,
-    AutopilotKind.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
-}
 TIME_OUT = {AutopilotKind.PX4: "COM_OF_LOSS_T", AutopilotKind.ARDUPILOT: "GUID_TIMEOUT"}
 TIME_OUTS_S = {AutopilotKind.PX4: 1.0, AutopilotKind.ARDUPILOT: 3.0}  # their defaults
 SENSING = {
@@ -95,10 +96,10 @@ def stood(kind: AutopilotKind) -> ServedVehicle:
     autopilot = Autopilot(
         kind,
         (HOME.lat_deg, HOME.lon_deg, HOME.alt_amsl_m),
-        read_parameters(PARAMS / "autopilots" / f"{kind.value}.toml", SETTINGS[kind]),
+        read_parameters(PARAMS / "autopilots" / f"{kind.value}.toml", SITL_SETTINGS[kind]),
         battery_sensing=SENSING[kind],
     )
-    autopilot.set_rc(RECEIVER[kind])
+    autopilot.set_rc(SITL_RECEIVER[kind])
     return ServedVehicle(vehicle, autopilot)
 
 

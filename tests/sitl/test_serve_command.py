@@ -56,6 +56,32 @@ def test_a_served_vehicle_is_heard_on_every_way_and_ended_by_a_signal(number):
     assert ("stopped after" in said) == (number == signal.SIGINT)
 
 
+def test_as_arducopter_it_has_the_receiver_and_the_gripper_of_ardupilots_own_simulator():
+    """The answers are those that the real one was recorded with."""
+    (tcp,) = free_ports(1, socket.SOCK_STREAM)
+    serve = [
+        *(sys.executable, "-c", ENTRY, "serve", "--autopilot=ardupilot", "--speedup=5"),
+        *("--onboard-port=0", "--ground-port=0", f"--tcp-port={tcp}"),
+    ]
+    names = ["arming/pilot", "parcel/gripper_open", "parcel/gripper_close"]
+    conform = [
+        *(sys.executable, "-c", ENTRY, "conform", f"--link=tcp:127.0.0.1:{tcp}"),
+        *("--as=ardupilot", *(f"--only={name}" for name in names)),
+    ]
+    with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            while "serving" not in process.stdout.readline():
+                pass
+            asked = subprocess.run(
+                conform, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+            )
+        finally:
+            process.kill()
+    assert asked.returncode == 0, asked.stderr
+    assert "3 same" in asked.stderr
+
+
 def test_a_mistake_in_the_options_is_said_in_one_line():
     wrong = [sys.executable, "-c", ENTRY, "serve", "--autopilot=betaflight"]
     ended = subprocess.run(wrong, capture_output=True, text=True, check=False)

@@ -115,14 +115,21 @@ def serve(
     """Stand up simulated vehicles and serve them until Ctrl-C, for any MAVLink program.
 
     The ports are those of PX4's and ArduPilot's own simulators, so other programs find the
-    vehicles where they look for them.
+    vehicles where they look for them. As ArduCopter a vehicle has what ArduPilot's own simulator
+    has: a receiver with its throttle down, and (GRIP_ENABLE is 1) a gripper.
     """
     import numpy as np
     from rich.console import Console
 
     from companion.adapters.files.params import params_dir
     from companion.core.base.geo import moved_deg
-    from sim_bridge.app.serve.server import Home, Host, stand_up
+    from sim_bridge.app.serve.server import (
+        SITL_RECEIVER,
+        SITL_SETTINGS,
+        Home,
+        Host,
+        stand_up,
+    )
     from sim_bridge.autopilot.kinds import AutopilotKind
     from sim_bridge.autopilot.mavlink.parameters import read_parameters
     from sim_bridge.truth.params import load_airframe
@@ -140,10 +147,13 @@ def serve(
         for index, seeds in enumerate(np.random.SeedSequence(seed).spawn(vehicles)):
             name = _autopilot_of(autopilot, index)
             gusts, sensors = seeds.spawn(2)
+            kind = AutopilotKind(name)
+            settings = params_dir() / "autopilots" / f"{name}.toml"
             served = stand_up(
-                AutopilotKind(name),
+                kind,
                 body,
-                read_parameters(params_dir() / "autopilots" / f"{name}.toml"),
+                read_parameters(settings, SITL_SETTINGS[kind]),
+                receiver=SITL_RECEIVER[kind],
                 home=Home(
                     *moved_deg(place.lat_deg, place.lon_deg, SPACING_M * index, 0.0),
                     place.alt_amsl_m,

@@ -26,6 +26,20 @@ from sim_bridge.truth.signals import Truth
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
 
+SITL_RECEIVER: Mapping[AutopilotKind, tuple[int, ...] | None] = {
+    AutopilotKind.PX4: None,
+    AutopilotKind.ARDUPILOT: (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1800),
+}
+"""Channels (us) of the receiver that each autopilot's own simulator has. PX4's SIH has none,
+ArduPilot's SITL one with the throttle down and the mode switch at STABILIZE: RC_CHANNELS of
+ArduCopter 4.7-dev (commit 90700977c5)."""
+
+SITL_SETTINGS: Mapping[AutopilotKind, Mapping[str, float]] = {
+    AutopilotKind.PX4: {},
+    AutopilotKind.ARDUPILOT: {"GRIP_ENABLE": 1.0},
+}
+"""Settings by which each has a gripper."""
+
 PHYSICS_STEP_S = 0.01
 _LISTEN_EVERY_WALL_S = 0.01  # what a client waits at most for a reaction
 
@@ -69,11 +83,13 @@ def stand_up(
     payload_kg: float = 0.0,
     charge_frac: float = 1.0,
     system_id: int = 1,
+    receiver: tuple[int, ...] | None = None,
     seed: int | np.random.SeedSequence = 1,
 ) -> ServedVehicle:
     """A vehicle of this airframe on the ground at `home`, under this autopilot.
 
-    `parameters` as `read_parameters` reads them. Without `wind` the air is still.
+    `parameters` as `read_parameters` reads them. Without `wind` the air is still. `receiver`: the
+    channels (us) of a radio control that is switched on; None for none.
     """
     vehicle = Vehicle(
         airframe,
@@ -89,6 +105,7 @@ def stand_up(
         parameters,
         system_id=system_id,
     )
+    autopilot.set_rc(receiver)
     return ServedVehicle(vehicle, autopilot)
 
 
