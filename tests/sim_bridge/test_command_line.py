@@ -74,7 +74,10 @@ def test_the_campaigns_help_names_every_planner() -> None:
 
 @pytest.mark.parametrize(
     ("command", "names"),
-    [("fly", "default, faults, recorded, truck_stop"), ("day", "faults, harbour, town")],
+    [
+        ("fly", "arducopter_sitl, default, faults, px4_sih, recorded, truck_stop"),
+        ("day", "faults, harbour, town"),
+    ],
 )
 def test_an_unknown_flight_or_day_is_answered_with_the_names(command: str, names: str) -> None:
     done = subprocess.run(

@@ -235,6 +235,19 @@ def test_what_makes_no_sense_with_a_link_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["arducopter_sitl", "px4_sih"])
+def test_a_vehicle_that_only_somebody_else_simulates_is_refused_without_a_link(
+    monkeypatch, capsys, name
+):
+    monkeypatch.setattr(sys, "argv", ["sim-bridge", "fly", name])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert f"vehicle.airframe {name}: expected one that is simulated here (m100, octo8)" in said
+    assert "--link" in said
+
+
 def test_faults_of_the_simulated_world_are_refused(tmp_path):
     file = flight_file(tmp_path, faults=[{"kind": "gnss_lost", "at_s": 10.0}])
     with pytest.raises(LeewayError, match=r"guest.toml: \[\[faults\]\]"):

@@ -40,7 +40,8 @@ def fly(
         Path | None,
         typer.Argument(
             help="A flight/1 TOML file, or a name in params/flights: default, faults, recorded,"
-            " truck_stop. Default: default, or recorded with --wind-log."
+            " truck_stop; with --link also arducopter_sitl, px4_sih. Default: default, or recorded"
+            " with --wind-log."
         ),
     ] = None,
     autopilot: Annotated[

@@ -201,7 +201,7 @@ def build_craft(
         mission_file = _write_own_flight(options.flight_file, depot, own_dir)
     terrain = build_terrain(flight.site.terrain, options.flight_file.parent)
     vehicle = Vehicle(
-        load_airframe(params_dir() / "truth" / f"{flight.vehicle.airframe}.toml"),
+        _true_airframe(flight),
         build_wind_field(wind, mean, np.random.default_rng(gust_seed)),
         np.random.default_rng(sensor_seed),
         terrain=terrain,
@@ -250,6 +250,18 @@ def build_craft(
         companion=companion,
         run_dir=own_dir,
     )
+
+
+def _true_airframe(flight: Flight) -> AirframeTruth:
+    """What is simulated of the flight's vehicle; LeewayError names those that can be."""
+    folder, name = params_dir() / "truth", flight.vehicle.airframe
+    if not (folder / f"{name}.toml").exists():
+        known = ", ".join(sorted(path.stem for path in folder.glob("*.toml")))
+        raise LeewayError(
+            f"vehicle.airframe {name}: expected one that is simulated here ({known}); somebody"
+            " else's vehicle is flown with --link"
+        )
+    return load_airframe(folder / f"{name}.toml")
 
 
 def _signer(key: Path | None) -> LinkSigning | None:
@@ -360,7 +372,7 @@ def _deliver(crafts: list[Craft], received: list[tuple[int, bytes]]) -> None:
 
 def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str, Any]:
     flight, site = craft.flight, craft.flight.site
-    truth_airframe = load_airframe(params_dir() / "truth" / f"{flight.vehicle.airframe}.toml")
+    truth_airframe = _true_airframe(flight)
     reserve_wh = _reserve_wh(craft, truth_airframe)
     result = craft.companion.result()
     np.save(craft.run_dir / "truth.npy", np.asarray(craft.record.rows, float))

@@ -73,7 +73,7 @@ class LiveView(Progress):
         elif t_s >= self._next_line_s:
             self._next_line_s = t_s + LINE_EVERY_S
             for vehicle in vehicles:
-                self.console.print(_line(vehicle, t_s), highlight=False)
+                self.console.print(_line(vehicle, t_s), highlight=False, soft_wrap=True)
 
 
 def _shown(craft: Craft) -> Shown:

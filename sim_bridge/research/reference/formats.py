@@ -79,7 +79,7 @@ def _read(folder: str) -> tuple[msgspec.Struct, ...]:
 
 
 def _winds() -> list[Any]:
-    tables = [_table(path)["wind"] for path in shipped("flights")]
+    tables = [table["wind"] for path in shipped("flights") if "wind" in (table := _table(path))]
     return [*(msgspec.convert(table, WindParams) for table in tables), LogWindParams(log="x.csv")]
 
 
