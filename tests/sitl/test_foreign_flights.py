@@ -67,7 +67,7 @@ def fly(
     folder: Path,
     file: Path,
     told: list[str] | None = None,
-    **options: bool,
+    **options: Any,
 ) -> dict[str, Any]:
     """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken).
 
@@ -215,6 +215,8 @@ def test_the_table_shows_what_only_the_truth_could_tell_as_a_dash(tmp_path):
         (["--link", "udpin:127.0.0.1:14599", "--vehicles", "2"], "--vehicles"),
         (["--link", "udpin:127.0.0.1:14599", "--autopilot", "px4"], "--autopilot"),
         (["--configure"], "--configure: for vehicles of somebody else's"),
+        (["--steady-wind", "5,80"], "--steady-wind: for vehicles of somebody else's"),
+        (["--link", "udpin:127.0.0.1:14599", "--steady-wind", "5"], "expected SPEED,FROM"),
         (["--here"], "--here: for vehicles of somebody else's"),
         (["--link", "carrier-pigeon"], "carrier-pigeon"),
         (["--link", "tcp:127.0.0.1:5760", "--link", "tcp:127.0.0.1:5760"], "named twice"),

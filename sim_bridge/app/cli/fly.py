@@ -1,6 +1,7 @@
 """The command lines of `sim-bridge fly` and `sim-bridge series`; what they do is imported then."""
 
 import json
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -93,6 +94,14 @@ def fly(
         bool,
         typer.Option("--here", help="With --link: lay the site about where the vehicle stands."),
     ] = False,
+    steady_wind: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SPEED,FROM",
+            help="With --link: the wind that is set in the simulator there, m/s and degrees it"
+            " blows from, the same at every height; the wind estimate is judged by it.",
+        ),
+    ] = None,
     speedup: Annotated[
         float | None,
         typer.Option(min=0.01, help="Hold this multiple of real time; default: all it can."),
@@ -145,12 +154,14 @@ def fly(
             "--speedup": speedup,
         }
         _refuse_with_link([name for name, value in simulators.items() if value is not None])
-        foreign = ForeignOptions(file, tuple(link), gate_on, configure, here, runs, picture)
+        foreign = ForeignOptions(
+            file, tuple(link), gate_on, configure, here, runs, picture, _towards(steady_wind)
+        )
         with LiveView(console=console) as view:
             result = fly_foreign(foreign, view.show, view.tell)
     else:
-        if configure or here:
-            name = "--configure" if configure else "--here"
+        if configure or here or steady_wind:
+            name = "--configure" if configure else "--here" if here else "--steady-wind"
             raise LeewayError(f"{name}: for vehicles of somebody else's, with --link")
         options = FlyOptions(
             flight_file=file,
@@ -174,6 +185,19 @@ def fly(
         json_out.write_text(json.dumps(result, indent=1) + "\n")
     if any(row.get("died") for row in result["flights"]):
         raise typer.Exit(1)
+
+
+def _towards(steady_wind: str | None) -> tuple[float, float] | None:
+    """Towards north and east (m/s), of SPEED,FROM."""
+    if steady_wind is None:
+        return None
+    try:
+        speed_mps, from_deg = map(float, steady_wind.split(","))
+    except ValueError as error:
+        words = "expected SPEED,FROM in m/s and degrees, such as 5,80"
+        raise LeewayError(f"--steady-wind {steady_wind}: {words}") from error
+    to_rad = math.radians(from_deg + 180.0)
+    return speed_mps * math.cos(to_rad), speed_mps * math.sin(to_rad)
 
 
 def _refuse_with_cross(told: dict[str, object]) -> None:

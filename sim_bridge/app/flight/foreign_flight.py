@@ -42,7 +42,10 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class ForeignOptions:
-    """What the command line asks. `here`: the site lies about where each vehicle stands."""
+    """What the command line asks. `here`: the site lies about where each vehicle stands.
+
+    `steady_wind`: of the simulator behind the link, towards north and east (m/s).
+    """
 
     flight_file: Path
     links: tuple[str, ...]
@@ -51,6 +54,7 @@ class ForeignOptions:
     here: bool = False
     run_root: Path = Path("logs")
     picture: bool = True
+    steady_wind: tuple[float, float] | None = None
 
 
 @dataclass(slots=True)
@@ -111,6 +115,7 @@ def fly_foreign(
             vehicle=f"{flight.vehicle.airframe}-{guest.number}",
             autopilot=guest.heard.autopilot_kind or "-",
             run=os.path.relpath(guest.companion.run_dir),
+            steady_wind=options.steady_wind,
         )
         | {"died": _how_it_died(guest)}
         for guest in guests

@@ -7,12 +7,24 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-WIND_WARM_UP_S = 30.0  # as the wind error of simulated flights: after the first 30 s of flight
+import numpy as np
+
+from sim_bridge.app.flight.judge import WIND_WARM_UP_S, wind_errors
+
 DECISION_KEYS = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
 
 
-def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -> dict[str, Any]:
+def own_row(
+    result: dict[str, Any],
+    *,
+    vehicle: str,
+    autopilot: str,
+    run: str,
+    steady_wind: tuple[float, float] | None = None,
+) -> dict[str, Any]:
     """A row of docs/reference/flight-json.md, from a companion's `result.json` ({}: none).
+
+    `steady_wind`: towards north and east (m/s), where it is known that it blew all the time.
 
     Two keys are its own: `energy_predicted_wh`, the energy of the whole flight as the return budget
     first predicted it in the air, and `wind_std_mps`, the estimate's own standard deviation.
@@ -21,6 +33,8 @@ def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -
     took_off_s = _when(decisions, "take_off")
     landed_s = _when(decisions, "landed")
     energy = result.get("energy", [])
+    wind = result.get("wind", [])
+    rmse_mps, nees = _wind_errors(steady_wind, took_off_s, landed_s, wind)
     assessments = [a for a in result.get("assessments", []) if a.get("p_home") is not None]
     return {
         "vehicle": vehicle,
@@ -34,9 +48,9 @@ def own_row(result: dict[str, Any], *, vehicle: str, autopilot: str, run: str) -
         "energy_predicted_wh": _rounded(_predicted_wh(energy, assessments)),
         "margin_wh": _rounded(result.get("margin_wh")),
         "flight_time_s": _flight_time_s(took_off_s, landed_s),
-        "wind_rmse_mps": None,
-        "wind_nees": None,
-        "wind_std_mps": _wind_std_mps(result.get("wind", []), took_off_s, landed_s),
+        "wind_rmse_mps": _rounded(rmse_mps),
+        "wind_nees": _rounded(nees),
+        "wind_std_mps": _wind_std_mps(wind, took_off_s, landed_s),
         "p_home_min": min((a["p_home"] for a in assessments), default=None),
         "clairvoyant": None,
         "clairvoyant_margin_wh": None,
@@ -75,6 +89,25 @@ def _flight_time_s(took_off_s: float | None, landed_s: float | None) -> float | 
     if took_off_s is None:
         return 0.0
     return None if landed_s is None else round(landed_s - took_off_s, 2)
+
+
+def _wind_errors(
+    steady_wind: tuple[float, float] | None,
+    took_off_s: float | None,
+    landed_s: float | None,
+    wind: list[dict[str, Any]],
+) -> tuple[float | None, float | None]:
+    """RMSE (m/s) and NEES of the estimate, as of simulated flights; None where nobody knows."""
+    if steady_wind is None or not wind:
+        return None, None
+    t_s = np.array([wind[0]["t_s"], wind[-1]["t_s"]])
+    north, east = steady_wind
+    truth = {
+        "t_s": t_s,
+        "wind_to_n_mps": np.full(2, north),
+        "wind_to_e_mps": np.full(2, east),
+    }
+    return wind_errors(truth, took_off_s, landed_s, wind)
 
 
 def _wind_std_mps(
