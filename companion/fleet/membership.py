@@ -56,6 +56,7 @@ def join(
     config = read_config(zenoh or identity.zenoh, open_network=options.open_network)
 
     def open_link(life: str) -> MemberLink:
-        return SignedLink(ZenohLink(config, keys, life, wake), trust, life, wall_s)
+        link = ZenohLink(config, keys, life, wake, lambda name: name in trust.roster.by_name)
+        return SignedLink(link, trust, life, wall_s)
 
     return Membership(open_link, trust.trouble_until)

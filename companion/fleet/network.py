@@ -64,7 +64,7 @@ class MemberLink(Protocol):
         ...
 
     def tracks(self) -> list[Told]:
-        """What neighbours told since the last call, our own excepted."""
+        """What neighbours told since the last call, our own excepted; each one's oldest first."""
         ...
 
     def close(self) -> None:

@@ -82,15 +82,17 @@ class SignedLink:
             self._notices.append(warning)
 
     def tracks(self) -> list[Told]:
-        """What neighbours told and signed themselves."""
-        found: list[Told] = []
-        for told in self.link.tracks():
+        """The newest that each neighbour told and signed itself."""
+        found: dict[str, Told] = {}
+        for told in reversed(self.link.tracks()):
+            if told.speaker in found:
+                continue
             raw = self.trust.told("track", told.raw, told.speaker)
             if isinstance(raw, Refused):
                 self.refusals.note(f"{told.speaker}: {raw.reason}")
             else:
-                found.append(Told(told.speaker, raw))
-        return found
+                found[told.speaker] = Told(told.speaker, raw)
+        return list(found.values())
 
     def be_woken(self, wake: Callable[[], None]) -> None:
         """Who waits now."""

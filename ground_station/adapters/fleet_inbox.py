@@ -4,7 +4,8 @@ zenoh's threads only put bytes in; the desk's one thread takes them out and deco
 life's states only its newest counts; who signed them is not known before they are taken out, so a
 few are kept, and forged ones that come faster do not hide the true one. Events are held to a rate,
 a size and a number in a turn: what is left out is asked for again, since every state tells how many
-events there are. Answers to commands have a queue of their own.
+events there are. Answers to commands have a queue of their own. Who is not a member gets no box. A
+turn looks only into the boxes that something has come into.
 """
 
 import threading
@@ -64,6 +65,8 @@ MOST_MEMBERS = 5000
 """Names that are kept: five times what one desk is meant for."""
 
 
+NOT_LISTED = "a name that is not on the roster"
+
 Opened = Callable[[str, bytes, str], bytes | Refused]
 Clock = Callable[[], float]
 
@@ -78,8 +81,8 @@ _DECODERS: dict[str, Callable[[bytes], State | FleetEvent | Refused]] = {
 
 
 @dataclass(slots=True)
-class _Box:
-    """One member's."""
+class MemberBox:
+    """What has come for one member, or in its name."""
 
     events: deque[bytes] = field(default_factory=lambda: deque(maxlen=EVENTS_BURST))
     limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
@@ -108,17 +111,28 @@ class _Box:
         return found
 
 
+_Boxes = dict[str, MemberBox]
+"""By member."""
+
+
 class FleetInbox:
     """Thread-safe. `hear_*` return at once; `receive` waits for the first."""
 
     def __init__(
-        self, opened: Opened = lambda kind, raw, vehicle: raw, clock_s: Clock = monotonic_s
+        self,
+        opened: Opened = lambda kind, raw, vehicle: raw,
+        clock_s: Clock = monotonic_s,
+        is_member: Callable[[str], bool] = lambda vehicle: True,
     ) -> None:
-        """`opened(kind, raw, vehicle)`: the message that the vehicle itself has signed."""
+        """`opened(kind, raw, vehicle)`: the message that the vehicle itself has signed.
+        `is_member`: whose messages get room.
+        """
         self._opened = opened
         self._clock_s = clock_s
+        self._is_member = is_member
         self._news = threading.Condition()
-        self._boxes: dict[str, _Box] = {}
+        self._boxes: _Boxes = {"": MemberBox()}
+        self._fresh: _Boxes = {}
         self._answers: deque[CommandAnswered] = deque()
         self._replays: deque[tuple[str, list[bytes]]] = deque()
         self._has_news = False
@@ -171,12 +185,12 @@ class FleetInbox:
     def reject(self, vehicle: str | None, why: str) -> None:
         """Something came that is no message of a member."""
         with self._news:
-            box = self._of(vehicle or "")
+            box = self._of(vehicle or "", said_by_us=True)
             if box is not None:
                 box.reject(why)
             self._wake()
 
-    def _box_of(self, key: str, raw: bytes, kind: str) -> _Box | None:
+    def _box_of(self, key: str, raw: bytes, kind: str) -> MemberBox | None:
         """Where a message goes that came by this key; `None`: nowhere."""
         vehicle = vehicle_of(key)
         box = self._of(vehicle or "")
@@ -190,10 +204,19 @@ class FleetInbox:
             return None
         return box
 
-    def _of(self, vehicle: str) -> _Box | None:
-        box = self._boxes.get(vehicle)
-        if box is None and len(self._boxes) < MOST_MEMBERS:
-            box = self._boxes[vehicle] = _Box()
+    def _of(self, vehicle: str, *, said_by_us: bool = False) -> MemberBox | None:
+        """The box that something comes into; `None`: there is no room for it. What comes by no
+        member's key is counted in one box.
+        """
+        if vehicle not in self._boxes:
+            if not (said_by_us or self._is_member(vehicle)):
+                self._fresh[""] = self._boxes[""]
+                self._boxes[""].reject(NOT_LISTED)
+                return None
+            if len(self._boxes) > MOST_MEMBERS:
+                return None
+            self._boxes[vehicle] = MemberBox()
+        box = self._fresh[vehicle] = self._boxes[vehicle]
         return box
 
     def _wake(self, *, urgent: bool = False) -> None:
@@ -209,7 +232,7 @@ class FleetInbox:
     def waiting(self) -> int:
         """Answers, replays and events that have not been received."""
         with self._news:
-            events = sum(len(box.events) for box in self._boxes.values())
+            events = sum(len(box.events) for box in self._fresh.values())
             return len(self._answers) + len(self._replays) + events
 
     def receive(self, wait_s: float) -> list[FleetInput]:
@@ -222,10 +245,11 @@ class FleetInbox:
             if self._news.wait_for(lambda: self._has_news, timeout=wait_s):
                 self._news.wait_for(lambda: self._is_urgent, timeout=GATHER_S)
             self._has_news = self._is_urgent = False
-            found = self._taken_lives()
+            fresh, self._fresh = self._fresh, {}
+            found = self._taken_lives(fresh)
             answers, self._answers = self._answers, deque()
             replays, self._replays = self._replays, deque()
-            events, states = self._taken_messages()
+            events, states = self._taken_messages(fresh)
         for vehicle, raws in replays:
             found += self._replayed(vehicle, raws)
         for vehicle, raw in events:
@@ -235,7 +259,7 @@ class FleetInbox:
         found += answers
         for vehicle, raws in states:
             found += self._newest_states(vehicle, raws)
-        return found + self._taken_rejections()
+        return found + self._taken_rejections(fresh)
 
     def _newest_states(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
         """Of each life that speaks as this member its newest, by the life's own clock."""
@@ -248,31 +272,33 @@ class FleetInbox:
             newest[state.life] = before if before.uptime_s > state.uptime_s else state
         return [StateReceived(state) for state in newest.values()]
 
-    def _taken_lives(self) -> list[FleetInput]:
+    def _taken_lives(self, fresh: _Boxes) -> list[FleetInput]:
         """Who is there now and was not at the last call, and the other way round."""
         found: list[FleetInput] = []
-        for vehicle, box in self._boxes.items():
+        for vehicle, box in fresh.items():
             changed = box.lives ^ box.lives_told
             found += [LivelinessChanged(vehicle, x, up=x in box.lives) for x in sorted(changed)]
             box.lives_told = set(box.lives)
         return found
 
-    def _taken_messages(self) -> tuple[list[_Raw], list[tuple[str, list[bytes]]]]:
+    def _taken_messages(self, fresh: _Boxes) -> tuple[list[_Raw], list[tuple[str, list[bytes]]]]:
         """(events, states), of each member at most a turn's worth; the rest is news again."""
         events: list[_Raw] = []
         states: list[tuple[str, list[bytes]]] = []
-        for vehicle, box in self._boxes.items():
+        for vehicle, box in fresh.items():
             count = min(len(box.events), EVENTS_A_TURN)
             events += [(vehicle, box.events.popleft()) for _ in range(count)]
-            self._has_news = self._has_news or bool(box.events)
+            if box.events:
+                self._has_news, self._fresh[vehicle] = True, box
             if raws := box.taken_states():
                 states.append((vehicle, raws))
         return events, states
 
-    def _taken_rejections(self) -> list[FleetInput]:
+    def _taken_rejections(self, fresh: _Boxes) -> list[FleetInput]:
+        """With those of what was decoded just now."""
         found: list[FleetInput] = []
         with self._news:
-            for vehicle, box in self._boxes.items():
+            for vehicle, box in (fresh | self._fresh).items():
                 counted, box.rejected = box.rejected, Counter()
                 found += [MessageRejected(vehicle, why, n) for why, n in counted.items()]
         return found

@@ -40,7 +40,7 @@ class ZenohFleet:
         identity = _identity(fleet, options)
         self._trust = identity.trust if identity is not None else None
         self._ends: tuple[Roster, CertificateFigures] | None = None
-        self.inbox = FleetInbox(self._opened)
+        self.inbox = FleetInbox(self._opened, is_member=self._is_member)
         file = config or (identity.zenoh if identity is not None else None)
         try:
             self._session = zenoh.open(read_config(file, open_network=options.open_network))
@@ -176,6 +176,10 @@ class ZenohFleet:
 
     def _refuse_roster(self, why: str) -> None:
         self.inbox.reject("roster", why)
+
+    def _is_member(self, vehicle: str) -> bool:
+        """Whether the roster lists it; without an identity everybody on this machine is one."""
+        return self._trust is None or vehicle in self._trust.roster.by_name
 
     def _opened(self, kind: str, raw: bytes, vehicle: str) -> bytes | Refused:
         """The message itself, if `vehicle` has signed it; without an identity, as it came."""

@@ -341,16 +341,16 @@ def test_a_track_counts_only_from_the_vehicle_that_flies_it(plain, monkeypatch, 
     zero = {"lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0, "gnss_s": 1.8e9}
     speed = {"vel_n_mps": 0.0, "vel_e_mps": 0.0, "vel_d_mps": 0.0}
     errors = {"pos_std_m": 1.0, "alt_std_m": 1.0, "vel_std_mps": 1.0, "aside": False}
-    raw = encode(Track(vehicle="d7", **zero, **speed, **errors))
+    raw = encode(Track(vehicle="truck", **zero, **speed, **errors))
     d1 = plain.d1
     d1.stop()
-    plain.put("track", trust_of(plain.site, "d2").seal("track", raw), "d7")
+    plain.put("track", trust_of(plain.site, "d2").seal("track", raw), "truck")
     own = encode(Track(vehicle="d2", **zero, **speed, **errors))
     limit_s, heard = monotonic_s() + PATIENCE_S, []
     while "d2" not in heard and monotonic_s() < limit_s:
         plain.put("track", trust_of(plain.site, "d2").seal("track", own), "d2")
         heard += [event.track.vehicle for event in d1.port.neighbours(1.0)]
-    assert ("d7" in heard) is not guarded
+    assert ("truck" in heard) is not guarded
 
 
 def test_a_neighbour_that_publishes_as_another_on_its_own_key_is_nobodys_track(plain):

@@ -91,6 +91,7 @@ class Exchange:
     _not_said: Counter[str] = field(default_factory=Counter)
     _rejected_said_s: dict[str, float] = field(default_factory=dict)
     _replays: dict[str, RateLimit] = field(default_factory=dict)
+    _maybe_behind: set[str] = field(default_factory=set)
 
     def begin(self) -> None:
         """Ask for the state of the whole fleet."""
@@ -168,6 +169,7 @@ class Exchange:
         """All that came together, in one transaction."""
         new = self.store.take_event_batches([(b.events, b.replayed) for b in batches])
         for received in batches:
+            self._maybe_behind.add(received.vehicle)
             for log in {event.log for event in received.events}:
                 self._complete_to.pop((received.vehicle, log), None)
             if received.replayed:
@@ -186,6 +188,7 @@ class Exchange:
             return  # an old one
         if before is None or _decisive(before) != _decisive(state):
             self.changed = True
+        self._maybe_behind.add(state.vehicle)
         self.on_state(state)
 
     def _take_liveliness(self, received: LivelinessChanged) -> None:
@@ -199,6 +202,7 @@ class Exchange:
             return
         self.say(f"{vehicle}: joined the network")
         self._events_asked_s.pop(vehicle, None)
+        self._maybe_behind.add(vehicle)
         self._states_wanted = True
 
     def _ask_states(self) -> None:
@@ -239,18 +243,30 @@ class Exchange:
         self.say(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
 
     def _ask_for_missed_events(self) -> None:
-        now_s = self.clock.monotonic_s()
-        for seen in self.status.vehicles.values():
-            state = seen.state
-            if state is None or not seen.present(now_s):
-                continue
-            asked_s = self._events_asked_s.get(seen.vehicle)
-            if asked_s is not None and now_s - asked_s < RETRY_S:
-                continue
-            complete_to = self._log_complete_to(seen.vehicle, state)
-            if complete_to < state.last_seq and self._replays_of(seen.vehicle).take(now_s, 0.0):
-                self._events_asked_s[seen.vehicle] = now_s
-                self.fleet.ask_events(seen.vehicle, complete_to, ANSWER_S)
+        """Of those whose state or events have come since the last call, or who were behind then."""
+        now_s, looked_at = self.clock.monotonic_s(), self._maybe_behind
+        behind = {vehicle for vehicle in looked_at if self._is_behind(vehicle, now_s)}
+        self._maybe_behind -= looked_at - behind
+
+    def _is_behind(self, vehicle: str, now_s: float) -> bool:
+        """Whether events of a member that is there are missing; they are asked for when it is time.
+
+        Who is not there is looked at again with its next state.
+        """
+        seen = self.status.of(vehicle)
+        state = seen.state
+        if state is None or not seen.present(now_s):
+            return False
+        asked_s = self._events_asked_s.get(vehicle)
+        if asked_s is not None and now_s - asked_s < RETRY_S:
+            return True
+        complete_to = self._log_complete_to(vehicle, state)
+        if complete_to >= state.last_seq:
+            return False
+        if self._replays_of(vehicle).take(now_s, 0.0):
+            self._events_asked_s[vehicle] = now_s
+            self.fleet.ask_events(vehicle, complete_to, ANSWER_S)
+        return True
 
     def _replays_of(self, vehicle: str) -> RateLimit:
         """How many more events this member may be asked for."""

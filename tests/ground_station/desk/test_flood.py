@@ -29,13 +29,14 @@ from ground_station.adapters.fleet_inbox import (
     EVENTS_BURST,
     MOST_LIVES,
     MOST_MEMBERS,
+    NOT_LISTED,
     STATES_A_TURN,
     FleetInbox,
 )
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import exchange as exchange_module
-from ground_station.app.desk.exchange import STATES_S, Exchange
+from ground_station.app.desk.exchange import RETRY_S, STATES_S, Exchange
 from ground_station.core.fleet.fleet_link import (
     CommandAnswered,
     EventsReceived,
@@ -326,6 +327,58 @@ def test_lives_names_and_sizes_are_bounded():
     assert len(inbox.receive(0.0)) <= MOST_MEMBERS + 1
     inbox.hear_event(key("d1", "event"), b" " * (LARGEST_BYTES["event"] + OVERHEAD_BYTES + 1))
     assert inbox.waiting == 0
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["no room", "canary: all of it"])
+def test_names_that_nobody_listed_leave_the_room_to_members(guarded):
+    inbox = FleetInbox(clock_s=lambda: 0.0, is_member=lambda name: name == "d1" or not guarded)
+    for number in range(MOST_MEMBERS):
+        inbox.hear_life(f"x{number}", "a", up=True)
+        inbox.hear_state(key(f"x{number}", "state"), b"forged")
+        inbox.hear_event(key(f"x{number}", "event"), b"forged")
+    found = inbox.receive(0.0)
+    assert (found == [MessageRejected("", NOT_LISTED, 3 * MOST_MEMBERS)]) is guarded
+    inbox.hear_life("d1", "a", up=True)
+    assert (inbox.receive(0.0) == [LivelinessChanged("d1", "a", up=True)]) is guarded
+
+
+def test_a_turn_looks_only_at_members_from_whom_something_has_come(monkeypatch):
+    inbox, looked = FleetInbox(clock_s=lambda: 0.0), list[object]()
+    for number in range(100):
+        inbox.hear_state(key(f"d{number}", "state"), state(f"d{number}", 1.0))
+    taken = fleet_inbox.MemberBox.taken_states
+    assert len(states_of(inbox)) == 100
+    monkeypatch.setattr(
+        fleet_inbox.MemberBox, "taken_states", lambda box: looked.append(1) or taken(box)
+    )
+    inbox.hear_state(key("d7", "state"), state("d7", 2.0))
+    assert states_of(inbox) == [2.0]
+    assert len(looked) == 1
+
+
+def test_the_desk_looks_for_missed_events_only_where_something_has_come_or_is_missing(
+    desk, monkeypatch
+):
+    exchange, clock, _ = desk
+    inbox = exchange.fleet.inbox
+    for number in range(20):
+        inbox.hear_life(f"d{number}", "a", up=True)
+        inbox.hear_state(key(f"d{number}", "state"), state(f"d{number}", 1.0, int(number == 3)))
+    exchange.listen(0.0)
+    assert exchange.fleet.events_asked == [("d3", 0)]
+    looked: list[str] = []
+    of = exchange.status.of
+    monkeypatch.setattr(type(exchange.status), "of", lambda self, v: looked.append(v) or of(v))
+    clock.t_s = RETRY_S
+    exchange.listen(0.0)
+    assert looked == ["d3"]
+    assert exchange.fleet.events_asked == [("d3", 0)] * 2, "nothing came: it is asked again"
+    inbox.hear_replay("d3", [event("d3", 1)])
+    clock.t_s += RETRY_S
+    exchange.listen(0.0)
+    looked.clear()
+    exchange.listen(0.0)
+    assert looked == []
 
 
 def test_who_comes_and_goes_between_two_turns_was_never_there():
