@@ -16,10 +16,12 @@ from typer.testing import CliRunner
 from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.adapters.logs.open_log import open_log
 from companion.app.cli.main import app
+from companion.app.tools.replay_report import report
 from companion.core.base.place import Place
 from companion.core.mission.events import AirPressure, Position
 from companion.core.mission.flight_file import Flight, Site, Vehicle
 from companion.core.replay.flight_replay import ReplayTerms, replay
+from companion.core.replay.recorded_flight import LogFinding
 from companion.core.replay.summary import wind_score, wind_summary
 
 ROOT = Path(__file__).parents[2]
@@ -151,6 +153,39 @@ def test_without_attitude_or_on_another_vehicle_no_wind_is_made_up(make, world, 
     plane = open_log(make.ulog(tmp_path / "a.ulg", world, {"MAV_TYPE": 1}))
     assert "fixed wing, multirotor expected" in findings(plane)
     assert replay(plane, terms()).wind_t_s.size == 0
+
+
+def test_time_in_the_air_is_counted_where_nothing_tells_the_wind(make, world, tmp_path):
+    """The world flies from 8.1 s to 153.0 s; without a column for that it is told to the second."""
+    columns = make.csv_columns(world)
+    for name in ("roll_deg", "pitch_deg", "yaw_deg", "airspeed_mps"):
+        del columns[name]
+    path = make.csv(tmp_path / "b.csv", columns)
+    done = run(path, "--json", tmp_path / "b.json")
+    assert "wind: nothing in this log tells it" in done.output
+    assert "160 s, 145 s in the air" in done.output
+    assert json.loads((tmp_path / "b.json").read_text())["log"]["flown_s"] == pytest.approx(
+        145, abs=1
+    )
+
+
+def test_what_is_printed_counts_from_the_logs_start_whatever_its_clock_says(make, world, tmp_path):
+    columns = make.csv_columns(world) | make.battery_columns(world)
+    log = open_log(make.csv(tmp_path / "f.csv", columns))
+    late = [replace(event, t_s=event.t_s + 1_700_000_000.0) for event in log.events]
+    gap = LogFinding.at(log.start_s + 3.0, "gap of 2.0 s", "ages")
+    late_gap = LogFinding.at(gap.t_s + 1_700_000_000.0, gap.what, gap.done)
+    printed = []
+    for one in (
+        replace(log, findings=(gap,)),
+        replace(log, events=tuple(late), findings=(late_gap,)),
+    ):
+        result = replay(one, terms())
+        words = report(tmp_path / "f.csv", one, "m100", result, None, None, 1.0)
+        printed.append([line for line in words if "times real time" not in line])
+    assert printed[0] == printed[1]
+    assert "  ! 3.0 s: gap of 2.0 s; ages" in printed[0]
+    assert any("take_off" in line for line in printed[0])
 
 
 def test_a_log_that_ends_in_the_air_says_so(make, world, tmp_path):

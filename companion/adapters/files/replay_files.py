@@ -54,7 +54,7 @@ def replay_record(
             "firmware": log.firmware,
             "start_s": log.start_s,
             "duration_s": log.duration_s,
-            "flown_s": float(result.flown_s[-1]) if result.flown_s.size else 0.0,
+            "flown_s": result.air_time_s,
         },
         "airframe": airframe,
         "findings": [asdict(finding) for finding in result.findings],

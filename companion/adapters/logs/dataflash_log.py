@@ -78,7 +78,7 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
         if not reader.events:
             raise LeewayError(f"{path}: DFReader cannot read this file: {error!r}") from error
         what = f"DFReader stops: {error!r}"
-        reader.findings.append(LogFinding(reader.now, what, "what came before is used"))
+        reader.findings.append(LogFinding.at(reader.now_s, what, "what came before is used"))
     for line in list(dict.fromkeys(said.getvalue().splitlines()))[:5]:
         reader.findings.append(LogFinding("file", line.strip(), "whole messages are used"))
     reader.finish()
@@ -145,9 +145,9 @@ class _Reader:
         self._grounds: list[tuple[float, bool]] = []
 
     @property
-    def now(self) -> str:
-        """Where we are in the log, for a finding."""
-        return f"{self._clock.t_s:.1f} s"
+    def now_s(self) -> float:
+        """Where we are in the log, on its clock."""
+        return self._clock.t_s
 
     def on_message(self, message: Any) -> None:
         """Take one message."""
@@ -182,14 +182,14 @@ class _Reader:
     def _time(self, stamp_us: int | None) -> float | None:
         if stamp_us is None:
             return None
-        before = self.now
+        before_s = self.now_s
         reading = self._clock.stamp(stamp_us / 1e6)
         if reading.back_s > 0.0:
             what = f"the clock goes back by {reading.back_s:.1f} s"
-            self.findings.append(LogFinding(before, what, "later times are shifted"))
+            self.findings.append(LogFinding.at(before_s, what, "later times are shifted"))
         if reading.ahead_s > 0.0:
             what = f"gap of {reading.ahead_s:.1f} s"
-            self.findings.append(LogFinding(before, what, "what was believed ages meanwhile"))
+            self.findings.append(LogFinding.at(before_s, what, "what was believed ages meanwhile"))
         return reading.t_s
 
     def _due(self, kind: str, message: Any, t_s: float) -> bool:

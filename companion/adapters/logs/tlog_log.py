@@ -143,13 +143,12 @@ class _Reader:
             return self._clock.t_s if self._clock.known else None
         before_s = self._clock.t_s
         reading = self._clock.stamp(stamp_s)
-        where = f"{before_s:.1f} s"
         if reading.back_s > 0.0:
             what = f"the autopilot's clock goes back by {reading.back_s:.1f} s"
-            self.findings.append(LogFinding(where, what, "later times are shifted"))
+            self.findings.append(LogFinding.at(before_s, what, "later times are shifted"))
         if reading.ahead_s > 0.0:
             what = f"gap of {reading.ahead_s:.1f} s"
-            self.findings.append(LogFinding(where, what, "what was believed ages meanwhile"))
+            self.findings.append(LogFinding.at(before_s, what, "what was believed ages meanwhile"))
         return reading.t_s
 
 

@@ -183,13 +183,13 @@ def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
         findings.append(LogFinding("file", "damaged bytes", "whole messages are used"))
     end_s, tail_s = log.last_timestamp / 1e6, _tail_s(path, log.start_timestamp / 1e6)
     if tail_s is not None and tail_s > end_s + LOST_S:
-        what = f"damaged from here on; the file goes on to {tail_s:.1f} s"
-        findings.append(LogFinding(f"{end_s:.1f} s", what, "what came before is used"))
+        what = f"damaged from here on; the file goes on for {tail_s - end_s:.1f} s"
+        findings.append(LogFinding.at(end_s, what, "what came before is used"))
     if log.dropouts:
         lost_s = sum(drop.duration for drop in log.dropouts) / 1000.0
         first_s = log.dropouts[0].timestamp / 1e6
         what = f"{len(log.dropouts)} dropouts, {lost_s:.1f} s in all"
-        findings.append(LogFinding(f"{first_s:.1f} s", what, "what was believed ages meanwhile"))
+        findings.append(LogFinding.at(first_s, what, "what was believed ages meanwhile"))
     return log, findings
 
 
@@ -229,7 +229,7 @@ def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
         stray = _stray(t_s)
         if stray.size:
             what = f"{data.name}: {stray.size} rows with times out of order"
-            findings.append(LogFinding(f"{t_s[stray[0]]:.1f} s", what, "left out"))
+            findings.append(LogFinding.at(float(t_s[stray[0]]), what, "left out"))
         rows = {name: _numbers(values[kept]) for name, values in rows.items()}
         rows["t_s"] = t_s[kept]
         found.setdefault(data.name, []).append(rows)

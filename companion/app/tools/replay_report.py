@@ -21,7 +21,7 @@ def report(
     score: WindScore | None,
     cpu_s: float,
 ) -> list[str]:
-    """Return the lines that `companion replay` prints."""
+    """Return the lines that `companion replay` prints; times are since the log's start."""
     kind = ", ".join(
         word
         for word in (
@@ -32,18 +32,17 @@ def report(
         )
         if word
     )
-    flown_s = float(result.flown_s[-1]) if result.flown_s.size else 0.0
     lines = [
-        f"{path.name}: {kind}; {log.duration_s:.0f} s, {flown_s:.0f} s in the air;"
+        f"{path.name}: {kind}; {log.duration_s:.0f} s, {result.air_time_s:.0f} s in the air;"
         f" airframe {airframe}"
     ]
-    lines += [f"  ! {finding}" for finding in result.findings]
+    lines += [f"  ! {finding.since(log.start_s)}" for finding in result.findings]
     notes = result.notes
-    lines += [f"  {t_s:9.1f} s  {text}" for t_s, text in notes[:MOST_NOTES]]
+    lines += [f"  {t_s - log.start_s:9.1f} s  {text}" for t_s, text in notes[:MOST_NOTES]]
     if len(notes) > MOST_NOTES:
         lines.append(f"  and {len(notes) - MOST_NOTES} more such notes (--json has them)")
     lines += _wind(wind, score)
-    lines += _decisions(result)
+    lines += _decisions(result, log.start_s)
     lines.append(f"{log.duration_s / max(cpu_s, 1e-9):.0f} times real time ({cpu_s:.2f} s of CPU)")
     return lines
 
@@ -64,7 +63,7 @@ def _wind(wind: WindSummary | None, score: WindScore | None) -> list[str]:
     return lines
 
 
-def _decisions(result: ReplayResult) -> list[str]:
+def _decisions(result: ReplayResult, start_s: float) -> list[str]:
     shown = [d for d in result.decisions if d.kind not in QUIET]
     if not shown:
         return []
@@ -73,7 +72,9 @@ def _decisions(result: ReplayResult) -> list[str]:
         promise = "" if decision.p_home is None else f"  P(home) {decision.p_home:.3f}"
         if decision.margin_wh is not None and decision.p_home is not None:
             promise += f", margin {decision.margin_wh:+.1f} Wh"
-        lines.append(f"  {decision.t_s:9.1f} s  {decision.kind}: {decision.reason}{promise}")
+        lines.append(
+            f"  {decision.t_s - start_s:9.1f} s  {decision.kind}: {decision.reason}{promise}"
+        )
     quiet = len(result.decisions) - len(shown)
     if quiet:
         lines.append(f"  and {quiet} looks again as wind or margin moved (--json has them)")

@@ -7,7 +7,7 @@ decisions show what Leeway would have decided, and when.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class Moment:
 @dataclass(slots=True)
 class ReplayResult:
     """`wind_*` (n,) rows at every tick from the first valid belief on; `in_air` marks those in
-    flight, `flown_s` how long it had flown by then.
+    flight, `flown_s` how long it had flown by then. `air_time_s`: how long the log has it flying.
     """
 
     wind_t_s: Floats
@@ -89,6 +89,7 @@ class ReplayResult:
     flown_s: Floats
     max_loss: float
     reserve_wh: float | None
+    air_time_s: float = 0.0
     moments: list[Moment] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     notes: list[tuple[float, str]] = field(default_factory=list)
@@ -110,16 +111,7 @@ def _as_used(log: RecordedFlight) -> RecordedFlight:
     said = LogFinding(
         "log", f"a {log.vehicle}, multirotor expected", "its attitude, energy and way home left out"
     )
-    return RecordedFlight(
-        log.source,
-        events,
-        (*log.findings, said),
-        log.autopilot_kind,
-        log.vehicle,
-        log.firmware,
-        log.position_measured,
-        log.reference,
-    )
+    return replace(log, events=events, findings=(*log.findings, said))
 
 
 class _Replay:
@@ -186,7 +178,7 @@ class _Replay:
         if self._flying:
             said = "no word on the landing"
             what = "the log ends in the air, or before it says landed"
-            self._findings.append(LogFinding(f"{before_s or 0.0:.1f} s", what, said))
+            self._findings.append(LogFinding.at(before_s or 0.0, what, said))
         rows = np.array(self._wind, float).reshape(len(self._wind), 8)
         return ReplayResult(
             rows[:, 0],
@@ -196,6 +188,7 @@ class _Replay:
             rows[:, 7],
             self._judge.limits.max_loss,
             self._reserve_wh(),
+            self._flew_s,
             self._moments,
             self._decisions,
             self._notes,
@@ -282,7 +275,7 @@ class _Replay:
         trouble = pack_trouble(self._terms.airframe.battery, battery.voltage_v)
         if trouble and not trouble.startswith("the battery is empty"):
             self._gates = False
-            self._findings.append(LogFinding(f"{now.t_s:.1f} s", trouble, NO_ENERGY))
+            self._findings.append(LogFinding.at(now.t_s, trouble, NO_ENERGY))
 
     # --- home and the way there ----------------------------------------------------------------
 
@@ -303,7 +296,7 @@ class _Replay:
             if isinstance(flown, NoRoute):
                 said = "home is the take-off point"
                 what = f"the flight file's mission does not go: {flown.reason}"
-                self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
+                self._findings.append(LogFinding.at(now.t_s, what, said))
             else:
                 self._route = Planned(flown, self._terms.flight, self._route_energy)
 
@@ -337,7 +330,7 @@ class _Replay:
         self._another_mission = True
         what = f"the mission aboard has {aboard} items, the flight file's plan {route.items}"
         said = "where it is on its way is told by its place"
-        self._findings.append(LogFinding(f"{now.t_s:.1f} s", what, said))
+        self._findings.append(LogFinding.at(now.t_s, what, said))
 
     def _mind_delivery(self, now: TelemetryState, route: Planned) -> None:
         if route.delivered and self._judge.payload_kg > 0.0:

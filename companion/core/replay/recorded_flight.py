@@ -28,14 +28,28 @@ LARGEST_GAP_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class LogFinding:
-    """Something wrong with a log. `where` is a row, a time or a message; `done` what we did."""
+    """Something wrong with a log. `where` is a row, a time or a message; `done` what we did.
+
+    `t_s`: the time on the log's clock, where `where` is one.
+    """
 
     where: str
     what: str
     done: str
+    t_s: float | None = None
+
+    @classmethod
+    def at(cls, t_s: float, what: str, done: str) -> "LogFinding":
+        """A finding at a time on the log's clock."""
+        return cls(f"{t_s:.1f} s", what, done, t_s)
+
+    def since(self, start_s: float) -> str:
+        """The finding in words, its time counted from `start_s`."""
+        where = self.where if self.t_s is None else f"{self.t_s - start_s:.1f} s"
+        return f"{where}: {self.what}; {self.done}"
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.what}; {self.done}"
+        return self.since(0.0)
 
 
 @dataclass(frozen=True, slots=True)
