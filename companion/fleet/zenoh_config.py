@@ -98,9 +98,14 @@ def loopback_config(port: int) -> zenoh.Config:
     return zenoh.Config.from_json5(json.dumps(table))
 
 
+def mode_of(config: zenoh.Config) -> str:
+    """`client`, `peer` or `router`."""
+    return _value(config, "mode") or DEFAULT_MODE
+
+
 def why_open(config: zenoh.Config) -> str:
     """How strangers could reach a program with this configuration; empty: they cannot."""
-    mode = _value(config, "mode") or DEFAULT_MODE
+    mode = mode_of(config)
     if _value(config, "scouting/multicast/enabled") is not False:
         return "found by multicast"
     for end in _endpoints(config, "listen", mode):

@@ -15,10 +15,17 @@ from typing import Any, NoReturn
 
 import zenoh
 
+from companion.adapters.clock import wall_s
 from companion.fleet.network import Ask, Asked, Told
 from companion.fleet.topics import VehicleKeys, life_of, roster_key, vehicle_of
+from companion.fleet.zenoh_config import mode_of
 
 OPEN_AGAIN_S = 5.0
+UNASKED_S, MOST_UNASKED_S = 150.0, 2400.0
+"""A desk asks all once a minute. Whom nobody asks so long, though he is connected, was missed when
+he joined: he joins anew, after ever longer waits, since there may be a router and no desk.
+"""
+
 WAITING = 256
 LEAVING = 4096
 TRACKS = 256
@@ -49,6 +56,7 @@ class ZenohLink:
         is_member: Callable[[str], bool] = lambda name: True,
     ) -> None:
         self._config = config
+        self._calls_a_desk = mode_of(config) == "client"
         self._keys = keys
         self._life = life
         self._wake = wake
@@ -60,6 +68,7 @@ class ZenohLink:
         self._session: zenoh.Session | None = None
         self._held: tuple[Any, ...] = ()
         self._state = b""
+        self._heard_s = 0.0
         self.trouble = "not open yet"
         self._thread = threading.Thread(target=self._run, name="zenoh-writer", daemon=True)
         self._thread.start()
@@ -80,16 +89,19 @@ class ZenohLink:
         self._wake = wake
 
     def _hear_command(self, query: zenoh.Query) -> None:
+        self._heard_s = wall_s()
         payload = query.payload.to_bytes() if query.payload is not None else b""
         answer = self._answer(query, self._keys.command)
         self.put(Asked(Ask.COMMAND, answer, payload))
 
     def _hear_events_wanted(self, query: zenoh.Query) -> None:
+        self._heard_s = wall_s()
         after = query.parameters.get(AFTER) or "0"
         answer = self._answer(query, self._keys.event)
         self.put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
 
     def _hear_state_wanted(self, query: zenoh.Query) -> None:
+        self._heard_s = wall_s()
         if self._state:
             self._answer(query, self._keys.state)([self._state])
 
@@ -178,6 +190,7 @@ class ZenohLink:
     # --- the thread ----------------------------------------------------------------------------
 
     def _run(self) -> None:
+        unasked_s = UNASKED_S
         while not self._stop.is_set():
             try:
                 session = zenoh.open(self._config)
@@ -185,11 +198,15 @@ class ZenohLink:
                 self.trouble = str(error)
                 self._stop.wait(OPEN_AGAIN_S)
                 continue
+            opened_s = self._heard_s = wall_s()
             with session:
-                self._serve(session)
+                self._serve(session, unasked_s)
+            was_asked = self._heard_s > opened_s
+            unasked_s = UNASKED_S if was_asked else min(2.0 * unasked_s, MOST_UNASKED_S)
         self._session = None
 
-    def _serve(self, session: zenoh.Session) -> None:
+    def _serve(self, session: zenoh.Session, unasked_s: float) -> None:
+        """Until we stop, or are connected and were asked nothing for so long."""
         keys = self._keys
         liveliness = session.liveliness()
         held = (  # a declaration that nobody holds is undeclared
@@ -204,12 +221,22 @@ class ZenohLink:
         self._session, self._held, self.trouble = session, held, ""
         session.get(roster_key(keys.fleet), self._hear_roster_reply, timeout=ROSTER_WAIT_S)
         while not (self._stop.is_set() and self._leaving.empty()):
-            send = self._leaving.get()
+            if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and _has_line(session):
+                self.trouble = f"nobody has asked for {unasked_s:.0f} s: joining anew"
+                return
+            try:
+                send = self._leaving.get(timeout=1.0)
+            except queue.Empty:
+                continue
             try:
                 if send is not None:
                     send()
             except zenoh.ZError as error:
                 self.trouble = str(error)
+
+
+def _has_line(session: zenoh.Session) -> bool:
+    return bool(session.info.routers_zid() or session.info.peers_zid())
 
 
 def leave_process(code: int) -> NoReturn:

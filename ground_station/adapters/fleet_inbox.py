@@ -90,11 +90,24 @@ class MemberBox:
     asked_states: list[bytes] = field(default_factory=list)
     lives: set[str] = field(default_factory=set)
     lives_told: set[str] = field(default_factory=set)
+    lives_left: set[str] = field(default_factory=set)
+    """Since the roll call began whose answers may still come."""
     rejected: Counter[str] = field(default_factory=Counter)
 
     def reject(self, why: str) -> None:
         """Count it; of many reasons the first few are kept."""
         self.rejected[why if why in self.rejected or len(self.rejected) < 8 else "other"] += 1
+
+    def take_life(self, life: str, *, up: bool) -> None:
+        """It has come or gone; a flood of lives gets no more room than a few."""
+        if up and life not in self.lives and len(self.lives) >= MOST_LIVES:
+            self.reject(f"more than {MOST_LIVES} lives of one name")
+        elif up:
+            self.lives.add(life)
+        elif life in self.lives:
+            self.lives.discard(life)
+            if len(self.lives_left) < MOST_LIVES:
+                self.lives_left.add(life)
 
     def take_state(self, raw: bytes, *, asked: bool) -> None:
         """Of states the newest are kept, of those that were asked for the first."""
@@ -174,13 +187,23 @@ class FleetInbox:
         """A life of a member has come or gone."""
         with self._news:
             box = self._of(vehicle)
-            if box is None:
-                return
-            if up and life not in box.lives and len(box.lives) >= MOST_LIVES:
-                box.reject(f"more than {MOST_LIVES} lives of one name")
-            else:
-                (box.lives.add if up else box.lives.discard)(life)
-            self._wake(urgent=True)
+            if box is not None:
+                box.take_life(life, up=up)
+                self._wake(urgent=True)
+
+    def begin_roll_call(self) -> None:
+        """From here on who is there is told by `hear_present`."""
+        with self._news:
+            for box in self._boxes.values():
+                box.lives_left.clear()
+
+    def hear_present(self, vehicle: str, life: str) -> None:
+        """Answer to a roll call: a life is there, unless it has left meanwhile."""
+        with self._news:
+            box = self._boxes.get(vehicle)
+            known = box is not None and (life in box.lives or life in box.lives_left)
+        if not known:
+            self.hear_life(vehicle, life, up=True)
 
     def reject(self, vehicle: str | None, why: str) -> None:
         """Something came that is no message of a member."""

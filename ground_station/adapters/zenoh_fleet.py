@@ -80,7 +80,9 @@ class ZenohFleet:
         return self._ends[1]
 
     def ask_states(self, wait_s: float) -> None:
-        """Ask every member for its newest state."""
+        """Ask every member for its newest state, and the network for the tokens of who is there."""
+        self.inbox.begin_roll_call()
+        self._session.liveliness().get(self._keys.alive(), self._on_life_reply, timeout=wait_s)
         self._session.get(self._keys.state, self._on_state_reply, timeout=wait_s)
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
@@ -147,6 +149,10 @@ class ZenohFleet:
             if self._roster is not None and sample.kind == zenoh.SampleKind.PUT:
                 self._roster.somebody_joined()
             self.inbox.hear_life(*seen, up=sample.kind == zenoh.SampleKind.PUT)
+
+    def _on_life_reply(self, reply: zenoh.Reply) -> None:
+        if (sample := reply.ok) is not None and (seen := life_of(str(sample.key_expr))) is not None:
+            self.inbox.hear_present(*seen)
 
     def _on_state(self, sample: zenoh.Sample) -> None:
         self.inbox.hear_state(str(sample.key_expr), sample.payload.to_bytes())

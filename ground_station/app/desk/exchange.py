@@ -48,6 +48,11 @@ STATES_S = 2.0
 and 500 at a time kept the desk from hearing anything else for 25 s.
 """
 
+STATES_AGAIN_S = 60.0
+"""And at least so often: who was missed when it joined is found, and a member knows by it that a
+desk finds it (`companion.fleet.zenoh_link`).
+"""
+
 REJECTED_S = 60.0
 """A member's rejected messages are said at most so often, with their number."""
 
@@ -208,7 +213,8 @@ class Exchange:
     def _ask_states(self) -> None:
         """Ask all for their states, once for all who joined since the last time."""
         now_s, asked_s = self.clock.monotonic_s(), self._states_asked_s
-        if not self._states_wanted or (asked_s is not None and now_s - asked_s < STATES_S):
+        rest_s = STATES_S if self._states_wanted else STATES_AGAIN_S
+        if asked_s is not None and now_s - asked_s < rest_s:
             return
         self._states_wanted, self._states_asked_s = False, now_s
         self.fleet.ask_states(ANSWER_S)

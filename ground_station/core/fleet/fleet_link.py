@@ -59,7 +59,7 @@ class FleetLink(Protocol):
         ...
 
     def ask_states(self, wait_s: float) -> None:
-        """Ask every member for its newest state."""
+        """Ask every member for its newest state, and the network for who is there."""
         ...
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:

@@ -234,6 +234,33 @@ def test_all_are_asked_for_their_states_once_however_many_join(desk):
     assert fleet.states_asked == 2
 
 
+def test_all_are_asked_for_their_states_once_a_minute_where_nobody_joins(desk):
+    exchange, clock, _ = desk
+    for second in range(1, 181):
+        clock.t_s = float(second)
+        exchange.listen(0.0)
+    assert exchange.fleet.states_asked == 1 + 3
+
+
+def test_a_roll_call_finds_who_was_missed_and_nobody_who_left_meanwhile():
+    inbox = FleetInbox(clock_s=lambda: 0.0)
+    inbox.hear_life("d1", "a", up=True)
+    inbox.receive(0.0)
+    inbox.begin_roll_call()
+    inbox.hear_life("d1", "a", up=False)
+    inbox.hear_present("d1", "a")
+    inbox.hear_present("d2", "b")
+    inbox.hear_present("d2", "b")
+    assert inbox.receive(0.0) == [
+        LivelinessChanged("d1", "a", up=False),
+        LivelinessChanged("d2", "b", up=True),
+    ]
+    inbox.begin_roll_call()
+    inbox.hear_present("d1", "a")
+    inbox.hear_present("d2", "b")
+    assert inbox.receive(0.0) == [LivelinessChanged("d1", "a", up=True)]
+
+
 def test_canary_asked_at_each_arrival_500_that_join_are_asked_500_times(desk, monkeypatch):
     exchange, _, _ = desk
     monkeypatch.setattr("ground_station.app.desk.exchange.STATES_S", 0.0)

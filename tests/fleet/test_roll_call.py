@@ -1,0 +1,100 @@
+"""Members that were missed when they joined: the desk calls the roll, and a member that nobody asks
+joins anew.
+"""
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from companion.fleet import zenoh_link
+from companion.fleet.identity import ROSTER
+from companion.fleet.roles import Role
+from companion.fleet.topics import VehicleKeys, life_of
+from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_link import ZenohLink
+from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.fleet_inbox import NOT_LISTED
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, MessageRejected
+from tests.fleet.secure_site import YEAR_DAYS, SecureSite
+from tests.fleet.test_attacks import PATIENCE_S, hears, plain_network
+from tests.fleet.zenoh_net import FLEET, config_file, free_port
+
+
+def is_not_listed(heard: FleetInput) -> bool:
+    return isinstance(heard, MessageRejected) and heard.reason == NOT_LISTED
+
+
+def d3_joined(heard: FleetInput) -> bool:
+    return isinstance(heard, LivelinessChanged) and heard.vehicle == "d3"
+
+
+@pytest.mark.parametrize("asks", [True, False], ids=["found", "canary: missed"])
+def test_who_joined_before_the_roster_listed_it_is_found_by_the_roll_call(tmp_path, asks):
+    site = SecureSite(tmp_path / "pki")
+    held = site.home("desk") / ROSTER
+    old = held.read_bytes()
+    site.pki.add("d3", Role.VEHICLE, YEAR_DAYS, "")
+    new = held.read_bytes()
+    held.write_bytes(old)
+    with plain_network(site, tmp_path) as net:
+        d3 = site.vehicle("d3", tmp_path / "d3", zenoh=tmp_path / "client.json5")
+        assert hears(net.desk, is_not_listed, PATIENCE_S)
+        held.write_bytes(new)
+        limit_s = monotonic_s() + PATIENCE_S
+        while "d3" not in listed(net.desk):
+            assert monotonic_s() < limit_s
+            net.desk.receive(0.1)
+        if asks:
+            net.desk.ask_states(PATIENCE_S)
+        found = hears(net.desk, d3_joined, PATIENCE_S if asks else 3.0)
+        d3.close()
+    assert bool(found) is asks
+
+
+def listed(desk: ZenohFleet) -> set[str]:
+    figures = desk.certificates()
+    assert figures is not None
+    return {name for name, _ in figures.members_us}
+
+
+@contextmanager
+def router(folder: Path) -> Iterator[tuple[zenoh.Session, Path]]:
+    port = free_port()
+    listens = config_file(folder / "router.json5", listen=port, mode="router")
+    calls = config_file(folder / "client.json5", connect=port)
+    calls.write_text(json.dumps(json.loads(calls.read_text()) | {"mode": "client"}))
+    with zenoh.open(read_config(listens)) as session:
+        yield session, calls
+
+
+@pytest.mark.parametrize("asked", [False, True], ids=["joins anew", "canary: stays"])
+def test_a_connected_member_that_nobody_asks_joins_anew(tmp_path, monkeypatch, asked):
+    monkeypatch.setattr(zenoh_link, "UNASKED_S", 1.5)
+    keys, seen, idle = VehicleKeys(FLEET, "d1"), [], threading.Event()
+    with router(tmp_path) as (session, calls):
+
+        def hear(sample: zenoh.Sample) -> None:
+            assert life_of(str(sample.key_expr)) == ("d1", "a")
+            seen.append(sample.kind)
+
+        ear = session.liveliness().declare_subscriber(keys.alive(), hear, history=True)
+        link = ZenohLink(read_config(calls), keys, "a", lambda: None)
+        link.publish_state(b"state")
+        answers, until_s = 0, monotonic_s() + (5.0 if asked else PATIENCE_S)
+        while monotonic_s() < until_s and seen.count(zenoh.SampleKind.PUT) < 2:
+            if asked:
+                answers += len(list(session.get(keys.state, timeout=0.3)))
+            else:
+                idle.wait(0.1)
+        link.close()
+        ear.undeclare()
+    assert (seen[:3] == [zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE, zenoh.SampleKind.PUT]) is (
+        not asked
+    )
+    assert bool(answers) is asked
