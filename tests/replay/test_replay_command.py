@@ -4,6 +4,7 @@ import csv
 import importlib.util
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
