@@ -16,6 +16,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.listening_socket import listening_socket
 
 PATH = b"/metrics"
 
@@ -43,7 +44,7 @@ class MetricsServer:
     def __init__(self, host: str, port: int) -> None:
         """Raises LeewayError where the address cannot be had."""
         try:
-            self._socket = _listener(host, port)
+            self._socket = listening_socket(host, port, QUEUE)
         except OSError as error:
             why = f"--metrics {host}:{port}: {error.strerror or error}"
             raise LeewayError(f"{why}: expected a free port of this machine") from error
@@ -78,19 +79,6 @@ class MetricsServer:
                 answer(line, page, monotonic_s() + LINE_S)
         finally:
             self._slots.release()
-
-
-def _listener(host: str, port: int) -> socket.socket:
-    (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    made = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a desk that starts anew
-        made.bind(address)
-        made.listen(QUEUE)
-    except OSError:
-        made.close()
-        raise
-    return made
 
 
 def answer(line: socket.socket, page: Page, until_s: float) -> None:

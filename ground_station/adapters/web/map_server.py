@@ -1,10 +1,9 @@
-"""Serves the live map on loopback, in a thread of its own, until it is closed."""
+"""Serves the map, in a thread of its own, until it is closed."""
 
 import asyncio
 import re
-import socket
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.listening_socket import listening_socket
 from ground_station.adapters.web.live_stream import MOST_CLIENTS, LiveStream
+from ground_station.adapters.web.people import DEEDS, TokenToRead, WebPeople
+from ground_station.adapters.web.tls_files import TlsFiles
 from ground_station.adapters.web.web_guard import WebGuard
+from ground_station.core.people.web_tokens import TokenBook
 
 PAGE = Path(__file__).with_name("page")
 ASSETS = Path(__file__).with_name("assets")
@@ -53,7 +56,8 @@ class MapAnswers:
     """What the page asks for beside the stream; each is called in the server's thread.
 
     `history(vehicle)` and `reach(vehicle)` give what can be written as JSON, None: not known. With
-    `past` the page shows the past: then the stream stays silent.
+    `past` the page shows the past: then the stream stays silent. Without `people` nobody may order
+    anything, and who reaches the map sees it.
     """
 
     stream: LiveStream
@@ -61,24 +65,30 @@ class MapAnswers:
     reach: Callable[[str], Any]
     basemap: Path | None = None
     past: PastAnswers | None = None
+    people: WebPeople | None = None
 
 
 class MapServer:
     """Holds the port from the beginning; `serve` begins to answer."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, tls: TlsFiles | None = None) -> None:
         """Raises LeewayError where the address cannot be had. `port` 0: any that is free."""
+        self._tls = tls
         try:
-            self._socket = _listener(host, port)
+            self._socket = listening_socket(host, port, QUEUE)
         except OSError as error:
             why = f"map: {host}:{port}: {error.strerror or error}"
             raise LeewayError(f"{why}: expected a free port of this machine (--port)") from error
         self.port: int = self._socket.getsockname()[1]
+        shown = f"[{host}]" if ":" in host else host
+        self.address = f"http://{shown}:{self.port}"
+        if tls is not None:
+            self.address = f"https://{tls.names[0]}:{self.port}"
         self._running: tuple[uvicorn.Server, threading.Thread, LiveStream] | None = None
 
     def serve(self, answers: MapAnswers) -> None:
         """Answer everybody from now on. Raises LeewayError where the server does not start."""
-        server = uvicorn.Server(_config(map_app(answers, self.port)))
+        server = uvicorn.Server(_config(map_app(answers, self.port, self._tls), self._tls))
         started = threading.Event()
         args = (server, answers.stream, started)
         thread = threading.Thread(target=self._run, args=args, name="map", daemon=True)
@@ -105,20 +115,26 @@ class MapServer:
         asyncio.run(serving())
 
 
-def map_app(answers: MapAnswers, port: int) -> ASGIApp:
-    """The application: the page, its stream, what it asks for. It changes nothing anywhere."""
+def map_app(answers: MapAnswers, port: int, tls: TlsFiles | None = None) -> ASGIApp:
+    """The application: the page, its stream, what it asks for, and what people order."""
+    people = answers.people or WebPeople(TokenBook, None, is_there=False)
     page = StaticFiles(directory=PAGE)
     routes: list[BaseRoute] = [
         Route("/", _file(PAGE / "index.html")),
         Mount("/page", page),
-        Route("/events", _events(answers.stream)),
+        Route("/events", _events(answers.stream, people)),
+        *people.routes(),
         Route("/picture.json", _picture(answers.stream)),
         *(_live(answers) if answers.past is None else _past(answers.past)),
     ]
     if answers.basemap is not None:
         routes += [Route("/basemap.pmtiles", _file(answers.basemap))]
         routes += [Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False))]
-    return WebGuard(Starlette(routes=routes), port)
+    app = TokenToRead(Starlette(routes=routes), people)
+    posts = () if people.do is None else (DEEDS,)
+    if tls is None:
+        return WebGuard(app, port, posts=posts)
+    return WebGuard(app, port, tls.names, "https", posts)
 
 
 def _live(answers: MapAnswers) -> list[BaseRoute]:
@@ -145,11 +161,17 @@ def _file(path: Path) -> Any:
     return answer
 
 
-def _events(stream: LiveStream) -> Any:
+def _events(stream: LiveStream, people: WebPeople) -> Any:
+    async def told(request: Request) -> AsyncIterator[bytes]:
+        async for event in stream.events():
+            if not people.may_read(request):  # its token was revoked meanwhile
+                return
+            yield event
+
     async def answer(request: Request) -> Response:
         if stream.clients >= MOST_CLIENTS:
             return PlainTextResponse(f"{MOST_CLIENTS} windows are open\n", 503)
-        return StreamingResponse(stream.events(), media_type="text/event-stream")
+        return StreamingResponse(told(request), media_type="text/event-stream")
 
     return answer
 
@@ -193,9 +215,11 @@ def _json(content: Any) -> Response:
     return Response(msgspec.json.encode(content), media_type="application/json")
 
 
-def _config(app: ASGIApp) -> uvicorn.Config:
+def _config(app: ASGIApp, tls: TlsFiles | None) -> uvicorn.Config:
     return uvicorn.Config(
         app,
+        ssl_certfile=None if tls is None else tls.certificate,
+        ssl_keyfile=None if tls is None else tls.key,
         loop="asyncio",
         http="h11",
         ws="none",
@@ -207,16 +231,3 @@ def _config(app: ASGIApp) -> uvicorn.Config:
         limit_concurrency=MOST_CONNECTIONS,
         timeout_graceful_shutdown=round(END_S),
     )
-
-
-def _listener(host: str, port: int) -> socket.socket:
-    (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    made = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a map that starts anew
-        made.bind(address)
-        made.listen(QUEUE)
-    except OSError:
-        made.close()
-        raise
-    return made

@@ -5,6 +5,8 @@ or by a name that its owner points at 127.0.0.1 (DNS rebinding). So the name tha
 (Host) and the page that asks (Origin, Sec-Fetch-Site) must be our own.
 """
 
+from collections.abc import Collection, Iterable
+
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -34,6 +36,8 @@ HEADERS = {
     "cache-control": "no-store",  # the fleet's state does not stay on the disk of a browser
 }
 METHODS = ("GET", "HEAD")
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+DEFAULT_PORT = {"http": 80, "https": 443}
 FROM_US = (None, "same-origin", "none")
 """Sec-Fetch-Site: absent outside browsers; `none` is the address bar (W3C Fetch Metadata)."""
 
@@ -41,27 +45,38 @@ FROM_US = (None, "same-origin", "none")
 class WebGuard:
     """An ASGI application before another one."""
 
-    def __init__(self, app: ASGIApp, port: int) -> None:
-        self._app = app
-        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+    def __init__(
+        self,
+        app: ASGIApp,
+        port: int,
+        names: Iterable[str] = LOOPBACK,
+        scheme: str = "http",
+        posts: Collection[str] = (),
+    ) -> None:
+        """`names`: by which hosts of a URL we may be asked; `posts`: paths that take a POST."""
+        self._app, self._posts = app, posts
+        self._hosts = {f"{name}:{port}" for name in names}
+        if port == DEFAULT_PORT[scheme]:
+            self._hosts |= set(names)  # a browser leaves it out
+        self._origins = {f"{scheme}://{host}" for host in self._hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, or refuse with 403, 405 or 421."""
         if scope["type"] != "http":
             return
-        refusal = self._refusal(scope["method"], Headers(scope=scope))
+        refusal = self._refusal(scope["method"], scope["path"], Headers(scope=scope))
         answer = self._app if refusal is None else refusal
         await answer(scope, receive, _with_headers(send))
 
-    def _refusal(self, method: str, headers: Headers) -> PlainTextResponse | None:
+    def _refusal(self, method: str, path: str, headers: Headers) -> PlainTextResponse | None:
         if headers.getlist("host") not in [[host] for host in self._hosts]:
             return PlainTextResponse("not the name of this server\n", 421)
         origin = headers.get("origin")
-        foreign = origin is not None and origin.removeprefix("http://") not in self._hosts
+        foreign = origin is not None and origin not in self._origins
         if foreign or headers.get("sec-fetch-site") not in FROM_US:
             return PlainTextResponse("asked by another page\n", 403)
-        if method not in METHODS:
-            return PlainTextResponse("this map only shows\n", 405)
+        if method not in METHODS and not (method == "POST" and path in self._posts):
+            return PlainTextResponse("this only shows\n", 405)
         return None
 
 

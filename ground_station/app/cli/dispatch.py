@@ -263,34 +263,33 @@ def recall(
     if direct is not None and vehicle is None:
         raise LeewayError("--direct: expected one vehicle, not --all")
 
-    from ground_station.app.desk.recall import NobodyHeardError, Recaller, recall_past_companion
-    from ground_station.app.desk.recall import recall as recall_fleet
-    from ground_station.app.desk.recall_record import RecallRecord
+    from ground_station.app.desk.person_deeds import recall as recall_by
+    from ground_station.app.desk.recall import Recaller, recall_past_companion
     from ground_station.core.schema.holds import check_vehicle
+
+    def past_companion(caller: Recaller, missing: set[str]) -> set[str]:
+        if direct is None or vehicle is None or vehicle not in missing:
+            return set()
+        return recall_past_companion(caller, vehicle, direct, silent_for)
 
     if vehicle is not None:
         check_vehicle(vehicle)
     url, person = url_of(store, store_file), who(user, identity, fleet)
     ears = open_fleet(fleet, zenoh, identity, open_network)
-    caller = Recaller(ears, _say, person.name)
-    record = RecallRecord(lambda: open_at_once(url), person.name, _say, caller.clock)
-    caller.begin()
-    try:
-        missing = recall_fleet(caller, record, vehicle, wait)
-        if direct is not None and vehicle in missing:
-            missing -= recall_past_companion(caller, vehicle, direct, silent_for)
-    except NobodyHeardError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(NOT_RECALLED) from None
-    finally:
-        ears.close()
-        record.close()
-        if not record.is_written:
-            typer.echo(f"NOT HELD, not in the audit: {record.why_not}", err=True)
-    if missing:
-        typer.echo(f"not recalled: {', '.join(sorted(missing))}", err=True)
+    with closing(ears):
+        done = recall_by(
+            ears,
+            partial(open_at_once, url),
+            vehicle,
+            person.name,
+            _say,
+            _look,
+            wait,
+            past_companion,
+        )
+    if done.missing or done.nobody:
         raise typer.Exit(NOT_RECALLED)
-    if not record.is_written:
+    if not done.held:
         raise typer.Exit(NOT_HELD)
 
 
@@ -316,6 +315,10 @@ def report(
     terminal().print(report_view(figures))
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=1))
+
+
+def _look(words: str) -> None:
+    typer.echo(words, err=True)
 
 
 def _say_open(words: str) -> None:

@@ -1,5 +1,6 @@
 """`ground-station hold | release`: ground stops of vehicles, or of all."""
 
+from contextlib import closing
 from typing import Annotated
 
 import typer
@@ -39,18 +40,15 @@ def hold(
 
     ground-station hold d1 --reason "propeller chipped"
     """
-    from ground_station.adapters.store.hold_store import HoldStore
+    from ground_station.app.desk import person_deeds
 
     scopes, person = scopes_of("hold", vehicles, everybody), who(user, identity)
-    opened = open_store(store, store_file)
-    try:
-        sent = HoldStore(opened.database, epoch_us).set(scopes, reason, person.name)
-        for words in (found.words for found in opened.holds() if found.scope in scopes):
-            typer.echo(words)
-    finally:
-        opened.close()
-    for assignment in sent:
-        typer.echo(f"LOOK: the launch of {assignment} was sent before: it may take off", err=True)
+    with closing(open_store(store, store_file)) as opened:
+        done = person_deeds.hold(opened, epoch_us, scopes, reason, person.name)
+    for words in done.words:
+        typer.echo(words)
+    for words in done.look:
+        typer.echo(words, err=True)
 
 
 @app.command()
@@ -68,22 +66,15 @@ def release(
 
     ground-station release d1
     """
-    from ground_station.adapters.store.hold_store import HoldStore
+    from ground_station.app.desk import person_deeds
 
     scopes, person = scopes_of("release", vehicles, everybody), who(user, identity)
-    opened = open_store(store, store_file)
-    try:
-        lifted = HoldStore(opened.database, epoch_us).release(scopes, person.name)
-        left = opened.holds()
-    finally:
-        opened.close()
-    for found in lifted:
-        typer.echo(f"released: {found.words}")
-    for found in left:
-        typer.echo(f"in force: {found.words}")
-    free = set(scopes) - {found.scope for found in lifted}
-    if free:
-        raise LeewayError(f"release {' '.join(sorted(free))}: not held by that name")
+    with closing(open_store(store, store_file)) as opened:
+        done = person_deeds.release(opened, epoch_us, scopes, person.name)
+    for words in done.words:
+        typer.echo(words)
+    if done.look:
+        raise LeewayError("; ".join(done.look))
 
 
 def scopes_of(command: str, vehicles: list[str] | None, everybody: bool) -> list[str]:

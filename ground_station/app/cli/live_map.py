@@ -1,8 +1,8 @@
 """`ground-station map`: the running day on a map, in a browser of this machine."""
 
-import ipaddress
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.listening_socket import is_loopback
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
     OPEN_WORDS,
@@ -19,15 +21,20 @@ from ground_station.app.cli.options import (
     StoreFile,
     StoreUrl,
     ZenohFile,
+    open_at_once,
     open_day,
     open_fleet,
     open_store,
     url_of,
+    who,
 )
 from ground_station.app.cli.stopping import stop_signals
 
 if TYPE_CHECKING:
     from ground_station.adapters.web.map_server import MapAnswers, MapServer
+    from ground_station.adapters.web.people import WebPeople
+    from ground_station.app.map.map_people import MapPeople
+    from ground_station.core.people.person import Person
     from ground_station.core.schema.day_data import DayData
 
 HERE = "127.0.0.1"
@@ -73,19 +80,33 @@ def show_map(
         ),
     ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = PORT,
+    tokens: Annotated[
+        Path | None,
+        typer.Option(
+            help="A file of `ground-station token`: its people may order from the map. Without it"
+            " the map has no way to send."
+        ),
+    ] = None,
     host: Annotated[
-        str, typer.Option(help="The address to serve at: one of this machine only.")
+        str,
+        typer.Option(help="The address to serve at; one that others reach needs --tls, --tokens."),
     ] = HERE,
+    tls: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option("--tls", metavar="CERT KEY", help="Certificate chain and key, PEM."),
+    ] = None,
 ) -> None:
-    """Show the running day on a map, in a browser of this machine. It commands nothing.
+    """Show the running day on a map, in a browser.
 
-    Fed as `watch` is: by the fleet's network and the desk's store, both only read. With --replay
-    it shows a past day instead, with a scrubber. Ctrl-C ends it.
+    Fed as `watch` is: by the fleet's network and the desk's store, both only read. With --tokens
+    people sign in with their token and recall, hold, release, confirm launches and settle orders,
+    as by the commands of these names. With --replay it shows a past day instead, with a scrubber.
+    Ctrl-C ends it.
 
     ground-station map --day town --store sqlite:///desk.db
     ground-station map --day harbour --replay logs/day-harbour-seed1
     """
-    check_loopback(host)
+    check_address(host, is_safe=tls is not None and tokens is not None)
     data = None if day is None else open_day(day)
     name = fleet if data is None else data.day.fleet
     if records is not None and replay is None:
@@ -95,13 +116,20 @@ def show_map(
     if basemap is not None:
         _have_basemap(basemap)
     with ExitStack() as held:
-        server = held.enter_context(closing(_server(host, port)))
+        server = held.enter_context(closing(_server(host, port, tls)))
+        to_read = not is_loopback(host)
         if replay is not None:
+            people = None if tokens is None else _people(tokens, None, to_read)
             answers = _past_answers(replay, records, name, data, basemap)
             idle = partial(Event().wait, IDLE_S)
-            _serve_until_stopped(server, answers, f"the past of {name or replay}", host, idle)
+            what = f"the past of {name or replay}"
+            _serve_until_stopped(server, replace(answers, people=people), what, idle)
             return
         assert name is not None
+        people = None
+        if tokens is not None:
+            deeds = _deeds(name, (store, store_file), zenoh, identity, open_network)
+            people = _people(tokens, deeds, to_read)
         opened = held.enter_context(closing(open_store(store, store_file, goes_on=True)))
         ears = held.enter_context(closing(open_fleet(name, zenoh, identity, open_network)))
 
@@ -118,20 +146,15 @@ def show_map(
         ear = FleetEar(ears, clock, status)
         view = MapView(name, data, notes, basemap is not None)
         feed = MapFeed(view, ear, opened, clock)
-        answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap)
-        _serve_until_stopped(server, answers, f"the map of {name}", host, feed.turn)
+        answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
+        _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
 
 
 def _serve_until_stopped(
-    server: "MapServer",
-    answers: "MapAnswers",
-    what: str,
-    host: str,
-    turn: Callable[[], object],
+    server: "MapServer", answers: "MapAnswers", what: str, turn: Callable[[], object]
 ) -> None:
     server.serve(answers)
-    shown = f"[{host}]" if ":" in host else host
-    typer.echo(f"{what}: http://{shown}:{server.port}/  Ctrl-C ends it")
+    typer.echo(f"{what}: {server.address}/  Ctrl-C ends it")
     with stop_signals() as stopped:
         while not stopped:
             turn()
@@ -165,25 +188,52 @@ def _past_answers(
     return MapAnswers(LiveStream(), lambda _: None, lambda _: None, basemap, past)
 
 
-def check_loopback(host: str) -> None:
-    """Raise LeewayError for an address that other machines reach."""
-    try:
-        here = ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        here = host == "localhost"
-    if not here:
+def check_address(host: str, *, is_safe: bool) -> None:
+    """Raise LeewayError for an address that other machines reach, where strangers would see."""
+    if not (is_safe or is_loopback(host)):
         raise LeewayError(
-            f"--host {host}: the map has no TLS and no token yet, so it is served to this machine"
-            f" only: expected {HERE}; from elsewhere: ssh -L {PORT}:{HERE}:{PORT} THIS-MACHINE"
+            f"--host {host}: other machines reach it: expected --tls CERT KEY and --tokens FILE"
+            f" beside it, or {HERE}; without: ssh -L {PORT}:{HERE}:{PORT} THIS-MACHINE"
         )
 
 
-def _server(host: str, port: int) -> "MapServer":
+def _people(tokens: Path, deeds: "MapPeople | None", to_read: bool) -> "WebPeople":
+    from ground_station.adapters.files.token_file import WatchedTokens
+    from ground_station.adapters.web.people import WebPeople
+
+    watched = WatchedTokens(tokens)
+    return WebPeople(watched.book, None if deeds is None else deeds.do, to_read)
+
+
+def _deeds(
+    fleet: str,
+    store: tuple[str, Path | None],
+    zenoh: Path | None,
+    identity: Path | None,
+    open_network: bool,
+) -> "MapPeople":
+    """What people order; with an identity the audit names its member behind them."""
+    from ground_station.app.map.map_people import MapPeople
+
+    def acting(person: "Person") -> "Person":
+        return person if identity is None else who(person.name, identity, fleet)
+
+    url = url_of(*store)
+    return MapPeople(
+        acting=acting,
+        open_store=partial(open_store, *store),
+        open_soon=partial(open_at_once, url),
+        open_fleet=partial(open_fleet, fleet, zenoh, identity, open_network),
+    )
+
+
+def _server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
     try:
         from ground_station.adapters.web.map_server import MapServer
+        from ground_station.adapters.web.tls_files import tls_files
     except ImportError as error:
         raise LeewayError(f"map needs leeway-uas[ground]: {error}") from error
-    return MapServer(host, port)
+    return MapServer(host, port, None if tls is None else tls_files(*tls, epoch_us()))
 
 
 def _have_basemap(basemap: Path) -> None:

@@ -18,6 +18,7 @@ from ground_station.app.cli import (
     pki,
     plan,
     store,
+    token,
     truck,
 )
 
@@ -73,6 +74,7 @@ app.add_typer(cluster.app)
 app.add_typer(plan.app)
 app.add_typer(truck.app)
 app.add_typer(live_map.app)
+app.add_typer(token.app, name="token")
 
 
 def main() -> None:

@@ -1,6 +1,5 @@
 """`--metrics` of `ground-station dispatch`: where the desk's figures are served for Prometheus."""
 
-import ipaddress
 import re
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.listening_socket import is_loopback
 
 if TYPE_CHECKING:
     from ground_station.adapters.metrics.metrics_server import MetricsServer
@@ -60,19 +60,12 @@ def metrics_address(address: str, open_metrics: bool) -> tuple[str, int]:
     if found is None or not 1 <= port <= 65535:
         raise LeewayError(f"--metrics {address!r}: expected PORT or HOST:PORT")
     host = (found["host"] or HERE).strip("[]")
-    if not (open_metrics or _is_loopback(host)):
+    if not (open_metrics or is_loopback(host)):
         raise LeewayError(
             f"--metrics {address}: whoever reaches it reads the fleet's state:"
             f" expected {HERE}:{port}, or --open-metrics"
         )
     return host, port
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def serve_desk(server: "MetricsServer", desk: "Desk", fleet: "ZenohFleet") -> "DeskMeter":

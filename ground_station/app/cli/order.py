@@ -1,6 +1,7 @@
 """`ground-station order`: take orders in, and see what has become of them."""
 
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -192,26 +193,13 @@ def launch(
 
     ground-station order launch H-101
     """
-    person, opened = who(user, identity), open_store(store, store_file)
-    try:
-        id_ = opened.confirm_launch(order_id, person.name)
-        if id_ is None:
-            raise LeewayError(f"order {order_id}: {_why_not_launched(opened, order_id)}")
-    finally:
-        opened.close()
-    typer.echo(f"{id_}: confirmed by {person.name}; it goes when its slot comes")
+    from ground_station.app.desk import person_deeds
 
-
-def _why_not_launched(store: "Store", order_id: str) -> str:
-    """Why a launch cannot be confirmed, in words."""
-    from ground_station.core.schema.holds import holding
-
-    rows = (row for row in store.assignments(in_force=True) if row.order_id == order_id)
-    row = next(rows, None)
-    if row is None:
-        return "no drone has it"
-    hold = holding(store.holds(), row.vehicle)
-    return hold.words if hold is not None else f"{row.state.value} with {row.vehicle}, not waiting"
+    person = who(user, identity)
+    with closing(open_store(store, store_file)) as opened:
+        done = person_deeds.confirm_launch(opened, order_id, person.name)
+    for words in done.words:
+        typer.echo(words)
 
 
 @app.command()
@@ -239,21 +227,17 @@ def settle(
     ground-station order settle H-101 --back --reason "drone and parcel stand in the hangar"
     """
     from ground_station.adapters.clock import epoch_us
-    from ground_station.adapters.store.settle import SETTLED_FROM
-    from ground_station.adapters.store.settle import settle as settle_order
+    from ground_station.app.desk import person_deeds
 
     said = {Settled.DELIVERED: delivered, Settled.LOST: lost, Settled.BACK: back}
     chosen = [one for one, is_so in said.items() if is_so]
     if len(chosen) != 1:
         raise LeewayError("settle: expected one of --delivered, --lost, --back")
-    person, opened = who(user, identity), open_store(store, store_file)
-    try:
-        done = settle_order(opened.database, epoch_us, order_id, chosen[0], reason, person.name)
-        if done is None:
-            raise _not_in(opened, order_id, SETTLED_FROM)
-    finally:
-        opened.close()
-    typer.echo(done)
+    person = who(user, identity)
+    with closing(open_store(store, store_file)) as opened:
+        done = person_deeds.settle(opened, epoch_us, order_id, chosen[0], reason, person.name)
+    for words in done.words:
+        typer.echo(words)
 
 
 def take_orders(store: "Store", orders: "list[Order]", by: str) -> None:
@@ -298,15 +282,11 @@ def _move(
     store: "Store",
     by: str,
 ) -> None:
+    from ground_station.app.desk.person_deeds import not_in
+
     try:
         if not store.move_order(order_id, before, after, by):
-            raise _not_in(store, order_id, before)
+            raise not_in(store, order_id, before)
     finally:
         store.close()
     typer.echo(f"{order_id}: {after.value}")
-
-
-def _not_in(store: "Store", order_id: str, before: tuple[OrderState, ...]) -> LeewayError:
-    state = next((r.state.value for r in store.orders() if r.order.id == order_id), None)
-    expected = " or ".join(s.value for s in before)
-    return LeewayError(f"order {order_id}: {state or 'not known'}, expected {expected}")

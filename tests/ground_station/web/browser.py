@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 PATIENCE_MS = 30_000.0
+GONE = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE_CHUNKED_ENCODING")
 
 
 def needs_chromium() -> str:
@@ -44,7 +45,7 @@ def browsing(program: str, **context: Any) -> "Iterator[Page]":
 
 def _note(wrong: list[str], said: Any) -> None:
     """Errors and refusals of the content security policy; a server that is gone is no error."""
-    if said.type == "error" and "ERR_CONNECTION_REFUSED" not in said.text:
+    if said.type == "error" and not any(gone in said.text for gone in GONE):
         wrong.append(said.text)
 
 

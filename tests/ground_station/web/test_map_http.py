@@ -16,7 +16,16 @@ from ground_station.app.cli.main import app
 from tests.ground_station.web.map_site import MapSite
 from tests.ground_station.web.sse_client import following
 
-PATHS = ["/", "/page/main.js", "/picture.json", "/history.json?vehicle=d1", "/nothing", "/events"]
+PATHS = [
+    "/",
+    "/page/main.js",
+    "/me.json",
+    "/picture.json",
+    "/history.json?vehicle=d1",
+    "/nothing",
+    "/events",
+    "/deeds",
+]
 PATIENCE_S = 30.0
 
 
@@ -172,9 +181,9 @@ def test_a_port_that_is_taken_is_said_with_what_to_do(site: MapSite):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--fleet", "harbour", "--host", "0.0.0.0"], "no TLS and no token yet"),
-        (["--fleet", "harbour", "--host", "10.0.0.5"], "to this machine only"),
-        (["--fleet", "harbour", "--host", "example.org"], "to this machine only"),
+        (["--fleet", "harbour", "--host", "0.0.0.0"], "expected --tls CERT KEY and --tokens FILE"),
+        (["--fleet", "harbour", "--host", "10.0.0.5", "--tokens", "t"], "other machines reach it"),
+        (["--fleet", "harbour", "--host", "example.org"], "other machines reach it"),
         ([], "expected --day, or --fleet"),
         (["--fleet", "harbour", "--basemap", "nothing.pmtiles"], "No such file"),
     ],

@@ -30,6 +30,7 @@ export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme
   document.addEventListener("keydown", (event) => {
     const deed = deeds[event.key];
     if (!deed || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest?.("input:not([type=range])")) return;
     if (event.key.startsWith("Arrow") && document.activeElement?.closest("#lists, #attention, #past")) return;
     if (event.key === " " && document.activeElement?.closest("button, select")) return;
     event.preventDefault();

@@ -1,7 +1,9 @@
-// The page: what the server says, drawn; what the person does, heard. It sends nothing but questions.
+// The page: what the server says, drawn; what the person does, heard.
 
 import { $, remembering, say, set } from "./dom.js";
 import { Past } from "./past.js";
+import { drawDeeds, me, startPeople } from "./people.js";
+import { ask as askServer } from "./server.js";
 import { listen } from "./stream.js";
 import { View } from "./view.js";
 import { Drawing } from "./draw.js";
@@ -10,6 +12,7 @@ import { drawDetail } from "./detail.js";
 import { bindKeys } from "./keys.js";
 
 const ASK_MS = 2000; // the selected drone's history and reach
+const SIGN_IN = "sign in to see the fleet";
 const QUIET_MS = 4000; // the server speaks at least once a second
 
 const seen = { picture: {}, aheadUs: 0, heardMs: null, selected: decodeURIComponent(location.hash.slice(1)) || null };
@@ -29,6 +32,8 @@ function redraw() {
     drawLists(seen.picture, shared);
     when("detail", [seen.picture.drones?.[seen.selected], seen.picture.orders?.[seen.selected], seen.selected, seen.history, second], () =>
       drawDetail(seen.picture, shared));
+    when("deeds", [seen.picture.drones?.[seen.selected]?.phase, seen.picture.orders?.[seen.selected]?.state, seen.selected, me.mayOrder], () =>
+      drawDeeds(seen.picture, seen.selected));
     when("basemap", [basemap, view.x, view.y, view.zoom, view.width, view.height], () => basemap?.follow());
   });
 }
@@ -43,7 +48,7 @@ function select(name) {
 
 async function answer(question) {
   const when = past ? `&t_us=${past.tUs}` : "";
-  const found = await fetch(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}${when}`).catch(() => null);
+  const found = await askServer(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}${when}`);
   return found?.status === 200 ? found.json() : null; // 204: not known
 }
 
@@ -120,7 +125,7 @@ function tell(kind, words) {
 function everySecond() {
   if (seen.heardMs !== null) say($("#clock"), new Date(nowUs() / 1000).toLocaleTimeString());
   const quietMs = seen.heardMs === null ? 0 : performance.now() - seen.heardMs;
-  if (!past && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
+  if (!past && me.mayRead && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
   redraw();
 }
 
@@ -134,18 +139,33 @@ bindKeys({
   nextDrone: (by) => stepThrough([...document.querySelectorAll("#drones tbody tr")].map((row) => row.dataset.key), by),
   nextAlarm: () => stepThrough([...new Set((seen.picture.attention ?? []).map((one) => one.who))], 1),
   reach: () => { reachWanted = !reachWanted; redraw(); },
-  close: () => ($("#help").open ? $("#help").close() : select(null)),
+  close: () => {
+    const open = [$("#help"), $("#who")].find((dialog) => dialog.open);
+    if (open) open.close();
+    else select(null);
+  },
   help: () => $("#help").showModal(),
   past: () => past,
 });
 
-async function begin() {
-  const lost = () => tell("lost", "NO CONNECTION: trying again");
-  const found = await fetch("/span.json").catch(() => null);
-  if (found?.status === 200) past = new Past(await found.json(), showPast, lost);
-  else listen(show, lost);
+let [following, span] = [false, null];
+
+// Begins to show the fleet, once who sits here may see it.
+async function follow() {
+  redraw();
+  if (following) return;
+  if (!me.mayRead) {
+    tell("lost", SIGN_IN);
+    return;
+  }
+  following = true;
+  const lost = () => tell("lost", me.mayRead ? "NO CONNECTION: trying again" : SIGN_IN);
+  span ??= await askServer("/span.json");
+  if (span?.status === 200) past ??= new Past(await span.json(), showPast, lost);
+  else await listen(show, lost, () => tell("lost", SIGN_IN));
+  following = Boolean(past);
 }
 
-begin();
+startPeople(follow);
 setInterval(everySecond, 1000);
 setInterval(ask, ASK_MS);

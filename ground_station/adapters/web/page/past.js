@@ -1,6 +1,7 @@
 // The scrubber: a past time is chosen, or played, and its picture asked for.
 
 import { $, html, say, set, svg } from "./dom.js";
+import { ask } from "./server.js";
 import { moment } from "./words.js";
 
 const STEP_US = 10e6;
@@ -67,7 +68,7 @@ export class Past {
     let shownUs = null;
     while (shownUs !== this.tUs) {
       shownUs = this.tUs;
-      const found = await fetch(`/moment.json?t_us=${shownUs}`).catch(() => null);
+      const found = await ask(`/moment.json?t_us=${shownUs}`);
       if (found?.ok) this.show(await found.json(), shownUs);
       else this.lost();
     }

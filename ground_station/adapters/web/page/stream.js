@@ -1,5 +1,9 @@
 // The server's events: a whole picture first, then what changed (RFC 7396).
 
+import { ask } from "./server.js";
+
+const AGAIN_MS = 1000;
+
 export function merged(before, patch) {
   if (patch === null || typeof patch !== "object" || Array.isArray(patch)) return patch;
   const plain = before !== null && typeof before === "object" && !Array.isArray(before);
@@ -11,20 +15,39 @@ export function merged(before, patch) {
   return after;
 }
 
-// `show(picture, server time in us)` for each picture; `lost()` when the connection breaks.
-export function listen(show, lost) {
-  let picture = null;
-  const source = new EventSource("/events");
-  const take = (event, after) => {
-    const told = JSON.parse(event.data);
-    picture = after(told.content);
-    show(picture, told.t_us);
-  };
-  source.addEventListener("picture", (event) => take(event, (content) => content));
-  source.addEventListener("patch", (event) => take(event, (content) => merged(picture, content)));
-  source.addEventListener("error", () => {
+// `show(picture, server time in us)` for each picture, `lost()` when the connection breaks;
+// `refused()`: who asks may not see it, and nothing more comes.
+export async function listen(show, lost, refused) {
+  for (;;) {
+    const answer = await ask("/events");
+    if (answer?.status === 401) return refused();
+    if (answer?.ok) await follow(answer.body, show);
     lost();
-    if (source.readyState !== EventSource.CLOSED) return; // the browser tries again by itself
-    setTimeout(() => listen(show, lost), 1000);
-  });
+    await new Promise((done) => setTimeout(done, AGAIN_MS));
+  }
+}
+
+async function follow(body, show) {
+  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+  let [rest, picture] = ["", null];
+  for (;;) {
+    const { value, done } = await reader.read().catch(() => ({ done: true }));
+    if (done) return;
+    const blocks = (rest + value).split("\n\n");
+    rest = blocks.pop();
+    for (const fields of blocks.map(event)) {
+      if (!fields.data) continue;
+      const told = JSON.parse(fields.data);
+      picture = fields.event === "patch" ? merged(picture, told.content) : told.content;
+      show(picture, told.t_us);
+    }
+  }
+}
+
+// The fields of one server-sent event; ours have one line of data each.
+function event(block) {
+  return Object.fromEntries(block.split("\n").map((line) => {
+    const at = line.indexOf(": ");
+    return [line.slice(0, at), line.slice(at + 2)];
+  }));
 }

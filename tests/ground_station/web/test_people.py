@@ -1,0 +1,309 @@
+"""Orders from the map: who may give them, what they do, and what the audit says of them."""
+
+import json
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+from typer.testing import CliRunner
+
+from companion.core.base.errors import LeewayError
+from companion.fleet.messages import Recall
+from companion.fleet.roles import Role
+from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.files.token_file import (
+    WatchedTokens,
+    new_token,
+    read_tokens,
+    write_tokens,
+)
+from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.web.map_server import MapAnswers, MapServer
+from ground_station.adapters.web.people import WebPeople
+from ground_station.app.cli.main import app
+from ground_station.app.map.map_people import MapPeople
+from ground_station.core.people.audit_chain import faults
+from ground_station.core.people.web_tokens import TokenBook
+from ground_station.core.schema.order_states import OrderState
+from tests.ground_station.web.browser import browsing, needs_chromium
+from tests.ground_station.web.map_site import MapEars, MapSite
+
+pytestmark = pytest.mark.timeout(180)
+
+
+class Line(MapEars):
+    """A person's own end of the world's network, which sends."""
+
+    def send(self, command, wait_s: float) -> None:
+        super().send(command, wait_s)
+        self.world.send(command, wait_s)
+
+    def receive(self, wait_s: float) -> list:
+        return super().receive(wait_s) + self.world.receive(wait_s)
+
+
+@dataclass
+class Desk:
+    """A map with people: anna commands, vera looks."""
+
+    site: MapSite
+    file: Path
+    tokens: dict[str, str]
+    lines: list[Line]
+    server: MapServer
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.server.port}"
+
+    def post(self, content: object, name: str | None = "anna", **headers: str) -> httpx.Response:
+        return self.post_with(None if name is None else self.tokens[name], content, **headers)
+
+    def post_with(self, token: str | None, content: object, **headers: str) -> httpx.Response:
+        if token is not None:
+            headers["authorization"] = f"Bearer {token}"
+        names = {name.replace("_", "-"): value for name, value in headers.items()}
+        where = f"{self.address}/deeds"
+        if isinstance(content, str):
+            return httpx.post(where, content=content, headers=names, timeout=60.0)
+        return httpx.post(where, json=content, headers=names, timeout=60.0)
+
+    def audit(self) -> list[tuple[str, str, str]]:
+        """Who, deed, subject."""
+        rows, head = read_audit(self.site.reader.database)
+        assert list(faults(rows, head)) == []
+        return [(row.entry.who, row.entry.deed, row.entry.subject) for row in rows]
+
+
+def serve(site: MapSite, people: WebPeople) -> MapServer:
+    server = MapServer("127.0.0.1", 0)
+    feed = site.feed
+    server.serve(MapAnswers(feed.stream, feed.history, feed.reach, people=people))
+    site.held.callback(server.close)
+    return server
+
+
+@pytest.fixture
+def desk(site: MapSite, tmp_path: Path) -> Iterator[Desk]:
+    file, book, tokens = tmp_path / "tokens.json", TokenBook(), {}
+    for name, role in (("anna", Role.DISPATCHER), ("vera", Role.VIEWER)):
+        tokens[name] = new_token()
+        book = book.added(name, role, tokens[name], "2026-01-01")
+    write_tokens(file, book)
+    lines: list[Line] = []
+
+    def open_fleet() -> Line:
+        lines.append(Line(site.world))
+        return lines[-1]
+
+    def open_store() -> Store:
+        return Store(Database(site.url, create=False), epoch_us)
+
+    deeds = MapPeople(lambda person: person, open_store, open_store, open_fleet)
+    server = serve(site, WebPeople(WatchedTokens(file).book, deeds.do))
+    return Desk(site, file, tokens, lines, server)
+
+
+def test_without_people_there_is_no_way_to_send(site: MapSite):
+    site.step()
+    assert httpx.post(f"{site.address}/deeds", json={"do": "recall"}).status_code == 405
+    assert httpx.get(f"{site.address}/me.json").json() == {
+        "people": False,
+        "may_order": False,
+        "token_to_read": False,
+    }
+
+
+def test_a_hold_and_its_release_are_those_of_the_terminal(desk: Desk):
+    done = desk.post({"do": "hold", "vehicle": "d2", "reason": "propeller"})
+    assert (done.status_code, done.json()["words"]) == (200, ["d2 is held by anna: propeller"])
+    (hold,) = desk.site.store.holds()
+    assert (hold.scope, hold.by, hold.reason) == ("d2", "anna", "propeller")
+    done = desk.post({"do": "release", "vehicle": "d2"})
+    assert done.json()["words"] == ["released: d2 is held by anna: propeller"]
+    assert desk.site.store.holds() == []
+    assert desk.post({"do": "release", "vehicle": "d2"}).json()["look"] == [
+        "release d2: not held by that name"
+    ]
+    assert desk.audit()[-2:] == [("anna", "hold", "d2"), ("anna", "release", "d2")]
+
+
+def test_a_settled_order_is_closed_with_who_said_it(desk: Desk):
+    desk.site.until_flying("d1")
+    deed = {"do": "settle", "order": "H-101", "settled": "delivered", "reason": "customer rang"}
+    assert desk.post(deed).status_code == 200
+    row = next(row for row in desk.site.store.orders() if row.order.id == "H-101")
+    assert (row.state, row.why) == (
+        OrderState.DELIVERED,
+        "delivered, says anna: customer rang",
+    )
+    assert ("anna", "settle", "H-101") in desk.audit()
+    again = desk.post(deed)
+    assert (again.status_code, again.json()["trouble"]) == (
+        409,
+        "order H-101: delivered, expected assigned or stuck",
+    )
+
+
+def test_a_recall_goes_out_under_the_persons_name_and_holds(desk: Desk):
+    desk.site.until_flying("d1")
+    done = desk.post({"do": "recall", "vehicle": "d1"})
+    assert done.status_code == 200
+    (line,) = desk.lines
+    assert {command.vehicle for command in line.sent} == {"d1"}
+    assert {command.by for command in line.sent} == {"anna"}
+    assert all(isinstance(command.deed, Recall) for command in line.sent)
+    assert [hold.scope for hold in desk.site.store.holds()] == ["d1"]
+    assert ("anna", "hold", "d1") in desk.audit()
+    assert done.json()["look"] == ["not recalled: d1"], "this world's drones refuse it"
+    assert any("refused not now" in words for words in done.json()["words"])
+
+
+def test_a_launch_that_cannot_be_confirmed_says_why(desk: Desk):
+    done = desk.post({"do": "confirm", "order": "H-108"})
+    assert (done.status_code, done.json()["trouble"]) == (409, "order H-108: no drone has it")
+
+
+def test_who_has_no_token_or_only_looks_orders_nothing(desk: Desk):
+    deed = {"do": "hold", "vehicle": "d2", "reason": "x"}
+    before = desk.audit()
+    assert desk.post(deed, None).status_code == 401
+    for wrong in ("x", new_token(), "x" * 1000):
+        assert desk.post_with(wrong, deed).status_code == 401
+    refused = desk.post(deed, "vera")
+    assert (refused.status_code, refused.json()["trouble"]) == (
+        409,
+        "vera is a viewer: may not command",
+    )
+    assert (desk.audit(), desk.site.store.holds(), desk.lines) == (before, [], [])
+
+
+def test_another_page_of_the_browser_orders_nothing_even_with_a_token(desk: Desk):
+    deed = {"do": "hold", "vehicle": "d2", "reason": "x"}
+    assert desk.post(deed, origin="http://evil.example").status_code == 403
+    assert desk.post(deed, sec_fetch_site="cross-site").status_code == 403
+    assert desk.post(deed, host="evil.example").status_code == 421
+    assert desk.post(json.dumps(deed), content_type="text/plain").status_code == 415
+    assert desk.site.store.holds() == []
+    assert desk.post(deed, origin=desk.address).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"do": "land"},
+        {"do": "hold", "vehicle": "d2"},
+        {"do": "hold", "vehicle": "d2", "reason": ""},
+        {"do": "hold", "vehicle": "d2", "reason": "x", "by": "somebody else"},
+        {"do": "settle", "order": "H-101", "settled": "eaten", "reason": "x"},
+        {"do": "recall", "vehicle": "../d1"},
+        [],
+        "{",
+        {"do": "hold", "vehicle": "d2", "reason": "x" * 5000},
+    ],
+)
+def test_what_is_no_order_is_refused_in_words(desk: Desk, content):
+    answer = desk.post(content, content_type="application/json")
+    assert answer.status_code in (400, 409, 413)
+    assert answer.json()["trouble"]
+    assert desk.site.store.holds() == []
+    assert [command for line in desk.lines for command in line.sent] == []
+
+
+def test_a_revoked_token_is_out_at_once_and_a_broken_file_lets_nobody_in(desk: Desk):
+    deed = {"do": "hold", "vehicle": "d2", "reason": "x"}
+    write_tokens(desk.file, read_tokens(desk.file).without("anna"))
+    assert desk.post(deed).status_code == 401
+    assert desk.post(deed, "vera").status_code == 409
+    desk.file.chmod(0o644)
+    assert desk.post(deed, "vera").status_code == 401
+    desk.file.chmod(0o600)
+    assert desk.post(deed, "vera").status_code == 409
+    desk.file.write_text("{")
+    assert desk.post(deed, "vera").status_code == 401
+
+
+def test_where_a_token_is_needed_to_read_nothing_of_the_fleet_is_told_without(desk: Desk):
+    desk.site.step()
+    people = WebPeople(WatchedTokens(desk.file).book, None, to_read=True)
+    address = f"http://127.0.0.1:{serve(desk.site, people).port}"
+    mine = {"authorization": f"Bearer {desk.tokens['vera']}"}
+    told = ("/picture.json", "/events", "/span.json", "/history.json?vehicle=d1", "/nothing")
+    for path in told:
+        with httpx.stream("GET", address + path) as answer:
+            assert answer.status_code == 401, path
+        with httpx.stream("GET", address + path, headers=mine) as answer:
+            assert answer.status_code in (200, 204, 404), path
+    for path in ("/", "/page/main.js", "/me.json"):
+        assert httpx.get(address + path).status_code == 200
+    with httpx.stream("GET", f"{address}/events", headers=mine, timeout=30.0) as answer:
+        events = answer.iter_raw()
+        next(events)
+        write_tokens(desk.file, TokenBook())
+        for _ in range(5):
+            desk.site.step()
+        assert len(list(events)) < 5, "the stream has ended"
+
+
+def test_the_file_has_digests_only_and_is_its_owners(tmp_path: Path):
+    file = str(tmp_path / "tokens.json")
+    run = CliRunner().invoke
+    made = run(app, ["token", "add", "anna", "--role", "supervisor", "--tokens", file])
+    token = made.stdout.splitlines()[0]
+    assert len(token) >= 43, "256 bits in base64 (RFC 4648, 5)"
+    assert token not in Path(file).read_text()
+    assert stat.S_IMODE(Path(file).stat().st_mode) == 0o600
+    person = read_tokens(Path(file)).person(token)
+    assert person is not None
+    assert (person.name, person.role) == ("anna", Role.SUPERVISOR)
+    assert "anna" in run(app, ["token", "list", "--tokens", file]).stdout
+    for options, words in (
+        (["add", "anna"], "revoke it first"),
+        (["add", "bob", "--role", "vehicle"], "expected supervisor or dispatcher or viewer"),
+        (["add", "b o b"], "expected 1 to 40 letters"),
+        (["revoke", "bob"], "bob has no token; these have: anna"),
+    ):
+        assert words in str(run(app, ["token", *options, "--tokens", file]).exception)
+    assert run(app, ["token", "revoke", "anna", "--tokens", file]).exit_code == 0
+    assert read_tokens(Path(file)).person(token) is None
+    Path(file).chmod(0o640)
+    with pytest.raises(LeewayError, match="mode 0640, expected 0600"):
+        read_tokens(Path(file))
+    missing = run(app, ["token", "list", "--tokens", str(tmp_path / "none")])
+    assert "token add NAME" in str(missing.exception)
+
+
+def test_in_the_page_an_order_takes_two_clicks_and_a_revoked_token_is_said(desk: Desk):
+    program = needs_chromium()
+    desk.site.until_flying("d1")
+    with browsing(program, viewport={"width": 1280, "height": 800}) as page:
+        page.goto(desk.address)
+        page.wait_for_selector("#link.live")
+        page.keyboard.press("j")
+        assert not page.locator("#deeds").is_visible()
+        page.locator("#sign-in").click()
+        page.locator("#token").fill("wrong")
+        page.keyboard.press("Enter")
+        page.locator("#who-trouble", has_text="no valid token").wait_for()
+        page.locator("#token").fill(desk.tokens["anna"])
+        page.locator("#use-token").click()
+        page.locator("#person", has_text="anna, dispatcher").wait_for()
+        page.locator("#reason").fill("jam of j and k")
+        hold = page.locator('#deed-buttons [data-key="hold d1"]')
+        hold.click()
+        assert hold.inner_text() == "hold d1? click again"
+        assert desk.site.store.holds() == []
+        page.wait_for_timeout(400)
+        hold.click()
+        page.locator("#deed-answer", has_text="d1 is held by anna: jam of j and k").wait_for()
+        assert [one.scope for one in desk.site.store.holds()] == ["d1"]
+        assert page.locator("#detail h2").inner_text() == "d1", "typing is no key of the map"
+        write_tokens(desk.file, read_tokens(desk.file).without("anna"))
+        page.locator("#person", has_text="the token of anna is not valid any more").wait_for()
+        assert not page.locator("#deeds").is_visible()
+        assert page.locator("#link").inner_text() == "live"

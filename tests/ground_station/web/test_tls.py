@@ -1,0 +1,110 @@
+"""The map beyond this machine: served with TLS, under the names of its certificate."""
+
+import ipaddress
+import ssl
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import httpx
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from typer.testing import CliRunner
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.web.map_server import MapAnswers, MapServer
+from ground_station.adapters.web.tls_files import tls_files
+from ground_station.app.cli.main import app
+from tests.ground_station.web.map_site import MapSite
+
+DAY_US = 86_400 * 1_000_000
+
+
+def certificate(folder: Path, names: list[x509.GeneralName], days: int = 30) -> tuple[Path, Path]:
+    """A self-signed certificate and its key."""
+    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(tz=UTC)
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "map")])
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+    )
+    if names:
+        made = made.add_extension(x509.SubjectAlternativeName(names), critical=False)
+    cert_file, key_file = folder / "map.pem", folder / "map.key"
+    signed = made.sign(key, hashes.SHA256())
+    cert_file.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    key_file.touch(mode=0o600)
+    key_file.write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+    )
+    return cert_file, key_file
+
+
+LOCAL = [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]
+
+
+def test_it_is_served_with_tls_under_the_certificates_names_only(site: MapSite, tmp_path: Path):
+    files = certificate(tmp_path, LOCAL)
+    tls = tls_files(*files, epoch_us())
+    assert tls.names == ("localhost", "127.0.0.1")
+    server = MapServer("127.0.0.1", 0, tls)
+    site.held.callback(server.close)
+    feed = site.feed
+    server.serve(MapAnswers(feed.stream, feed.history, feed.reach))
+    site.step()
+    assert server.address == f"https://localhost:{server.port}"
+    trusted = ssl.create_default_context(cafile=files[0])
+    with httpx.Client(verify=trusted) as client:
+        assert client.get(f"{server.address}/picture.json").json() == site.picture
+        for header, value, status in (
+            ("host", f"desk.example:{server.port}", 421),
+            ("origin", server.address.replace("https", "http"), 403),
+            ("origin", server.address, 200),
+        ):
+            assert client.get(server.address, headers={header: value}).status_code == status
+    with pytest.raises(httpx.HTTPError):
+        httpx.get(server.address.replace("https", "http"))
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(server.address)  # nobody vouches for this certificate
+
+
+def test_files_that_would_not_serve_are_refused_in_words(tmp_path: Path):
+    cert, key = certificate(tmp_path, LOCAL)
+    with pytest.raises(LeewayError, match="is in force from"):
+        tls_files(cert, key, epoch_us() + 40 * DAY_US)
+    with pytest.raises(LeewayError, match="is in force from"):
+        tls_files(cert, key, epoch_us() - 40 * DAY_US)
+    key.chmod(0o644)
+    with pytest.raises(LeewayError, match="mode 0644, expected 0600"):
+        tls_files(cert, key, epoch_us())
+    other = tmp_path / "other"
+    other.mkdir()
+    _, other_key = certificate(other, LOCAL)
+    for wrong in (other_key, tmp_path / "none"):
+        with pytest.raises(LeewayError, match=r"^--tls "):
+            tls_files(cert, wrong, epoch_us())
+    nameless = certificate(other, [])
+    with pytest.raises(LeewayError, match="expected a subjectAltName"):
+        tls_files(*nameless, epoch_us())
+
+
+@pytest.mark.parametrize("given", [[], ["--tls"], ["--tokens"]])
+def test_beyond_this_machine_both_tls_and_tokens_are_asked_for(tmp_path: Path, given: list[str]):
+    cert, key = certificate(tmp_path, LOCAL)
+    options = {"--tls": [str(cert), str(key)], "--tokens": [str(tmp_path / "tokens.json")]}
+    words = [word for name in given for word in (name, *options[name])]
+    done = CliRunner().invoke(app, ["map", "--fleet", "harbour", "--host", "0.0.0.0", *words])
+    assert isinstance(done.exception, LeewayError)
+    assert "expected --tls CERT KEY and --tokens FILE" in str(done.exception)
