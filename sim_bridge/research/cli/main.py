@@ -14,6 +14,7 @@ from sim_bridge.research.cli import (
     real_flights,
     results,
     tables,
+    windbench,
 )
 
 app = typer.Typer(
@@ -21,7 +22,7 @@ app = typer.Typer(
     help="The paper's experiments, training of the avoidance policy, and benchmarks.",
 )
 
-for part in (campaign, tables, promise, monitor, real_flights, avoid, results):
+for part in (campaign, tables, promise, monitor, real_flights, windbench, avoid, results):
     app.registered_commands += part.app.registered_commands
 app.registered_commands += bench.fleet.registered_commands
 app.add_typer(bench.app, name="bench")

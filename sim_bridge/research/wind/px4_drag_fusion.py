@@ -23,10 +23,13 @@ _SEA_LEVEL_KGPM3 = 1.225
 
 @dataclass(frozen=True)
 class DragFusionParams:
-    """PX4's defaults. `fusions_per_s` is how often it takes a sample of its own, which is faster
-    than a log: one row of the log then counts as so many samples."""
+    """PX4's defaults. `fusions_per_s` is how often it takes a sample of its own: a row of a slower
+    log counts as several samples, of a faster one not every row is a sample.
+    `bcoef_right_kgpm2`: `None` is as forward. The wind's variance stays above `least_std_mps`.
+    """
 
     bcoef_kgpm2: float = 100.0
+    bcoef_right_kgpm2: float | None = None
     mcoef_hz: float = 0.15
     drag_noise_m2ps4: float = 2.5
     wind_nsd_mps2_rthz: float = 0.05
@@ -34,6 +37,7 @@ class DragFusionParams:
     initial_std_mps: float = 1.0
     gate_sigmas: float = 5.0
     fusions_per_s: float = 50.0
+    least_std_mps: float = 0.0
 
 
 def drag_fusion(
@@ -52,16 +56,19 @@ def drag_fusion(
     accel = np.gradient(velocity_ned_mps, t_s, axis=0)
     wind, cov = np.zeros(2), p.initial_std_mps**2 * np.eye(2)
     means, covs = np.empty((len(t_s), 2)), np.empty((len(t_s), 2, 2))
+    due = 0.0
     for i in range(len(t_s)):
         dt_s = float(t_s[i] - t_s[i - 1]) if i else 0.0
         if airborne[i]:
             axes = _body_axes(attitude_rad[i])
             force = axes @ (accel[i] - np.array([0.0, 0.0, _GRAVITY_MPS2]))
-            times = max(round(p.fusions_per_s * dt_s), 1)
+            due += p.fusions_per_s * dt_s
+            times = round(due)
+            due -= times
             nsd = p.wind_nsd_mps2_rthz * (1.0 + p.nsd_per_climb * abs(velocity_ned_mps[i, 2]))
             for _ in range(times):
                 if np.trace(cov) < p.initial_std_mps**2:
-                    cov = cov + nsd**2 * dt_s / times * np.eye(2)
+                    cov = cov + nsd**2 / p.fusions_per_s * np.eye(2)
                 for axis in (0, 1):
                     wind, cov = _fused(
                         wind, cov, axes, velocity_ned_mps[i], force, axis, density_kgpm3, p
@@ -86,7 +93,9 @@ def _fused(
     innovation = float(force[axis]) - expected
     if innovation**2 > p.gate_sigmas**2 * variance:
         return wind, cov
-    return wind + gain * innovation / variance, cov - np.outer(gain, gain) / variance
+    cov = cov - np.outer(gain, gain) / variance
+    cov[np.diag_indices(2)] = np.maximum(np.diag(cov), p.least_std_mps**2)
+    return wind + gain * innovation / variance, cov
 
 
 def _expected(
@@ -100,7 +109,8 @@ def _expected(
     """Specific force along a body axis, and its derivative by the wind to north and east."""
     air = axes @ (velocity - np.array([wind[0], wind[1], 0.0]))
     speed = max(float(np.linalg.norm(air)), 1e-6)
-    bluff = 0.5 * density_kgpm3 / p.bcoef_kgpm2
+    bcoef = p.bcoef_kgpm2 if axis == 0 else p.bcoef_right_kgpm2 or p.bcoef_kgpm2
+    bluff = 0.5 * density_kgpm3 / bcoef
     momentum = p.mcoef_hz * math.sqrt(density_kgpm3 / _SEA_LEVEL_KGPM3)
     along = float(air[axis])
     # d(air)/d(wind) = -axes[:, :2]; d|air| = air . d(air) / |air|
