@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint bench map-assets wheel-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -68,6 +68,9 @@ map-assets: $(VENV)/.sim  ## fetch the scripts that draw base maps on the live m
 
 wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
 	@deploy/check-wheel
+
+install-check:  ## deploy/install in a clean Debian root (needs root, debootstrap, a package index)
+	@deploy/check-install
 
 docs: $(VENV)/.docs  ## the site, offline, every warning an error: build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
