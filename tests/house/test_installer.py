@@ -1,4 +1,4 @@
-"""deploy/install, as far as it can be tried here; `make install-check` tries it in a clean system."""
+"""deploy/install, as far as it can be tried here; `make install-check` has a clean system."""
 
 import os
 import shutil
