@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion.fleet.service_manager import Watchdog, tell_systemd
+from companion.fleet.zenoh_config import MEETING_PORT
 
 UNITS = sorted((Path(__file__).parents[2] / "deploy").glob("*.service"))
 IN_UNIT = ("StartLimitIntervalSec", "StartLimitBurst")
@@ -51,6 +52,40 @@ def test_systemd_finds_nothing_wrong_with_a_unit(unit: Path, tmp_path: Path):
     )
     ours = [line for line in done.stderr.splitlines() if unit.name in line]
     assert ours == []
+
+
+PORT_RULES = UNITS[0].parent / "leeway-port.iptables"
+
+
+def iptables_refuses(rules: str) -> str:
+    done = subprocess.run(
+        ["iptables-restore", "--test"], input=rules, capture_output=True, text=True
+    )
+    return done.stderr if done.returncode else ""
+
+
+def cannot_test_rules() -> bool:
+    """Not installed, or not for this account."""
+    if shutil.which("iptables-restore") is None:
+        return True
+    return bool(iptables_refuses("*filter\nCOMMIT\n"))
+
+
+@pytest.mark.skipif(cannot_test_rules(), reason="iptables-restore is not here, or needs root")
+@pytest.mark.parametrize("spoilt", [False, True], ids=["ours", "canary"])
+def test_the_rules_for_the_tls_port_are_ones_that_iptables_takes(spoilt: bool):
+    rules = PORT_RULES.read_text()
+    if spoilt:
+        rules = rules.replace("--hashlimit-mode", "--hashlimit-mood")
+    assert bool(iptables_refuses(rules)) is spoilt
+
+
+def test_the_rules_for_the_tls_port_count_new_calls_only_by_address_and_in_all():
+    rules = [line for line in PORT_RULES.read_text().splitlines() if line.startswith("-A")]
+    assert f"--dport {MEETING_PORT} --syn -j LEEWAY-PORT" in rules[0]
+    assert [rule.rpartition(" ")[2] for rule in rules[1:]] == ["DROP", "RETURN", "DROP"]
+    assert "--hashlimit-mode srcip" in rules[1]
+    assert "-m limit --limit 8/second" in rules[2]
 
 
 def test_a_loop_that_turns_says_so_and_without_systemd_nothing_happens(tmp_path, monkeypatch):
