@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ground_station.adapters.store.check import check
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_state import first_state
 from sim_bridge.adapters.postgres_server import postgres_server
@@ -18,7 +19,9 @@ from sim_bridge.app.trials.day_case import POSTGRESQL, DayCase, data_of, path_of
 
 
 def flown(case: DayCase, folder: Path, goes_on: Callable[[DayWorld], bool]) -> dict[str, Any]:
-    """The day's row; `goes_on` is asked once a second."""
+    """The day's row, and what `ground-station store check` finds in the store that it leaves;
+    `goes_on` is asked once a second.
+    """
     options = DayOptions(
         name=case.name,
         data=data_of(case),
@@ -38,7 +41,8 @@ def flown(case: DayCase, folder: Path, goes_on: Callable[[DayWorld], bool]) -> d
             plan = plan_day(built.data, first_state(built.data), params, lambda done, best_s: None)
             return DeskHere.open(built, plan, where, case.seed, case.searches, host=host)
 
-        return fly_day(options, here(case.loss, folder), take_seat, goes_on, host)
+        row = fly_day(options, here(case.loss, folder), take_seat, goes_on, host)
+        return row | {"store_faults": check(host.url)}
 
 
 @contextmanager

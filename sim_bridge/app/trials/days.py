@@ -75,7 +75,9 @@ def wrong_with(row: dict[str, Any], watch: DayWatch, folder: Path) -> list[str]:
     """All that did not hold. A day that was stopped has its one reason."""
     if watch.wrong is not None:
         return [watch.wrong]
-    return [words for ask in ASKS for words in ask(row)] + raises_nothing(folder)
+    wrong = [words for ask in ASKS for words in ask(row)]
+    store = [f"the store is not whole: {words}" for words in row["store_faults"]]
+    return wrong + store + raises_nothing(folder)
 
 
 @dataclass(frozen=True, slots=True)

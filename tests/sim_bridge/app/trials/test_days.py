@@ -32,6 +32,7 @@ HELD = {
     "flights": [],
     "commands_after_take_over": [],
     "ended_by_themselves": [],
+    "store_faults": [],
 }
 NEAR = {"distance_m": 1.2, "vehicles": ("d1", "d2"), "t_s": 300.0}
 FORGOTTEN = {"order": "o1", "feasible": True, "why": "assigned"}
@@ -57,6 +58,7 @@ def test_a_day_in_which_all_holds_is_not_wrong(tmp_path):
         ({"nearest": NEAR}, "d1 and d2 came to 1.2 m at 300 s"),
         ({"commands_after_take_over": ["d1: a jump"]}, "d1: a jump"),
         ({"ended_by_themselves": ["of d1"]}, "ended by itself: of d1"),
+        ({"store_faults": ["audit: entry 7"]}, "the store is not whole: audit: entry 7"),
     ],
 )
 def test_a_day_in_which_one_thing_does_not_hold_says_which(tmp_path, changes, words):
