@@ -180,6 +180,18 @@ class GiveAll:
         """Nothing runs beside the desk."""
 
 
+def _idle_of(desk: Desk) -> list[str]:
+    """Members on standby."""
+    seen = desk.exchange.status.vehicles.values()
+    return [one.vehicle for one in seen if _is_idle(one.state)]
+
+
+def _heard_of(desk: Desk) -> int:
+    """Members whose states come."""
+    now_s = desk.exchange.clock.monotonic_s()
+    return sum(seen.present(now_s) for seen in desk.exchange.status.vehicles.values())
+
+
 def _is_idle(state: State | None) -> bool:
     return state is not None and state.phase == STANDBY
 
@@ -206,12 +218,13 @@ class Bench:
             return self._measured(self._config(ports), members)
 
     def _measured(self, config: Path, members: list["subprocess.Popen[str]"]) -> dict[str, Any]:
-        store = self.store
+        store, load_before = self.store, os.getloadavg()[0]
         fleet = ZenohFleet(FLEET, config)
         desk = Desk(Exchange(store, fleet, self._hear), GiveAll(store))
         desk.begin()
         begun_s = _let_join(members)
         joined_s = self._join(desk)
+        joined = len(_idle_of(desk))
         cpu_s, since_s, bytes_before = _cpu_s(), wall_s(), self._store_bytes()
         while wall_s() - since_s < 60.0 * self.minutes:
             self._take_orders((wall_s() - since_s) * self.vehicles / self.order_every_s)
@@ -223,7 +236,7 @@ class Bench:
         until_s = wall_s() + SETTLE_S
         while wall_s() < until_s and store.assignments(in_force=True):
             desk.turn(0.2)
-        rss_mb = psutil.Process().memory_info().rss / 1e6
+        rss_mb, present = psutil.Process().memory_info().rss / 1e6, _heard_of(desk)
         fleet.close()
         flown = Counter(x for process in members for x in _flown(process))
         return {
@@ -236,6 +249,9 @@ class Bench:
             "desk_rss_mb": round(rss_mb, 1),
             "store_mb_per_hour": round(grown / 1e6 / hours, 1),
             "joined_s": None if joined_s is None else round(joined_s - begun_s, 1),
+            f"joined_in_{JOIN_LIMIT_S:.0f}_s": joined,
+            "present_at_end": present,
+            "load_of_machine": [round(load, 1) for load in (load_before, *os.getloadavg()[:2])],
             **self._orders(flown),
         }
 
@@ -254,8 +270,7 @@ class Bench:
         until_s = wall_s() + JOIN_LIMIT_S
         while wall_s() < until_s:
             desk.turn(0.2)
-            seen = desk.exchange.status.vehicles.values()
-            if sum(_is_idle(one.state) for one in seen) >= self.vehicles:
+            if len(_idle_of(desk)) >= self.vehicles:
                 return wall_s()
         return None
 
