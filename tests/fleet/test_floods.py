@@ -190,6 +190,7 @@ def peak_kb() -> int:
 
 
 @STRANGERS
+@pytest.mark.timeout(900)  # 2,000 calls that each wait for zenoh's rest, and the newcomer behind
 def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory(
     site, tmp_path, calls
 ):
