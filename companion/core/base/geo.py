@@ -13,7 +13,7 @@ import numpy as np
 import pymap3d
 import shapely
 
-from companion.core.base.arrays import Floats, Ints
+from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
 from companion.core.base.safe_text import LONGEST_NAME, safe_text
@@ -228,6 +228,10 @@ class ObstacleMap:
             found[low] = np.minimum(found[low], away)
         return found.reshape(points_ned_m.shape[:-1])
 
+    def level_at(self, height_m: float) -> "LevelObstacles":
+        """What blocks level flight at this height, for many lines at once."""
+        return LevelObstacles(self.grown_at(height_m))
+
     def grown_at(self, height_m: float) -> list[shapely.Polygon]:
         """Outlines with clearance, north and east, of what blocks level flight at this height."""
         return [
@@ -246,6 +250,40 @@ class ObstacleMap:
                 )
                 rings.append([(float(n), float(e)) for n, e in outline.exterior.coords[:-1]])
         return rings
+
+
+class LevelObstacles:
+    """Outlines, grown by the clearance, that stand as high as a level flight."""
+
+    def __init__(self, grown: list[shapely.Polygon]) -> None:
+        self._tree = shapely.STRtree(grown)
+        # A circle inside each outline: whatever comes into it needs no closer look.
+        middles = shapely.centroid(np.array(grown, dtype=object)) if grown else np.empty(0)
+        inside_m = [
+            outline.exterior.distance(middle) if outline.contains(middle) else 0.0
+            for outline, middle in zip(grown, middles, strict=True)
+        ]
+        self._middles_ne_m = shapely.get_coordinates(middles).reshape(-1, 2)
+        self._inside_m = np.array(inside_m) * (1.0 - 1e-6)
+
+    def hits(self, from_ne_m: Floats, to_ne_m: Floats) -> Bools:
+        """Tell of each straight line from (n, 2) to (n, 2) whether it meets one of the outlines."""
+        hit = np.zeros(len(from_ne_m), np.bool_)
+        if not len(self._inside_m) or not len(hit):
+            return hit
+        way = to_ne_m - from_ne_m
+        square = np.sum(way**2, axis=1)[:, None]
+        offset_n = self._middles_ne_m[:, 0] - from_ne_m[:, :1]
+        offset_e = self._middles_ne_m[:, 1] - from_ne_m[:, 1:]
+        ahead = way[:, :1] * offset_n + way[:, 1:] * offset_e
+        along = np.clip(ahead / np.maximum(square, 1e-12), 0.0, 1.0)
+        away = offset_n**2 + offset_e**2 + along * (along * square - 2.0 * ahead)
+        hit |= np.any(away < self._inside_m**2, axis=1)
+        left = np.flatnonzero(~hit)
+        lines = shapely.linestrings(np.stack([from_ne_m[left], to_ne_m[left]], axis=1))
+        touched, _ = self._tree.query(lines, predicate="intersects")
+        hit[left[touched]] = True
+        return hit
 
 
 def _lowest_up_m(

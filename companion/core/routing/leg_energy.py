@@ -195,6 +195,28 @@ class RouteEnergy:
         groups = tuple(self._group(legs, stops, indices) for indices in members.values())
         return CompiledLegs(len(legs), groups)
 
+    def compile_level(
+        self, course_rad: Floats, length_m: Floats, payload_kg: float
+    ) -> CompiledLegs:
+        """Level cruise legs of these courses and lengths (n,), none of which follows another."""
+        zero = np.zeros((len(course_rad), 1))
+        group = _Group(
+            index=np.arange(len(course_rad)),
+            payload_kg=payload_kg,
+            cruise=True,
+            climbing=False,
+            sinking=False,
+            airspeed_mps=None,
+            ground_speed_mps=None,
+            north=np.cos(course_rad)[:, None],
+            east=np.sin(course_rad)[:, None],
+            length_m=length_m[:, None],
+            climb_m=zero,
+            stops=zero,
+            duration_s=zero,
+        )
+        return CompiledLegs(len(course_rad), (group,))
+
     def _group(self, legs: tuple[Leg, ...], stops: list[float], indices: list[int]) -> _Group:
         chosen = [legs[i] for i in indices]
         first = chosen[0]

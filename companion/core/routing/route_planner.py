@@ -14,10 +14,10 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, ObstacleMap, horizontal_m, over
+from companion.core.routing.cheapest_way import Surrogate, cheapest_way
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
-from companion.core.routing.shortest_paths import RouteFinder, path_to
 from companion.core.routing.smooth_route import smooth_route
-from companion.core.routing.waypoint_graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.routing.waypoint_graph import SightLines, SiteMap, cut_into_legs
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.forecast import WindForecast
 
@@ -178,44 +178,46 @@ class BerPlanner:
             )
         if trouble := self.route_energy.lift_trouble(request.payload_kg):
             return NoRoute(f"parcel {trouble}")
-        graph = build_graph(request.site, request.low_height_m, request.leg_length_m)
+        lines = SightLines(request.site, request.low_height_m)
         wind, cov = _wind_of(request.forecast)
-        out = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.customer)
-        back = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.home)
-        away: list[int] | None = []
-        if graph.home != graph.depot:
-            away = self._cheapest(graph, request.payload_kg, wind, cov, graph.depot, graph.home)
-        ways = {"out to the customer": out, "back from the customer": back, "straight home": away}
-        if out is None or back is None or away is None:
-            way = next(name for name, found in ways.items() if found is None)
-            return NoRoute(
-                f"no way {way}: wind of {math.hypot(*wind):.1f} m/s or obstacles close every route"
-            )
-        return self._checked(request, graph, (out, back, away), wind, cov)
+        ways = {
+            "out to the customer": (request.payload_kg, lines.depot, lines.customer),
+            "back from the customer": (0.0, lines.customer, lines.home),
+            "straight home": (request.payload_kg, lines.depot, lines.home),
+        }
+        found: list[list[Ned]] = []
+        for name, (payload_kg, start, goal) in ways.items():
+            way = self._cheapest(lines, payload_kg, wind, cov, start, goal)
+            if way is None:
+                return NoRoute(
+                    f"no way {name}: wind of {math.hypot(*wind):.1f} m/s or obstacles close every"
+                    " route"
+                )
+            found.append(cut_into_legs(way, request.leg_length_m))
+        outbound, homeward, away = found
+        return self._checked(request, (outbound, homeward, away), wind, cov)
 
     def _cheapest(
         self,
-        graph: WaypointGraph,
+        lines: SightLines,
         payload_kg: float,
         wind: Floats,
         cov: Floats,
         start: int,
         goal: int,
-    ) -> list[int] | None:
-        costs = surrogate_wh(graph, self.route_energy, payload_kg, wind, cov, self.risk_weight)
-        planned = graph.energy_graph(self.route_energy, payload_kg)
-        return path_to(planned, RouteFinder(planned).to(goal, costs[:, None]), start)
+    ) -> list[Ned] | None:
+        surrogate = Surrogate(self.route_energy, payload_kg, wind, cov, self.risk_weight)
+        return cheapest_way(lines, surrogate, start, goal)
 
     def _checked(
         self,
         request: PlanRequest,
-        graph: WaypointGraph,
-        ways: tuple[list[int], list[int], list[int]],
+        ways: tuple[list[Ned], list[Ned], list[Ned]],
         wind: Floats,
         cov: Floats,
     ) -> Plan | NoRoute:
         # All in the lower layer, where obstacles are screened; then each at its own height.
-        outbound, homeward, away = ([graph.point(v) for v in way] for way in ways)
+        outbound, homeward, away = ways
         # The way out keeps its corners: at each of its waypoints the companion sends the autopilot
         # onward, and ArduCopter brakes there.
         homeward = self._smooth(request, homeward, wind, cov)
@@ -262,9 +264,9 @@ class BerPlanner:
         tolerance_m = request.corner_tolerance_m
         if tolerance_m is None:
             return points
-        graph = build_graph(request.site, request.low_height_m, request.leg_length_m, tolerance_m)
-        wide = self._cheapest(graph, 0.0, wind, cov, graph.customer, graph.home)
-        ways = [points, *([[graph.point(v) for v in wide]] if wide is not None else [])]
+        lines = SightLines(request.site, request.low_height_m, tolerance_m)
+        wide = self._cheapest(lines, 0.0, wind, cov, lines.customer, lines.home)
+        ways = [points] if wide is None else [points, cut_into_legs(wide, request.leg_length_m)]
         ways += [smooth_route(way, tolerance_m, request.site.obstacles) for way in ways]
         costs = [
             float(self.route_energy.costs(legs_back(request, way), wind[None, :]).energy_wh.sum())

@@ -4,7 +4,7 @@ arXiv 2604.13441, IV-B.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_m
 from companion.core.routing.energy_graph import EnergyGraph
-from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.routing.leg_energy import RouteEnergy
 
 _CORNER_BEYOND_M = 2.0  # waypoints stand this much further out than the clearance
 
@@ -51,7 +51,7 @@ class SiteMap:
 
 @dataclass(frozen=True, slots=True)
 class WaypointGraph:
-    """Vertices (n, 3) NED at cruise height; directed edges as index arrays, by (tail, head).
+    """Vertices (n, 3) NED at one height; directed edges in clear sight, by (tail, head).
 
     `depot`, `customer`, `rally` and `home` are vertex indices (rally in the site's order).
     """
@@ -74,12 +74,10 @@ class WaypointGraph:
         steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]
         return np.linalg.norm(steps, axis=1)
 
-    def legs(self, payload_kg: float) -> tuple[Leg, ...]:
-        """Every edge as a cruise leg."""
-        return tuple(
-            Leg(LegKind.CRUISE, self.point(int(a)), self.point(int(b)), payload_kg)
-            for a, b in zip(self.tail, self.head, strict=True)
-        )
+    def course_rad(self) -> Floats:
+        """Course of every edge, clockwise from north."""
+        steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]
+        return np.arctan2(steps[:, 1], steps[:, 0])
 
     def energy_graph(self, route_energy: RouteEnergy, payload_kg: float) -> EnergyGraph:
         """The same graph as the planners have it."""
@@ -94,95 +92,97 @@ class WaypointGraph:
         )
 
 
-def surrogate_wh(
-    graph: WaypointGraph,
-    route_energy: RouteEnergy,
-    payload_kg: float,
-    wind_to_ne_mps: Floats,
-    cov_ne_m2ps2: Floats,
-    risk_weight: float,
-) -> Floats:
-    """`c = EnergyCost + lambda Unc` (arXiv 2604.13441, IV-B) of every edge by the airframe's own
-    energy model, under one wind belief; infinite where infeasible; shape (E,).
+class SightLines:
+    """Depot, customer, rally points, a home elsewhere and the corners of what stands higher than
+    the cruise height (`corner_beyond_m` outside the clearance), and which of them see one another.
+
+    Raises LeewayError when one of these places stands inside an obstacle's clearance.
     """
-    edges = graph.legs(payload_kg)
-    legs = route_energy.compile(edges, (None,) * len(edges))  # no edge comes after another here
-    costs = route_energy.costs(legs, wind_to_ne_mps[None, :])
-    gradient = route_energy.gradient_wh_per_mps(legs, wind_to_ne_mps)
-    variance = np.einsum("ei,ij,ej->e", gradient, cov_ne_m2ps2, gradient)
-    energy = np.where(costs.feasible[0], costs.energy_wh[0], np.inf)
-    return energy + risk_weight * np.sqrt(np.maximum(variance, 0.0))
+
+    def __init__(
+        self, site: SiteMap, cruise_height_m: float, corner_beyond_m: float = _CORNER_BEYOND_M
+    ) -> None:
+        places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m), *site.rally_ned_m]
+        if site.home_is_away:
+            places.append((site.home or "home", site.home_ned_m))
+        for name, (north, east, _) in places:
+            over = (north, east, -cruise_height_m)
+            blocking = site.obstacles.blocking(over, over)
+            if blocking is not None:
+                raise LeewayError(_inside(name, blocking, site.obstacles))
+        self._in_the_way = site.obstacles.level_at(cruise_height_m)
+        rings = site.obstacles.outlines_ne_m(cruise_height_m, corner_beyond_m)
+        corners = np.array([corner for ring in rings for corner in ring]).reshape(-1, 2)
+        corners = corners[~self._in_the_way.hits(corners, corners)]
+        knots_ne_m = np.concatenate([np.array([place[:2] for _, place in places]), corners])
+        self.knots_ned_m: Floats = np.column_stack(
+            [knots_ne_m, np.full(len(knots_ne_m), -cruise_height_m)]
+        )
+        self.depot, self.customer = 0, 1
+        self.rally = tuple(range(2, 2 + len(site.rally_ned_m)))
+        self.home = len(places) - 1 if site.home_is_away else self.depot
+        self._graphs: dict[bytes, WaypointGraph] = {}
+
+    def point(self, knot: int) -> Ned:
+        """A knot's position."""
+        north, east, down = self.knots_ned_m[knot]
+        return float(north), float(east), float(down)
+
+    def graph(self, among: Ints | None = None) -> WaypointGraph:
+        """The visibility graph of these knots (ascending; without them, of all)."""
+        among = np.arange(len(self.knots_ned_m)) if among is None else among
+        key = among.tobytes()
+        if key not in self._graphs:
+            tail, head = self._pairs(among)
+            order = np.lexsort((np.r_[head, tail], np.r_[tail, head]))
+            self._graphs[key] = WaypointGraph(
+                vertices_ned_m=self.knots_ned_m,
+                tail=np.r_[tail, head][order],
+                head=np.r_[head, tail][order],
+                depot=self.depot,
+                customer=self.customer,
+                rally=self.rally,
+                home=self.home,
+            )
+        return self._graphs[key]
+
+    def _pairs(self, among: Ints) -> tuple[Ints, Ints]:
+        at = self.knots_ned_m[:, :2]
+        tails: list[Ints] = [np.empty(0, np.int64)]
+        heads: list[Ints] = [np.empty(0, np.int64)]
+        for place, a in enumerate(among[:-1]):
+            others = among[place + 1 :]
+            others = others[np.any(at[others] != at[a], axis=1)]
+            seen = others[
+                ~self._in_the_way.hits(np.broadcast_to(at[a], (len(others), 2)), at[others])
+            ]
+            tails.append(np.full(len(seen), a))
+            heads.append(seen)
+        return np.concatenate(tails), np.concatenate(heads)
 
 
 def build_graph(
-    site: SiteMap,
-    cruise_height_m: float,
-    leg_length_m: float,
-    corner_beyond_m: float = _CORNER_BEYOND_M,
+    site: SiteMap, cruise_height_m: float, corner_beyond_m: float = _CORNER_BEYOND_M
 ) -> WaypointGraph:
-    """Waypoints no further than `leg_length_m` apart that keep clear of every obstacle.
+    """The whole visibility graph of a site at one height; raises LeewayError as `SightLines`."""
+    return SightLines(site, cruise_height_m, corner_beyond_m).graph()
 
-    The visibility graph over depot, customer, rally points, a home elsewhere and the corners of
-    what stands higher than the cruise height (`corner_beyond_m` outside the clearance), each line
-    cut into equal legs. Raises LeewayError when one of these places stands inside an obstacle's
-    clearance.
-    """
-    places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m), *site.rally_ned_m]
-    if site.home_is_away:
-        places.append((site.home or "home", site.home_ned_m))
-    knots: list[Ned] = []
-    for name, (north, east, _) in places:
-        over = (north, east, -cruise_height_m)
-        blocking = site.obstacles.blocking(over, over)
-        if blocking is not None:
-            raise LeewayError(_inside(name, blocking, site.obstacles))
-        knots.append(over)
-    for ring in site.obstacles.outlines_ne_m(cruise_height_m, corner_beyond_m):
-        corners = [(north, east, -cruise_height_m) for north, east in ring]
-        knots.extend(c for c in corners if site.obstacles.blocking(c, c) is None)
-    graph = _cut_into_legs(knots, _visible_pairs(knots, site.obstacles), len(places), leg_length_m)
-    rally = tuple(range(2, 2 + len(site.rally_ned_m)))
-    return replace(graph, rally=rally, home=len(places) - 1 if site.home_is_away else graph.depot)
+
+def cut_into_legs(points: list[Ned], leg_length_m: float) -> list[Ned]:
+    """The same way with waypoints no further apart than `leg_length_m`, equal legs on each line."""
+    cut = points[:1]
+    for a, b in pairwise(points):
+        legs = max(math.ceil(horizontal_m(a, b) / leg_length_m - 1e-9), 1)
+        start, end = np.array(a), np.array(b)
+        for step in range(1, legs):
+            north, east, down = start + (end - start) * (step / legs)
+            cut.append((float(north), float(east), float(down)))
+        cut.append(b)
+    return cut
 
 
 def _inside(name: str, obstacle: Obstacle, obstacles: ObstacleMap) -> str:
     return (
         f"{name}: stands within {obstacles.clearance_m:g} m of {obstacle.name}, which is"
         f" {obstacle.height_m:g} m high"
-    )
-
-
-def _visible_pairs(knots: list[Ned], obstacles: ObstacleMap) -> list[tuple[int, int]]:
-    return [
-        (a, b)
-        for a in range(len(knots))
-        for b in range(a + 1, len(knots))
-        if horizontal_m(knots[a], knots[b]) > 0.0 and obstacles.blocking(knots[a], knots[b]) is None
-    ]
-
-
-def _cut_into_legs(
-    knots: list[Ned], pairs: list[tuple[int, int]], places: int, leg_length_m: float
-) -> WaypointGraph:
-    vertices = list(knots)
-    edges: list[tuple[int, int]] = []
-    for a, b in pairs:
-        legs = max(math.ceil(horizontal_m(knots[a], knots[b]) / leg_length_m - 1e-9), 1)
-        start, end = np.array(knots[a]), np.array(knots[b])
-        chain = [a]
-        for step in range(1, legs):
-            north, east, down = start + (end - start) * (step / legs)
-            chain.append(len(vertices))
-            vertices.append((float(north), float(east), float(down)))
-        chain.append(b)
-        for tail, head in pairwise(chain):
-            edges += [(tail, head), (head, tail)]
-    ends = np.array(sorted(edges), np.int64).reshape(-1, 2)
-    return WaypointGraph(
-        vertices_ned_m=np.array(vertices),
-        tail=ends[:, 0],
-        head=ends[:, 1],
-        depot=0,
-        customer=1,
-        rally=tuple(range(2, places)),
     )

@@ -3,7 +3,7 @@
 import math
 import tomllib
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import networkx as nx
@@ -21,7 +21,12 @@ from companion.core.routing.leg_energy import LegKind, RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute, Plan, PlanRequest
 from companion.core.routing.shortest_paths import RouteFinder, path_to
 from companion.core.routing.smooth_route import largest_turn_rad
-from companion.core.routing.waypoint_graph import SiteMap, WaypointGraph, build_graph, surrogate_wh
+from companion.core.routing.waypoint_graph import (
+    SiteMap,
+    WaypointGraph,
+    build_graph,
+    cut_into_legs,
+)
 from companion.core.vehicle.airframe import airframe_from_dict
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.forecast import WindForecast
@@ -54,16 +59,26 @@ def steady(north: float, east: float) -> WindForecast:
     return WindForecast(np.array([0.0, 60.0, 300.0]), mean, 0.2 * np.eye(3), 0.1 * np.eye(2))
 
 
-def test_legs_are_no_longer_than_asked_and_keep_clear() -> None:
+def test_legs_are_no_longer_than_asked_and_a_way_keeps_its_corners() -> None:
+    corners = [(0.0, 0.0, -40.0), (310.0, 0.0, -40.0), (310.0, 450.0, -40.0)]
+    way = cut_into_legs(corners, 150.0)
+    assert [round(horizontal_m(a, b), 6) for a, b in pairwise(way)] == [103.333333] * 3 + [
+        150.0
+    ] * 3
+    assert set(corners) <= set(way)
+
+
+def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
     where = site(WALL, SHED)
-    graph = build_graph(where, 40.0, 150.0)
-    assert graph.length_m().max() <= 150.0 + 1e-6
-    for a, b in zip(graph.tail, graph.head, strict=True):
-        assert where.obstacles.blocking(graph.point(int(a)), graph.point(int(b))) is None
+    graph = build_graph(where, 40.0)
+    seen = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
+    for a, b in permutations(range(len(graph.vertices_ned_m)), 2):
+        clear = where.obstacles.blocking(graph.point(a), graph.point(b)) is None
+        assert ((a, b) in seen) == clear
 
 
 def test_the_graph_is_directed_both_ways_and_connected() -> None:
-    graph = in_networkx(build_graph(site(WALL), 40.0, 150.0))
+    graph = in_networkx(build_graph(site(WALL), 40.0))
     assert nx.is_strongly_connected(graph)
     assert all(graph.has_edge(b, a) for a, b in graph.edges)
 
@@ -82,7 +97,7 @@ def shortest(graph: WaypointGraph) -> list[int] | None:
 
 
 def test_the_planners_graph_is_the_sites() -> None:
-    graph = build_graph(site(WALL, SHED), 40.0, 150.0)
+    graph = build_graph(site(WALL, SHED), 40.0)
     planned = graph.energy_graph(ROUTE, 0.5)
     np.testing.assert_allclose(planned.length_m, graph.length_m())
     first = planned.vertices_m[0]
@@ -92,7 +107,7 @@ def test_the_planners_graph_is_the_sites() -> None:
 
 
 def test_the_shortest_path_is_networkxs() -> None:
-    graph = build_graph(site(WALL, SHED), 40.0, 150.0)
+    graph = build_graph(site(WALL, SHED), 40.0)
     path = shortest(graph)
     assert path is not None
     oracle = nx.shortest_path_length(
@@ -105,7 +120,7 @@ def test_the_shortest_path_is_networkxs() -> None:
 
 
 def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
-    graph = build_graph(site(SHED), 40.0, 150.0)
+    graph = build_graph(site(SHED), 40.0)
     path = shortest(graph)
     assert path is not None
     assert all(abs(graph.point(v)[0]) < 1e-9 for v in path)
@@ -113,20 +128,11 @@ def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
 
 def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
     with pytest.raises(LeewayError, match="customer: stands within 15 m of wall"):
-        build_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0, 150.0)
-
-
-def test_the_surrogate_cost_is_energy_and_its_uncertainty() -> None:
-    graph = build_graph(site(), 40.0, 150.0)
-    wind, cov = np.array([0.0, -6.0]), np.diag([0.5, 0.7])
-    costs = surrogate_wh(graph, ROUTE, 0.0, wind, cov, 2.0)
-    for leg, cost in zip(graph.legs(0.0), costs, strict=True):
-        energy = ROUTE.costs((leg,), wind[None, :]).energy_wh[0, 0]
-        assert cost == pytest.approx(energy + 2.0 * ROUTE.route_std_wh((leg,), wind, cov))
+        build_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0)
 
 
 def test_no_path_leads_over_a_closed_edge() -> None:
-    graph = build_graph(site(), 40.0, 150.0)
+    graph = build_graph(site(), 40.0)
     planned = graph.energy_graph(ROUTE, 0.0)
     cost = np.where(graph.head == graph.customer, np.inf, 1.0)
     routes = RouteFinder(planned).to(graph.customer, cost[:, None])

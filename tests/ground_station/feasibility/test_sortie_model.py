@@ -105,7 +105,7 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
     points = [(0.0, 0.0), *ways.via(0, 1), customer[:2]]
     length_m = sum(math.dist(a, b) for a, b in pairwise(points))
     frame = frame_at(Place(lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0))
-    graph = build_graph(SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0, 5000.0)
+    graph = build_graph(SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0)
     edges = zip(graph.tail.tolist(), graph.head.tolist(), graph.length_m().tolist(), strict=True)
     oracle: nx.DiGraph[int] = nx.DiGraph()
     oracle.add_weighted_edges_from(edges, weight="length_m")
