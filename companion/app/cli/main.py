@@ -213,8 +213,17 @@ def run_command(
         typer.Option(
             "--lockstep",
             hidden=True,
-            help="For a simulated world that waits for the companion and kills it: the flight"
-            " waits for the disk, so that what is left of the record is the same in every run.",
+            help="For a simulated world that waits for the companion: the way is planned at once,"
+            " so that every run decides the same.",
+        ),
+    ] = False,
+    record_at_once: Annotated[
+        bool,
+        typer.Option(
+            "--record-at-once",
+            hidden=True,
+            help="For a world that kills the companion: the flight waits for the disk, so that"
+            " what is left of the record is the same in every run.",
         ),
     ] = False,
     fleet: Annotated[
@@ -297,9 +306,8 @@ def run_command(
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
     ).options(pilot, policy=policy)
-    asked = replace(
-        asked, record_at_once=lockstep, settings_folder=settings_folder(vehicle_settings)
-    )
+    asked = replace(asked, plan_at_once=lockstep, record_at_once=record_at_once)
+    asked = replace(asked, settings_folder=settings_folder(vehicle_settings))
     asked = replace(asked, monitor_folder=folder_of_monitor(monitor_folder), pack=pack)
     if operator:
         asked = replace(asked, operators=tuple(operator))

@@ -63,6 +63,8 @@ class RunOptions:
     """The pack that is aboard; empty: nobody named it."""
     operators: tuple[int, ...] = (GROUND_STATION,)
     """MAVLink systems whose orders count where nothing is signed."""
+    plan_at_once: bool = False
+    """The loop plans, in a world that waits for it: what is decided is the same in every run."""
     record_at_once: bool = False
     """The flight waits for the disk: what a killed companion leaves is the same in every run."""
     pilot: PilotOptions = field(default_factory=PilotOptions)

@@ -20,6 +20,7 @@ from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
 from companion.adapters.files.signing_files import STAMPS, StampKeeper
 from companion.app.flight.hearing import STALL_S, Hearing
 from companion.app.flight.monitor_keeper import MonitorKeeper
+from companion.app.flight.planning import PlanBeside, Planning
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.settings_keeper import SettingsKeeper
 from companion.core.mission.actions import (
@@ -43,6 +44,7 @@ from companion.core.mission.events import (
     SettingsLeft,
     Tick,
 )
+from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.fleet.service_manager import Watchdog
@@ -92,6 +94,7 @@ class Loop:
     operator: OperatorPort
     hearing: Hearing
     settings: SettingsKeeper
+    planning: Planning = field(default_factory=PlanBeside)
     finished: Finished | None = None
     lost: bool = False
     on_action: Callable[[Action], None] | None = None
@@ -296,6 +299,9 @@ class Loop:
                 self.carry_out(self.pilot.handle(event))
                 if isinstance(event, BoardKnown):
                     self._meet(event)
+        found = self.planning.found()
+        if found is not None and self.finished is None:
+            self.carry_out(self.pilot.handle(PlanFound(self.clock.t_s, *found)))
 
     @property
     def _vehicle(self) -> tuple[str, int]:
@@ -404,6 +410,8 @@ class Loop:
                     self._heartbeat()
                 case SaveCheckpoint():
                     self.settings.take(*self._vehicle, self.pilot.settings_before)
+                case FindPlan():
+                    self.planning.begin(action)
                 case Finished():
                     self.finished = action
                 case _:

@@ -13,6 +13,7 @@ from companion.adapters.clock import wall_s
 from companion.adapters.files.folder_lock import FolderLock
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
 from companion.app.flight.loop import Loop
+from companion.app.flight.planning import PlanAtOnce
 from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, Say, Severity
@@ -107,6 +108,8 @@ class Run:
             settings_folder=options.settings_folder,
             trust=OperatorTrust(frozenset(options.operators)),
         )
+        if options.plan_at_once:
+            loop.planning = PlanAtOnce()
         loop.stamps = stamps
         loop.monitor = None if options.pilot.check_only else monitor
         loop.on_action = on_action

@@ -35,12 +35,11 @@ from companion.core.mission.events import (
     SettingsLeft,
     StreamsAsked,
 )
+from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_plan import (
     FlightPlan,
     frame_of,
-    make_plan,
     route_facts,
-    site_map,
 )
 from companion.core.mission.preflight_checks import (
     Finding,
@@ -60,7 +59,7 @@ from companion.core.pilot.telemetry_state import (
     STATE_MAX_AGE_S,
 )
 from companion.core.pilot.transitions import GROUND_PHASES, WAITING_PHASES, Phase, Trigger
-from companion.core.routing.route_planner import BerPlanner, NoRoute
+from companion.core.routing.route_planner import NoRoute
 from companion.core.vehicle.air import air_at
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
@@ -84,6 +83,7 @@ WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
 PACK_WAIT_S = 5.0
+PLAN_SAID_S = 10.0
 PRESSURE_WAIT_S = 3.0
 """Three of the barometer's messages at 1 Hz; without one the standard atmosphere will do."""
 
@@ -149,6 +149,9 @@ class GroundWork:
     """Our mission is being taken off the vehicle."""
     waiting_for: str = ""
     """What was said last to be waited for."""
+    plans_asked: int = 0
+    plan_wanted: bool = False
+    """The plan of number `plans_asked` is being worked on."""
 
 
 class GroundSequence:
@@ -159,7 +162,6 @@ class GroundSequence:
         flight: Airborne,
         modes: ArmedModes,
         aboard: ForeignList,
-        planner: BerPlanner,
         obstacles: dict[str, Any] | None,
         requirements: Requirements,
     ) -> None:
@@ -167,7 +169,6 @@ class GroundSequence:
         self._flight = flight
         self._modes = modes
         self._aboard = aboard
-        self._planner = planner
         self._obstacles = obstacles
         self._requirements = requirements
 
@@ -239,6 +240,7 @@ class GroundSequence:
             case Phase.PLAN:
                 state.uploads = 0
                 state.findings_known = False
+                state.plan_wanted = False
                 context.flight_plan = None
             case Phase.UPLOAD:
                 self._upload(context)
@@ -293,6 +295,8 @@ class GroundSequence:
                 context.do(Note(f"not granted: {', '.join(event.refused)}"))
             case AutopilotParameters():
                 self._parameters_read(context, event)
+            case PlanFound() if state.plan_wanted and event.number == state.plans_asked:
+                self._plan_found(context, event.plan)
             case ParametersSet():
                 if event.failed:
                     context.say(Severity.WARNING, f"could not set {', '.join(event.failed)}")
@@ -504,6 +508,11 @@ class GroundSequence:
             self._end_check(context)
 
     def _make_plan(self, context: FlightContext) -> None:
+        if self._state.plan_wanted:
+            if context.since_s(self._state.asked_s) > PLAN_SAID_S:
+                self._state.asked_s = context.t_s
+                context.say(Severity.NOTICE, "still planning the way")
+            return
         telemetry, checking = context.telemetry, context.options.check_only
         if telemetry.position is None or telemetry.position_troubles():
             return
@@ -514,26 +523,55 @@ class GroundSequence:
             return
         if not self._settle_air(context):
             return
+        self._ask_plan(context, context.estimates.energy if context.options.gate_on else None)
+
+    def _ask_plan(self, context: FlightContext, energy: EnergyBelief | None) -> None:
+        assert context.telemetry.position is not None
+        flight, here = context.flight, context.options.here
         try:
-            energy = context.estimates.energy if context.options.gate_on else None
-            flown = self._planned(context, energy)
-            if isinstance(flown, NoRoute) and checking:
-                self._state.plan_refused = flown.reason  # and go on: what else is missing?
-                flown = self._planned(context, None)
+            frame = frame_of(flight, context.telemetry.position, here=here)
         except LeewayError as error:
             self._give_up(context, str(error))
             return
-        if isinstance(flown, NoRoute):
-            self._give_up(context, flown.reason)
+        state = self._state
+        state.plans_asked += 1
+        state.plan_wanted = True
+        state.asked_s = context.t_s
+        context.do(
+            FindPlan(
+                state.plans_asked,
+                flight,
+                context.airframe,
+                frame,
+                self._obstacles,
+                context.estimates.route_energy.density_kgpm3,
+                energy,
+                context.estimates.limits.reserve_frac,
+                here,
+                context.options.keep_apart and context.autopilot is AutopilotKind.ARDUPILOT,
+            )
+        )
+
+    def _plan_found(self, context: FlightContext, found: FlightPlan | NoRoute) -> None:
+        state = self._state
+        state.plan_wanted = False
+        if context.phase is not Phase.PLAN or state.giving_up:
             return
-        context.flight_plan = flown
-        plan = flown.plan
+        if isinstance(found, NoRoute):
+            if context.options.check_only and not state.plan_refused:
+                state.plan_refused = found.reason  # and go on: what else is missing?
+                self._ask_plan(context, None)
+            else:
+                self._give_up(context, found.reason)
+            return
+        context.flight_plan = found
+        plan = found.plan
         context.decide(
             "planned",
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
-        self._state.asked_s = context.t_s
+        state.asked_s = context.t_s
         self.ask_parameters(context)
 
     def _settle_air(self, context: FlightContext) -> bool:
@@ -551,15 +589,6 @@ class GroundSequence:
         context.estimates.fly_in(air)
         context.do(Note(str(air)))
         return True
-
-    def _planned(self, context: FlightContext, energy: EnergyBelief | None) -> FlightPlan | NoRoute:
-        flight, here = context.flight, context.options.here
-        assert context.telemetry.position is not None
-        frame = frame_of(flight, context.telemetry.position, here=here)
-        site = site_map(flight, frame, self._obstacles, here=here)
-        reserve_frac = context.estimates.limits.reserve_frac
-        asides = context.options.keep_apart and context.autopilot is AutopilotKind.ARDUPILOT
-        return make_plan(flight, site, self._planner, energy, reserve_frac, asides=asides)
 
     def _parameters_read(self, context: FlightContext, event: AutopilotParameters) -> None:
         state = self._state

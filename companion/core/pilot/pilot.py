@@ -55,6 +55,7 @@ from companion.core.mission.events import (
     Tick,
     VehicleState,
 )
+from companion.core.mission.find_plan import PlanFound
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.mission.preflight_checks import Finding
@@ -92,7 +93,6 @@ from companion.core.pilot.transitions import (
 from companion.core.pilot.unanswered_hold import UnansweredHold
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
-from companion.core.routing.route_planner import BerPlanner
 from companion.core.separation.learned_policy import AvoidancePolicy
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
@@ -172,7 +172,6 @@ class Pilot:
             self._flight_state,
             self._authority,
             aboard_state,
-            BerPlanner(route_energy),
             obstacles,
             requirements,
         )
@@ -277,6 +276,7 @@ class Pilot:
             AutopilotParameters: (self._ground,),
             ParametersSet: (self._ground,),
             SettingsLeft: (self._ground,),
+            PlanFound: (self._ground,),
             MissionUploaded: (self._ground, self._aboard),
             MissionReadBack: (self._resume, self._ground, self._aboard),
             MissionTouched: (self._aboard, self._unanswered),

@@ -45,7 +45,7 @@ class Surrogate:
         A way's progress along a direction costs at least what the course that makes it most
         cheaply takes for it; the largest of these over all directions.
         """
-        courses = np.arange(_COURSES) * (2.0 * np.pi / _COURSES)
+        courses: Floats = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
         per_m = self.wh(courses, np.ones(_COURSES))
         progress = np.cos(courses[:, None] - courses[None, :])
         forward = progress > 1e-6

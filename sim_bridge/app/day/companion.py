@@ -76,6 +76,7 @@ class SteppedCompanion:
             airframe=self.airframe,
             mission=self.port.folder,
             run_dir=self.port.folder,
+            plan_at_once=True,
             record_at_once=True,
             pilot=PilotOptions(configure=True),
         )

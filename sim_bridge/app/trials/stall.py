@@ -172,6 +172,7 @@ class StallWorld:
             airframe=flight.vehicle.airframe,
             mission=path,
             run_dir=folder,
+            plan_at_once=True,
             record_at_once=True,
             pilot=PilotOptions(configure=True),
         )

@@ -11,6 +11,7 @@ from sim_bridge.research.cli.running import OUT, Jobs, Out, finish, progress_bar
 
 if TYPE_CHECKING:
     from sim_bridge.research.benchmarks.paths_bench import Compared
+    from sim_bridge.research.benchmarks.way_bench import Planned
 
 app = typer.Typer(no_args_is_help=True, help="Measure speed and size of a part.")
 
@@ -235,6 +236,27 @@ def paths(
             rows.append(experiment.compare(wind_mps, pairs, seed))
             shown.advance(task)
     finish(experiment.sheet(rows), out, "paths_bench")
+
+
+@app.command("way")
+def way(
+    out: Out = OUT,
+    sites: Annotated[int, typer.Option(min=1, help="drawn for each number of towers")] = 5,
+) -> None:
+    """What planning one delivery costs a vehicle, by how many towers stand on the way.
+
+    Example: sim-bridge research bench way --sites 5
+    """
+    from sim_bridge.research.benchmarks import way_bench as experiment
+
+    rows: list[Planned] = []
+    with progress_bar() as shown:
+        task = shown.add_task("way", total=len(experiment.TOWERS) * sites)
+        for count in experiment.TOWERS:
+            for seed in range(1, sites + 1):
+                rows.append(experiment.plan(count, seed))
+                shown.advance(task)
+    finish(experiment.sheet(rows), out, "way_bench")
 
 
 @app.command("avoid")

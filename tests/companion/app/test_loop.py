@@ -28,6 +28,7 @@ from companion.core.mission.actions import (
     SetMode,
 )
 from companion.core.mission.events import LinkSilent, Mode, Tick, VehicleState
+from companion.core.mission.find_plan import FindPlan
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import Phase
@@ -560,3 +561,55 @@ def test_nothing_is_ticked_while_the_clock_is_in_doubt(station):
     station.put(*station.telemetry(10_200), station.sync(10.2))
     station.turn()
     assert station.loop.clock.t_s == pytest.approx(10.2)
+
+
+def fix(ms: int) -> list[object]:
+    """What a position needs beside itself to be believed."""
+    return [
+        mavlink.MAVLink_gps_raw_int_message(
+            1000 * ms, 3, 554_700_000, 84_500_000, 12_000, 60, 60, 0, 0, 14
+        ),
+        mavlink.MAVLink_extended_sys_state_message(0, 1),
+        mavlink.MAVLink_battery_status_message(
+            0, 0, 0, 0, [4100] * 6 + [65535] * 4, 50, 10, -1, 90
+        ),
+    ]
+
+
+def test_the_loop_ticks_and_beats_while_a_plan_takes_long(station, monkeypatch):
+    """The vehicle hears its companion all the while; the plan counts once it is there."""
+    begun, go_on = threading.Event(), threading.Event()
+    real = FindPlan.work
+
+    def slow(asked: FindPlan):
+        begun.set()
+        assert go_on.wait(60.0)
+        return real(asked)
+
+    monkeypatch.setattr(FindPlan, "work", slow)
+    station.identify()
+
+    def second(number: int) -> list[str]:
+        heard: list[str] = []
+        for tenth in range(10):
+            ms = 1000 * number + 100 * tenth
+            beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+            station.put(beat, *station.telemetry(ms), *fix(ms), station.sync(ms / 1000.0))
+            heard += [message.get_type() for message in station.turn()]
+        return heard
+
+    number = next(n for n in range(1, 60) if second(n) and begun.is_set())
+    assert station.pilot.phase is Phase.PLAN
+    for _ in range(5):
+        number += 1
+        heard = second(number)
+        assert heard.count("HEARTBEAT") == 1
+        assert heard.count("TIMESYNC") == 10
+    assert station.pilot.flight_plan is None
+    go_on.set()
+    for _ in range(600):
+        number += 1
+        second(number)
+        if station.pilot.flight_plan is not None:
+            return
+    raise AssertionError("the plan never came")

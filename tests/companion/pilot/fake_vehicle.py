@@ -36,6 +36,7 @@ from companion.core.mission.actions import (
     UploadMission,
 )
 from companion.core.mission.events import Ground, Mode
+from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import ItemKind, MissionItem, differences
 from companion.core.mission.preflight_checks import Requirement
@@ -207,6 +208,8 @@ class World:
         actions = self.pilot.handle(event)
         for action in actions:
             self.log.append((self.t_s, action))
+            if isinstance(action, FindPlan):
+                self.answers.append(PlanFound(self.t_s, action.number, action.work()))
             if isinstance(action, Order):
                 assert self.pilot.phase in COMMANDING_PHASES
                 self.obey(action)

@@ -30,17 +30,21 @@ from companion.core.mission.actions import (
     UploadMission,
 )
 from companion.core.mission.events import Mode
+from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.mission_items import ItemKind, MissionItem
 from companion.core.mission.preflight_checks import Requirement
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.vehicle.energy_ledger import EnergyBelief
 from tests.companion.pilot.fake_vehicle import (
     AIRFRAME,
     CLOSED,
     DEPOT,
     FLIGHT,
     M_PER_DEG,
+    ScriptedJudge,
     World,
     start,
     world,
@@ -937,3 +941,39 @@ def test_a_plan_waits_for_the_barometer_no_longer_than_three_of_its_messages():
     w.run(lambda w: "planned" in w.kinds)
     assert 2.9 < w.t_s - since_s < 3.5
     assert w.judge.air.temperature_c == pytest.approx(-4.5), "the standard atmosphere's at 3,000 m"
+
+
+def test_only_the_plan_that_was_asked_for_last_is_taken() -> None:
+    """Telemetry stops while a plan is worked on, so another is asked for: the first comes late."""
+    w = world().until(Phase.PLAN)
+    w.run(lambda w: any(isinstance(a, FindPlan) for _, a in w.log))
+    late = next(a for a in w.answers if isinstance(a, PlanFound))
+    w.answers.remove(late)
+    w.reboot(w.mode)
+    w.run(lambda w: w.pilot.phase is not Phase.PLAN)
+    w.tell(late)
+    assert w.pilot.flight_plan is None
+    w.run(lambda w: sum(isinstance(a, FindPlan) for _, a in w.log) == 2)
+    w.tell(late)
+    assert w.pilot.flight_plan is None
+    w.until(Phase.UPLOAD)
+    assert w.kinds.count("planned") == 1
+
+
+class Poor(ScriptedJudge):
+    """Nearly nothing is left in the pack."""
+
+    @property
+    def energy(self) -> EnergyBelief | None:
+        return EnergyBelief(self.t_s, 4.0, 2.0, 110.0, "test")
+
+
+def test_a_check_tells_why_there_is_no_plan_and_goes_on_with_what_else_is_missing() -> None:
+    w = world(
+        options=PilotOptions(check_only=True),
+        judge=Poor(RouteEnergy.for_mission(AIRFRAME, FLIGHT.mission, 1.225)),
+    )
+    w.run(lambda w: w.pilot.preflight().plan_refused != "" and w.pilot.flight_plan is not None)
+    assert "beyond reach" in w.pilot.preflight().plan_refused
+    asked = [a for _, a in w.log if isinstance(a, FindPlan)]
+    assert [a.energy is None for a in asked] == [False, True]
