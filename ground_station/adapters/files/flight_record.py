@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 TOPICS = {
     "decision": (),
-    "wind": ("n", "e"),
+    "wind": ("to_n_mps", "to_e_mps"),
     "energy": ("left_wh",),
     "assessment": ("p_home", "margin_wh"),
     "phase": (),
@@ -26,6 +26,9 @@ TOPICS = {
 
 UNDECODABLE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, KeyError)
 """What damaged bytes raise in `mcap` and under it."""
+
+FORMER = {"n": "to_n_mps", "e": "to_e_mps"}
+"""Keys of the wind in records of before, and what they are called since."""
 
 WALL_CLOCK_S = 1e9
 """A stamp of more is a wall clock's (2001 and later); an autopilot's counts from its start."""
@@ -95,6 +98,8 @@ def _messages(path: Path) -> Iterator[tuple[str, float, Row]]:
                 topics[record.id] = record.topic.removeprefix("/")
             elif isinstance(record, Message) and topics.get(record.channel_id) in TOPICS:
                 row = msgspec.json.decode(record.data, type=dict[str, Any])
+                if topics[record.channel_id] == "wind":
+                    row = {FORMER.get(key, key): value for key, value in row.items()}
                 yield topics[record.channel_id], record.log_time / 1e9, row
 
 

@@ -9,6 +9,7 @@ from sim_bridge.research.cli import (
     avoid,
     bench,
     campaign,
+    map_pages,
     monitor,
     promise,
     real_flights,
@@ -22,7 +23,17 @@ app = typer.Typer(
     help="The paper's experiments, training of the avoidance policy, and benchmarks.",
 )
 
-for part in (campaign, tables, promise, monitor, real_flights, windbench, avoid, results):
+for part in (
+    campaign,
+    tables,
+    promise,
+    monitor,
+    real_flights,
+    windbench,
+    avoid,
+    results,
+    map_pages,
+):
     app.registered_commands += part.app.registered_commands
 app.registered_commands += bench.fleet.registered_commands
 app.add_typer(bench.app, name="bench")

@@ -1,7 +1,7 @@
 """Debian's Chromium by Playwright, without a network but this machine's; tests skip without it."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +10,13 @@ import pytest
 from sim_bridge.research.map_pages.chromium import NAMES, OPTIONS, chromium
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 PATIENCE_MS = 30_000.0
+SIDE = 4096
+"""Extent of a tile."""
+
+TOWN = "Made-up Town"
 GONE = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE_CHUNKED_ENCODING")
 
 
@@ -26,20 +30,31 @@ def needs_chromium() -> str:
 
 
 @contextmanager
-def browsing(program: str, **context: Any) -> "Iterator[Page]":
-    """A window that fails its test where it errs, or asks any other machine for anything."""
+def running(program: str) -> "Iterator[Browser]":
+    """A browser for many windows: to start one costs more than a test of a page."""
     from playwright.sync_api import sync_playwright
 
-    wrong: list[str] = []
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=program, args=OPTIONS)
-        page = browser.new_context(**context).new_page()
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def browsing(browser: "str | Browser", **context: Any) -> "Iterator[Page]":
+    """A window that fails its test where it errs, or asks any other machine for anything.
+
+    `browser`: one that runs, or the program of one that is started for this window.
+    """
+    wrong: list[str] = []
+    own = running(browser) if isinstance(browser, str) else nullcontext(browser)
+    with own as made, made.new_context(**context) as window:
+        page = window.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("console", lambda said: _note(wrong, said))
         page.on("request", lambda asked: _note_address(wrong, asked.url))
         yield page
-        browser.close()
     assert wrong == []
 
 
@@ -55,8 +70,10 @@ def _note_address(wrong: list[str], address: str) -> None:
 
 
 def town_tiles(path: Path) -> None:
-    """A PMTiles file (specification v3) with one vector tile (2.1) at zoom 0: water everywhere."""
-    tile = _mvt("water")
+    """A PMTiles file (specification v3) with one vector tile (2.1) at zoom 0: water everywhere,
+    and `TOWN` at 90 degrees west on the equator.
+    """
+    tile = _layer("water", _polygon(), []) + _layer("places", _town(), [TOWN])
     directory = bytes([1, 0, 1]) + _varint(len(tile)) + bytes([1])
     metadata = b'{"attribution": "<b>made</b> by hand", "vector_layers": []}'
     begin = 127
@@ -75,14 +92,27 @@ def town_tiles(path: Path) -> None:
     path.write_bytes(header + directory + metadata + tile)
 
 
-def _mvt(layer: str) -> bytes:
-    """One square polygon over the whole tile, extent 4096."""
-    side = 4096
-    zigzag = [side * 2, 0, 0, side * 2, side * 2 - 1, 0]
+def _polygon() -> bytes:
+    """A feature of one square over the whole tile."""
+    zigzag = [SIDE * 2, 0, 0, SIDE * 2, SIDE * 2 - 1, 0]
     geometry = b"".join(map(_varint, [9, 0, 0, 26, *zigzag, 15]))
-    feature = bytes([0x18, 3, 0x22]) + _varint(len(geometry)) + geometry
-    content = bytes([0x78, 2, 0x0A, len(layer)]) + layer.encode()
-    content += bytes([0x12]) + _varint(len(feature)) + feature + bytes([0x28]) + _varint(side)
+    return bytes([0x18, 3, 0x22]) + _varint(len(geometry)) + geometry
+
+
+def _town() -> bytes:
+    """A point with the first key and value of its layer as its tag."""
+    geometry = b"".join(map(_varint, [9, SIDE // 4 * 2, SIDE // 2 * 2]))
+    return bytes([0x12, 2, 0, 0, 0x18, 1, 0x22]) + _varint(len(geometry)) + geometry
+
+
+def _layer(name: str, feature: bytes, values: list[str]) -> bytes:
+    """One layer of one feature; `values`: those of the key `name`."""
+    content = bytes([0x78, 2, 0x0A, len(name)]) + name.encode()
+    content += bytes([0x12]) + _varint(len(feature)) + feature
+    for value in values:
+        text = bytes([0x0A, len(value)]) + value.encode()
+        content += bytes([0x1A, 4]) + b"name" + bytes([0x22, len(text)]) + text
+    content += bytes([0x28]) + _varint(SIDE)
     return bytes([0x1A]) + _varint(len(content)) + content
 
 

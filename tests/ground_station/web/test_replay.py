@@ -104,6 +104,8 @@ def write_record(path: Path, decisions: dict[float, str]) -> None:
         log.write(
             "energy", {"t_s": t_s, "left_wh": 90.0, "std_wh": 1.0, "source": "", "used_wh": 0}
         )
+        cov = {"nn_m2ps2": 1.0, "ne_m2ps2": 0.0, "ee_m2ps2": 1.0}
+        log.write("wind", {"t_s": t_s, "to_n_mps": -2.0, "to_e_mps": 3.0, **cov})
         for kind, _, reason in (
             words.partition(": ") for at, words in decisions.items() if at == k
         ):
@@ -140,8 +142,10 @@ def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(
         assert drone["margin_wh"] == pytest.approx(30.0 - k, abs=2.0)
         assert math.cos(math.radians(drone["course_deg"])) > 0.999
         assert drone["armed"]
+        assert list(drone["wind_to_ne_mps"]) == [-2.0, 3.0]
     assert drone["phase"] == "outbound"
     assert drone["why"].startswith("divert: to ")
+    assert past.troubles == ()
     (mark,) = past.span()["marks"]
     assert mark["words"].startswith("d1: divert: to ")
     assert mark["t_us"] == pytest.approx(began_us + 30e6, abs=2e6)

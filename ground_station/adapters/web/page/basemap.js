@@ -1,12 +1,16 @@
 // The user's PMTiles extract below our own drawing, by MapLibre GL; only where one was given.
-// Layers are those of the Protomaps basemap schema (version 4). Without labels.
+// Layers are those of the Protomaps basemap schema (version 4). Names are drawn by the browser, as images
+// of their own: MapLibre asks a server for glyphs, and there is none.
 
 import { $, html, say } from "./dom.js";
 
 const PAINTS = {
-  light: { ground: "#f4f2ee", water: "#b9d3e6", green: "#dfe8d3", road: "#ffffff", house: "#ddd6cc", border: "#a0a0a0" },
-  dark: { ground: "#1d2024", water: "#17334a", green: "#22301f", road: "#3a3f46", house: "#2c2f34", border: "#666666" },
+  light: { ground: "#f4f2ee", water: "#b9d3e6", green: "#dfe8d3", road: "#ffffff", house: "#ddd6cc", border: "#a0a0a0", name: "#3c3c3c" },
+  dark: { ground: "#1d2024", water: "#17334a", green: "#22301f", road: "#3a3f46", house: "#2c2f34", border: "#666666", name: "#d0d0d0" },
 };
+
+const NAME = "name ";
+const [FONT, HEIGHT_PX, RIM_PX, RATIO] = ["12px system-ui, sans-serif", 18, 2, 2];
 
 export async function openBasemap(view, dark) {
   const style = html("link", { rel: "stylesheet", href: "/assets/maplibre-gl.css" });
@@ -27,11 +31,32 @@ export async function openBasemap(view, dark) {
     attributionControl: false,
     ...camera(view),
   });
+  let paint = dark ? PAINTS.dark : PAINTS.light;
+  map.on("styleimagemissing", ({ id }) => {
+    if (id.startsWith(NAME) && !map.hasImage(id)) map.addImage(id, nameImage(id.slice(NAME.length), paint), { pixelRatio: RATIO });
+  });
   map.on("error", (event) => say($("#attribution"), `base map: ${event.error?.message ?? "failed"}`));
   return {
     follow: () => map.jumpTo(camera(view)),
-    paint: (isDark) => map.setStyle(styleOf(isDark ? PAINTS.dark : PAINTS.light, header)),
+    paint: (isDark) => {
+      paint = isDark ? PAINTS.dark : PAINTS.light;
+      map.setStyle(styleOf(paint, header), { diff: false }); // a new style: its names are drawn anew
+    },
   };
+}
+
+// A name in the page's own font, with a rim of the ground's colour.
+function nameImage(words, paint) {
+  const pen = new OffscreenCanvas(1, 1).getContext("2d");
+  pen.font = FONT;
+  const width = Math.ceil(pen.measureText(words).width) + 2 * RIM_PX;
+  [pen.canvas.width, pen.canvas.height] = [width * RATIO, HEIGHT_PX * RATIO];
+  pen.scale(RATIO, RATIO);
+  Object.assign(pen, { font: FONT, textBaseline: "middle", lineJoin: "round", lineWidth: 2 * RIM_PX });
+  [pen.strokeStyle, pen.fillStyle] = [paint.ground, paint.name];
+  pen.strokeText(words, RIM_PX, HEIGHT_PX / 2);
+  pen.fillText(words, RIM_PX, HEIGHT_PX / 2);
+  return pen.getImageData(0, 0, width * RATIO, HEIGHT_PX * RATIO);
 }
 
 const camera = (view) => ({ center: [view.longitude, view.latitude], zoom: view.zoom });
@@ -55,6 +80,15 @@ function script(address) {
 function styleOf(paint, header) {
   const layer = (name, type, colours, more = {}) =>
     ({ id: `${name}-${type}`, type, source: "town", "source-layer": name, paint: colours, ...more });
+  const names = (name, layout, minzoom) => ({
+    id: `${name}-names`,
+    type: "symbol",
+    source: "town",
+    "source-layer": name,
+    minzoom,
+    filter: ["has", "name"],
+    layout: { "icon-image": ["concat", NAME, ["get", "name"]], "icon-padding": 4, ...layout },
+  });
   return {
     version: 8,
     sources: { town: { type: "vector", url: `pmtiles://${location.origin}/basemap.pmtiles`, maxzoom: header.maxZoom } },
@@ -65,6 +99,8 @@ function styleOf(paint, header) {
       layer("buildings", "fill", { "fill-color": paint.house }),
       layer("roads", "line", { "line-color": paint.road, "line-width": ["interpolate", ["linear"], ["zoom"], 10, 0.5, 17, 6] }),
       layer("boundaries", "line", { "line-color": paint.border, "line-dasharray": [3, 2] }),
+      names("roads", { "symbol-placement": "line", "icon-rotation-alignment": "map", "icon-keep-upright": true }, 14),
+      names("places", { "symbol-sort-key": ["get", "sort_key"] }, 0),
     ],
   };
 }
