@@ -134,6 +134,17 @@ Pack = Annotated[
 ]
 
 
+MaxLossPerHour = Annotated[
+    float | None,
+    typer.Option(
+        min=1e-6,
+        max=1.0,
+        help="Losses per flight hour that you accept (docs/explanation/return-budget.md); default:"
+        " the flight's mission.max_loss_per_hour, else its max_loss alone.",
+    ),
+]
+
+
 class GateSwitch(StrEnum):
     """Whether the return budget may turn the vehicle back."""
 
@@ -274,6 +285,7 @@ def run_command(
     seed: Annotated[
         int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
     ] = 0,
+    max_loss_per_hour: MaxLossPerHour = None,
 ) -> None:
     """Fly the mission: plan, upload, wait for authorisation, deliver, come home.
 
@@ -302,6 +314,7 @@ def run_command(
         here=here,
         keep_apart=keep_apart,
         name=vehicle or "",
+        max_loss_per_hour=max_loss_per_hour,
     )
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit

@@ -111,11 +111,19 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return None if isinstance(self.charge_frac, list) else self.charge_frac
 
 
+LEAST_LOSS = 1e-6
+"""Below, no promise of ours means anything."""
+
+
 class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the operator asks, and the risk that they accept. Heights are above the depot."""
 
     max_loss: float = 0.01
     """Probability of losing the vehicle that the operator accepts."""
+    max_loss_per_hour: float | None = None
+    """Losses per flight hour that the operator accepts: times the planned flight's hours it bounds
+    `max_loss`. Absent: `max_loss` alone.
+    """
     reserve_frac: float = 0.15
     """Energy that must be left after landing, of the usable energy."""
     cruise_height_m: float = 40.0
@@ -142,7 +150,9 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """How far the way home may cut corners where that costs less. Absent: never."""
 
     def __post_init__(self) -> None:
-        check_range("mission.max_loss", self.max_loss, 1e-6, 0.5)
+        check_range("mission.max_loss", self.max_loss, LEAST_LOSS, 0.5)
+        if self.max_loss_per_hour is not None:
+            check_range("mission.max_loss_per_hour", self.max_loss_per_hour, LEAST_LOSS, 1.0)
         check_range("mission.reserve_frac", self.reserve_frac, 0.0, 0.6)
         check_range("mission.cruise_height_m", self.cruise_height_m, 5.0, 500.0)
         if self.return_height_m is not None:

@@ -72,6 +72,7 @@ class PilotOptions:
     what is desired, for comparison only. `name`: as which the fleet knows this vehicle.
 
     `here`: the site lies about where the vehicle stands, not about the flight file's depot.
+    `max_loss_per_hour`: in place of the flight file's; `None`: as there.
     """
 
     gate_on: bool = True
@@ -84,6 +85,7 @@ class PilotOptions:
     separation_filter: bool = True
     unanswered_hold: Unanswered = Unanswered.ALARM
     unanswered_hold_s: float = UNANSWERED_HOLD_S
+    max_loss_per_hour: float | None = None
 
 
 class PhaseObserver(Protocol):

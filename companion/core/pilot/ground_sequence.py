@@ -36,6 +36,7 @@ from companion.core.mission.events import (
     StreamsAsked,
 )
 from companion.core.mission.find_plan import FindPlan, PlanFound
+from companion.core.mission.flight_file import LEAST_LOSS
 from companion.core.mission.flight_plan import (
     FlightPlan,
     frame_of,
@@ -52,6 +53,7 @@ from companion.core.mission.preflight_checks import (
 )
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import Airborne, ArmedModes, FlightContext, ForeignList
+from companion.core.pilot.estimates import Limits
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
     BATTERY_MAX_AGE_S,
@@ -571,6 +573,7 @@ class GroundSequence:
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
+        _accept_rate(context, plan.time_s)
         state.asked_s = context.t_s
         self.ask_parameters(context)
 
@@ -725,3 +728,15 @@ def _pack_trouble(context: FlightContext) -> str:
     if not telemetry.is_fresh(battery, BATTERY_MAX_AGE_S):
         return ""
     return pack_trouble(context.airframe.battery, battery.voltage_v)
+
+
+def _accept_rate(context: FlightContext, time_s: float) -> None:
+    """Bound what the flight may lose by the accepted rate over its planned time, where one is."""
+    own = context.options.max_loss_per_hour
+    rate = context.flight.mission.max_loss_per_hour if own is None else own
+    if rate is None:
+        return
+    now = context.estimates.limits
+    max_loss = min(max(rate * time_s / 3600.0, LEAST_LOSS), now.max_loss)
+    context.estimates.limit(Limits(max_loss, now.reserve_frac))
+    context.do(Note(f"max loss {max_loss:.2g}: {rate:g} per flight hour for {time_s:.0f} s"))

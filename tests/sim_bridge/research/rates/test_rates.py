@@ -1,0 +1,110 @@
+"""Subset simulation against closed forms, and the deliveries that it draws."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from sim_bridge.research.rates.mission import DeliveryWorld, _wind
+from sim_bridge.research.rates.study import (
+    PLAIN,
+    SUBSET,
+    RateRow,
+    RateRun,
+    agreement,
+    row_of,
+    works,
+)
+from sim_bridge.research.rates.subset import subset_simulation
+
+
+@pytest.mark.parametrize(("sigmas", "dimensions"), [(2.0, 5), (4.0, 200)])
+def test_a_rare_event_of_known_chance_is_found(sigmas, dimensions):
+    """The mean of 200 standard normals over 4 sigma: 3.2e-5, by 3,700 evaluations a run."""
+
+    def performance(normal):
+        return float(normal.sum()) / math.sqrt(normal.size) - sigmas
+
+    runs = [
+        subset_simulation(performance, dimensions, 800, np.random.default_rng([7, k]))
+        for k in range(12)
+    ]
+    true = float(ndtr(-sigmas))
+    mean = np.mean([run.chance for run in runs])
+    scatter = np.std([run.chance for run in runs], ddof=1)
+    assert mean == pytest.approx(true, abs=3.5 * scatter / math.sqrt(len(runs)))
+    assert scatter / true < 0.8
+    # What a run states of its own error is about what runs scatter by.
+    assert np.mean([run.variation for run in runs]) == pytest.approx(scatter / true, rel=0.7)
+    assert all(list(run.levels) == sorted(run.levels) for run in runs)
+    assert max(run.evaluations for run in runs) < 800 * 6
+
+
+def test_what_never_fails_has_no_chance_and_says_so():
+    found = subset_simulation(
+        lambda normal: -1.0 - float(normal @ normal), 3, 100, np.random.default_rng(1), 3
+    )
+    assert (found.chance, found.variation) == (0.0, math.inf)
+
+
+def test_what_fails_often_is_counted_in_one_level():
+    found = subset_simulation(lambda n: float(n[0]) + 0.5, 2, 2000, np.random.default_rng(2))
+    assert found.evaluations == 2000
+    assert found.chance == pytest.approx(float(ndtr(0.5)), abs=0.04)
+
+
+def test_the_wind_has_the_days_spread():
+    rng = np.random.default_rng(3)
+    wind = np.array([_wind(0.0, rng.standard_normal((3, 400, 2)))[-1] for _ in range(600)])
+    spread = 8.0 * math.sqrt(0.10**2 + 0.09**2 + 0.165**2)
+    assert wind.mean(axis=0) == pytest.approx([8.0, 0.0], abs=0.25)
+    assert wind.std(axis=0) == pytest.approx([spread, spread], rel=0.12)
+
+
+def test_the_same_numbers_fly_the_same_and_a_stricter_rate_goes_less_often():
+    loose, strict = DeliveryWorld(0.1), DeliveryWorld(1e-5)
+    rng = np.random.default_rng(4)
+    drawn = [rng.standard_normal(loose.dimensions) for _ in range(40)]
+    flown = [loose.fly(one) for one in drawn]
+    assert flown[0] == loose.fly(drawn[0])
+    careful = [strict.fly(one) for one in drawn]
+    assert sum(one.delivered for one in careful) < sum(one.delivered for one in flown)
+    assert all(one.shortfall == -1.0 for one in flown if not one.went)
+    assert all(0.01 < one.flown_h < 0.3 for one in flown if one.went)
+
+
+def test_a_pack_that_holds_nothing_is_a_loss_and_one_of_twice_the_energy_is_none():
+    loose = DeliveryWorld(0.1)
+    drawn = np.random.default_rng(4).standard_normal(loose.dimensions)
+    while not loose.fly(drawn).went:
+        drawn = np.roll(drawn, 4)
+    for pack, lost in ((-45.0, True), (50.0, False)):  # of 2 % each
+        drawn[3] = pack
+        assert (loose.shortfall(drawn) > 0.0) is lost
+
+
+def run(method, chance, variation=0.2, hours=20.0):
+    return RateRun(0.1, method, chance, variation, 3, 840, 300, 240, 200, hours)
+
+
+def test_rates_are_per_hour_flown_and_their_error_is_the_larger_of_scatter_and_stated():
+    row = row_of(0.1, SUBSET, [run(SUBSET, 0.01), run(SUBSET, 0.03)])
+    assert row.lost_per_hour == pytest.approx(0.02 * 600 / 40.0)
+    assert row.std_per_hour == pytest.approx(0.01 * 600 / 40.0)
+    assert row.minutes == pytest.approx(60.0 * 40.0 / 480)
+    plain = row_of(0.1, PLAIN, [run(PLAIN, 0.02)])
+    assert plain.std_per_hour == pytest.approx(math.sqrt(0.02 * 0.98 / 300) * 300 / 20.0)
+
+
+def test_agreement_is_in_standard_errors_of_the_difference():
+    def row(lost, std):
+        return RateRow(0.1, PLAIN, lost, std, 1.0, 1.0, 5.0, 100, 100)
+
+    assert agreement(row(0.10, 0.03), row(0.15, 0.04)) == pytest.approx(1.0)
+
+
+def test_every_run_has_a_seed_of_its_own():
+    found = works((1e-2,), 300, 2, 500, 1)
+    keys = {(w.rate, w.method, w.part) for w in found}
+    assert len(keys) == len(found) == 6
