@@ -31,13 +31,12 @@ FALL_STD_FRAC = 0.03
 voltages of an M100's packs scatters by so much from flight to flight."""
 
 RELAXATION_FRAC, RELAXATION_S = 0.56, 12.0
-"""A pack just unloaded reads low, by this share of its resistance times the current of
-the last seconds. From 68 landings of an M100 whose pack stayed in for the next flight (Rodrigues et
-al., 2021): 23 mV/A after
-1 s and 4.6 mV/A after 20 s, of 45 mOhm."""
+"""A pack just unloaded reads low, by this share of its resistance times the current of the last
+seconds. [est] near the voltages after landings of an M100 whose pack stayed in for the next flight
+(Rodrigues et al., 2021)."""
 
 RELAXATION_STD_FRAC = 0.3
-"""Of what a voltage is still expected to rise: 10 to 90 % of those landings are 19 to 35 mV/A."""
+"""[est] Of what a voltage is still expected to rise."""
 
 UNLOADED_FRAC = 0.1
 """Of the flight's greatest current: motors that stand or idle."""
