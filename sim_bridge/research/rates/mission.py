@@ -41,7 +41,7 @@ _DAY_STDS, _DAY_MEMORIES_S = (0.10, 0.09, 0.165), (1200.0, 180.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DeliveryOutcome:
     """`shortfall`: energy that it needed over what it had, less 1; -1 where it did not go."""
 
     shortfall: float
@@ -68,13 +68,13 @@ class DeliveryWorld:
         """For a simulation of rare events: above 0 is a loss."""
         return self.fly(normal).shortfall
 
-    def fly(self, normal: Floats) -> Outcome:
+    def fly(self, normal: Floats) -> DeliveryOutcome:
         """One delivery."""
         day, turn, asked, pack = normal[:_SCALARS]
         rows = HISTORY_S + self._seconds + 1
         parts = normal[_SCALARS : _SCALARS + 2 * rows * _PARTS].reshape(_PARTS, rows, 2)
         noise = normal[_SCALARS + 2 * rows * _PARTS :].reshape(rows, 2)
-        wind = _wind(float(day), parts)
+        wind = wind_on_day(float(day), parts)
         angle = 2.0 * math.pi * float(ndtr(turn))
         unit = np.array([math.cos(angle), math.sin(angle)])
         recent = wind[HISTORY_S - RECENT_S : HISTORY_S].mean(axis=0)
@@ -82,7 +82,7 @@ class DeliveryWorld:
         share = low + (high - low) * float(ndtr(asked))
         distance = float(distances_m(recent[None], unit[None], np.array([share]), self._power)[0])
         if not math.isfinite(distance) or distance <= 0.0:
-            return Outcome(-1.0, 0.0, False, False)
+            return DeliveryOutcome(-1.0, 0.0, False, False)
         zero: Ints = np.zeros(1, np.int64)
         missions = Missions(zero, unit[None], np.array([distance]))
         flown = TrueMissions(missions, self._power, self._profile, wind[None, HISTORY_S:])
@@ -91,7 +91,7 @@ class DeliveryWorld:
 
     def _decided(
         self, flown: TrueMissions, wind: Floats, noise: Floats, distance: float, has_wh: float
-    ) -> Outcome:
+    ) -> DeliveryOutcome:
         arrival_s = float(flown.arrival_s[0])
         seen = MissionView(
             wind, HISTORY_S, flown.missions.unit_ne[0], distance, arrival_s, flown.out_by_second(0)
@@ -101,7 +101,7 @@ class DeliveryWorld:
         planner = Planner(self._energy, replace(self._params, accepted=(accepted,)))
         (decided,) = planner.fly(seen, _Noise(noise))  # pyright: ignore[reportArgumentType]
         if not decided.go:
-            return Outcome(-1.0, 0.0, False, False)
+            return DeliveryOutcome(-1.0, 0.0, False, False)
         delivers = math.isinf(decided.turn_s)
         if delivers:
             needed_wh = float(flown.delivering_wh()[0])
@@ -110,7 +110,7 @@ class DeliveryWorld:
         shortfall = min(needed_wh / has_wh - 1.0, MOST) if math.isfinite(needed_wh) else MOST
         mean_w = 0.5 * (self._power.loaded_w + self._power.empty_w)
         flown_h = min(needed_wh if math.isfinite(needed_wh) else has_wh, has_wh) / mean_w
-        return Outcome(shortfall, flown_h, True, delivers and shortfall <= 0.0)
+        return DeliveryOutcome(shortfall, flown_h, True, delivers and shortfall <= 0.0)
 
 
 class _Noise:
@@ -124,7 +124,7 @@ class _Noise:
         return self._normal.reshape(shape)
 
 
-def _wind(day: float, parts: Floats) -> Floats:
+def wind_on_day(day: float, parts: Floats) -> Floats:
     """(rows, 2): a day's mean, and its parts as exact Ornstein-Uhlenbeck steps of a second."""
     speed = SIMULATED_MEAN_MPS * (0.75 + 0.5 * float(ndtr(day)))
     memories: tuple[float, ...] = (*_DAY_MEMORIES_S, EDDY_LENGTH_M / speed)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from sim_bridge.research.rates.mission import DeliveryWorld, Outcome
+from sim_bridge.research.rates.mission import DeliveryWorld, DeliveryOutcome
 from sim_bridge.research.rates.subset import subset_simulation
 
 CHECKED_RATE = 5.0
@@ -73,7 +73,7 @@ def run_work(work: RateWork) -> RateRun:
     world = DeliveryWorld(work.rate)
     method = (PLAIN, SUBSET).index(work.method)
     rng = np.random.default_rng([work.seed, method, round(1e7 * work.rate), work.part])
-    first: list[Outcome] = []
+    first: list[DeliveryOutcome] = []
 
     def shortfall(normal: np.ndarray) -> float:
         outcome = world.fly(normal)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim_bridge.research.rates.mission import DeliveryWorld, _wind
+from sim_bridge.research.rates.mission import DeliveryWorld, wind_on_day
 from sim_bridge.research.rates.study import (
     PLAIN,
     SUBSET,
@@ -56,7 +56,7 @@ def test_what_fails_often_is_counted_in_one_level():
 
 def test_the_wind_has_the_days_spread():
     rng = np.random.default_rng(3)
-    wind = np.array([_wind(0.0, rng.standard_normal((3, 400, 2)))[-1] for _ in range(600)])
+    wind = np.array([wind_on_day(0.0, rng.standard_normal((3, 400, 2)))[-1] for _ in range(600)])
     spread = 8.0 * math.sqrt(0.10**2 + 0.09**2 + 0.165**2)
     assert wind.mean(axis=0) == pytest.approx([8.0, 0.0], abs=0.25)
     assert wind.std(axis=0) == pytest.approx([spread, spread], rel=0.12)
