@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from sim_bridge.research.rates.mission import DeliveryWorld, DeliveryOutcome
+from sim_bridge.research.rates.mission import DeliveryOutcome, DeliveryWorld
 from sim_bridge.research.rates.subset import subset_simulation
 
 CHECKED_RATE = 5.0
