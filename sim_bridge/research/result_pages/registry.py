@@ -130,6 +130,21 @@ PAGES = (
         pictures=(("real_flights.png", "real-flights.png"),),
     ),
     Page(
+        "windbench",
+        "Wind estimators on real flights",
+        "Multirotor wind estimators by one open rule on other people's flights, each day from the"
+        " others.",
+        (
+            PageCommand(
+                _research("windbench", f"{DATA}/{M100_FLIGHTS}", f"{DATA}/estimator=generic",
+                          "--json", f"{OUT}/windbench.json", "--out", OUT),
+                "1, fixed in the code: the interval",
+            ),
+        ),
+        8.0,
+        needs=(M100_FLIGHTS, ANEMOMETER),
+    ),
+    Page(
         "wind-estimator",
         "The wind estimator over its envelope",
         "RMSE and NEES in simulated flights over winds, gusts and manoeuvres, beside the bound that"
