@@ -6,7 +6,13 @@ from typing import Any
 
 import msgspec
 
-from companion.core.base.documents import json_object, params_folders, toml_table
+from companion.core.base.documents import (
+    expect_kind,
+    json_object,
+    params_folders,
+    toml_table,
+    unknown_name,
+)
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Obstacle
 from companion.core.base.place import Place
@@ -62,8 +68,8 @@ def bundled_path(name: Path | str, folder: str, noun: str, params: Path | None =
         return path
     bundled = params_dir(params) / folder / f"{path}.toml"
     if not bundled.is_file():
-        known = ", ".join(sorted(p.stem for p in bundled.parent.glob("*.toml"))) or "none"
-        raise LeewayError(f"{path}: no such {noun}; names: {known}; or give a file's path")
+        names = (p.stem for p in bundled.parent.glob("*.toml"))
+        raise LeewayError(unknown_name(str(path), noun, names))
     return bundled
 
 
@@ -71,6 +77,7 @@ def read_flight(path: Path) -> Flight:
     """Read a `flight/1` file: TOML as people write it, or JSON as a dispatcher sends it."""
     json_file = path.suffix == ".json"
     table = json_object(_bytes_of(path), str(path)) if json_file else _read_toml(path)
+    expect_kind(table, "flight", str(path))
     try:
         return msgspec.convert(table, Flight)
     except (msgspec.ValidationError, LeewayError) as error:

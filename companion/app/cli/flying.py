@@ -59,7 +59,24 @@ class CommandLine:
 def fly(options: RunOptions) -> int:
     """Fly the mission; the exit code."""
     code, _ = run(options, on_action=_show)
+    if code == NO_LINK:
+        typer.echo(nobody_there(options.link))
     return code
+
+
+HINTS = {
+    "udpin": "it has to send there by itself: PX4's onboard link to 14540, MAVProxy --out",
+    "udpout": "it has to listen there, and answers who speaks first",
+    "tcp": "it has to listen there: ArduPilot's SITL at tcp:127.0.0.1:5760",
+    "serial": "baud rate, TX and RX, and its port's protocol: ArduPilot SERIALn_PROTOCOL 2, PX4"
+    " MAV_n_CONFIG",
+}
+
+
+def nobody_there(link: str) -> str:
+    """What to say, and what to look at, where no autopilot is heard on a link."""
+    hint = HINTS.get(link.partition(":")[0])
+    return f"no answer from an autopilot on {link}" + (f" ({hint})" if hint else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +121,7 @@ def put_settings_back(
     finally:
         opened.close()
     if done is None:
-        typer.echo(f"no answer from an autopilot on {link}")
+        typer.echo(nobody_there(link))
         return NO_LINK
     return DONE if done else GROUNDED
 
@@ -116,8 +133,8 @@ def check(options: RunOptions) -> int:
         typer.echo(f"MISSING  {why_not_checked(pilot)}\nNOT READY")
         return code
     if pilot.phase is not Phase.GROUNDED:
-        silent = f"no answer from an autopilot on {options.link}"
-        typer.echo(silent if code == NO_LINK else "the check was cut short")
+        silent = code == NO_LINK
+        typer.echo(nobody_there(options.link) if silent else "the check was cut short")
         return code
     lines, ready = report(pilot)
     typer.echo("\n".join(lines))

@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 
 from companion.app.cli import calibrate, certify, export, fit_wind, monitor, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
+from companion.core.base.help_text import flow_help
 
 EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
 mission aboard goes home; 2 a mistake in the input; 3 no take-off was possible, or the check found
@@ -408,6 +409,9 @@ def transitions(
     from companion.core.pilot.transitions import as_markdown, as_mermaid
 
     typer.echo(as_mermaid() if mermaid else as_markdown())
+
+
+flow_help(app)
 
 
 def main() -> None:

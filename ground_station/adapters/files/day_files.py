@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from companion.core.base.documents import expect_kind
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import obstacles_from_geojson
 from companion.core.mission.flight_plan import frame_at
@@ -25,6 +26,7 @@ def read_day(path: Path) -> DayData:
     """Read a day and all its files. Raises DayFilesError with everything that is wrong in them."""
     try:
         table = read_toml(path)
+        expect_kind(table, "day", str(path))
     except LeewayError as error:
         raise DayFilesError([FileProblem(str(path), None, None, _said(error, path))]) from error
     try:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from companion.core.base.documents import json_object, params_folders, toml_table
+from companion.core.base.documents import json_object, params_folders, toml_table, unknown_name
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
 from companion.core.wind.process import WindProcessParams, wind_process_from_dict
@@ -41,8 +41,7 @@ def _bundled(path_or_name: str, folder: str, noun: str) -> Path:
         return path
     bundled = {found.stem: found for found in sorted((params_dir() / folder).glob("*.toml"))}
     if path_or_name not in bundled:
-        names = ", ".join(bundled)
-        raise LeewayError(f"{noun} {path_or_name!r}: expected a file, or one of {names}")
+        raise LeewayError(unknown_name(path_or_name, noun, bundled))
     return bundled[path_or_name]
 
 

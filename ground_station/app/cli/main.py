@@ -6,6 +6,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.help_text import flow_help
 from ground_station.app.cli import (
     audit,
     benchmark,
@@ -75,6 +76,7 @@ app.add_typer(plan.app)
 app.add_typer(truck.app)
 app.add_typer(live_map.app)
 app.add_typer(token.app, name="token")
+flow_help(app)
 
 
 def main() -> None:
