@@ -1,5 +1,9 @@
-"""A day plan as tables: stops, sorties, and the orders that nobody can bring."""
+"""A day plan as tables: stops, sorties, and the orders that nobody can bring.
 
+Made for 80 columns: names are never cut off, since `depot` and `depot-end` would look alike.
+"""
+
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -9,18 +13,22 @@ from ground_station.core.schema.day_plan import DayPlan
 
 def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
     """Print the plan."""
-    stops = Table(title=f"{plan.day}: {plan.makespan_s / 60.0:.1f} min")
-    for name in ("stop", "from", "to", "by truck", "launches", "recoveries"):
-        stops.add_column(name, justify="left" if name in ("stop", "by truck") else "right")
+    stops = _table(f"{plan.day}: {plan.makespan_s / 60.0:.1f} min; times are min:s from its start")
+    stops.add_column("stop", no_wrap=True)
+    for name in ("from", "to", "launches", "recoveries"):
+        stops.add_column(name, justify="right", no_wrap=True)
+    stops.add_column("by truck")
     for stop in plan.stops:
         launches = sum(s.launch == stop.id for s in plan.sorties)
         homes = sum(s.home == stop.id for s in plan.sorties)
         times = (_clock(stop.arrive_s), _clock(stop.depart_s))
-        stops.add_row(stop.id, *times, ", ".join(stop.serves), str(launches), str(homes))
+        stops.add_row(stop.id, *times, str(launches), str(homes), ", ".join(stop.serves))
     console.print(stops)
-    sorties = Table("order", "drone", "from", "home")
-    for name in ("off", "down", "layer\nm", "mean\nWh", "sure\nWh", "pack\nWh"):
-        sorties.add_column(name, justify="right")
+    sorties = _table(None)
+    for name in ("order", "drone", "launched\nat", "lands\nat"):
+        sorties.add_column(name, no_wrap=True)
+    for name in ("starts", "lands", "layer\nm", "mean\nWh", "sure\nWh", "pack\nWh"):
+        sorties.add_column(name, justify="right", no_wrap=True)
     for sortie in plan.sorties:
         names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
         times = (_clock(sortie.launch_s), _clock(sortie.land_s))
@@ -41,6 +49,12 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
         for line in plan.unplanned:
             left.add_row(line.order, line.why, line.remedy)
         console.print(left)
+
+
+def _table(title: str | None) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.show_edge = table.pad_edge = False
+    return table
 
 
 def _clock(seconds: float) -> str:
