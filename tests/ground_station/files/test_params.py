@@ -27,7 +27,8 @@ def test_a_file_without_a_suffix_is_a_path_too(tmp_path, monkeypatch):
 
 
 def test_an_unknown_name_lists_the_names_in_one_line():
-    with pytest.raises(
-        LeewayError, match=r"^day 'nowhere': expected a file, .* faults, harbour, town$"
-    ):
+    names = "names: faults, harbour, town, villages; or give a file's path"
+    with pytest.raises(LeewayError, match=f"^nowhere: no such day; {names}$"):
         day_file("nowhere")
+    with pytest.raises(LeewayError, match=f"^twon: no such day, did you mean town\\? {names}$"):
+        day_file("twon")

@@ -277,6 +277,16 @@ def test_the_town_has_forty_orders_and_most_of_them_are_for_drones():
     assert len(read_day(DAYS / "town.toml").day.drones) == 8
 
 
+def test_no_stop_of_the_villages_reaches_all_so_drones_launch_and_land_at_several():
+    data = read_day(DAYS / "villages.toml")
+    plan = plan_day(data, first_state(data), QUICK)
+    assert_holds_together(data, plan)
+    assert by_whom(plan) == sorted(order.id for order in data.orders)
+    assert plan.unplanned == []
+    assert len({sortie.launch for sortie in plan.sorties}) >= 3
+    assert len({sortie.home for sortie in plan.sorties}) >= 3
+
+
 def test_mission_commands_are_numbered_as_pymavlink_numbers_them():
     from pymavlink.dialects.v20 import common as mavlink
 
