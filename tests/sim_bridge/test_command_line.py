@@ -76,7 +76,7 @@ def test_the_campaigns_help_names_every_planner() -> None:
     ("command", "names"),
     [
         ("fly", "arducopter_sitl, default, faults, px4_sih, recorded, truck_stop"),
-        ("day", "faults, harbour, town"),
+        ("day", "faults, harbour, town, villages"),
     ],
 )
 def test_an_unknown_flight_or_day_is_answered_with_the_names(command: str, names: str) -> None:

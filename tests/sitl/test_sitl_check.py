@@ -196,7 +196,7 @@ def test_nobody_on_the_link_is_said_and_has_a_code_of_its_own(tmp_path, short_fl
         check=False,
     )
     assert done.returncode == 4
-    assert "no answer from an autopilot" in done.stdout
+    assert "no answer from an autopilot on udpout:127.0.0.1:9 (it has to listen" in done.stdout
 
 
 @pytest.mark.drawn(of="autopilot_kind")
