@@ -289,6 +289,7 @@ class MissionFollower:
                 self._confirmed(context, event.index)
             return  # else the jump is under way; the tick asks again or gives up
         if context.phase is Phase.LAST_RESORT and not _is_flown(vehicle):
+            state.foreign_move = None
             return  # RTL or a landing needs no item
         if self._may_be_older(mission, event):
             return  # what is flown is reported again within a second

@@ -411,6 +411,22 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
     assert w.orders_after(taken_s) == []
 
 
+def test_a_late_report_before_the_last_resort_does_not_keep_the_flight_from_ending():
+    """Flown on ArduCopter with its progress late: down and disarmed at home, and never over."""
+    w = reach(Phase.RETURN)
+    while w.pilot.phase is Phase.RETURN and w.t_s < 600.0:
+        w.speed = 0.0
+        w.step()
+    assert w.pilot.phase is Phase.LAST_RESORT
+    w.tell(ev.MissionProgress(w.t_s, 1, len(w.items)))  # RTL does not show yet
+    w.tell(ev.VehicleState(w.t_s, w.mode, w.mode.value, w.armed, w.failsafe))
+    assert w.mode is Mode.RTL
+    w.step()
+    w.north = w.east = w.height = 0.0  # RTL has led it home
+    w.armed = False
+    assert w.to_the_end().home
+
+
 def low_rtl(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
     """An RTL altitude that is too low, and no hindrance to take-off."""
     words = "an RTL above every obstacle"
