@@ -1,18 +1,26 @@
-"""RC override, other components on the system, and the parcel."""
+"""RC override, other components on the system, other stations, a home that moves, the parcel."""
 
 from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sim_bridge.conform import missions
 from sim_bridge.conform.behaviour import Behaviour, Finding, Where
 from sim_bridge.conform.client import Identity
 from sim_bridge.conform.errors import CannotSee
+from sim_bridge.conform.mission import waypoint
+from sim_bridge.conform.mission_flight import fly_straight
 from sim_bridge.conform.subject import Subject
 
 _STRANGER = Identity(200, 190, mavlink.MAV_TYPE_GCS)
 _CENTRED = (1500, 1500, 1500, 1500)
 _PUSHED = (1500, 1900, 1500, 1500)
 _IGNORE = 65535
+_READY_S = 90.0
+_LOWER_M = 20.0
+_FAR_M = 3000.0
+_THEIRS_M = 200.0
+"""East of home: where another station's list begins."""
 
 
 def _override(s: Subject, channels: tuple[int, ...], for_s: float, whom: Identity | None) -> None:
@@ -188,6 +196,101 @@ def _home_here(s: Subject) -> str:
     return f"{answer}, {'here' if off < 5.0 else 'elsewhere'}"
 
 
+def _set_home(s: Subject, lower_m: float, north_m: float = 0.0) -> str:
+    """DO_SET_HOME to a place so far north of home, so much lower than the ground there; as often
+    as it takes an estimator that has just been switched on.
+    """
+    place = (*s.place(north_m, 0.0), s.home_amsl_m - lower_m)
+    end_s = s.client.t_s + _READY_S
+    while True:
+        answer = s.client.command_int(
+            mavlink.MAV_CMD_DO_SET_HOME, place=place, frame=mavlink.MAV_FRAME_GLOBAL
+        )
+        if answer != "FAILED" or s.is_armed or s.client.t_s > end_s:
+            return answer
+        s.client.collect(2.0)
+
+
+def _home_lower(s: Subject) -> Finding:
+    """How much relative_alt grows when home is set 20 m lower; then home is put back."""
+    before = s.position().rel_m
+    ground_m = s.home_amsl_m
+    answer = _set_home(s, _LOWER_M)
+    s.client.collect(1.5)
+    after = s.position().rel_m
+    _put_home_back(s, ground_m)
+    return Finding(round(after - before, 1), answer)
+
+
+def _home_lower_on_mission(s: Subject) -> Finding:
+    """How far it climbs or sinks (AMSL) in a mission when home is set 20 m lower, within 12 s."""
+    fly_straight(s)
+    ground_m, before_m = s.home_amsl_m, s.position().amsl_m
+    answer = _set_home(s, _LOWER_M)
+    s.client.collect(12.0)
+    after_m = s.position().amsl_m
+    _put_home_back(s, ground_m)
+    return Finding(round(after_m - before_m, 1), answer)
+
+
+def _home_far(s: Subject) -> str:
+    ground_m = s.home_amsl_m
+    answer = _set_home(s, 0.0, north_m=_FAR_M)
+    s.client.collect(0.5)
+    _put_home_back(s, ground_m)
+    return answer
+
+
+def _put_home_back(s: Subject, ground_m: float) -> None:
+    place = (*s.place(0.0, 0.0), ground_m)
+    s.client.command_int(mavlink.MAV_CMD_DO_SET_HOME, place=place, frame=mavlink.MAV_FRAME_GLOBAL)
+    s.client.collect(1.5)
+
+
+def _stranger_changes_mode(s: Subject) -> str:
+    """DO_SET_MODE to RTL by another station, in the holding mode in the air."""
+    with s.client.appearing_as(_STRANGER):
+        s.client.beat()
+        answer = s.set_mode("RTL")
+        s.client.until(lambda: s.mode == "RTL", 3.0)
+    return f"{answer}, {'changed' if s.mode == 'RTL' else 'as it was'}"
+
+
+def _stranger_disarms(s: Subject) -> str:
+    """A plain disarm by another station, of what we armed on the ground."""
+    s.arm()
+    with s.client.appearing_as(_STRANGER):
+        s.client.beat()
+        answer = s.disarm_once()
+        s.client.until(lambda: not s.is_armed, 3.0)
+    return f"{answer}, {'armed' if s.is_armed else 'disarmed'}"
+
+
+def _stranger_uploads(s: Subject) -> str:
+    """A list of the same length by another station, in flight: the list that is aboard after it."""
+    fly_straight(s)
+    theirs = [waypoint(s, 0.0, _THEIRS_M + 40.0 * n, 20.0) for n in range(3)]
+    with s.client.appearing_as(_STRANGER):
+        s.client.beat()
+        answer = s.upload(theirs).ack
+    stored = missions.download(s.client)
+    east_deg = s.place(0.0, _THEIRS_M)[1]
+    theirs_aboard = bool(stored) and abs(stored[s.first_seq()].y * 1e-7 - east_deg) < 1e-5
+    return f"{answer}, {'theirs' if theirs_aboard else 'ours'}"
+
+
+def _stranger_edits(s: Subject) -> str:
+    """One item written anew by another station (a partial write), in flight."""
+    fly_straight(s)
+    with s.client.appearing_as(_STRANGER):
+        s.client.beat()
+        done = missions.write_partial(s.client, s.first_seq() + 2, [waypoint(s, 0.0, _THEIRS_M)])
+    stored = missions.download(s.client)
+    east_deg = s.place(0.0, _THEIRS_M)[1]
+    theirs = stored is not None and abs(stored[-1].y * 1e-7 - east_deg) < 1e-5
+    return f"{done.ack}, {'theirs' if theirs else 'ours'}"
+
+
 BEHAVIOURS = (
     Behaviour(
         "rc_override/seen", "An override of the ground station is in RC_CHANNELS", _override_seen
@@ -240,6 +343,45 @@ BEHAVIOURS = (
         "acks/loiter",
         "NAV_LOITER_UNLIM in the air is",
         _command(mavlink.MAV_CMD_NAV_LOITER_UNLIM),
+        Where.AIR,
+    ),
+    Behaviour(
+        "home/lower_ground",
+        "DO_SET_HOME 20 m lower, disarmed, raises relative_alt by",
+        _home_lower,
+        unit="m",
+        within=1.0,
+    ),
+    Behaviour(
+        "home/lower_air",
+        "DO_SET_HOME 20 m lower in the air raises relative_alt by",
+        _home_lower,
+        Where.AIR,
+        unit="m",
+        within=1.5,
+    ),
+    Behaviour(
+        "home/lower_mission",
+        "DO_SET_HOME 20 m lower in a mission takes it up or down by",
+        _home_lower_on_mission,
+        Where.AIR,
+        unit="m",
+        within=3.0,
+    ),
+    Behaviour("home/far_ground", "DO_SET_HOME 3 km away, disarmed, is", _home_far),
+    Behaviour("home/far_air", "DO_SET_HOME 3 km away in the air is", _home_far, Where.AIR),
+    Behaviour("stranger/disarm", "A disarm by another station is", _stranger_disarms),
+    Behaviour("stranger/mode", "RTL by another station is", _stranger_changes_mode, Where.AIR),
+    Behaviour(
+        "stranger/upload",
+        "A list by another station in flight, as long as ours, is",
+        _stranger_uploads,
+        Where.AIR,
+    ),
+    Behaviour(
+        "stranger/edit",
+        "An item by another station in flight is",
+        _stranger_edits,
         Where.AIR,
     ),
 )
