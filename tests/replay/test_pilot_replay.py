@@ -19,6 +19,7 @@ from companion.adapters.files.params import (
 )
 from companion.app.flight.loaded_flight import requirements
 from companion.app.flight.loop import Loop
+from companion.app.flight.planning import PlanAtOnce
 from companion.app.flight.recorder import Recorder
 from companion.core.mission.actions import Action, Decision
 from companion.core.pilot.context import PilotOptions
@@ -95,6 +96,7 @@ class Ears:
             system_id=None, silence_limit_s=1e9,
         )  # fmt: skip
         self.loop.on_action = self.note
+        self.loop.planning = PlanAtOnce()  # the tape waits for us, as the simulator does
 
     def note(self, action: Action) -> None:
         if isinstance(action, Decision):

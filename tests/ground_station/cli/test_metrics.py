@@ -39,7 +39,7 @@ def test_an_address_that_others_reach_is_refused_unless_a_person_says_so(asked):
 
 
 def test_canary_without_that_check_strangers_would_reach_it(monkeypatch):
-    monkeypatch.setattr(metrics_module, "_is_loopback", lambda host: True)
+    monkeypatch.setattr(metrics_module, "is_loopback", lambda host: True)
     assert metrics_address("0.0.0.0:9464", open_metrics=False) == ("0.0.0.0", 9464)
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 PATIENCE_MS = 30_000.0
+POLL_MS = 50.0
 SIDE = 4096
 """Extent of a tile."""
 
@@ -56,6 +57,15 @@ def browsing(browser: "str | Browser", **context: Any) -> "Iterator[Page]":
         page.on("request", lambda asked: _note_address(wrong, asked.url))
         yield page
     assert wrong == []
+
+
+def wait_until(page: "Page", words: str) -> None:
+    """Until the page says that this is so; its policy forbids the driver's own way (`eval`)."""
+    for _ in range(round(PATIENCE_MS / POLL_MS)):
+        if page.evaluate(words):
+            return
+        page.wait_for_timeout(POLL_MS)
+    raise AssertionError(f"after {PATIENCE_MS / 1000.0:.0f} s still not: {words}")
 
 
 def _note(wrong: list[str], said: Any) -> None:

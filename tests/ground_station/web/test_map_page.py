@@ -11,7 +11,13 @@ from matplotlib.image import imread
 
 from companion.fleet.messages import EventKind
 from ground_station.adapters.web.npm_assets import missing_assets
-from tests.ground_station.web.browser import browsing, needs_chromium, running, town_tiles
+from tests.ground_station.web.browser import (
+    browsing,
+    needs_chromium,
+    running,
+    town_tiles,
+    wait_until,
+)
 from tests.ground_station.web.map_site import HARBOUR, MapSite
 from tests.ground_station.web.test_map_truth import RFC_7396
 
@@ -130,13 +136,12 @@ def test_the_keyboard_selects_and_closes_and_goes_to_what_wants_an_eye(site, pag
 
 def test_a_drone_on_the_map_turns_and_moves(site, page):
     drone = page.locator('#map .drone[data-key="d1"]')
-    turned = "document.querySelector('#map .drone[data-key=d1] path').getAttribute('transform')"
     site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45}
     site.step(2)
     before = drone.get_attribute("transform")
     site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45 + 40.0 / 63_100}
     site.step(2)
-    page.wait_for_function(f"{turned} === 'rotate(90)'")
+    drone.locator("path[transform='rotate(90)']").wait_for(state="attached")
     assert drone.get_attribute("transform") != before
 
 
@@ -150,7 +155,7 @@ CHANGED = """() => {
 
 def changed(page) -> int:
     """How many elements of the map have changed since `CHANGED`, once that has come to rest."""
-    page.wait_for_function("window.changed.size > 0")
+    wait_until(page, "window.changed.size > 0")
     page.wait_for_timeout(300)
     return page.evaluate("window.changed.size")
 

@@ -19,7 +19,7 @@ from ground_station.app.cli.main import app
 from ground_station.app.map.map_view import MapView
 from ground_station.app.map.replay.past_folder import past_files
 from ground_station.app.map.replay.replay_feed import ReplayFeed
-from tests.ground_station.web.browser import browsing, needs_chromium
+from tests.ground_station.web.browser import browsing, needs_chromium, wait_until
 from tests.ground_station.web.map_site import HARBOUR, MapSite
 
 pytestmark = pytest.mark.timeout(180)
@@ -258,7 +258,7 @@ def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
         page.evaluate("document.activeElement.blur()")
         for key in (",", ",", "<", " "):
             page.keyboard.press(key)
-        page.wait_for_function(f"() => {at} >= {began_us + 14e6}")
+        wait_until(page, f"{at} >= {began_us + 14e6}")
         page.keyboard.press(" ")
         assert page.locator("#play").inner_text() == "play"
         page.locator("#time").focus()
