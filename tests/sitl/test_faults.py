@@ -97,7 +97,9 @@ GUARDS: dict[str, tuple[str, str]] = {
         + "\n"
         + "import companion.core.pilot.authority as authority\n"
         "from companion.core.mission.events import ClockStepped\n"
-        "authority.ClockStepped = type('Never', (), {})",
+        "authority.ClockStepped = type('Never', (), {})\n"
+        "import companion.adapters.clock as clock\n"
+        "clock._Source.laid = lambda self, stamp_s, core_s: stamp_s + self.offset_s",
     ),
     "parcel-sticks": (
         "drop",
