@@ -338,3 +338,10 @@ class EndpointSet:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
+
+
+def free_tcp_port() -> int:
+    """A port of this machine that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -7,7 +7,6 @@ import os
 import pwd
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ import psycopg
 from psycopg import sql
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.endpoint import free_tcp_port
 from sim_bridge.adapters.lifeline import hold
 
 DEBIAN = Path("/usr/lib/postgresql")
@@ -184,7 +184,7 @@ def postgres_server() -> Iterator[PostgresServer]:
     with tempfile.TemporaryDirectory(prefix="leeway-pg-") as home:
         if user is not None:
             shutil.chown(home, user)
-        server = PostgresServer(programs, Path(home), user, _free_port())
+        server = PostgresServer(programs, Path(home), user, free_tcp_port())
         server.make_data()
         try:
             server.start()
@@ -198,9 +198,3 @@ def _user() -> str | None:
         return None
     names = {entry.pw_name for entry in pwd.getpwall()}
     return next((name for name in RUN_AS if name in names), None)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

@@ -8,7 +8,6 @@ other processes end with it, however it ends.
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections import deque
@@ -31,7 +30,7 @@ from ground_station.core.fleet.fleet_link import StateReceived
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.endpoint import EndpointSet, free_tcp_port
 from sim_bridge.adapters.lifeline import entry
 from sim_bridge.adapters.lossy_relay import Dice, LossyRelay
 from sim_bridge.adapters.realtime import Pacer
@@ -54,7 +53,7 @@ def write_network(folder: Path, *, relayed: bool) -> None:
     With `relayed` the desk connects to a second router, and only a lossy relay joins the two.
     """
     here = "tcp/127.0.0.1:{}"
-    members, desk = here.format(_free_port()), here.format(_free_port())
+    members, desk = here.format(free_tcp_port()), here.format(free_tcp_port())
     files = {ROUTER: _listens(members), MEMBER: _calls(members), DESK: _calls(members)}
     if relayed:
         files |= {DESK_ROUTER: _listens(desk), DESK: _calls(desk)}
@@ -73,12 +72,6 @@ def _calls(endpoint: str) -> dict[str, Any]:
     retry = {"period_init_ms": 50, "period_max_ms": 500}
     call = {"endpoints": [endpoint], "retry": retry}
     return ALONE | {"mode": "client", "connect": call}
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @dataclass(slots=True)

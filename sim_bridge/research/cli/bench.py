@@ -92,8 +92,19 @@ def bench_fleet(
     routers: Annotated[
         int, typer.Option(min=0, max=16, help="zenoh routers between members and desk.")
     ] = 0,
+    desks: Annotated[
+        int, typer.Option(min=1, max=16, help="Desks, each with a region of the members.")
+    ] = 1,
+    kill_desk: Annotated[
+        bool,
+        typer.Option("--kill-desk", help="Kill each desk half way; another begins on its store."),
+    ] = False,
     store: Annotated[
-        str | None, typer.Option(help="An empty store; default: SQLite in a folder of its own.")
+        str | None,
+        typer.Option(
+            help="An empty store, or `postgresql`: a server of its own from this machine's"
+            " programs. Default: SQLite in a folder of its own."
+        ),
     ] = None,
     order_every: Annotated[
         float, typer.Option(min=80.0, help="So often each vehicle gets an order, s.")
@@ -106,16 +117,15 @@ def bench_fleet(
     sim-bridge research bench-fleet --vehicles 200 --minutes 2 --json fleet.json
     """
     try:
-        from sim_bridge.research.benchmarks.fleet_bench import bench as bench_now
+        from sim_bridge.research.benchmarks.fleet_bench.bench import Asked
+        from sim_bridge.research.benchmarks.fleet_bench.bench import bench as bench_now
     except ImportError as error:
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
-    from companion.fleet.zenoh_link import leave_process
-
-    figures = json.dumps(bench_now(vehicles, minutes, routers, store, seed, order_every), indent=1)
+    asked = Asked(vehicles, minutes, routers, desks, store, seed, order_every, kill_desk)
+    figures = json.dumps(bench_now(asked), indent=1)
     typer.echo(figures)
     if json_file is not None:
         json_file.write_text(figures + "\n")
-    leave_process(0)
 
 
 @app.command("planner")

@@ -31,6 +31,11 @@ def _promise(title: str, *words: str) -> PageCommand:
     return PageCommand(_research("promise", *logs, *words, "--out", out), title=title)
 
 
+def _fleet(title: str, *words: str) -> PageCommand:
+    given = ("--vehicles", "1000", "--seed", "1", *words, "--json", f"{OUT}/fleet.json")
+    return PageCommand(_research("bench-fleet", *given), show=tables.fleet, title=title)
+
+
 def _avoid(policy: str) -> PageCommand:
     words = ("--policy", policy, "--agents", "8", "--episodes", "100", "--seed", "2", "--wind")
     return PageCommand(_research("avoid", *words, "--keep", f"{OUT}/kept"), show=tables.nothing)
@@ -327,6 +332,20 @@ PAGES = (
             ),
         ),
         4.0,
+    ),
+    Page(
+        "fleet-size",
+        "A thousand vehicles on one machine",
+        "Members, desk, store and routers of a fleet share two cores. Members are the companion's"
+        " own network end, without a flight behind them.",
+        (
+            _fleet("One desk, SQLite", "--minutes", "3"),
+            _fleet("5,000 orders, the desk killed half way", "--minutes", "13",
+                   "--order-every", "156", "--kill-desk"),
+            _fleet("One desk, PostgreSQL", "--minutes", "3", "--store", "postgresql"),
+            _fleet("Two desks and two routers", "--minutes", "3", "--desks", "2", "--routers", "2"),
+        ),
+        50.0,
     ),
     Page(
         "speed-and-size",

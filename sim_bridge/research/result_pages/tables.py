@@ -84,3 +84,36 @@ def dispatch(done: CommandOutput) -> str:
             cells = " | ".join(f"{one[key]:.1f}" for key in ("p50", "p99", "max"))
             lines.append(f"| {what.replace('_', ' ')} | {cells} |")
     return "\n".join(lines)
+
+
+FLEET_ROWS = (
+    ("time to acknowledgement, median", "ack_ms_p50", "ms", "200"),
+    ("time to acknowledgement, p99", "ack_ms_p99", "ms", "500"),
+    ("commands", "commands", "", ""),
+    ("of them unanswered", "unanswered", "", "0"),
+    ("members falsely gone", "false_gone", "", "0"),
+    ("a desk's share of a core", "desk_cpu_frac", "", "0.30"),
+    ("a desk's memory, the most seen", "desk_rss_mb", "MB", "300"),
+    ("store grows (SQLite's file)", "store_mb_per_hour", "MB/h", ""),
+    ("all had joined after", "joined_s", "s", "30"),
+    ("killed, a desk heard all again after", "desk_back_s", "s", "10"),
+    ("members heard at the end", "present_at_end", "", ""),
+    ("orders", "orders", "", ""),
+    ("delivered", "delivered", "", ""),
+    ("flown twice", "twice", "", "0"),
+    ("lost", "lost", "", "0"),
+)
+"""What is shown, its key, its unit, and the goal."""
+
+
+def fleet(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench-fleet --json {out}/fleet.json`."""
+    figures = done.json("fleet.json")
+    load = ", ".join(map(str, figures["load_of_machine"]))
+    lines = ["| what | value | goal |", "| --- | --- | --- |"]
+    for what, key, unit, goal in FLEET_ROWS:
+        value = figures[key]
+        if value is not None:
+            lines.append(f"| {what} | {value:,g} {unit} | {goal} |")
+    never = "" if figures["joined_s"] is not None else " Not all members had joined in time."
+    return "\n".join([*lines, "", f"Load of the machine before, 1 and 5 minutes: {load}.{never}"])

@@ -24,7 +24,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.desk import TURN_S, Desk
 from ground_station.app.desk.exchange import Exchange
 from ground_station.core.schema.orders import Order, OrderState
-from sim_bridge.research.benchmarks.fleet_bench import GiveAll
+from sim_bridge.research.benchmarks.fleet_bench.desk_process import GiveAll
 
 VEHICLES = [f"d{number}" for number in range(10)]
 WARM, ORDERS = 20, 60

@@ -1,0 +1,283 @@
+"""One run of `sim-bridge research bench-fleet`: start everything, let it fly, count.
+
+Members are the companion's own fleet ports and zenoh links around a small state machine. Desks,
+stores and routers are the product's own, each a process; all of them share this machine.
+"""
+
+import contextlib
+import itertools
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from companion.adapters.clock import epoch_us, wall_s
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.store import tables
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.order_store import Store
+from ground_station.core.schema.orders import OrderRow, OrderState
+from sim_bridge.adapters.endpoint import free_tcp_port
+from sim_bridge.adapters.postgres_server import postgres_server
+from sim_bridge.research.benchmarks.fleet_bench.desk_process import SETTLE_S
+from sim_bridge.research.benchmarks.fleet_bench.processes import (
+    Worker,
+    desk_config,
+    member_config,
+    start_router,
+)
+from sim_bridge.research.benchmarks.fleet_bench.region import Region
+
+A_PROCESS = 50
+LOAD_LIMIT_S = 180.0
+"""Until every process has loaded its programs."""
+
+JOIN_LIMIT_S = 180.0
+LOOK_S = 2.0
+POSTGRESQL = "postgresql"
+"""As a store: a server of its own, from this machine's programs."""
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """One run. `order_every_s`: so often each vehicle gets an order. `kill_desk`: each desk is
+    killed half way, and another begins on its store at once. `flight_s`: shortest and longest time
+    of a member in the air.
+    """
+
+    vehicles: int
+    minutes: float
+    routers: int = 0
+    desks: int = 1
+    store: str | None = None
+    seed: int = 1
+    order_every_s: float = 300.0
+    kill_desk: bool = False
+    flight_s: tuple[float, float] = (50.0, 70.0)
+
+
+def bench(asked: Asked) -> Figures:
+    """The figures of one run. Raises LeewayError where a desk or a member ends by itself."""
+    if asked.desks > 1 and asked.store not in (None, POSTGRESQL):
+        raise LeewayError("--desks: each desk has a store of its own; leave out --store")
+    if asked.desks > asked.vehicles:
+        raise LeewayError(f"--desks {asked.desks}: expected at most one for each vehicle")
+    load_before = os.getloadavg()[0]
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="leeway-bench-")))
+        urls = stack.enter_context(_stores(asked, folder))
+        workers = stack.enter_context(_killed_at_the_end())
+        run = _Run(asked, _regions(asked, folder, urls, workers), urls)
+        figures = run.figures(workers)
+    return {
+        "vehicles": asked.vehicles,
+        "desks": asked.desks,
+        "routers": asked.routers,
+        "store": sa.make_url(urls[0]).get_backend_name(),
+        "order_every_s": asked.order_every_s,
+        **figures,
+        "load_of_machine": [round(load, 1) for load in (load_before, *os.getloadavg()[:2])],
+    }
+
+
+@dataclass(slots=True)
+class _Run:
+    """Everything has been started, and nobody has joined."""
+
+    asked: Asked
+    regions: list[Region]
+    urls: list[str]
+
+    def figures(self, workers: list[Worker]) -> Figures:
+        """Let them join and fly, and count."""
+        begun_s = self._let_join()
+        joined, joined_s = self._joined(begun_s)
+        since_s, size_bytes = wall_s(), self._size_bytes()
+        for region in self.regions:
+            region.desk.say(f"fly {since_s}")
+            region.look()
+        before_s = [region.cpu_s for region in self.regions]
+        self._fly(since_s, workers)
+        spent = zip(self.regions, before_s, strict=True)
+        busy = max((r.cpu_s - s) / (wall_s() - since_s) for r, s in spent)
+        grown_mb, hours = (self._size_bytes() - size_bytes) / 1e6, (wall_s() - since_s) / 3600.0
+        until_s = wall_s() + 2.0 * SETTLE_S
+        for region in self.regions:
+            region.settle(until_s)
+        flown = Counter(x for region in self.regions for x in region.flown())
+        backs = [r.back_s for r in self.regions if r.back_s is not None]
+        return {
+            **self._acknowledged(),
+            "false_gone": sum(region.gone for region in self.regions),
+            "desk_cpu_frac": round(busy, 3),
+            "desk_rss_mb": round(max(region.rss_mb for region in self.regions), 1),
+            "store_mb_per_hour": round(grown_mb / hours, 1),
+            "joined_s": joined_s,
+            f"joined_in_{JOIN_LIMIT_S:.0f}_s": joined,
+            "present_at_end": sum(region.here for region in self.regions),
+            "desk_back_s": round(max(backs), 1) if len(backs) == len(self.regions) else None,
+            **self._orders(flown),
+        }
+
+    def _let_join(self) -> float:
+        """All join at the same moment, when everybody has loaded; returns that moment."""
+        until_s = wall_s() + LOAD_LIMIT_S
+        members = [member for region in self.regions for member in region.members]
+        for member in members:
+            if member.hear(until_s - wall_s()) is None:
+                raise LeewayError(f"a process of members did not begin in {LOAD_LIMIT_S:.0f} s")
+        for region in self.regions:
+            if region.wait("listens", until_s) is None:
+                raise LeewayError(f"a desk did not begin within {LOAD_LIMIT_S:.0f} s")
+        begun_s = wall_s()
+        for member in members:
+            member.say("join")
+        return begun_s
+
+    def _joined(self, begun_s: float) -> tuple[int, float | None]:
+        """Who is there when all are or time is up, and how long all took."""
+        told = [region.wait("whole", begun_s + JOIN_LIMIT_S) for region in self.regions]
+        here = sum(one.here for one in told if one is not None)
+        if None in told:
+            return here, None
+        return here, round(max(one.wall_s for one in told if one is not None) - begun_s, 1)
+
+    def _fly(self, since_s: float, workers: list[Worker]) -> None:
+        ends_s = since_s + 60.0 * self.asked.minutes
+        dies_s = since_s + 30.0 * self.asked.minutes if self.asked.kill_desk else ends_s
+        self._watch(dies_s)
+        if self.asked.kill_desk:
+            killed_s = wall_s()
+            for region in self.regions:
+                region.kill(since_s)
+                workers.append(region.desk)
+            for region in self.regions:
+                region.wait_back(killed_s, killed_s + JOIN_LIMIT_S)
+        self._watch(ends_s)
+
+    def _watch(self, until_s: float) -> None:
+        """How much memory the desks take, until then."""
+        while (left_s := until_s - wall_s()) > 0.0:
+            for region in self.regions:
+                region.look()
+            self.regions[0].desk.ends_within(min(LOOK_S, left_s))
+
+    def _acknowledged(self) -> Figures:
+        """From a command's transaction to its answer's, as the stores have stamped them."""
+        asked = tables.commands.c
+        rows: list[sa.Row[Any, Any, Any]] = []
+        for url in self.urls:
+            with _reading(url) as store, store.database.read() as db:
+                columns = sa.select(asked.made_us, asked.answered_us, asked.answer)
+                rows.extend(db.execute(columns).all())
+        took_ms = [(r.answered_us - r.made_us) / 1e3 for r in rows if r.answered_us is not None]
+        p50, p99 = np.percentile(took_ms, [50, 99]).tolist() if took_ms else (None, None)
+        return {
+            "ack_ms_p50": p50,
+            "ack_ms_p99": p99,
+            "commands": len(rows),
+            "unanswered": sum(row.answer is None for row in rows),
+        }
+
+    def _orders(self, flown: Counter[str]) -> dict[str, int]:
+        """The members' own count against the stores'; no two desks have an order of one name."""
+        orders = Counter(assignment.rpartition(".")[0] for assignment in flown.elements())
+        rows: list[OrderRow] = []
+        for url in self.urls:
+            with _reading(url) as store:
+                rows += store.orders()
+        known = {row.order.id for row in rows}
+        delivered = sum(row.state is OrderState.DELIVERED for row in rows)
+        return {
+            "orders": len(rows),
+            "delivered": delivered,
+            "twice": sum(count > 1 for count in orders.values()),
+            "lost": len(orders.keys() - known) + max(0, len(orders) - delivered),
+        }
+
+    def _size_bytes(self) -> int:
+        """SQLite's files; beside each lie at most 4 MB of its journal. PostgreSQL's: 0."""
+        files = [sa.make_url(url) for url in self.urls]
+        return sum(
+            Path(file.database).stat().st_size
+            for file in files
+            if file.get_backend_name() == "sqlite" and file.database
+        )
+
+
+# --- processes and stores -------------------------------------------------------------------------
+
+
+def _regions(asked: Asked, folder: Path, urls: list[str], workers: list[Worker]) -> list[Region]:
+    """Routers, and of each region a desk and its members; all of them are noted in `workers`."""
+    routers = [free_tcp_port() for _ in range(asked.routers)]
+    workers += [start_router(folder, port) for port in routers]
+    regions: list[Region] = []
+    for number, (url, share) in enumerate(zip(urls, _shares(asked), strict=True)):
+        ports = routers or [free_tcp_port()]
+        config = desk_config(folder, number, ports, calls=bool(routers))
+        fleet = f"bench{number}"
+        desk = ("desk", fleet, str(len(share)), str(asked.order_every_s), str(config), url)
+        regions.append(Region(fleet, len(share), desk, Worker.start(*desk), []))
+        workers.append(regions[-1].desk)
+        for k, first in enumerate(range(share.start, share.stop, A_PROCESS)):
+            count = min(A_PROCESS, share.stop - first)
+            calls = member_config(folder, ports[k % len(ports)])
+            flown = (str(asked.seed), *map(str, asked.flight_s))
+            member = Worker.start(
+                "members", fleet, str(first), str(count), str(calls), str(folder), *flown
+            )
+            regions[-1].members.append(member)
+            workers.append(member)
+    return regions
+
+
+def _shares(asked: Asked) -> list[range]:
+    """Vehicles of each region, by number."""
+    ends = [asked.vehicles * k // asked.desks for k in range(asked.desks + 1)]
+    return [range(first, end) for first, end in itertools.pairwise(ends)]
+
+
+@contextlib.contextmanager
+def _killed_at_the_end() -> Iterator[list[Worker]]:
+    """Whatever happens, no process that was noted here stays."""
+    workers: list[Worker] = []
+    try:
+        yield workers
+    finally:
+        for worker in workers:
+            worker.kill()
+
+
+@contextlib.contextmanager
+def _stores(asked: Asked, folder: Path) -> Iterator[list[str]]:
+    """A store for each desk, made before anybody is timed."""
+    with contextlib.ExitStack() as stack:
+        names = [f"bench{number}" for number in range(asked.desks)]
+        if asked.store == POSTGRESQL:
+            server = stack.enter_context(postgres_server())
+            urls = [server.create_database(name) for name in names]
+        else:
+            urls = [asked.store or f"sqlite:///{folder / name}.db" for name in names]
+        for url in urls:
+            with _reading(url) as store:
+                if store.orders():
+                    raise LeewayError(f"--store {url}: expected an empty store")
+        yield urls
+
+
+@contextlib.contextmanager
+def _reading(url: str) -> Iterator[Store]:
+    store = Store(Database(url), epoch_us)
+    try:
+        yield store
+    finally:
+        store.close()

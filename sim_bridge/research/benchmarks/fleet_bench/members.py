@@ -1,0 +1,103 @@
+"""Members: the companion's own fleet ports and zenoh links around a small state machine.
+
+No physics; a process for every 50.
+"""
+
+import json
+import os
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from companion.adapters.clock import wall_s
+from companion.adapters.files.params import read_airframe
+from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
+from companion.core.pilot.telemetry_state import TelemetryState
+from companion.fleet.command_log import Verdict
+from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_link import ZenohLink
+
+TURN_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """How long each is in the air: drawn between these."""
+
+    seed: int
+    least_s: float
+    most_s: float
+
+    def drawn_s(self, rng: np.random.Generator) -> float:
+        """One flight's."""
+        return float(rng.uniform(self.least_s, self.most_s))
+
+
+@dataclass(slots=True)
+class Member:
+    """One vehicle: standby, ready, outbound for some seconds, and an outcome."""
+
+    port: FleetPort
+    flights: Flights
+    rng: np.random.Generator
+    phase: str = STANDBY
+    lands_s: float = 0.0
+    flown: list[str] = field(default_factory=list)
+
+    def turn(self) -> None:
+        """Answer, land when it is time, tell the state."""
+        self.port.turn(self._carry_out)
+        if self.phase == "outbound" and wall_s() >= self.lands_s:
+            self._land()
+        self.port.publish(self.phase, TelemetryState())
+
+    def _carry_out(self, command: Command) -> Verdict:
+        deed = command.deed
+        match deed:
+            case Assign() if self.phase == STANDBY:
+                self.port.take_aboard(Assigned(assignment=deed.assignment, order=deed.order))
+                self.phase = "ready"
+            case Launch() if self.phase == "ready":
+                self.flown.append(deed.assignment)
+                self.phase, self.lands_s = "outbound", wall_s() + self.flights.drawn_s(self.rng)
+            case _:
+                return Verdict(Answered.REFUSED, f"in phase {self.phase}")
+        return Verdict(Answered.DONE, self.phase)
+
+    def _land(self) -> None:
+        self.port.tell(EventKind.OUTCOME, "landed", outcome="SUC", delivered=True, home=True)
+        self.port.put_ashore()
+        self.phase = STANDBY
+
+
+def serve(fleet: str, numbers: range, config_file: Path, folder: Path, flights: Flights) -> None:
+    """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
+    flown.
+    """
+    print("loaded", flush=True)
+    sys.stdin.readline()
+    config, airframe = read_config(config_file), read_airframe("m100")
+    stop = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+    members: list[Member] = []
+    for number in numbers:
+        name = f"v{number}"
+        keys = VehicleKeys(fleet, name)
+
+        def link_of(life: str, keys: VehicleKeys = keys) -> ZenohLink:
+            return ZenohLink(config, keys, life, lambda: None)
+
+        port = FleetPort.open(name, "m100", airframe, folder / name, link_of)
+        members.append(Member(port, flights, np.random.default_rng([flights.seed, number])))
+    while not stop.is_set():
+        begun_s = wall_s()
+        for member in members:
+            member.turn()
+        stop.wait(max(0.0, TURN_S - (wall_s() - begun_s)))
+    print(json.dumps([x for member in members for x in member.flown]), flush=True)
+    os._exit(0)

@@ -1,0 +1,115 @@
+"""The processes of one run: routers, members and desks, each a Python of its own."""
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ground_station.adapters.pki.access_rules import MANY_CALLERS
+from sim_bridge.adapters.lifeline import entry
+
+MAIN = "from sim_bridge.research.benchmarks.fleet_bench.worker import main"
+QUIET = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
+STOP_S = 120.0
+"""A process that was told to end and has not by then is killed."""
+
+
+@dataclass(slots=True)
+class Worker:
+    """A process of ours, spoken to by lines; what it says is read beside us."""
+
+    process: "subprocess.Popen[str]"
+    said: "queue.SimpleQueue[str | None]" = field(default_factory=queue.SimpleQueue)
+
+    @classmethod
+    def start(cls, *arguments: str) -> "Worker":
+        """What `worker.main` does with these arguments."""
+        process = subprocess.Popen(
+            [sys.executable, "-c", entry(f"{MAIN}; main()"), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
+        worker = cls(process)
+        threading.Thread(target=worker._read, daemon=True).start()
+        return worker
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said.put(line)
+        self.said.put(None)
+
+    def say(self, words: str) -> None:
+        """A line to it."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(words + "\n")
+        self.process.stdin.flush()
+
+    def hear(self, limit_s: float) -> str | None:
+        """Its next line; None where it has ended, or says nothing for so long."""
+        try:
+            return self.said.get(timeout=max(0.0, limit_s))
+        except queue.Empty:
+            return None
+
+    def ends_within(self, limit_s: float) -> bool:
+        """Waits so long for its end."""
+        try:
+            self.process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def last_words(self) -> str:
+        """Its last line, after its standard input has ended."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        words = ""
+        while (line := self.hear(STOP_S)) is not None:
+            words = line
+        return words
+
+    def kill(self) -> None:
+        """It ends now; nothing is written any more."""
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+
+
+def write_config(path: Path, table: dict[str, Any]) -> Path:
+    """A zenoh configuration without scouting."""
+    path.write_text(json.dumps(QUIET | table))
+    return path
+
+
+def member_config(folder: Path, port: int) -> Path:
+    """A client that calls until somebody answers."""
+    call = {"endpoints": [f"tcp/127.0.0.1:{port}"], "retry": {"period_init_ms": 200}}
+    table = {"mode": "client", "connect": call | {"exit_on_failure": False}}
+    return write_config(folder / f"member-{port}.json5", table)
+
+
+def desk_config(folder: Path, desk: int, ports: list[int], *, calls: bool) -> Path:
+    """It calls every router, or listens for its members."""
+    ends = {"endpoints": [f"tcp/127.0.0.1:{port}" for port in ports]}
+    many = {"transport": {"unicast": MANY_CALLERS}}
+    how = {"connect": ends, "listen": {"endpoints": []}} if calls else {"listen": ends}
+    return write_config(folder / f"desk-{desk}.json5", {"mode": "peer", **how, **many})
+
+
+def start_router(folder: Path, port: int) -> Worker:
+    """The binding's router."""
+    listens = {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
+    table = {"mode": "router", **listens, "transport": {"unicast": MANY_CALLERS}}
+    return Worker.start("router", str(write_config(folder / f"router-{port}.json5", table)))
