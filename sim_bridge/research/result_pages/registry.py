@@ -32,7 +32,7 @@ def _promise(title: str, *words: str) -> PageCommand:
 
 
 def _fleet(title: str, *words: str) -> PageCommand:
-    given = ("--vehicles", "1000", "--seed", "1", *words, "--json", f"{OUT}/fleet.json")
+    given = ("--vehicles", "1000", "--seed", "1", *words)
     return PageCommand(_research("bench-fleet", *given), show=tables.fleet, title=title)
 
 

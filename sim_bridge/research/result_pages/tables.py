@@ -1,5 +1,7 @@
 """The tables of commands that print for a terminal, again from the JSON that they write."""
 
+import json
+
 from sim_bridge.research.result_pages.markdown import MarkdownConsole, plain, table_markdown
 from sim_bridge.research.result_pages.page import DATA, CommandOutput
 
@@ -107,8 +109,8 @@ FLEET_ROWS = (
 
 
 def fleet(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench-fleet --json {out}/fleet.json`."""
-    figures = done.json("fleet.json")
+    """Of `sim-bridge research bench-fleet`."""
+    figures = json.loads(done.printed)
     load = ", ".join(map(str, figures["load_of_machine"]))
     lines = ["| what | value | goal |", "| --- | --- | --- |"]
     for what, key, unit, goal in FLEET_ROWS:
