@@ -27,7 +27,7 @@ from sim_bridge.adapters.endpoint import free_tcp_port
 from sim_bridge.adapters.postgres_server import postgres_server
 from sim_bridge.research.benchmarks.fleet_bench.desk_process import SETTLE_S
 from sim_bridge.research.benchmarks.fleet_bench.processes import (
-    Worker,
+    BenchProcess,
     desk_config,
     member_config,
     start_router,
@@ -96,7 +96,7 @@ class _Run:
     regions: list[Region]
     urls: list[str]
 
-    def figures(self, workers: list[Worker]) -> Figures:
+    def figures(self, workers: list[BenchProcess]) -> Figures:
         """Let them join and fly, and count."""
         begun_s = self._let_join()
         joined, joined_s = self._joined(begun_s)
@@ -150,7 +150,7 @@ class _Run:
             return here, None
         return here, round(max(one.wall_s for one in told if one is not None) - begun_s, 1)
 
-    def _fly(self, since_s: float, workers: list[Worker]) -> None:
+    def _fly(self, since_s: float, workers: list[BenchProcess]) -> None:
         ends_s = since_s + 60.0 * self.asked.minutes
         dies_s = since_s + 30.0 * self.asked.minutes if self.asked.kill_desk else ends_s
         self._watch(dies_s)
@@ -216,7 +216,9 @@ class _Run:
 # --- processes and stores -------------------------------------------------------------------------
 
 
-def _regions(asked: Asked, folder: Path, urls: list[str], workers: list[Worker]) -> list[Region]:
+def _regions(
+    asked: Asked, folder: Path, urls: list[str], workers: list[BenchProcess]
+) -> list[Region]:
     """Routers, and of each region a desk and its members; all of them are noted in `workers`."""
     routers = [free_tcp_port() for _ in range(asked.routers)]
     workers += [start_router(folder, port) for port in routers]
@@ -226,13 +228,13 @@ def _regions(asked: Asked, folder: Path, urls: list[str], workers: list[Worker])
         config = desk_config(folder, number, ports, calls=bool(routers))
         fleet = f"bench{number}"
         desk = ("desk", fleet, str(len(share)), str(asked.order_every_s), str(config), url)
-        regions.append(Region(fleet, len(share), desk, Worker.start(*desk), []))
+        regions.append(Region(fleet, len(share), desk, BenchProcess.start(*desk), []))
         workers.append(regions[-1].desk)
         for k, first in enumerate(range(share.start, share.stop, A_PROCESS)):
             count = min(A_PROCESS, share.stop - first)
             calls = member_config(folder, ports[k % len(ports)])
             flown = (str(asked.seed), *map(str, asked.flight_s))
-            member = Worker.start(
+            member = BenchProcess.start(
                 "members", fleet, str(first), str(count), str(calls), str(folder), *flown
             )
             regions[-1].members.append(member)
@@ -247,9 +249,9 @@ def _shares(asked: Asked) -> list[range]:
 
 
 @contextlib.contextmanager
-def _killed_at_the_end() -> Iterator[list[Worker]]:
+def _killed_at_the_end() -> Iterator[list[BenchProcess]]:
     """Whatever happens, no process that was noted here stays."""
-    workers: list[Worker] = []
+    workers: list[BenchProcess] = []
     try:
         yield workers
     finally:

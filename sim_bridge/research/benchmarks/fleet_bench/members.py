@@ -26,7 +26,7 @@ TURN_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Flights:
+class AirTimes:
     """How long each is in the air: drawn between these."""
 
     seed: int
@@ -43,7 +43,7 @@ class Member:
     """One vehicle: standby, ready, outbound for some seconds, and an outcome."""
 
     port: FleetPort
-    flights: Flights
+    flights: AirTimes
     rng: np.random.Generator
     phase: str = STANDBY
     lands_s: float = 0.0
@@ -75,7 +75,7 @@ class Member:
         self.phase = STANDBY
 
 
-def serve(fleet: str, numbers: range, config_file: Path, folder: Path, flights: Flights) -> None:
+def serve(fleet: str, numbers: range, config_file: Path, folder: Path, flights: AirTimes) -> None:
     """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
     flown.
     """

@@ -21,14 +21,14 @@ STOP_S = 120.0
 
 
 @dataclass(slots=True)
-class Worker:
+class BenchProcess:
     """A process of ours, spoken to by lines; what it says is read beside us."""
 
     process: "subprocess.Popen[str]"
     said: "queue.SimpleQueue[str | None]" = field(default_factory=queue.SimpleQueue)
 
     @classmethod
-    def start(cls, *arguments: str) -> "Worker":
+    def start(cls, *arguments: str) -> "BenchProcess":
         """What `worker.main` does with these arguments."""
         process = subprocess.Popen(
             [sys.executable, "-c", entry(f"{MAIN}; main()"), *arguments],
@@ -108,8 +108,8 @@ def desk_config(folder: Path, desk: int, ports: list[int], *, calls: bool) -> Pa
     return write_config(folder / f"desk-{desk}.json5", {"mode": "peer", **how, **many})
 
 
-def start_router(folder: Path, port: int) -> Worker:
+def start_router(folder: Path, port: int) -> BenchProcess:
     """The binding's router."""
     listens = {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
     table = {"mode": "router", **listens, "transport": {"unicast": MANY_CALLERS}}
-    return Worker.start("router", str(write_config(folder / f"router-{port}.json5", table)))
+    return BenchProcess.start("router", str(write_config(folder / f"router-{port}.json5", table)))

@@ -7,10 +7,10 @@ import psutil
 
 from companion.adapters.clock import wall_s
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.benchmarks.fleet_bench.processes import Worker
+from sim_bridge.research.benchmarks.fleet_bench.processes import BenchProcess
 
 
-class Told(msgspec.Struct):
+class DeskLine(msgspec.Struct):
     """A line of a desk: `whole` (all members' states come), or `ended`."""
 
     what: str
@@ -30,8 +30,8 @@ class Region:
     fleet: str
     vehicles: int
     command: tuple[str, ...]
-    desk: Worker
-    members: list[Worker]
+    desk: BenchProcess
+    members: list[BenchProcess]
     cpu_s: float = 0.0
     rss_mb: float = 0.0
     back_s: float | None = None
@@ -48,10 +48,10 @@ class Region:
         self.cpu_s = self._before_s + spent.user + spent.system
         self.rss_mb = max(self.rss_mb, process.memory_info().rss / 1e6)
 
-    def wait(self, what: str, until_s: float) -> Told | None:
+    def wait(self, what: str, until_s: float) -> DeskLine | None:
         """The desk's line of this kind; None where it does not come by then."""
         while (line := self.desk.hear(until_s - wall_s())) is not None:
-            told = msgspec.json.decode(line, type=Told)
+            told = msgspec.json.decode(line, type=DeskLine)
             if told.what == what:
                 return told
         if self.desk.process.poll() is not None:
@@ -63,7 +63,7 @@ class Region:
         self.look()
         self._before_s = self.cpu_s
         self.desk.kill()
-        self.desk = Worker.start(*self.command)
+        self.desk = BenchProcess.start(*self.command)
         self.desk.say(f"fly {since_s}")
 
     def wait_back(self, killed_s: float, until_s: float) -> None:
@@ -84,7 +84,7 @@ class Region:
         return [x for one in self.members for x in _flown(one)]
 
 
-def _flown(member: Worker) -> list[str]:
+def _flown(member: BenchProcess) -> list[str]:
     words = member.last_words()
     if not words.startswith("["):
         raise LeewayError("a process of members has ended by itself, or does not end")

@@ -13,7 +13,7 @@ def main() -> None:
 
             members.serve(
                 fleet, range(int(first), int(first) + int(count)), Path(config), Path(folder),
-                members.Flights(int(seed), float(least_s), float(most_s)),
+                members.AirTimes(int(seed), float(least_s), float(most_s)),
             )  # fmt: skip
         case ["desk", fleet, vehicles, order_every_s, config, url]:
             from sim_bridge.research.benchmarks.fleet_bench import desk_process
