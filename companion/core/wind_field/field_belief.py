@@ -1,0 +1,203 @@
+"""One belief of the wind over a site: what members told, and the forecast before that.
+
+Kriging with the covariance of `field_process` (Rasmussen and Williams 2006, ch. 2): with at most
+`MOST_STRETCHES` means of what was told, all is worked out anew each time, in a few milliseconds.
+Both axes share the covariance of the wind. What is told of them has an error of its own: a part
+that is new each time, and a lasting one, the same in all that a member tells.
+
+A member alone gives itself the forecast that the wind process gives. Members that contradict the
+others are left out (`agreement`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+from companion.core.base.arrays import Floats
+from companion.core.wind_field.agreement import contradicting
+from companion.core.wind_field.field_process import FieldPoints, FieldProcess
+from companion.core.wind_field.tellings import (
+    JOINED_S,
+    MOST_AGE_S,
+    TELLING_S,
+    Kept,
+    MemberTellings,
+    WindTelling,
+)
+
+MOST_STRETCHES = 200
+"""With a hundred drones the newest two minutes; with eight all that is kept."""
+_CROWD = 12
+"""More members than that join their fresh tellings over longer: there is enough of them."""
+
+_JITTER_M2PS2 = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class WindPrior:
+    """The wind expected before anybody told any: a forecast's mean at a height, and its error on
+    each axis."""
+
+    mean_to_ne_mps: tuple[float, float]
+    std_mps: float
+    height_m: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class FieldForecast:
+    """Joint law of the wind at points: means (n, 2), covariances of the north and the east winds
+    (n, n) each; the two are independent."""
+
+    mean_to_ne_mps: Floats
+    north_cov_m2ps2: Floats
+    east_cov_m2ps2: Floats
+
+
+class FieldBelief:
+    """Follows what members tell; one per desk or vehicle. `prior` None: any wind."""
+
+    def __init__(self, process: FieldProcess, prior: WindPrior | None = None) -> None:
+        self._process = process
+        self._prior = prior or WindPrior((0.0, 0.0), process.process.level_std_mps)
+        self._members: dict[str, MemberTellings] = {}
+
+    def tell(self, telling: WindTelling, now_s: float) -> str:
+        """Take a telling (any rate; thinned inside); returns why it is left out, or empty.
+
+        Times are the receiver's own: one from long ago, or from the future, is left out.
+        """
+        if not -1.0 <= now_s - telling.t_s <= MOST_AGE_S:
+            return f"{now_s - telling.t_s:.0f} s old"
+        crowd = min(TELLING_S * -(-len(self._members) // _CROWD), JOINED_S)
+        return self._members.setdefault(telling.member, MemberTellings()).take(telling, crowd)
+
+    def settle(self, now_s: float, always: str = "") -> "SettledField":
+        """The field as believed now. `always` is the vehicle itself: never left out."""
+        for name in list(self._members):
+            self._members[name].forget(now_s)
+            if not self._members[name].stretches:
+                del self._members[name]
+        kept = Kept.of(self._members, MOST_STRETCHES)
+        out: dict[str, str] = {}
+        while True:
+            settled = SettledField(self._process, self._prior, kept, now_s)
+            bad = contradicting(settled.mean_shift_squares, kept, now_s, always)
+            if not bad:
+                return settled.leaving_out(out)
+            out |= bad
+            kept = kept.without(frozenset(bad))
+
+
+class SettledField:
+    """The belief as it stands after what was kept; `left_out` says who, and why."""
+
+    def __init__(self, process: FieldProcess, prior: WindPrior, kept: Kept, now_s: float) -> None:
+        self.left_out: dict[str, str] = {}
+        self.now_s = now_s
+        self._process, self._kept = process, kept
+        self._height_m = float(kept.middle[:, 3].mean()) if kept.count.size else prior.height_m
+        grown, doubt = process.shear(np.array([self._height_m]), prior.height_m)
+        self._prior_ne = float(grown[0]) * np.array(prior.mean_to_ne_mps)
+        doubt_mps = float(doubt[0] * np.hypot(*self._prior_ne))
+        self._level_m2ps2 = prior.std_mps**2 + doubt_mps**2
+        self.mean_to_ne_mps = self._mean_wind()
+        speed = float(np.hypot(*self.mean_to_ne_mps))
+        self._scale = process.process.variance_scale(speed)
+        self._told_s, self._told_left = self._coordinates(kept)
+        self._factors = self._factored()
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Who is believed."""
+        return tuple(self._kept.members[k] for k in np.unique(self._kept.member))
+
+    def leaving_out(self, why: dict[str, str]) -> "SettledField":
+        """The same, saying who was left out."""
+        self.left_out = dict(why)
+        return self
+
+    def forecast(self, points: FieldPoints, averaged_s: float = TELLING_S) -> FieldForecast:
+        """The wind at points, as means over `averaged_s` about each time."""
+        moved = FieldPoints(points.place_ne_m, points.height_m, points.t_s - self.now_s)
+        asked_s = self._process.coordinates_s(moved, self.mean_to_ne_mps)
+        left = self._process.left_by_averaging(np.full(points.count, averaged_s))
+        level = self._level_m2ps2
+        grown, doubt = self._process.shear(points.height_m, self._height_m)
+        cov = self._scale * self._process.within(asked_s, left) + level
+        with_told = self._scale * self._process.between(
+            asked_s, left, self._told_s, self._told_left
+        )
+        with_told += level
+        means: list[Floats] = []
+        covs: list[Floats] = []
+        for axis, (lower, weighed) in enumerate(self._factors):
+            mean = self._prior_ne[axis] + with_told @ weighed
+            known = solve_triangular(lower, with_told.T, lower=True, check_finite=False)
+            left_over = np.outer(grown, grown) * (cov - known.T @ known)
+            means.append(grown * mean)
+            covs.append(left_over + np.diag((doubt * grown * mean) ** 2))
+        return FieldForecast(np.stack(means, axis=1), covs[0], covs[1])
+
+    def mean_shift_squares(self, groups: Floats) -> Floats:
+        """How unlikely it is that the values of each group (n, groups) are as they should be.
+
+        Chi-square of two degrees each: see `agreement`.
+        """
+        total = np.zeros(groups.shape[1])
+        for lower, weighed in self._factors:
+            known = solve_triangular(lower, groups, lower=True, check_finite=False)
+            error = np.einsum("ij,ij->j", known, known)
+            shift = groups.T @ weighed
+            total += np.divide(shift**2, error, out=np.zeros_like(error), where=error > 0.0)
+        return total
+
+    def _mean_wind(self) -> Floats:
+        """What carries the eddies: the mean of what was told, or the prior."""
+        if not self._kept.count.size:
+            return self._prior_ne
+        return np.average(self._kept.wind_ne_mps, axis=0, weights=self._kept.count)
+
+    def _coordinates(self, kept: Kept) -> tuple[Floats, Floats]:
+        middle, first, last = (
+            self._process.coordinates_s(
+                FieldPoints(ends[:, 1:3], ends[:, 3], ends[:, 0] - self.now_s),
+                self.mean_to_ne_mps,
+            )
+            for ends in (kept.middle, kept.first, kept.last)
+        )
+        # Its first telling is itself a mean over the seconds before it.
+        span_s = np.linalg.norm(last - first, axis=1) + TELLING_S
+        return middle, self._process.left_by_averaging(span_s)
+
+    def _factored(self) -> list[tuple[Floats, Floats]]:
+        """For each axis the lower Cholesky factor of what was told, and K^-1 (told - prior)."""
+        kept = self._kept
+        count = kept.count.size
+        grown, doubt = self._process.shear(kept.middle[:, 3], self._height_m)
+        common = self._scale * self._process.within(self._told_s, self._told_left)
+        common += self._level_m2ps2
+        same = kept.member[:, None] == kept.member[None, :]
+        noise = self._process.process.seen_noise_std_mps**2
+        factors: list[tuple[Floats, Floats]] = []
+        for axis in (0, 1):
+            told = kept.wind_ne_mps[:, axis] / grown
+            variance = kept.variance_ne_m2ps2[:, axis]
+            if axis == 0 or not self._is_round():
+                fresh = np.minimum(variance, noise)
+                lasting = np.sqrt(variance - fresh) / grown
+                cov = common + np.where(same, np.outer(lasting, lasting), 0.0)
+                own = fresh / kept.count / grown**2 + _JITTER_M2PS2
+                own += (doubt * np.hypot(*self.mean_to_ne_mps)) ** 2
+                cov[np.diag_indices(count)] += own
+                lower = cholesky(cov, lower=True, overwrite_a=True, check_finite=False)
+            else:
+                lower = factors[0][0]
+            weighed = cho_solve((lower, True), told - self._prior_ne[axis], check_finite=False)
+            factors.append((lower, weighed))
+        return factors
+
+    def _is_round(self) -> bool:
+        """Whether all errors told are the same on both axes."""
+        variance = self._kept.variance_ne_m2ps2
+        return bool(np.array_equal(variance[:, 0], variance[:, 1]))
