@@ -1,0 +1,1 @@
+"""Winds over a whole site: several vehicles meet one field."""

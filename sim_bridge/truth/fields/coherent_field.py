@@ -1,0 +1,239 @@
+"""A wind over a site that has a given series' spectrum, is carried with its mean, loses coherence.
+
+Spectral synthesis of correlated series (Shinozuka and Deodatis, Appl. Mech. Rev. 44, 1991). At each
+frequency f the series at two places have the coherence of Davenport (Q. J. R. Meteorol. Soc. 87,
+1961), here for separations along and across the mean wind U,
+
+    exp(-(f / U) sqrt((C_along dx)^2 + (C_across dy)^2)),
+
+and the phase of the time dx / U in which the mean carries the air from one to the other. Published
+decays are C_along 3 to 5 and C_across 10 to 16. Without loss along the wind (frozen turbulence) a
+field is easier to foresee than any real one.
+
+At the site's middle the field IS the given series. Elsewhere it is drawn, given that series: its
+spectrum is the given one, smoothed over bands, and it is Gaussian. Less its linear trend, which is
+carried too, the series is taken for one period. Horizontal wind only, the same at all heights.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.truth.errors import TruthError
+
+Floats = NDArray[np.float64]
+
+_LEAST_MEAN_MPS = 0.5
+_BANDS_HZ = (0.0, 0.004, 0.015, math.inf)
+"""Between nodes the wind is interpolated band by band: eddies small beside the spacing would lose
+their variance otherwise."""
+_SMOOTHED_FRAC = 0.25
+"""The spectrum is smoothed over a quarter of each frequency to either side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coherence:
+    """Davenport's decay constants; 0 along: frozen turbulence."""
+
+    along: float = 4.0
+    across: float = 13.0
+
+    def check(self) -> None:
+        """Raises TruthError where one is out of range."""
+        for name, value in (("along", self.along), ("across", self.across)):
+            if not 0.0 <= value <= 50.0:
+                raise TruthError(f"coherence {name} = {value:g}: expected 0 to 50")
+
+    def between(
+        self, frequency_hz: float, along_m: Floats, across_m: Floats, mean_mps: float
+    ) -> Floats:
+        """Coherence of two series so far apart, without their phase."""
+        apart = np.hypot(self.along * along_m, self.across * across_m)
+        return np.exp(-frequency_hz / mean_mps * apart)
+
+
+class CoherentField:
+    """Wind towards north and east at any place of a square site, at any time of the series."""
+
+    def __init__(
+        self,
+        series_ne_mps: Floats,
+        coherence: Coherence,
+        rng: np.random.Generator,
+        *,
+        half_side_m: float = 1100.0,
+        spacing_m: float = 75.0,
+    ) -> None:
+        """`series_ne_mps` (n, 2): wind at the middle at whole seconds. Raises TruthError where it
+        is shorter than a minute or has no mean wind that could carry it."""
+        coherence.check()
+        seconds = series_ne_mps.shape[0]
+        if seconds < 60:
+            raise TruthError(f"a series of {seconds} s: expected 60 or more")
+        self.mean_ne_mps: Floats = series_ne_mps.mean(axis=0)
+        self.mean_mps = float(np.hypot(*self.mean_ne_mps))
+        if self.mean_mps < _LEAST_MEAN_MPS:
+            raise TruthError(f"a mean wind of {self.mean_mps:.2f} m/s carries nothing along")
+        self.seconds = seconds - 1
+        self._unit = self.mean_ne_mps / self.mean_mps
+        self._spacing_m, self._half = spacing_m, math.ceil(half_side_m / spacing_m)
+        turned = _turned(series_ne_mps - self.mean_ne_mps, self._unit)
+        times = np.arange(seconds) - 0.5 * (seconds - 1)
+        self._slope = times @ turned / float(times @ times)
+        flat = turned - np.outer(times, self._slope)
+        nodes = _Nodes(coherence, self.mean_mps, spacing_m, self._half)
+        drawn = [nodes.drawn(flat[:, axis], rng) for axis in (0, 1)]
+        # (band, second, node along, node across, axis)
+        self._parts = np.stack(drawn, axis=-1)
+        self._alike = tuple(nodes.alike(flat[:, axis]) for axis in (0, 1))
+
+    def to_ne_mps(self, t_s: Floats, north_m: Floats, east_m: Floats) -> Floats:
+        """Wind (n, 2) at times and places (n,) about the site's middle.
+
+        Times before and after the series are as if it repeated, without its trend. Raises
+        TruthError outside the site.
+        """
+        t_s, north_m, east_m = np.broadcast_arrays(*np.atleast_1d(t_s, north_m, east_m))
+        along = north_m * self._unit[0] + east_m * self._unit[1]
+        across = east_m * self._unit[0] - north_m * self._unit[1]
+        here = np.stack([along, across]) / self._spacing_m + self._half
+        if here.min() < 0.0 or here.max() > 2 * self._half:
+            far = math.hypot(float(np.abs(north_m).max()), float(np.abs(east_m).max()))
+            raise TruthError(f"{far:.0f} m from the middle: outside of the field of wind")
+        passed_s = t_s - along / self.mean_mps
+        turned = self._interpolated(passed_s, here)
+        middle = 0.5 * self.seconds
+        turned += np.outer(np.clip(passed_s, 0.0, self.seconds) - middle, self._slope)
+        north = turned[:, 0] * self._unit[0] - turned[:, 1] * self._unit[1]
+        east = turned[:, 0] * self._unit[1] + turned[:, 1] * self._unit[0]
+        return np.stack([north, east], axis=1) + self.mean_ne_mps
+
+    def _interpolated(self, passed_s: Floats, here: Floats) -> Floats:
+        """Eddies (n, 2) along and across, between nodes and seconds, of the right variance."""
+        low = np.minimum(here.astype(int), 2 * self._half - 1)
+        share = here - low
+        period = self._parts.shape[1]
+        second = np.floor(passed_s).astype(int)
+        part_s = (passed_s - second)[:, None]
+        corners: list[Floats] = []
+        weights: list[Floats] = []
+        for da, dc in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            at = low[0] + da, low[1] + dc
+            now = self._parts[:, second % period, at[0], at[1]]
+            later = self._parts[:, (second + 1) % period, at[0], at[1]]
+            corners.append(now + part_s * (later - now))
+            weights.append(
+                (share[0] if da else 1.0 - share[0]) * (share[1] if dc else 1.0 - share[1])
+            )
+        weight, corner = np.stack(weights), np.stack(corners)
+        total = np.zeros((passed_s.size, 2))
+        for axis, alike in enumerate(self._alike):
+            for band, one in enumerate(alike):
+                kept = np.sqrt(np.einsum("an,ab,bn->n", weight, one, weight))
+                total[:, axis] += (weight * corner[:, band, :, axis]).sum(axis=0) / kept
+        return total
+
+
+class _Nodes:
+    """Draws series at nodes of a grid along and across the wind, (2 half + 1) squared."""
+
+    def __init__(self, coherence: Coherence, mean_mps: float, spacing_m: float, half: int) -> None:
+        self._coherence, self._mean_mps, self._spacing_m = coherence, mean_mps, spacing_m
+        self._side = 2 * half + 1
+        self._half = half
+        self._round = 4 * half + 2  # a torus: no node is near two others
+        steps = np.arange(self._round)
+        self._steps_m: Floats = spacing_m * np.minimum(steps, self._round - steps).astype(
+            np.float64
+        )
+
+    def drawn(self, series: Floats, rng: np.random.Generator) -> Floats:
+        """(bands, seconds, side, side): at each node what passes it, at the time of its passing.
+
+        The phase of the mean's carrying is left to the reader, who asks at the time less dx / U.
+        """
+        count = series.size
+        told = np.fft.rfft(series)
+        frequency = _frequencies_hz(count)
+        power = _smoothed(np.abs(told) ** 2, frequency)
+        spectrum = np.zeros((frequency.size, self._side, self._side), np.complex64)
+        for k in range(1, frequency.size):
+            unit, like_middle = self._one(float(frequency[k]), rng)
+            root = math.sqrt(power[k]) if power[k] > 0.0 else 0.0
+            if root > 0.0:
+                given = told[k] / root - unit[self._half, self._half]
+                spectrum[k] = root * (unit + like_middle * given)
+        parts = []
+        for low, high in itertools.pairwise(_BANDS_HZ):
+            inside = (frequency >= low) & (frequency < high)
+            only = np.where(inside[:, None, None], spectrum, 0.0)
+            parts.append(np.fft.irfft(only, count, axis=0).astype(np.float32))
+        return np.stack(parts)
+
+    def alike(self, series: Floats) -> tuple[Floats, ...]:
+        """For each band the correlation (4, 4) of a cell's corners, in its order of reading."""
+        frequency = _frequencies_hz(series.size)
+        power = np.abs(np.fft.rfft(series)) ** 2
+        along = np.array([0, 0, 1, 1]) * self._spacing_m
+        across = np.array([0, 1, 0, 1]) * self._spacing_m
+        apart = np.subtract.outer(along, along), np.subtract.outer(across, across)
+        found: list[Floats] = []
+        for low, high in itertools.pairwise(_BANDS_HZ):
+            inside = np.flatnonzero((frequency >= max(low, 1e-9)) & (frequency < high))
+            total, weight = np.zeros((4, 4)), 0.0
+            for k in inside:
+                total += power[k] * self._coherence.between(
+                    float(frequency[k]), *apart, self._mean_mps
+                )
+                weight += power[k]
+            found.append(total / weight if weight > 0.0 else np.ones((4, 4)))
+        return tuple(found)
+
+    def _one(
+        self, frequency_hz: float, rng: np.random.Generator
+    ) -> tuple[NDArray[np.complex128], Floats]:
+        """A complex field of unit variance and its coherence with the middle, (side, side) each.
+
+        Circulant embedding (Dietrich and Newsam, SIAM J. Sci. Comput. 18, 1997); the few negative
+        eigenvalues of slow, wide eddies are left out.
+        """
+        cov = self._coherence.between(
+            frequency_hz, self._steps_m[:, None], self._steps_m[None, :], self._mean_mps
+        )
+        values = np.maximum(np.fft.fft2(cov).real, 0.0)
+        values *= values.size / values.sum()
+        shape = (2, self._round, self._round)
+        noise = rng.standard_normal(shape, np.float32) * math.sqrt(0.5)
+        whole = np.fft.ifft2(np.sqrt(values) * (noise[0] + 1j * noise[1]), norm="ortho")
+        offset: Floats = self._spacing_m * (np.arange(self._side, dtype=np.float64) - self._half)
+        middle = self._coherence.between(
+            frequency_hz, offset[:, None], offset[None, :], self._mean_mps
+        )
+        return whole[: self._side, : self._side], middle
+
+
+def _frequencies_hz(seconds: int) -> Floats:
+    return np.arange(seconds // 2 + 1, dtype=np.float64) / seconds
+
+
+def _smoothed(power: Floats, frequency: Floats) -> Floats:
+    """A periodogram's means over bands that widen with the frequency (Daniell 1946)."""
+    sums = np.concatenate([[0.0], np.cumsum(power)])
+    step = frequency[1]
+    index = np.arange(power.size)
+    wide = np.floor(_SMOOTHED_FRAC * frequency / step).astype(int)
+    low = np.maximum(index - wide, 1)
+    high = np.minimum(index + wide, power.size - 1)
+    found = (sums[high + 1] - sums[low]) / np.maximum(high + 1 - low, 1)
+    found[0] = 0.0
+    return found
+
+
+def _turned(wind_ne: Floats, unit: Floats) -> Floats:
+    """North and east as along and across (to the right of) a unit vector."""
+    along = wind_ne @ unit
+    across = wind_ne[:, 1] * unit[0] - wind_ne[:, 0] * unit[1]
+    return np.stack([along, across], axis=1)
