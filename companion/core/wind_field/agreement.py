@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.tellings import Kept
+from companion.core.wind_field.tellings import KeptStretches
 
 ALL_LIMIT, NEW_LIMIT = 30.0, 60.0
 """Chi-square of two degrees is past 30 once in three million; recorded wind has heavier tails. A
@@ -31,7 +31,10 @@ LEAST_TELLINGS = 3
 
 
 def contradicting(
-    mean_shift_squares: Callable[[Floats], Floats], kept: Kept, now_s: float, always: str = ""
+    mean_shift_squares: Callable[[Floats], Floats],
+    kept: KeptStretches,
+    now_s: float,
+    always: str = "",
 ) -> dict[str, str]:
     """Who is to be left out next, and why; `always` never is. Empty: all agree.
 

@@ -21,7 +21,7 @@ from companion.core.wind_field.tellings import (
     JOINED_S,
     MOST_AGE_S,
     TELLING_S,
-    Kept,
+    KeptStretches,
     MemberTellings,
     WindTelling,
 )
@@ -78,7 +78,7 @@ class FieldBelief:
             self._members[name].forget(now_s)
             if not self._members[name].stretches:
                 del self._members[name]
-        kept = Kept.of(self._members, MOST_STRETCHES)
+        kept = KeptStretches.of(self._members, MOST_STRETCHES)
         out: dict[str, str] = {}
         while True:
             settled = SettledField(self._process, self._prior, kept, now_s)
@@ -92,7 +92,9 @@ class FieldBelief:
 class SettledField:
     """The belief as it stands after what was kept; `left_out` says who, and why."""
 
-    def __init__(self, process: FieldProcess, prior: WindPrior, kept: Kept, now_s: float) -> None:
+    def __init__(
+        self, process: FieldProcess, prior: WindPrior, kept: KeptStretches, now_s: float
+    ) -> None:
         self.left_out: dict[str, str] = {}
         self.now_s = now_s
         self._process, self._kept = process, kept
@@ -158,7 +160,7 @@ class SettledField:
             return self._prior_ne
         return np.average(self._kept.wind_ne_mps, axis=0, weights=self._kept.count)
 
-    def _coordinates(self, kept: Kept) -> tuple[Floats, Floats]:
+    def _coordinates(self, kept: KeptStretches) -> tuple[Floats, Floats]:
         middle, first, last = (
             self._process.coordinates_s(
                 FieldPoints(ends[:, 1:3], ends[:, 3], ends[:, 0] - self.now_s),

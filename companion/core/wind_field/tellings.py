@@ -190,7 +190,7 @@ def _speed_mps(one: WindTelling, other: WindTelling) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class KeptStretches:
     """All stretches of all members as arrays: members by number, ends (n, 4), winds and variances
     (n, 2), counts (n,)."""
 
@@ -204,7 +204,7 @@ class Kept:
     count: Floats
 
     @classmethod
-    def of(cls, members: dict[str, MemberTellings], most: int) -> "Kept":
+    def of(cls, members: dict[str, MemberTellings], most: int) -> "KeptStretches":
         """At most so many stretches: the oldest are left out."""
         rows = list(_rows(members))
         if len(rows) > most:
@@ -222,10 +222,10 @@ class Kept:
             np.array([s.count for s in stretches], float),
         )
 
-    def without(self, names: frozenset[str]) -> "Kept":
+    def without(self, names: frozenset[str]) -> "KeptStretches":
         """The same less what these members told."""
         stays = np.array([self.members[int(k)] not in names for k in self.member], np.bool_)
-        return Kept(
+        return KeptStretches(
             self.members,
             self.member[stays],
             self.middle[stays],
