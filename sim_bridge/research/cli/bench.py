@@ -128,6 +128,29 @@ def bench_fleet(
         json_file.write_text(figures + "\n")
 
 
+@app.command("start")
+def start(
+    orders: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 5000,
+    drones: Annotated[int, typer.Option(min=1, max=500, help="Drones at the depot.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Where the orders are.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """How long a desk takes to begin a large day: its orders' import, its first assignment.
+
+    sim-bridge research bench start --orders 5000 --drones 100
+    """
+    from dataclasses import asdict
+
+    try:
+        from sim_bridge.research.benchmarks.fleet_bench.start_bench import bench as bench_now
+    except ImportError as error:
+        raise LeewayError(f"bench start needs leeway-uas[ground]: {error}") from error
+    figures = json.dumps(asdict(bench_now(orders, drones, seed)), indent=1)
+    typer.echo(figures)
+    if json_file is not None:
+        json_file.write_text(figures + "\n")
+
+
 @app.command("planner")
 def planner(
     out: Out = OUT, large: Annotated[bool, typer.Option(help="10,000 vertices too")] = False

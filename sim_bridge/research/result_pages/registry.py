@@ -323,12 +323,19 @@ PAGES = (
     Page(
         "dispatch-speed",
         "Speed of dispatch",
-        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about.",
+        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about; and"
+        " how soon a desk of a large day gives its first.",
         (
             PageCommand(
                 _bench("dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
                           "--json", f"{OUT}/dispatch.json"),
                 show=tables.dispatch,
+                title="One order",
+            ),
+            PageCommand(
+                _bench("start", "--orders", "5000", "--drones", "100", "--seed", "1"),
+                show=tables.start_of_a_day,
+                title="The start of a large day",
             ),
         ),
         4.0,

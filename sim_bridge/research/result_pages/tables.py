@@ -119,3 +119,16 @@ def fleet(done: CommandOutput) -> str:
             lines.append(f"| {what} | {value:,g} {unit} | {goal} |")
     never = "" if figures["joined_s"] is not None else " Not all members had joined in time."
     return "\n".join([*lines, "", f"Load of the machine before, 1 and 5 minutes: {load}.{never}"])
+
+
+def start_of_a_day(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench start`."""
+    figures = json.loads(done.printed)
+    rows = (
+        (f"import of {figures['orders']:,} orders", figures["import_s"]),
+        ("start of the desk to its first assignment", figures["first_s"]),
+        ("start of the desk until a drone has taken it", figures["taken_s"]),
+    )
+    lines = ["| what | s |", "| --- | --- |", *(f"| {what} | {s:.1f} |" for what, s in rows)]
+    words = f"{figures['assigned']} of {figures['drones']} drones had an order"
+    return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])

@@ -15,6 +15,7 @@ import numpy as np
 from companion.adapters.clock import wall_s
 from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
+from companion.core.mission.events import Position
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
@@ -45,6 +46,7 @@ class Member:
     port: FleetPort
     flights: AirTimes
     rng: np.random.Generator
+    telemetry: TelemetryState
     phase: str = STANDBY
     lands_s: float = 0.0
     flown: list[str] = field(default_factory=list)
@@ -54,7 +56,7 @@ class Member:
         self.port.turn(self._carry_out)
         if self.phase == "outbound" and wall_s() >= self.lands_s:
             self._land()
-        self.port.publish(self.phase, TelemetryState())
+        self.port.publish(self.phase, self.telemetry)
 
     def _carry_out(self, command: Command) -> Verdict:
         deed = command.deed
@@ -75,7 +77,27 @@ class Member:
         self.phase = STANDBY
 
 
-def serve(fleet: str, numbers: range, config_file: Path, folder: Path, flights: AirTimes) -> None:
+def read_stands(file: str | None) -> list[tuple[float, float]]:
+    """Where each member stands, by its number, degrees; none are told without a file."""
+    return [] if file is None else json.loads(Path(file).read_text())
+
+
+def _telemetry(stands: list[tuple[float, float]], number: int) -> TelemetryState:
+    """What it tells of its place."""
+    if not stands:
+        return TelemetryState()
+    lat_deg, lon_deg = stands[number]
+    return TelemetryState(position=Position(0.0, lat_deg, lon_deg, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+def serve(
+    fleet: str,
+    numbers: range,
+    config_file: Path,
+    folder: Path,
+    flights: AirTimes,
+    stands: list[tuple[float, float]],
+) -> None:
     """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
     flown.
     """
@@ -93,7 +115,8 @@ def serve(fleet: str, numbers: range, config_file: Path, folder: Path, flights: 
             return ZenohLink(config, keys, life, lambda: None)
 
         port = FleetPort.open(name, "m100", airframe, folder / name, link_of)
-        members.append(Member(port, flights, np.random.default_rng([flights.seed, number])))
+        rng = np.random.default_rng([flights.seed, number])
+        members.append(Member(port, flights, rng, _telemetry(stands, number)))
     while not stop.is_set():
         begun_s = wall_s()
         for member in members:

@@ -8,12 +8,13 @@ from pathlib import Path
 def main() -> None:
     """As the command line says; never returns."""
     match sys.argv[1:]:
-        case ["members", fleet, first, count, config, folder, seed, least_s, most_s]:
+        case ["members", fleet, first, count, config, folder, seed, least_s, most_s, *stands]:
             from sim_bridge.research.benchmarks.fleet_bench import members
 
             members.serve(
                 fleet, range(int(first), int(first) + int(count)), Path(config), Path(folder),
                 members.AirTimes(int(seed), float(least_s), float(most_s)),
+                members.read_stands(stands[0] if stands else None),
             )  # fmt: skip
         case ["desk", fleet, vehicles, order_every_s, config, url]:
             from sim_bridge.research.benchmarks.fleet_bench import desk_process

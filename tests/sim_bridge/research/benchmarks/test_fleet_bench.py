@@ -4,6 +4,7 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.benchmarks.fleet_bench.bench import Asked, bench
+from sim_bridge.research.benchmarks.fleet_bench.start_bench import bench as bench_start
 
 SHORT = {"minutes": 0.15, "order_every_s": 6.0, "flight_s": (0.5, 1.0)}
 
@@ -29,3 +30,11 @@ def test_desks_do_not_share_a_store_and_a_store_is_empty(tmp_path):
         bench(Asked(4, desks=2, store=f"sqlite:///{tmp_path / 'x.db'}", **SHORT))
     with pytest.raises(LeewayError, match="at most one for each vehicle"):
         bench(Asked(1, desks=2, **SHORT))
+
+
+@pytest.mark.timeout(120)
+def test_a_desk_of_a_small_day_begins_and_gives_each_drone_an_order():
+    begun = bench_start(8, 2, seed=1, busy_s=3.0)
+    assert (begun.orders, begun.drones, begun.assigned) == (8, 2, 2)
+    assert 0.0 < begun.first_s <= begun.taken_s
+    assert begun.import_s > 0.0
