@@ -323,8 +323,8 @@ PAGES = (
     Page(
         "dispatch-speed",
         "Speed of dispatch",
-        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about; and"
-        " how soon a desk of a large day gives its first.",
+        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about;"
+        " and how soon a desk of a large day gives its first.",
         (
             PageCommand(
                 _bench("dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
