@@ -1,5 +1,6 @@
 """Steps of the store's transactions; each gets the transaction that it is part of."""
 
+from functools import lru_cache
 from typing import Any
 
 import msgspec
@@ -336,15 +337,32 @@ def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
 
 def assignment_row(row: Any) -> AssignmentRow:
     """A row as the core's type."""
-    return AssignmentRow(
+    return _assignment(
         row.id,
         row.order_id,
         row.vehicle,
-        AssignmentState(row.state),
+        row.state,
         row.delivered,
         row.why,
         row.confirmed_by,
         row.layer,
+    )
+
+
+@lru_cache(maxsize=20_000)
+def _assignment(
+    name: str,
+    order_id: str,
+    vehicle: str,
+    state: str,
+    delivered: bool,
+    why: str,
+    confirmed_by: str | None,
+    layer: int | None,
+) -> AssignmentRow:
+    """A desk reads what is in force several times a second, and little of it has changed."""
+    return AssignmentRow(
+        name, order_id, vehicle, AssignmentState(state), delivered, why, confirmed_by, layer
     )
 
 

@@ -347,8 +347,8 @@ PAGES = (
         " own network end, without a flight behind them.",
         (
             _fleet("One desk, SQLite", "--minutes", "3"),
-            _fleet("5,000 orders, the desk killed half way", "--minutes", "13",
-                   "--order-every", "156", "--kill-desk"),
+            _fleet("One desk, killed half way", "--minutes", "3", "--kill-desk"),
+            _fleet("5,000 orders", "--minutes", "13", "--order-every", "156"),
             _fleet("One desk, PostgreSQL", "--minutes", "3", "--store", "postgresql"),
             _fleet("Two desks and two routers", "--minutes", "3", "--desks", "2", "--routers", "2"),
         ),

@@ -96,7 +96,7 @@ FLEET_ROWS = (
     ("members falsely gone", "false_gone", "", "0"),
     ("a desk's share of a core", "desk_cpu_frac", "", "0.30"),
     ("a desk's memory, the most seen", "desk_rss_mb", "MB", "300"),
-    ("store grows (SQLite's file)", "store_mb_per_hour", "MB/h", ""),
+    ("store grows", "store_mb_per_hour", "MB/h", ""),
     ("all had joined after", "joined_s", "s", "30"),
     ("killed, a desk heard all again after", "desk_back_s", "s", "10"),
     ("members heard at the end", "present_at_end", "", ""),
@@ -116,7 +116,7 @@ def fleet(done: CommandOutput) -> str:
     for what, key, unit, goal in FLEET_ROWS:
         value = figures[key]
         if value is not None:
-            lines.append(f"| {what} | {value:,g} {unit} | {goal} |")
+            lines.append(f"| {what} | {f'{value:,} {unit}'.strip()} | {goal} |")
     never = "" if figures["joined_s"] is not None else " Not all members had joined in time."
     return "\n".join([*lines, "", f"Load of the machine before, 1 and 5 minutes: {load}.{never}"])
 

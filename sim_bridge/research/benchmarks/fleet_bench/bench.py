@@ -179,10 +179,10 @@ class _Run:
                 columns = sa.select(asked.made_us, asked.answered_us, asked.answer)
                 rows.extend(db.execute(columns).all())
         took_ms = [(r.answered_us - r.made_us) / 1e3 for r in rows if r.answered_us is not None]
-        p50, p99 = np.percentile(took_ms, [50, 99]).tolist() if took_ms else (None, None)
+        at = np.percentile(took_ms, [50, 99]).round(1).tolist() if took_ms else (None, None)
         return {
-            "ack_ms_p50": p50,
-            "ack_ms_p99": p99,
+            "ack_ms_p50": at[0],
+            "ack_ms_p99": at[1],
             "commands": len(rows),
             "unanswered": sum(row.answer is None for row in rows),
         }
@@ -204,13 +204,16 @@ class _Run:
         }
 
     def _size_bytes(self) -> int:
-        """SQLite's files; beside each lie at most 4 MB of its journal. PostgreSQL's: 0."""
-        files = [sa.make_url(url) for url in self.urls]
-        return sum(
-            Path(file.database).stat().st_size
-            for file in files
-            if file.get_backend_name() == "sqlite" and file.database
-        )
+        """SQLite's files (beside each lie at most 4 MB of its journal), or what PostgreSQL says."""
+        return sum(map(_size_of, self.urls))
+
+
+def _size_of(url: str) -> int:
+    parsed = sa.make_url(url)
+    if parsed.get_backend_name() == "sqlite":
+        return Path(parsed.database or "").stat().st_size
+    with _reading(url) as store, store.database.read() as db:
+        return int(db.execute(sa.select(sa.func.pg_database_size(parsed.database))).scalar_one())
 
 
 # --- processes and stores -------------------------------------------------------------------------

@@ -142,8 +142,7 @@ def serve(fleet: str, vehicles: int, order_every_s: float, config: Path, url: st
                 store, fleet, taken, (wall_s() - since_s) * vehicles / order_every_s
             )
         desk.turn(TURN_S)
-        here = _here(desk)
-        if here >= vehicles:
+        if "whole" not in teller.told and (here := _here(desk)) >= vehicles:
             teller.tell("whole", here)
     teller.tell("ended", _here(desk), landed=not store.assignments(in_force=True))
     link.close()
