@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 from companion.core.base.errors import LeewayError
 from companion.core.base.help_text import flow_help
 from sim_bridge.adapters.errors import EndpointError
-from sim_bridge.app.cli import conform, cross, day, faults, fly, fly_plan, serve, trials
+from sim_bridge.app.cli import conform, cross, day, examples, faults, fly, fly_plan, serve, trials
 from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE, stop_by_signal
 from sim_bridge.research.cli import main as research
 from sim_bridge.truth.errors import TruthError
@@ -64,7 +64,7 @@ def options(
     del version  # its callback has printed it
 
 
-for part in (fly, day, faults, cross, serve, conform, fly_plan):
+for part in (fly, day, examples, faults, cross, serve, conform, fly_plan):
     app.registered_commands += part.app.registered_commands
 app.registered_groups += trials.group.registered_groups
 app.add_typer(research.app, name="research")

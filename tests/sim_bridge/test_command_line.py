@@ -13,6 +13,7 @@ from sim_bridge.research.cli.main import OLD_SPELLINGS
 
 IN_FRONT = {
     "faults", "trials", "fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research",
+    "examples",
 }  # fmt: skip
 BEFORE = {
     "bench", "bench-dispatch", "campaign", "table1", "table2", "lambda-sweep", "energy-speed",

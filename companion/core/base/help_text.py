@@ -6,6 +6,9 @@ from typing import Any
 KEPT = ("- ", "* ", "    ", "\b")
 """A paragraph with a line that begins so is a list or an example, and keeps its lines."""
 
+COMMANDS = ("companion ", "ground-station ", "sim-bridge ")
+"""A paragraph whose lines all begin so is one command a line."""
+
 
 def flowing(text: str) -> str:
     """The same paragraphs, each on one line: the terminal breaks it where it is wide."""
@@ -27,5 +30,7 @@ def flow_help(app: Any) -> None:
 def _paragraph(text: str) -> str:
     lines = text.split("\n")
     if any(line.startswith(KEPT) for line in lines):
+        return text
+    if all(line.startswith(COMMANDS) for line in lines):
         return text
     return " ".join(lines)

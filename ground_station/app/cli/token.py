@@ -1,6 +1,7 @@
 """`ground-station token`: who may use the map, and order from it."""
 
 from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,15 @@ app = typer.Typer(
     ),
 )
 
+
+class MapRole(StrEnum):
+    """What a person may do on the map (`web_tokens.ROLES`)."""
+
+    SUPERVISOR = "supervisor"
+    DISPATCHER = "dispatcher"
+    VIEWER = "viewer"
+
+
 DEFAULT_TOKENS = Path("leeway-map-tokens.json")
 TokensFile = Annotated[
     Path, typer.Option("--tokens", help="The file of the tokens' digests (mode 0600).")
@@ -27,9 +37,9 @@ TokensFile = Annotated[
 def add(
     name: Annotated[str, typer.Argument(help="Who gets it, as the audit will name them.")],
     role: Annotated[
-        Role,
-        typer.Option(help="supervisor and dispatcher may order; viewer may look."),
-    ] = Role.DISPATCHER,
+        MapRole,
+        typer.Option(metavar="ROLE", help="supervisor and dispatcher may order; viewer may look."),
+    ] = MapRole.DISPATCHER,
     tokens: TokensFile = DEFAULT_TOKENS,
 ) -> None:
     """Make a token and print it, once: the file keeps only its SHA-256.
@@ -41,9 +51,9 @@ def add(
 
     book = read_tokens(tokens) if tokens.exists() else TokenBook()
     token, today = new_token(), f"{datetime.fromtimestamp(epoch_us() / 1e6, tz=UTC):%Y-%m-%d}"
-    write_tokens(tokens, book.added(name, role, token, today))
+    write_tokens(tokens, book.added(name, Role(role), token, today))
     typer.echo(token)
-    typer.echo(f"the token of {name}, {role.value}: it is not shown again", err=True)
+    typer.echo(f"the token of {name}, {role}: it is not shown again", err=True)
 
 
 @app.command()

@@ -17,7 +17,8 @@ def day(
         Path | None,
         typer.Argument(
             metavar="[DAY]",
-            help="A day/1 TOML file, or a name in params/days: town, harbour. Default: town.",
+            help="A day/1 TOML file, or a name in params/days: town, harbour, villages. Default:"
+            " town.",
         ),
     ] = None,
     seed: Annotated[

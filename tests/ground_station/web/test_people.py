@@ -28,7 +28,7 @@ from ground_station.adapters.web.people import WebPeople
 from ground_station.app.cli.main import app
 from ground_station.app.map.map_people import MapPeople
 from ground_station.core.people.audit_chain import faults
-from ground_station.core.people.web_tokens import TokenBook
+from ground_station.core.people.web_tokens import ROLES, TokenBook
 from ground_station.core.schema.order_states import OrderState
 from tests.ground_station.web.browser import browsing, needs_chromium
 from tests.ground_station.web.map_site import MapEars, MapSite
@@ -264,11 +264,16 @@ def test_the_file_has_digests_only_and_is_its_owners(tmp_path: Path):
     assert "anna" in run(app, ["token", "list", "--tokens", file]).stdout
     for options, words in (
         (["add", "anna"], "revoke it first"),
-        (["add", "bob", "--role", "vehicle"], "expected supervisor or dispatcher or viewer"),
         (["add", "b o b"], "expected 1 to 40 letters"),
         (["revoke", "bob"], "bob has no token; these have: anna"),
     ):
         assert words in str(run(app, ["token", *options, "--tokens", file]).exception)
+    refused = run(app, ["token", "add", "bob", "--role", "vehicle", "--tokens", file])
+    assert refused.exit_code == 2
+    assert all(role.value in refused.output for role in ROLES)
+    assert "router" not in run(app, ["token", "add", "--help"]).output
+    with pytest.raises(LeewayError, match="expected supervisor or dispatcher or viewer"):
+        TokenBook().added("bob", Role.VEHICLE, new_token(), "2026-01-01")
     assert run(app, ["token", "revoke", "anna", "--tokens", file]).exit_code == 0
     assert read_tokens(Path(file)).person(token) is None
     Path(file).chmod(0o640)
