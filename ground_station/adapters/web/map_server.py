@@ -122,6 +122,7 @@ def map_app(answers: MapAnswers, port: int, tls: TlsFiles | None = None) -> ASGI
     routes: list[BaseRoute] = [
         Route("/", _file(PAGE / "index.html")),
         Mount("/page", page),
+        Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False)),
         Route("/events", _events(answers.stream, people)),
         *people.routes(),
         Route("/picture.json", _picture(answers.stream)),
@@ -129,7 +130,6 @@ def map_app(answers: MapAnswers, port: int, tls: TlsFiles | None = None) -> ASGI
     ]
     if answers.basemap is not None:
         routes += [Route("/basemap.pmtiles", _file(answers.basemap))]
-        routes += [Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False))]
     app = TokenToRead(Starlette(routes=routes), people)
     posts = () if people.do is None else (DEEDS,)
     if tls is None:

@@ -95,6 +95,13 @@ def show_map(
         tuple[Path, Path] | None,
         typer.Option("--tls", metavar="CERT KEY", help="Certificate chain and key, PEM."),
     ] = None,
+    fetch: Annotated[
+        bool,
+        typer.Option(
+            "--fetch-assets",
+            help="Fetch what draws base maps and the world's outline (npm registry), and end.",
+        ),
+    ] = False,
 ) -> None:
     """Show the running day on a map, in a browser.
 
@@ -106,6 +113,9 @@ def show_map(
     ground-station map --day town --store sqlite:///desk.db
     ground-station map --day harbour --replay logs/day-harbour-seed1
     """
+    if fetch:
+        _fetch_assets()
+        return
     check_address(host, is_safe=tls is not None and tokens is not None)
     data = None if day is None else open_day(day)
     name = fleet if data is None else data.day.fleet
@@ -144,7 +154,7 @@ def show_map(
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WORDS,) if open_network else ()
         ear = FleetEar(ears, clock, status)
-        view = MapView(name, data, notes, basemap is not None)
+        view = MapView(name, data, notes, basemap is not None, _has_outline(basemap))
         feed = MapFeed(view, ear, opened, clock)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
         _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
@@ -180,7 +190,7 @@ def _past_answers(
     if files.store is not None:
         with closing(Database(url_of(files.store, None), create=False)) as database:
             store = PastStore(database)
-    view = MapView(name or "the past", data, (), basemap is not None)
+    view = MapView(name or "the past", data, (), basemap is not None, _has_outline(basemap))
     feed = ReplayFeed(view, store, files.records)
     for words in feed.troubles:
         typer.echo(words, err=True)
@@ -238,10 +248,28 @@ def _server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
 
 def _have_basemap(basemap: Path) -> None:
     """Check the file, and fetch the scripts that draw it where they are missing."""
-    from ground_station.adapters.web.basemap import check_pmtiles
-    from ground_station.adapters.web.npm_assets import fetch_assets, missing_assets
+    from ground_station.adapters.files.basemap import check_pmtiles
+    from ground_station.adapters.web.npm_assets import missing_assets
 
     check_pmtiles(basemap)
-    if missing := missing_assets():
+    if missing_assets():
+        _fetch_assets()
+
+
+def _fetch_assets() -> None:
+    from ground_station.adapters.web.npm_assets import ALL, fetch_assets, missing_assets
+
+    if missing := missing_assets(ALL):
         typer.echo(f"fetching {', '.join(missing)} from the npm registry, once ...")
         fetch_assets()
+    typer.echo(f"here: {', '.join(f'{one.name} {one.version}' for one in ALL)}")
+
+
+def _has_outline(basemap: Path | None) -> bool:
+    """Whether the world's outline can be drawn; says how to have it where it could be."""
+    from ground_station.adapters.web.npm_assets import OUTLINE, missing_assets
+
+    is_there = not missing_assets(OUTLINE)
+    if not is_there and basemap is None:
+        typer.echo("no outline of the world: `ground-station map --fetch-assets` brings it, once")
+    return is_there

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
 from ground_station.app.cli.options import DayArgument, open_day
 
@@ -32,6 +33,13 @@ def plan(
         Path | None, typer.Option(help="Write the plan here (day-plan/1, JSON).")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the map into this PNG.")] = None,
+    basemap: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --picture: a PMTiles extract of the town, whose streets are drawn beneath"
+            " (docs/how-to/watch-on-a-map.md)."
+        ),
+    ] = None,
     missions: Annotated[
         Path | None,
         typer.Option(
@@ -64,10 +72,15 @@ def plan(
     """
     from rich.console import Console
 
+    from ground_station.adapters.files.basemap import check_pmtiles
     from ground_station.adapters.files.compiled_code import keep_compiled_code
     from ground_station.adapters.files.plan_files import write_day_plan
     from ground_station.app.views.plan_view import show_plan
 
+    if basemap is not None:
+        if picture is None:
+            raise LeewayError("--basemap: expected --picture beside it")
+        check_pmtiles(basemap)  # before the search, which takes its time
     data = open_day(day)
     console = Console()
     if not keep_compiled_code():
@@ -80,7 +93,7 @@ def plan(
     if picture is not None:
         from ground_station.app.pictures.day_picture import draw_day_plan
 
-        draw_day_plan(data, made, picture)
+        draw_day_plan(data, made, picture, basemap)
         console.print(f"{picture}: the map", highlight=False)
     if missions is not None:
         from ground_station.app.planning.sortie_missions import write_missions

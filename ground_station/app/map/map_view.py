@@ -83,9 +83,11 @@ class MapView:
         data: DayData | None = None,
         notes: tuple[str, ...] = (),
         basemap: bool = False,
+        outline: bool = False,
     ) -> None:
         """`notes`: what is always to be said. Without `data` nothing of the place is known."""
-        self._fleet, self._data, self._notes, self._basemap = fleet, data, notes, basemap
+        self._fleet, self._data, self._notes = fleet, data, notes
+        self._basemap, self._outline = basemap, outline and not basemap
         self._site = SiteShown() if data is None else site_shown(data)
         self._site_table = as_table(self._site)
         self._rings = None if data is None else ReachRings(data)
@@ -106,6 +108,7 @@ class MapView:
             winds=list(self._winds(moment)),
             max_loss=None if self._data is None else self._data.day.mission.max_loss,
             basemap=self._basemap,
+            outline=self._outline,
         )
         return as_table(shown) | moment.read.tables | {"site": self._site_table}
 

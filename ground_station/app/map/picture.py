@@ -156,6 +156,8 @@ class MapPicture(_Part, frozen=True, kw_only=True):
     winds: list[WindShown] = []
     max_loss: float | None = None
     basemap: bool = False
+    outline: bool = False
+    """Without a base map: the world's coasts and borders are there to be drawn."""
 
 
 def as_table(part: msgspec.Struct) -> dict[str, Any]:

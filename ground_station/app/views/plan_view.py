@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.day_plan import DayPlan, since_start
 
 
 def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
@@ -21,7 +21,7 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
     for stop in plan.stops:
         launches = sum(s.launch == stop.id for s in plan.sorties)
         homes = sum(s.home == stop.id for s in plan.sorties)
-        times = (_clock(stop.arrive_s), _clock(stop.depart_s))
+        times = (since_start(stop.arrive_s), since_start(stop.depart_s))
         stops.add_row(stop.id, *times, str(launches), str(homes), ", ".join(stop.serves))
     console.print(stops)
     sorties = _table(None)
@@ -31,7 +31,7 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
         sorties.add_column(name, justify="right", no_wrap=True)
     for sortie in plan.sorties:
         names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
-        times = (_clock(sortie.launch_s), _clock(sortie.land_s))
+        times = (since_start(sortie.launch_s), since_start(sortie.land_s))
         figures = (sortie.outbound_height_m, sortie.energy_wh, sortie.sure_wh, sortie.usable_wh)
         sorties.add_row(*names, *times, *(f"{figure:.0f}" for figure in figures))
     console.print(sorties)
@@ -55,8 +55,3 @@ def _table(title: str | None) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.show_edge = table.pad_edge = False
     return table
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"

@@ -116,3 +116,9 @@ class DayPlan(_Part, frozen=True, kw_only=True):
             if stop.id == id_:
                 return stop
         raise KeyError(id_)
+
+
+def since_start(t_s: float) -> str:
+    """A time of the plan for people: minutes and seconds since its start, as 4:05."""
+    minutes, seconds = divmod(round(t_s), 60)
+    return f"{minutes}:{seconds:02d}"

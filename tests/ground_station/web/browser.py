@@ -1,6 +1,6 @@
 """Debian's Chromium by Playwright, without a network but this machine's; tests skip without it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,11 +79,16 @@ def _note_address(wrong: list[str], address: str) -> None:
         wrong.append(f"asked for {address}")
 
 
-def town_tiles(path: Path) -> None:
+PROTOMAPS, OPENMAPTILES = ("places", "name"), ("place", "name:latin")
+"""The layer of places and the key of their names, in two schemas of vector tiles."""
+
+
+def town_tiles(path: Path, places: tuple[str, str] = PROTOMAPS) -> None:
     """A PMTiles file (specification v3) with one vector tile (2.1) at zoom 0: water everywhere,
     and `TOWN` at 90 degrees west on the equator.
     """
-    tile = _layer("water", _polygon(), []) + _layer("places", _town(), [TOWN])
+    layer, key = places
+    tile = _layer("water", _polygon()) + _layer(layer, _town(), key, [TOWN])
     directory = bytes([1, 0, 1]) + _varint(len(tile)) + bytes([1])
     metadata = b'{"attribution": "<b>made</b> by hand", "vector_layers": []}'
     begin = 127
@@ -115,13 +120,13 @@ def _town() -> bytes:
     return bytes([0x12, 2, 0, 0, 0x18, 1, 0x22]) + _varint(len(geometry)) + geometry
 
 
-def _layer(name: str, feature: bytes, values: list[str]) -> bytes:
-    """One layer of one feature; `values`: those of the key `name`."""
+def _layer(name: str, feature: bytes, key: str = "name", values: Sequence[str] = ()) -> bytes:
+    """One layer of one feature; `values`: those of the key."""
     content = bytes([0x78, 2, 0x0A, len(name)]) + name.encode()
     content += bytes([0x12]) + _varint(len(feature)) + feature
     for value in values:
         text = bytes([0x0A, len(value)]) + value.encode()
-        content += bytes([0x1A, 4]) + b"name" + bytes([0x22, len(text)]) + text
+        content += bytes([0x1A, len(key)]) + key.encode() + bytes([0x22, len(text)]) + text
     content += bytes([0x28]) + _varint(SIDE)
     return bytes([0x1A]) + _varint(len(content)) + content
 

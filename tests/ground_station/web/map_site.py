@@ -93,13 +93,15 @@ class MapSite:
             self.held.callback(end)
         self.start_map(port)
 
-    def start_map(self, port: int = 0, basemap: Path | None = None) -> None:
+    def start_map(
+        self, port: int = 0, basemap: Path | None = None, *, outline: bool = False
+    ) -> None:
         """A map that knows nothing of before, as the command that is started again."""
         clock = self.world.clock
         self.ears.known = set()
         ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
-        has_tiles = basemap is not None
-        self.feed = MapFeed(MapView("harbour", HARBOUR, basemap=has_tiles), ear, self.reader, clock)
+        view = MapView("harbour", HARBOUR, basemap=basemap is not None, outline=outline)
+        self.feed = MapFeed(view, ear, self.reader, clock)
         self.server = MapServer("127.0.0.1", port)
         answers = MapAnswers(self.feed.stream, self.feed.history, self.feed.reach, basemap)
         self.server.serve(answers)

@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.web.basemap import check_pmtiles
+from ground_station.adapters.files.basemap import check_pmtiles
 from ground_station.adapters.web.map_server import ASSETS
 from ground_station.adapters.web.npm_assets import (
+    ALL,
+    LICENCES,
+    NODE,
     PACKAGES,
     NpmPackage,
     fetch_assets,
@@ -55,26 +58,45 @@ def test_another_content_under_the_same_version_is_refused(tmp_path: Path):
 
 
 def test_without_them_all_are_missing_and_an_npm_that_fails_is_said(tmp_path: Path, monkeypatch):
-    assert len(missing_assets(tmp_path)) == len(PACKAGES)
+    assert len(missing_assets(PACKAGES, tmp_path)) == len(PACKAGES)
     monkeypatch.setattr(
         "ground_station.adapters.web.npm_assets.NPM", "raise SystemExit('no network')"
     )
-    with pytest.raises(LeewayError, match=r"no network; `make map-assets`"):
+    with pytest.raises(LeewayError, match=r"no network; `ground-station map --fetch-assets`"):
         fetch_assets(tmp_path)
-    assert len(missing_assets(tmp_path)) == len(PACKAGES)
+    assert len(missing_assets(ALL, tmp_path)) == len(ALL)
+
+
+def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(LeewayError, match=r"map assets: .*file"):
+        fetch_assets(tmp_path / "file" / "assets")
+
+
+def test_every_package_comes_with_the_text_of_its_licence():
+    for one in ALL:
+        texts = [name for name in (*one.files.values(), one.licence) if name and "LICENSE" in name]
+        assert len(texts) == 1, one.name
+        if one.licence is not None:
+            assert "Redistributions in binary form" in (LICENCES / one.licence).read_text()
+
+
+def test_the_npm_is_the_one_that_the_constraints_name():
+    constraints = (Path(__file__).parents[3] / "constraints.txt").read_text()
+    assert NODE in constraints.splitlines()
 
 
 def test_versions_are_exact_and_digests_are_sha512():
-    for one in PACKAGES:
+    for one in ALL:
         assert len(base64.b64decode(one.sha512)) == 64
         assert one.version.replace(".", "").isdigit()
         assert replace(one, name="x").files == one.files
 
 
 def test_what_lies_there_is_what_was_fetched():
-    if missing := missing_assets():
+    if missing := missing_assets(ALL):
         pytest.skip(f"`make map-assets` was not run: {', '.join(missing)}")
-    kept = {name for one in PACKAGES for name in one.files.values()}
+    kept = {name for one in ALL for name in (*one.files.values(), one.licence) if name}
     assert kept <= {path.name for path in ASSETS.iterdir()}
 
 

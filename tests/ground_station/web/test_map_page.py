@@ -1,62 +1,20 @@
 """The page in a browser, by the words that it shows."""
 
-import io
-import math
 from collections.abc import Iterator
-from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from companion.fleet.messages import EventKind
-from ground_station.adapters.web.npm_assets import missing_assets
 from tests.ground_station.web.browser import (
     browsing,
     needs_chromium,
     running,
-    town_tiles,
     wait_until,
 )
-from tests.ground_station.web.map_site import HARBOUR, MapSite
+from tests.ground_station.web.map_site import MapSite
 from tests.ground_station.web.test_map_truth import RFC_7396
 
 pytestmark = pytest.mark.timeout(180)
-
-WATER = (185, 211, 230)
-"""The page's colour of water in the light: the whole tile of the test is water."""
-
-
-WORLD_PX = 512 * 2**1.5
-LEAST_NAME_PX = 40
-"""Of twelve letters."""
-
-
-def colour_at(page, x: int, y: int) -> tuple[int, ...]:
-    """A pixel of what is seen."""
-    png = page.screenshot(clip={"x": x, "y": y, "width": 1, "height": 1})
-    red, green, blue = (255 * imread(io.BytesIO(png))[0, 0, :3]).round().astype(int).tolist()
-    return red, green, blue
-
-
-def wide_of_name(page) -> int:
-    """Columns of the screen in which `TOWN` is written, once it is; Web Mercator by hand."""
-    box = page.locator("#place").bounding_box()
-    depot = HARBOUR.day.depot
-    sine = math.sin(math.radians(depot.lat_deg))
-    east = (0.25 - (0.5 + depot.lon_deg / 360.0)) * WORLD_PX
-    south = math.log((1 + sine) / (1 - sine)) / (4 * math.pi) * WORLD_PX
-    x, y = box["x"] + box["width"] / 2 + east, box["y"] + box["height"] / 2 + south
-    clip = {"x": x - 60, "y": y - 6, "width": 120, "height": 12}
-    width = 0
-    for _ in range(100):  # names fade in
-        seen = 255 * imread(io.BytesIO(page.screenshot(clip=clip)))[..., :3]
-        columns = (seen.sum(axis=2) < 300).any(axis=0).nonzero()[0]
-        width = int(np.ptp(columns)) if columns.size else 0
-        if width > LEAST_NAME_PX:
-            break
-        page.wait_for_timeout(100)
-    return width
 
 
 @pytest.fixture(scope="module")
@@ -236,26 +194,3 @@ def test_it_fits_a_phone_and_a_desk_dark_and_light(site, chromium, width, scheme
 
 def brightness(colour: str) -> float:
     return sum(map(float, colour[colour.index("(") + 1 : -1].split(",")[:3]))
-
-
-def test_a_base_map_is_drawn_from_the_users_file_with_its_attribution(
-    site, chromium, tmp_path: Path
-):
-    if missing := missing_assets():
-        pytest.skip(f"`make map-assets` was not run ({', '.join(missing)}): no base map was drawn")
-    town = tmp_path / "town.pmtiles"
-    town_tiles(town)
-    site.start_map(basemap=town)
-    site.step()
-    with browsing(chromium) as page:
-        page.goto(site.address)
-        shown(page, "made by hand")
-        page.locator("#basemap canvas").wait_for()
-        for _ in range(100):
-            if colour_at(page, 100, 100) == WATER:
-                break
-            page.wait_for_timeout(100)
-        assert colour_at(page, 100, 100) == WATER
-        for key in ["-"] * 40 + ["+"] * 3:
-            page.keyboard.press(key)  # to zoom 1.5
-        assert wide_of_name(page) > LEAST_NAME_PX, "without a server of glyphs"

@@ -1,15 +1,17 @@
 // The user's PMTiles extract below our own drawing, by MapLibre GL; only where one was given.
-// Layers are those of the Protomaps basemap schema (version 4). Names are drawn by the browser, as images
-// of their own: MapLibre asks a server for glyphs, and there is none.
+// Layers are those of the Protomaps basemap schema (version 4) and of OpenMapTiles (version 3), which
+// tilemaker writes. Names are drawn by the browser, as images of their own: MapLibre asks a server for
+// glyphs, and there is none.
 
-import { $, html, say } from "./dom.js";
+import { $, html, say, script } from "./dom.js";
 
 const PAINTS = {
-  light: { ground: "#f4f2ee", water: "#b9d3e6", green: "#dfe8d3", road: "#ffffff", house: "#ddd6cc", border: "#a0a0a0", name: "#3c3c3c" },
+  light: { ground: "#f4f2ee", water: "#b9d3e6", green: "#dfe8d3", road: "#c9c2b6", house: "#ddd6cc", border: "#a0a0a0", name: "#3c3c3c" },
   dark: { ground: "#1d2024", water: "#17334a", green: "#22301f", road: "#3a3f46", house: "#2c2f34", border: "#666666", name: "#d0d0d0" },
 };
 
 const NAME = "name ";
+const WORDS = ["coalesce", ["get", "name"], ["get", "name:latin"]]; // the second: tilemaker's
 const [FONT, HEIGHT_PX, RIM_PX, RATIO] = ["12px system-ui, sans-serif", 18, 2, 2];
 
 export async function openBasemap(view, dark) {
@@ -68,39 +70,37 @@ async function attribute(archive) {
   say($("#attribution"), words.trim() || "base map without attribution");
 }
 
-function script(address) {
-  return new Promise((done, failed) => {
-    const element = html("script", { src: address });
-    element.addEventListener("load", done);
-    element.addEventListener("error", () => failed(new Error(`${address} is missing`)));
-    document.head.append(element);
-  });
-}
-
 function styleOf(paint, header) {
-  const layer = (name, type, colours, more = {}) =>
-    ({ id: `${name}-${type}`, type, source: "town", "source-layer": name, paint: colours, ...more });
-  const names = (name, layout, minzoom) => ({
-    id: `${name}-names`,
+  // `sources`: the layer's name in each of the two schemas.
+  const layers = (sources, type, colours, more = {}) => sources.map((source) =>
+    ({ id: `${source}-${type}`, type, source: "town", "source-layer": source, paint: colours, ...more }));
+  const names = (sources, layout, minzoom) => sources.map((source) => ({
+    id: `${source}-names`,
     type: "symbol",
     source: "town",
-    "source-layer": name,
+    "source-layer": source,
     minzoom,
-    filter: ["has", "name"],
-    layout: { "icon-image": ["concat", NAME, ["get", "name"]], "icon-padding": 4, ...layout },
-  });
+    filter: ["any", ["has", "name"], ["has", "name:latin"]],
+    layout: { "icon-image": ["concat", NAME, WORDS], "icon-padding": 4, ...layout },
+  }));
+  const only = (...types) => ({ filter: ["in", ["geometry-type"], ["literal", types]] });
+  const wide = (thin, thick) => ["interpolate", ["linear"], ["zoom"], 10, thin, 17, thick];
+  const alongRoad = { "symbol-placement": "line", "icon-rotation-alignment": "map", "icon-keep-upright": true };
   return {
     version: 8,
     sources: { town: { type: "vector", url: `pmtiles://${location.origin}/basemap.pmtiles`, maxzoom: header.maxZoom } },
     layers: [
       { id: "ground", type: "background", paint: { "background-color": paint.ground } },
-      layer("landuse", "fill", { "fill-color": paint.green }),
-      layer("water", "fill", { "fill-color": paint.water }, { filter: ["==", ["geometry-type"], "Polygon"] }),
-      layer("buildings", "fill", { "fill-color": paint.house }),
-      layer("roads", "line", { "line-color": paint.road, "line-width": ["interpolate", ["linear"], ["zoom"], 10, 0.5, 17, 6] }),
-      layer("boundaries", "line", { "line-color": paint.border, "line-dasharray": [3, 2] }),
-      names("roads", { "symbol-placement": "line", "icon-rotation-alignment": "map", "icon-keep-upright": true }, 14),
-      names("places", { "symbol-sort-key": ["get", "sort_key"] }, 0),
+      // In OpenMapTiles `landuse` is where people live and work, which is no green.
+      ...layers(["landuse"], "fill", { "fill-color": paint.green }, { filter: ["!", ["has", "class"]] }),
+      ...layers(["landcover", "park"], "fill", { "fill-color": paint.green }),
+      ...layers(["water"], "fill", { "fill-color": paint.water }, only("Polygon", "MultiPolygon")),
+      ...layers(["water", "waterway"], "line", { "line-color": paint.water, "line-width": wide(0.5, 4) }, only("LineString", "MultiLineString")),
+      ...layers(["buildings", "building"], "fill", { "fill-color": paint.house }),
+      ...layers(["roads", "transportation"], "line", { "line-color": paint.road, "line-width": wide(0.5, 6) }),
+      ...layers(["boundaries", "boundary"], "line", { "line-color": paint.border, "line-dasharray": [3, 2] }),
+      ...names(["roads", "transportation_name"], alongRoad, 14),
+      ...names(["places", "place"], { "symbol-sort-key": ["coalesce", ["get", "sort_key"], ["get", "rank"], 0] }, 0),
     ],
   };
 }

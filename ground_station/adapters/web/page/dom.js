@@ -63,3 +63,13 @@ export function keyed(parent, entries, make, update, look) {
   }
   for (const child of there.values()) child.remove();
 }
+
+// A script of our own server, once it has run.
+export function script(address) {
+  return new Promise((done, failed) => {
+    const element = html("script", { src: address });
+    element.addEventListener("load", done);
+    element.addEventListener("error", () => failed(new Error(`${address} is missing`)));
+    document.head.append(element);
+  });
+}

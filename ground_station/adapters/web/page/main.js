@@ -101,12 +101,23 @@ async function showBasemap() {
   redraw();
 }
 
+async function showOutline() {
+  const { openOutline } = await import("./outline.js");
+  basemap = await openOutline(view);
+  redraw();
+}
+
+function showGround({ basemap, outline }) {
+  const shown = basemap ? showBasemap() : outline ? showOutline() : null;
+  shown?.catch((error) => say($("#attribution"), `base map: ${error.message}`));
+}
+
 function show(picture, serverUs) {
   const first = seen.heardMs === null;
   Object.assign(seen, { picture, aheadUs: serverUs - Date.now() * 1000, heardMs: performance.now() });
   if (!fitted && places().length) [fitted] = [true, fit()];
   if (first) ask();
-  if (first && picture.basemap) showBasemap().catch((error) => say($("#attribution"), `base map: ${error.message}`));
+  if (first) showGround(picture);
   if (!past) tell("live", "live");
   redraw();
 }
