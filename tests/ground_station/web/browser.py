@@ -31,12 +31,12 @@ def needs_chromium() -> str:
 
 
 @contextmanager
-def running(program: str) -> "Iterator[Browser]":
+def running(program: str, *options: str) -> "Iterator[Browser]":
     """A browser for many windows: to start one costs more than a test of a page."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=OPTIONS)
+        browser = driver.chromium.launch(executable_path=program, args=[*OPTIONS, *options])
         yield browser
         browser.close()
 
@@ -74,8 +74,11 @@ def _note(wrong: list[str], said: Any) -> None:
         wrong.append(said.text)
 
 
+OURS = ("http://127.0.0.1:", "https://localhost:")
+
+
 def _note_address(wrong: list[str], address: str) -> None:
-    if not address.startswith(("http://127.0.0.1:", "data:", "blob:http://127.0.0.1:")):
+    if not address.startswith((*OURS, "data:", *(f"blob:{one}" for one in OURS))):
         wrong.append(f"asked for {address}")
 
 

@@ -44,10 +44,10 @@ class Desk:
         options = (f"--store={self.url}", f"--zenoh={self.desk_end}", "--auto-launch")
         return self._held(start(self.folder, "dispatch", "day.toml", *options))
 
-    def map(self) -> "subprocess.Popen[str]":
+    def map(self, *more: str) -> "subprocess.Popen[str]":
         """It begins once there is a store."""
         until(lambda: (self.folder / "desk.db").exists())
-        options = (f"--store={self.url}", f"--zenoh={self.other_end}", f"--port={self.port}")
+        options = (f"--store={self.url}", f"--zenoh={self.other_end}", f"--port={self.port}", *more)
         return self._held(start(self.folder, "map", "--day=day.toml", *options))
 
     def drone(self) -> Obedient:

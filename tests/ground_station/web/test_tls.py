@@ -1,5 +1,7 @@
 """The map beyond this machine: served with TLS, under the names of its certificate."""
 
+import base64
+import hashlib
 import ipaddress
 import ssl
 from datetime import UTC, datetime, timedelta
@@ -13,10 +15,15 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.files.token_file import new_token
 from ground_station.adapters.web.map_server import MapAnswers, MapServer
+from ground_station.adapters.web.people import WebPeople
 from ground_station.adapters.web.tls_files import tls_files
 from ground_station.app.cli.main import app
+from ground_station.core.people.web_tokens import TokenBook
+from tests.ground_station.web.browser import browsing, needs_chromium, running
 from tests.ground_station.web.map_site import MapSite
 
 DAY_US = 86_400 * 1_000_000
@@ -108,3 +115,43 @@ def test_beyond_this_machine_both_tls_and_tokens_are_asked_for(tmp_path: Path, g
     done = CliRunner().invoke(app, ["map", "--fleet", "harbour", "--host", "0.0.0.0", *words])
     assert isinstance(done.exception, LeewayError)
     assert "expected --tls CERT KEY and --tokens FILE" in str(done.exception)
+
+
+def key_pin(certificate_file: Path) -> str:
+    """SHA-256 of the certificate's public key (RFC 7469, 2.4): Chromium trusts this one only."""
+    key = x509.load_pem_x509_certificate(certificate_file.read_bytes()).public_key()
+    form = serialization.PublicFormat.SubjectPublicKeyInfo
+    spki = key.public_bytes(serialization.Encoding.DER, form)
+    return base64.b64encode(hashlib.sha256(spki).digest()).decode()
+
+
+def test_in_a_browser_it_is_seen_over_tls_by_who_signs_in_and_under_this_key_only(
+    site: MapSite, tmp_path: Path
+):
+    program = needs_chromium()
+    files = certificate(tmp_path, LOCAL)
+    token = new_token()
+    book = TokenBook().added("vera", Role.VIEWER, token, "2026-01-01")
+    server = MapServer("127.0.0.1", 0, tls_files(*files, epoch_us()))
+    site.held.callback(server.close)
+    feed, people = site.feed, WebPeople(lambda: book, None, to_read=True)
+    server.serve(MapAnswers(feed.stream, feed.history, feed.reach, people=people))
+    site.until_flying("d1")
+    pin = f"--ignore-certificate-errors-spki-list={key_pin(files[0])}"
+    with running(program, pin) as browser, browsing(browser) as page:
+        page.goto(server.address)
+        page.locator("#link", has_text="sign in to see the fleet").wait_for()
+        assert page.locator("#drones tbody tr").count() == 0
+        assert page.evaluate("isSecureContext && location.protocol") == "https:"
+        page.locator("#sign-in").click()
+        page.locator("#token").fill(token)
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#link.live")
+        page.locator('#map .drone[data-key="d1"]').wait_for(state="attached")
+        site.ears.more["d1"] = {"phase": "return"}
+        site.step(2)
+        page.locator("#drones td", has_text="return").wait_for()
+    with running(program) as browser:
+        stranger = browser.new_context().new_page()
+        with pytest.raises(Exception, match="ERR_CERT_AUTHORITY_INVALID"):
+            stranger.goto(server.address)
