@@ -327,7 +327,7 @@ _WORLDS = [case.world for case in CASES] + [case.canary for case in CANARIES]
 _SHARED_WORLDS = [world for world in _WORLDS if _WORLDS.count(world) > 1]
 
 
-@pytest.mark.drawn(keep=9)  # by night every case by both autopilots
+@pytest.mark.drawn(keep=6)  # by night every case by both autopilots
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "_"))
 def test_flight(fly_case, autopilot_kind, case):
