@@ -26,10 +26,16 @@ from companion.core.wind_field.tellings import (
     WindTelling,
 )
 
-MOST_STRETCHES = 200
+MOST_STRETCHES = 150
 """With a hundred drones the newest two minutes; with eight all that is kept."""
 _CROWD = 12
 """More members than that join their fresh tellings over longer: there is enough of them."""
+
+LEAST_MISFIT, MOST_MISFIT = 1.1, 6.0
+"""What was told differs by more than the process says, squared: gustier air, or a front. The
+process's variances are then taken so many times as large."""
+_MISFIT_PRIOR = 20.0
+"""Weight of the process itself in that, as so many values: few say little."""
 
 _JITTER_M2PS2 = 1e-6
 
@@ -82,6 +88,9 @@ class FieldBelief:
         out: dict[str, str] = {}
         while True:
             settled = SettledField(self._process, self._prior, kept, now_s)
+            if (misfit := settled.misfit()) > LEAST_MISFIT:
+                more = min(misfit, MOST_MISFIT)
+                settled = SettledField(self._process, self._prior, kept, now_s, more)
             bad = contradicting(settled.mean_shift_squares, kept, now_s, always)
             if not bad:
                 return settled.leaving_out(out)
@@ -93,8 +102,14 @@ class SettledField:
     """The belief as it stands after what was kept; `left_out` says who, and why."""
 
     def __init__(
-        self, process: FieldProcess, prior: WindPrior, kept: KeptStretches, now_s: float
+        self,
+        process: FieldProcess,
+        prior: WindPrior,
+        kept: KeptStretches,
+        now_s: float,
+        gustier: float = 1.0,
     ) -> None:
+        """`gustier`: the process's variances are so many times as large."""
         self.left_out: dict[str, str] = {}
         self.now_s = now_s
         self._process, self._kept = process, kept
@@ -105,7 +120,7 @@ class SettledField:
         self._level_m2ps2 = prior.std_mps**2 + doubt_mps**2
         self.mean_to_ne_mps = self._mean_wind()
         speed = float(np.hypot(*self.mean_to_ne_mps))
-        self._scale = process.process.variance_scale(speed)
+        self._scale = gustier * process.process.variance_scale(speed)
         self._told_s, self._told_left = self._coordinates(kept)
         self._factors = self._factored()
 
@@ -140,6 +155,20 @@ class SettledField:
             means.append(grown * mean)
             covs.append(left_over + np.diag((doubt * grown * mean) ** 2))
         return FieldForecast(np.stack(means, axis=1), covs[0], covs[1])
+
+    def misfit(self) -> float:
+        """Mean square of what was told over what is expected of it: 1 where the process holds.
+
+        r' K^-1 r over the number of values (Rasmussen and Williams 2006, eq. 5.8: its share in the
+        likelihood).
+        """
+        count = self._kept.count.size
+        if not count:
+            return 1.0
+        grown, _ = self._process.shear(self._kept.middle[:, 3], self._height_m)
+        told = self._kept.wind_ne_mps / grown[:, None] - self._prior_ne
+        squares = (told[:, k] @ weighed for k, (_, weighed) in enumerate(self._factors))
+        return (0.5 * float(sum(squares)) + _MISFIT_PRIOR) / (count + _MISFIT_PRIOR)
 
     def mean_shift_squares(self, groups: Floats) -> Floats:
         """How unlikely it is that the values of each group (n, groups) are as they should be.

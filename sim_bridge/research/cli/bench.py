@@ -292,6 +292,28 @@ def way(
     finish(experiment.sheet(rows), out, "way_bench")
 
 
+@app.command("field")
+def field(
+    out: Out = OUT,
+    seed: Annotated[int, typer.Option(min=0, help="of places and winds")] = 1,
+) -> None:
+    """What an update of the fleet's wind costs with 1, 8, 24 and 100 drones.
+
+    CPU time, so that other work on the machine matters less; the least is what a quiet one takes.
+
+    Example: OMP_NUM_THREADS=1 sim-bridge research bench field
+    """
+    from sim_bridge.research.benchmarks import field_bench as experiment
+
+    with progress_bar() as bar:
+        shown = bar.add_task("field", total=len(experiment.DRONES))
+        costs = []
+        for drones in experiment.DRONES:
+            costs.append(experiment.measured(drones, seed))
+            bar.advance(shown)
+    finish(experiment.sheet(costs), out, "field_bench")
+
+
 @app.command("avoid")
 def avoid(
     scenes: Annotated[int, typer.Option(min=1, help="decisions of each kind")] = 400,

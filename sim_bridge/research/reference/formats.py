@@ -19,12 +19,14 @@ from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.flight.scenario import Fault
 from sim_bridge.research.planners.scenario import Scenario
 from sim_bridge.research.reference.json_schema import Format
+from sim_bridge.truth.fields.field_file import WindFieldParams
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.wind_params import LogWindParams, WindParams
 
 FOLDERS = {
     "airframes": Airframe,
     "days": Day,
+    "fields": WindFieldParams,
     "flights": Flight,
     "truth": AirframeTruth,
     "wind": WindProcessParams,
@@ -61,6 +63,7 @@ def formats() -> tuple[Format, ...]:
         Format("airframe/1", Airframe, _read("airframes")),
         Format("certificate/1", Certificate),
         Format("wind-process/1", WindProcessParams, _read("wind")),
+        Format("wind-field/1", WindFieldParams, _read("fields")),
         Format("day/1", Day, _read("days")),
         Format("day-plan/1", DayPlan, _read("days")),
         Format("roster/1", Roster),

@@ -36,6 +36,12 @@ def _fleet(title: str, *words: str) -> PageCommand:
     return PageCommand(_research("bench-fleet", *given), show=tables.fleet, title=title)
 
 
+def _fleet_wind(title: str, folder: str, *words: str) -> PageCommand:
+    out = f"{OUT}/{folder}"
+    files = ("--json", f"{OUT}/{folder}.json", "--out", out, "--jobs", "1")
+    return PageCommand(_research("fleet-wind", *words, *files), title=title)
+
+
 def _avoid(policy: str) -> PageCommand:
     words = ("--policy", policy, "--agents", "8", "--episodes", "100", "--seed", "2", "--wind")
     return PageCommand(_research("avoid", *words, "--keep", f"{OUT}/kept"), show=tables.nothing)
@@ -162,6 +168,26 @@ PAGES = (
         ),
         45.0,
         needs=(ANEMOMETER,),
+    ),
+    Page(
+        "fleet-wind",
+        "Wind that the fleet shares",
+        "The wind known from one's own data against the wind known by eight drones, in fields that"
+        " carry a recording's spectrum and lose coherence; fronts told ahead.",
+        (
+            _fleet_wind("Eight that fly orders", "flying", "--wind-log", COAST, "--seed", "1",
+                        "--draws", "3", "--alert-draws", "8"),
+            _fleet_wind("Eight that hover", "hovering", "--wind-log", COAST, "--seed", "2",
+                        "--hovering", "8", "--draws", "2", "--alert-draws", "4"),
+            _fleet_wind("Less coherence: 5 along, 16 across", "loose", "--wind-log", COAST,
+                        "--seed", "3", "--along", "5", "--across", "16", "--draws", "2",
+                        "--alert-draws", "0"),
+            _fleet_wind("A made wind", "made", "--field", "params/fields/front.toml", "--seed", "4",
+                        "--draws", "3", "--alert-draws", "6"),
+        ),
+        10.0,
+        needs=("wind/coast_2023_1hz.csv",),
+        pictures=(("flying/fleet_wind.png", "fleet-wind.png"),),
     ),
     Page(
         "air-density",

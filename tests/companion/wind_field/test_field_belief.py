@@ -206,3 +206,18 @@ def test_the_error_stated_is_the_error_made_in_winds_drawn_from_the_covariance()
         error = (wind[-2:] - said.mean_to_ne_mps) ** 2
         nees += (error.sum(axis=1) / np.diag(said.north_cov_m2ps2)).tolist()
     assert 1.6 < np.mean(nees) < 2.5
+
+
+def test_in_air_gustier_than_the_process_says_the_error_stated_grows() -> None:
+    rng = np.random.default_rng(11)
+    stds: list[float] = []
+    for gusts_mps in (0.3, 3.0):
+        tellings = [
+            told(name, 10.0 * k, place, tuple(NORTH_WIND + gusts_mps * rng.standard_normal(2)))
+            for k in range(60)
+            for name, place in (("a", (0.0, 0.0)), ("b", (500.0, 200.0)))
+        ]
+        field = settled(tellings, 590.0)
+        assert (field.misfit() > 1.05) == (gusts_mps == 3.0)
+        stds.append(north_std_mps(field, (0.0, 800.0, 700.0)))
+    assert stds[1] > 1.3 * stds[0]

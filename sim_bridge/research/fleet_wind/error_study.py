@@ -1,0 +1,248 @@
+"""How much better the wind is known when all tell: own data only against everybody's.
+
+The same model both times. Judged are the wind now (a 10 s mean), its mean over some time to come,
+and a single 10 s mean at the end of it: at a drone's own place, and at places where nobody is. In
+ordinary wind the fleet is judged again with one drone that lies, is frozen or mute; that one's own
+forecasts are then left out on both sides.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from companion.core.base.arrays import Floats
+from companion.core.wind_field.field_belief import FieldBelief, SettledField
+from companion.core.wind_field.field_process import FieldPoints
+from companion.core.wind_field.tellings import TELLING_S, WindTelling
+from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, SITE_M
+from sim_bridge.research.fleet_wind.worlds import FleetWorld
+
+OWN_PLACE, NOBODY = "own place", "where nobody is"
+PLACES = (OWN_PLACE, NOBODY)
+BEGIN_S, EVERY_S = 600, 60
+TARGETS = 6
+APART_M = 200.0
+"""From every drone: less is somebody's own place."""
+STEP_S = 15.0
+LIE_NE_MPS = (5.0, 3.0)
+
+
+class Members(Enum):
+    """Who is in the fleet: all honest, or one of them, from ten minutes on, something else."""
+
+    HONEST = "all honest"
+    LYING = "one lies"
+    FROZEN = "one is frozen"
+    MUTE = "one is mute"
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A mean over the next `lead_s`, or the 10 s mean at its end."""
+
+    lead_s: float
+    is_mean: bool
+
+    @property
+    def averaged_s(self) -> float:
+        """Over how long the wind is averaged that is judged."""
+        return self.lead_s if self.is_mean else TELLING_S
+
+
+QUESTIONS = (
+    Question(0.0, False),
+    Question(60.0, True),
+    Question(150.0, True),
+    Question(300.0, True),
+    Question(300.0, False),
+)
+LONGEST_S = max(one.lead_s for one in QUESTIONS)
+
+
+@dataclass(frozen=True, slots=True)
+class SquareSums:
+    """Over judged winds: how many, squares of error (both axes), of error over stated variance."""
+
+    count: int = 0
+    own_m2ps2: float = 0.0
+    fleet_m2ps2: float = 0.0
+    own_nees: float = 0.0
+    fleet_nees: float = 0.0
+
+    def __add__(self, other: "SquareSums") -> "SquareSums":
+        return SquareSums(
+            self.count + other.count,
+            self.own_m2ps2 + other.own_m2ps2,
+            self.fleet_m2ps2 + other.fleet_m2ps2,
+            self.own_nees + other.own_nees,
+            self.fleet_nees + other.fleet_nees,
+        )
+
+    @property
+    def own_rmse_mps(self) -> float:
+        """By component."""
+        return math.sqrt(self.own_m2ps2 / (2.0 * self.count))
+
+    @property
+    def fleet_rmse_mps(self) -> float:
+        """By component."""
+        return math.sqrt(self.fleet_m2ps2 / (2.0 * self.count))
+
+
+def key_of(members: Members, where: str, question: Question) -> str:
+    """Names a row of the sums."""
+    return (
+        f"{members.value}/{where}/{question.lead_s:g}/{'mean' if question.is_mean else 'instant'}"
+    )
+
+
+@dataclass(slots=True)
+class ErrorTally:
+    """Sums by row, and how often somebody was left out of the fleet's belief."""
+
+    sums: dict[str, SquareSums]
+    settled: dict[str, int]
+    left_out: dict[str, int]
+    """By who is in the fleet: beliefs, and members left out of them."""
+
+    @classmethod
+    def empty(cls) -> "ErrorTally":
+        """Nothing judged yet."""
+        return cls({}, {}, {})
+
+    def add(self, key: str, more: SquareSums) -> None:
+        """Count in one row."""
+        self.sums[key] = self.sums.get(key, SquareSums()) + more
+
+    def joined(self, other: "ErrorTally") -> "ErrorTally":
+        """Both."""
+        both = ErrorTally(dict(self.sums), dict(self.settled), dict(self.left_out))
+        for key, more in other.sums.items():
+            both.add(key, more)
+        for mine, theirs in ((both.settled, other.settled), (both.left_out, other.left_out)):
+            for name, count in theirs.items():
+                mine[name] = mine.get(name, 0) + count
+        return both
+
+
+def judge_errors(
+    world: FleetWorld, rng: np.random.Generator, kinds: tuple[Members, ...] = (Members.HONEST,)
+) -> ErrorTally:
+    """All judged winds of one world."""
+    drones = len(world.drones)
+    fleets = {kind: FieldBelief(world.process) for kind in kinds}
+    alone = [FieldBelief(world.process) for _ in range(drones)]
+    tally = ErrorTally.empty()
+    frozen_at: WindTelling | None = None
+    for index, told_s in enumerate(world.told_s):
+        now_s = float(told_s)
+        tellings = [world.telling(number, index) for number in range(drones)]
+        if now_s <= BEGIN_S:
+            frozen_at = tellings[0]
+        for number, telling in enumerate(tellings):
+            alone[number].tell(telling, now_s)
+        for kind, fleet in fleets.items():
+            for telling in _as_told(tellings, kind, frozen_at, now_s):
+                fleet.tell(telling, now_s)
+        late = now_s + LONGEST_S + TELLING_S > world.seconds
+        if now_s < BEGIN_S or (now_s - BEGIN_S) % EVERY_S or late:
+            continue
+        own = [belief.settle(now_s) for belief in alone]
+        here = np.stack([way.at(np.array([now_s]))[0] for way in world.drones])
+        free = _free_places(here, rng)
+        for kind, fleet in fleets.items():
+            settled = fleet.settle(now_s)
+            tally.settled[kind.value] = tally.settled.get(kind.value, 0) + 1
+            tally.left_out[kind.value] = tally.left_out.get(kind.value, 0) + len(settled.left_out)
+            first = 0 if kind is Members.HONEST else 1
+            for number in range(first, drones):
+                _judge(tally, kind, OWN_PLACE, world, here[number], settled, [own[number]])
+            for place in free:
+                _judge(tally, kind, NOBODY, world, place, settled, own[first:])
+    return tally
+
+
+def _as_told(
+    tellings: list[WindTelling], kind: Members, frozen_at: WindTelling | None, now_s: float
+) -> list[WindTelling]:
+    """What the fleet is told: the first drone is the bad one."""
+    if kind is Members.HONEST or now_s <= BEGIN_S:
+        return tellings
+    first, others = tellings[0], tellings[1:]
+    if kind is Members.LYING:
+        north, east = first.mean_to_ne_mps
+        lie = north + LIE_NE_MPS[0], east + LIE_NE_MPS[1]
+        return [replace(first, mean_to_ne_mps=lie), *others]
+    if kind is Members.FROZEN and frozen_at is not None:
+        return [replace(first, mean_to_ne_mps=frozen_at.mean_to_ne_mps), *others]
+    return others
+
+
+def _free_places(taken: Floats, rng: np.random.Generator) -> list[Floats]:
+    found: list[Floats] = []
+    for _ in range(20 * TARGETS):
+        place = rng.uniform(-SITE_M, SITE_M, 2)
+        if np.hypot(*(taken - place).T).min() >= APART_M:
+            found.append(place)
+        if len(found) == TARGETS:
+            break
+    return found
+
+
+def _judge(
+    tally: ErrorTally,
+    kind: Members,
+    where: str,
+    world: FleetWorld,
+    place: Floats,
+    everybody: SettledField,
+    own: list[SettledField],
+) -> None:
+    """Add one place: the fleet's error once for each who forecasts alone."""
+    now_s = everybody.now_s
+    fleet = forecasts(everybody, place)
+    each = [forecasts(one, place) for one in own]
+    for q, question in enumerate(QUESTIONS):
+        first, last = now_s, now_s + question.lead_s
+        if not question.is_mean:
+            first, last = last - 0.5 * TELLING_S, last + 0.5 * TELLING_S
+        actual = world.mean_truth(place, first, last)
+        error, nees = _squares(fleet[q], actual)
+        alone = [_squares(said[q], actual) for said in each]
+        count = len(own)
+        own_error, own_nees = (sum(one[k] for one in alone) for k in (0, 1))
+        sums = SquareSums(count, own_error, count * error, own_nees, count * nees)
+        tally.add(key_of(kind, where, question), sums)
+
+
+def _squares(said: tuple[Floats, Floats], actual: Floats) -> tuple[float, float]:
+    mean, variance = said
+    error = (actual - mean) ** 2
+    return float(error.sum()), float((error / variance).sum())
+
+
+def forecasts(field: SettledField, place_ne_m: Floats) -> list[tuple[Floats, Floats]]:
+    """Mean (2,) and variances (2,) of each question's wind at a place."""
+    steps = np.arange(0.5 * STEP_S, LONGEST_S, STEP_S)
+    single = [q.lead_s for q in QUESTIONS if not q.is_mean]
+    means = field.forecast(points_at(place_ne_m, field.now_s + steps), STEP_S)
+    singles = field.forecast(points_at(place_ne_m, field.now_s + np.array(single)), TELLING_S)
+    found: list[tuple[Floats, Floats]] = []
+    for question in QUESTIONS:
+        if question.is_mean:
+            some = steps < question.lead_s
+            block = np.ix_(some, some)
+            north, east = means.north_cov_m2ps2[block].mean(), means.east_cov_m2ps2[block].mean()
+            found.append((means.mean_to_ne_mps[some].mean(axis=0), np.array([north, east])))
+        else:
+            k = single.index(question.lead_s)
+            variance = np.array([singles.north_cov_m2ps2[k, k], singles.east_cov_m2ps2[k, k]])
+            found.append((singles.mean_to_ne_mps[k], variance))
+    return found
+
+
+def points_at(place_ne_m: Floats, t_s: Floats) -> FieldPoints:
+    """One place at several times, at the drones' height."""
+    return FieldPoints(np.tile(place_ne_m, (t_s.size, 1)), np.full(t_s.size, HEIGHT_M), t_s)

@@ -1,0 +1,234 @@
+"""What `fleet-wind` prints, writes and draws."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_bridge.research.fleet_wind.alert_study import AlertFigures
+from sim_bridge.research.fleet_wind.error_study import (
+    NOBODY,
+    PLACES,
+    QUESTIONS,
+    ErrorTally,
+    Members,
+    Question,
+    SquareSums,
+    key_of,
+)
+from sim_bridge.research.fleet_wind.study import DrawResult, FleetWindSetting
+from sim_bridge.research.results.sheet import Sheet, interval95
+
+ORDINARY, FRONT = "ordinary", "with a front"
+_SHOWN_BAD = Question(150.0, True)
+
+
+def error_rows(ordinary: ErrorTally, front: ErrorTally) -> list[dict[str, Any]]:
+    """JSON-safe rows of `error`, in the order of the tables."""
+    rows: list[dict[str, Any]] = []
+    for wind, tally in ((ORDINARY, ordinary), (FRONT, front)):
+        for kind in Members:
+            for where in PLACES:
+                for question in QUESTIONS:
+                    sums = tally.sums.get(key_of(kind, where, question))
+                    if sums is not None:
+                        rows.append(_error_row(wind, kind, where, question, sums))
+    return rows
+
+
+def _error_row(
+    wind: str, kind: Members, where: str, question: Question, sums: SquareSums
+) -> dict[str, Any]:
+    return {
+        "wind": wind,
+        "members": kind.value,
+        "lead_s": question.lead_s,
+        "averaged_s": question.averaged_s,
+        "where": where,
+        "own_only_rmse_mps": sums.own_rmse_mps,
+        "fleet_rmse_mps": sums.fleet_rmse_mps,
+        "nees": sums.fleet_nees / sums.count,
+        "own_only_nees": sums.own_nees / sums.count,
+        "count": sums.count,
+    }
+
+
+def alert_row(alerts: AlertFigures) -> dict[str, Any]:
+    """JSON-safe `alerts`; unknown is None."""
+    return {
+        "fronts": alerts.fronts,
+        "warned": alerts.noticed,
+        "lead_s_median": _quantile(alerts.leads_s, 0.5),
+        "false": alerts.false,
+        "hours_without_fronts": alerts.hours,
+        "drones_to_warn": alerts.drones_to_warn,
+        "drones_warned": alerts.drones_warned,
+        "delay_s_median": _quantile(alerts.delays_s, 0.5),
+        "delay_s_p90": _quantile(alerts.delays_s, 0.9),
+        "arrival_error_s_median": _quantile(tuple(map(abs, alerts.arrival_errors_s)), 0.5),
+        "arrival_error_s_p90": _quantile(tuple(map(abs, alerts.arrival_errors_s)), 0.9),
+    }
+
+
+def _quantile(values: tuple[float, ...], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
+
+
+def error_sheet(
+    results: list[DrawResult], rows: list[dict[str, Any]], setting: FleetWindSetting
+) -> Sheet:
+    """Own data only against the fleet, all members honest."""
+    cells: list[list[str]] = []
+    for row in rows:
+        if row["members"] == Members.HONEST.value:
+            low, high = _gain_interval(results, row)
+            cells.append([*_words(row), *_figures(row), f"{low:.0f} to {high:.0f}"])
+    head = ["wind", "where", "what", "own data, m/s", "fleet, m/s", "better by", "95 %",
+            "NEES own", "NEES fleet"]  # fmt: skip
+    cells = [[*c[:6], c[8], *c[6:8]] for c in cells]
+    judged = sum(bool(one.ordinary.sums) for one in results)
+    note = (
+        f"RMSE by component; NEES of two axes, ideal 2. {judged} fields, {setting.drones} drones,"
+        f" {setting.hovering} of them hover; 10 s beliefs off by 0.5 m/s, told every 10 s. Truth:"
+        f" Davenport's decay {setting.along:g} along and {setting.across:g} across; the belief"
+        " assumes 4 and 13 in another form. Interval of the gain in %, over fields."
+    )
+    return Sheet("The wind known by one, and by the fleet", head, cells, note)
+
+
+def member_sheet(rows: list[dict[str, Any]], ordinary: ErrorTally) -> Sheet:
+    """The fleet with one bad member, judged by the others."""
+    cells: list[list[str]] = []
+    for row in rows:
+        shown = row["lead_s"] == _SHOWN_BAD.lead_s and row["averaged_s"] == _SHOWN_BAD.averaged_s
+        if row["wind"] == ORDINARY and shown:
+            name = row["members"]
+            settled, out = ordinary.settled[name], ordinary.left_out[name]
+            cells.append([name, row["where"], *_figures(row)[:3], f"{out / settled:.3f}"])
+    head = ["members", "where", "own data, m/s", "fleet, m/s", "better by", "left out"]
+    note = (
+        f"Mean wind of the next {_SHOWN_BAD.lead_s:g} s, as above, judged by the honest ones. The"
+        " liar adds 5.8 m/s from ten minutes on. Left out: members in the mean belief."
+    )
+    return Sheet("One member that lies, is frozen or mute", head, cells, note)
+
+
+def alert_sheet(alerts: AlertFigures) -> Sheet:
+    """Fronts told ahead."""
+    row = alert_row(alerts)
+    cells = [
+        ["fronts that somebody felt", f"{alerts.fronts}"],
+        ["of these told", f"{alerts.noticed}"],
+        ["drones that it had not reached when the first one felt it", f"{alerts.drones_to_warn}"],
+        ["of these told before", f"{alerts.drones_warned}"],
+        ["time before, median s", _shown(row["lead_s_median"])],
+        ["from the first one's feeling it to the alert, median s", _shown(row["delay_s_median"])],
+        ["the same, 90 % s", _shown(row["delay_s_p90"])],
+        ["error of the arrival first told, median s", _shown(row["arrival_error_s_median"])],
+        ["the same, 90 % s", _shown(row["arrival_error_s_p90"])],
+        ["false alerts without a front", f"{alerts.false} in {alerts.hours:.1f} h"],
+    ]
+    note = "A front is felt where the 10 s mean has changed by 3 m/s because of it."
+    return Sheet("Fronts", ["what", "figure"], cells, note)
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:.0f}"
+
+
+def _words(row: dict[str, Any]) -> list[str]:
+    lead, averaged = row["lead_s"], row["averaged_s"]
+    what = "now" if lead == 0.0 else f"in {lead:g} s" if averaged < lead else f"next {lead:g} s"
+    return [row["wind"], row["where"], what]
+
+
+def _figures(row: dict[str, Any]) -> list[str]:
+    own, fleet = row["own_only_rmse_mps"], row["fleet_rmse_mps"]
+    return [
+        f"{own:.2f}",
+        f"{fleet:.2f}",
+        f"{100.0 * (1.0 - fleet / own):.1f} %",
+        f"{row['own_only_nees']:.2f}",
+        f"{row['nees']:.2f}",
+    ]
+
+
+def _gain_interval(results: list[DrawResult], row: dict[str, Any]) -> tuple[float, float]:
+    """95 % interval of the mean over fields of each field's own gain, %."""
+    gains: list[float] = []
+    for one in results:
+        tally = one.ordinary if row["wind"] == ORDINARY else one.front
+        for question in QUESTIONS:
+            asked = question.lead_s == row["lead_s"] and question.averaged_s == row["averaged_s"]
+            sums = tally.sums.get(key_of(Members.HONEST, row["where"], question))
+            if asked and sums is not None:
+                gains.append(100.0 * (1.0 - sums.fleet_rmse_mps / sums.own_rmse_mps))
+    return interval95(gains)
+
+
+def as_document(
+    setting: FleetWindSetting, ordinary: ErrorTally, front: ErrorTally, alerts: AlertFigures
+) -> dict[str, Any]:
+    """The command's JSON."""
+    return {
+        "format": "fleet-wind/1",
+        "drones": setting.drones,
+        "hovering": setting.hovering,
+        "coherence": {"along": setting.along, "across": setting.across},
+        "seed": setting.seed,
+        "error": error_rows(ordinary, front),
+        "alerts": alert_row(alerts),
+    }
+
+
+def draw_field(path: Path, setting: FleetWindSetting) -> None:
+    """The field believed beside the field that was, at one moment of the first draw."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    from sim_bridge.research.fleet_wind.moment import field_moment
+
+    seen = field_moment(setting)
+    figure, axes = plt.subplots(1, 3, figsize=(12.0, 4.2), sharex=True, sharey=True)
+    most = max(float(seen.speed_mps(wind).max()) for wind in (seen.actual, seen.believed))
+    least = min(float(seen.speed_mps(wind).min()) for wind in (seen.actual, seen.believed))
+    titles = ("the field that was", "the field believed", "known by the first drone alone")
+    for axis, title, wind in zip(
+        axes, titles, (seen.actual, seen.believed, seen.alone), strict=True
+    ):
+        axis.pcolormesh(
+            seen.east_m, seen.north_m, seen.speed_mps(wind), vmin=least, vmax=most, cmap="viridis"
+        )
+        step = slice(None, None, 3)
+        axis.quiver(
+            seen.east_m[step],
+            seen.north_m[step],
+            wind[step, step, 1],
+            wind[step, step, 0],
+            color="white",
+            scale=250.0,
+        )
+        axis.plot(seen.drones[:, 1], seen.drones[:, 0], "o", color="tab:red", markersize=4)
+        axis.set_title(title)
+        axis.set_xlabel("east, m")
+        axis.set_aspect("equal")
+    axes[0].set_ylabel("north, m")
+    label = "wind over the next minute, m/s"
+    figure.colorbar(axes[0].collections[0], ax=axes, label=label, shrink=0.85)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def headline(rows: list[dict[str, Any]]) -> str:
+    """One line: means where nobody flies."""
+    gains = [
+        100.0 * (1.0 - row["fleet_rmse_mps"] / row["own_only_rmse_mps"])
+        for row in rows
+        if row["where"] == NOBODY
+        and row["members"] == Members.HONEST.value
+        and row["wind"] == ORDINARY
+        and row["averaged_s"] == row["lead_s"]
+    ]
+    return f"means of 60 to 300 s where nobody is: {min(gains):.0f} to {max(gains):.0f} % better"

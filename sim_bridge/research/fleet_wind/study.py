@@ -1,0 +1,190 @@
+"""The study of `fleet-wind`: draws of fields, each with ordinary wind and with a front."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.base.arrays import Floats
+from companion.core.base.errors import LeewayError
+from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.fronts import FrontWatch
+from sim_bridge.research.fleet_wind.alert_study import (
+    NO_ALERTS,
+    AlertFigures,
+    alerts_in,
+    beliefs,
+    judge_front,
+)
+from sim_bridge.research.fleet_wind.error_study import ErrorTally, Members, judge_errors
+from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
+from sim_bridge.research.fleet_wind.worlds import FleetWorld, fitted, halves_of, world_of
+from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.fields.coherent_field import Coherence, CoherentField
+from sim_bridge.truth.fields.field_file import WindFieldParams, drawn_series, load_wind_field
+from sim_bridge.truth.fields.front import PassingFront, drawn_front
+from sim_bridge.truth.fields.site_wind import SiteWind
+
+FRONT_LEAST_MPS, FRONT_MOST_MPS = 5.0, 10.0
+"""Of fronts laid over a recording."""
+FRONT_FROM_S, FRONT_UNTIL_S = 900.0, 700.0
+"""A front reaches the middle no sooner than this, and no later than this before the end."""
+_KEPT_ASIDE = 1_000_000
+"""The draw of a made field that the belief's process is fitted to; never judged."""
+
+
+@dataclass(frozen=True, slots=True)
+class FleetWindSetting:
+    """Options of a study. With `file`, the digest of its wind, it identifies the run."""
+
+    wind_log: str | None
+    field: str | None
+    file: str
+    drones: int
+    hovering: int
+    along: float
+    across: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class FieldDraw:
+    """One draw: which case of the wind (half of a recording), and what is judged in it."""
+
+    setting: FleetWindSetting
+    case: int
+    number: int
+    errors: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DrawResult:
+    """What one draw gave."""
+
+    ordinary: ErrorTally
+    front: ErrorTally
+    alerts: AlertFigures
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """A wind to draw about, and the process that is believed of it."""
+
+    series_ne_mps: Floats
+    process: WindProcessParams
+    params: WindFieldParams | None
+
+
+def made_field(path: Path) -> WindFieldParams:
+    """A made field's file; LeewayError names its mistake."""
+    try:
+        return load_wind_field(path)
+    except TruthError as error:
+        raise LeewayError(str(error)) from error
+
+
+def summed(results: Sequence[DrawResult]) -> tuple[ErrorTally, ErrorTally, AlertFigures]:
+    """All draws: errors in ordinary wind, errors with a front, alerts."""
+    ordinary = front = ErrorTally.empty()
+    alerts = NO_ALERTS
+    for one in results:
+        ordinary, front = ordinary.joined(one.ordinary), front.joined(one.front)
+        alerts += one.alerts
+    return ordinary, front, alerts
+
+
+def case_names(setting: FleetWindSetting) -> tuple[str, ...]:
+    """Winds that are judged: both halves of a recording, or the made field."""
+    if setting.wind_log is None:
+        return (_made(setting).name,)
+    return tuple(half.name for half in halves_of(Path(setting.wind_log)))
+
+
+def draws_of(setting: FleetWindSetting, errors: int, alerts: int) -> list[FieldDraw]:
+    """So many draws of each case; the first `errors` judge errors, too."""
+    cases = range(len(case_names(setting)))
+    count = max(errors, alerts)
+    return [FieldDraw(setting, case, k, k < errors) for k in range(count) for case in cases]
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnField:
+    """One draw's truth and fleet. `rng` goes on with what is told."""
+
+    field: CoherentField
+    process: WindProcessParams
+    ways: list[Patrol]
+    front: PassingFront
+    rng: np.random.Generator
+
+    def world(self, *, front: bool) -> FleetWorld:
+        """What the drones tell in it, with its front or without."""
+        return world_of(self.truth(front=front), self.seconds, self.process, self.ways, self.rng)
+
+    def truth(self, *, front: bool) -> SiteWind:
+        """The wind with its front or without."""
+        return SiteWind(self.field, [self.front] if front else [])
+
+    @property
+    def seconds(self) -> int:
+        """How long it lasts."""
+        return self.field.seconds
+
+
+def drawn_field(setting: FleetWindSetting, case: int, number: int) -> DrawnField:
+    """A draw of a case, the same in every process."""
+    known = _case(setting, case, number)
+    rng = np.random.default_rng([setting.seed, case, number])
+    field = CoherentField(known.series_ne_mps, Coherence(setting.along, setting.across), rng)
+    ways = patrols(setting.drones, setting.hovering, field.seconds, rng)
+    least, most = FRONT_LEAST_MPS, FRONT_MOST_MPS
+    if known.params is not None:
+        least, most = known.params.front_least_mps, known.params.front_most_mps
+    t_s = float(rng.uniform(FRONT_FROM_S, field.seconds - FRONT_UNTIL_S))
+    front = drawn_front(t_s, field.mean_ne_mps, least, most, rng)
+    return DrawnField(field, known.process, ways, front, rng)
+
+
+def judge_draw(draw: FieldDraw) -> DrawResult:
+    """One field: errors in ordinary wind and with a front, alerts with a front and without."""
+    drawn = drawn_field(draw.setting, draw.case, draw.number)
+    ordinary = with_front = ErrorTally.empty()
+    if draw.errors:
+        ordinary = judge_errors(drawn.world(front=False), drawn.rng, tuple(Members))
+        with_front = judge_errors(drawn.world(front=True), drawn.rng)
+    names = [way.name for way in drawn.ways]
+    alerts = NO_ALERTS
+    for front in (False, True):
+        last_s = float(drawn.seconds)
+        told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
+        found = alerts_in(told, names, FrontWatch(drawn.process))
+        if front:
+            alerts += judge_front(drawn.front, told, found)
+        else:
+            alerts += AlertFigures(false=len(found), hours=float(np.ptp(told.t_s)) / 3600.0)
+    return DrawResult(ordinary, with_front, alerts)
+
+
+@lru_cache(maxsize=4)
+def _case(setting: FleetWindSetting, case: int, number: int) -> _Case:
+    if setting.wind_log is not None:
+        half = halves_of(Path(setting.wind_log))[case]
+        return _Case(half.wind_ne_mps, half.process, None)
+    params = _made(setting)
+    series = drawn_series(params, np.random.default_rng([setting.seed, 7, number]))
+    return _Case(series, _believed(setting), params)
+
+
+@lru_cache(maxsize=1)
+def _believed(setting: FleetWindSetting) -> WindProcessParams:
+    params = _made(setting)
+    aside = np.random.default_rng([setting.seed, 7, _KEPT_ASIDE])
+    return fitted(drawn_series(params, aside))
+
+
+@lru_cache(maxsize=1)
+def _made(setting: FleetWindSetting) -> WindFieldParams:
+    assert setting.field is not None
+    return made_field(Path(setting.field))
