@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from companion.fleet.zenoh_config import CALL_AGAIN_MS
 from ground_station.adapters.pki.access_rules import MANY_CALLERS
 from sim_bridge.adapters.lifeline import entry
 
@@ -94,9 +95,10 @@ def write_config(path: Path, table: dict[str, Any]) -> Path:
 
 
 def member_config(folder: Path, port: int) -> Path:
-    """A client that calls until somebody answers."""
-    call = {"endpoints": [f"tcp/127.0.0.1:{port}"], "retry": {"period_init_ms": 200}}
-    table = {"mode": "client", "connect": call | {"exit_on_failure": False}}
+    """A client that calls again and again, as one with a configuration of `pki` does."""
+    retry = {"period_init_ms": 200, "period_max_ms": CALL_AGAIN_MS}
+    call = {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": False, "timeout_ms": 0}
+    table = {"mode": "client", "connect": call | {"retry": retry}}
     return write_config(folder / f"member-{port}.json5", table)
 
 
