@@ -7,6 +7,7 @@ late: it contains compiled code.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def plan_within(
     for number in range(rounds):
         now_s = time.process_time() - begin_s
         end_s = now_s + min((seconds - now_s) / (rounds - number), trials / rounds / rate)
-        done += _round_until(
+        done += round_until(
             search,
             begin_s + now_s,
             begin_s + end_s,
@@ -75,10 +76,18 @@ def plan_within(
     return TimedPlan(search.best, time.process_time() - begin_s, first_seconds, first_s, done)
 
 
-def _round_until(
-    search: Search, start_s: float, end_s: float, rate: float, tell: Callable[[float], None]
+class SteppedSearch(Protocol):
+    """A search that cools in steps."""
+
+    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
+        """This many trials, cooling over this part of a round."""
+        ...
+
+
+def round_until(
+    search: SteppedSearch, start_s: float, end_s: float, rate: float, tell: Callable[[float], None]
 ) -> int:
-    """One cooling by the clock; the number of trials."""
+    """One cooling by the clock of the process; the number of trials."""
     done, frac = 0, 0.0
     while frac < 1.0:
         step = max(100, int(min(STEP_S, end_s - time.process_time()) * rate))

@@ -1,6 +1,7 @@
 """`ground-station benchmark`: the planner against published results, and its speed."""
 
 import json
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -168,6 +169,98 @@ def _chosen(folders: list[Path], text: str | None) -> list[Path]:
         chosen = [by_name[name] for name in _names(text)]
     if not chosen:
         raise LeewayError(f"--problems {text}: names none of {len(folders)} problems")
+    return chosen
+
+
+@benchmark.command()
+def tspd(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Instances (*.txt), reference_means.csv."),
+    ],
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            min=0.05,
+            help="Processor seconds for each row. Default: a fixed number of trials, which gives "
+            "the same plan every time.",
+        ),
+    ] = None,
+    published_times: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="Seconds for each row as a multiple of the published solver's (ICP), where known.",
+        ),
+    ] = None,
+    json_out: Annotated[
+        Path | None,
+        typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
+    instances: Annotated[
+        str | None,
+        typer.Option(help="Only these: patterns of names, as in uniform-*-n50,uniform-*-n75."),
+    ] = None,
+) -> None:
+    """One truck and one drone (Agatz, Bouman and Schmidt): plan every instance, check it, compare
+    with published means and proven optima.
+
+    ground-station benchmark tspd tspd/ --seconds 10 --json tspd.json
+
+    Ctrl-C keeps the rows that are done in a journal beside the JSON file; the same command goes on
+    from there.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from ground_station.adapters.files.compiled_code import keep_compiled_code
+    from ground_station.adapters.files.tspd_files import (
+        MEANS,
+        instance_files,
+        read_means,
+        read_optimum,
+    )
+
+    console = Console()
+    files = _matching(instance_files(folder), instances)
+    found = (one / MEANS for one in (folder, folder.parent) if (one / MEANS).exists())
+    means = read_means(next(found, folder / MEANS))
+    optima = {path.stem: cost for path in files if (cost := read_optimum(path)) is not None}
+    if not keep_compiled_code():
+        console.print("first run: compiling the planner, some 20 s", highlight=False)
+    from ground_station.app.benchmarks.mfstsp_bench import RowJournal
+    from ground_station.app.benchmarks.tspd_bench import (
+        TspdParams,
+        read_instances,
+        solved_instances,
+        tspd_settings,
+    )
+    from ground_station.app.benchmarks.tspd_report import print_tspd_report
+
+    params = TspdParams(seconds, published_times, seed)
+    read = read_instances(files)
+    journal = RowJournal(json_out, tspd_settings(files, params))
+    try:
+        solved = solved_instances(read, means, params, journal)
+        rows = list(track(solved, "planning", total=len(files), console=console))
+    except KeyboardInterrupt:
+        kept = "the same command goes on from there" if json_out else "nothing kept without --json"
+        console.print(f"stopped; {kept}", highlight=False)
+        raise typer.Exit(130) from None
+    if json_out is not None:
+        _write(json_out, rows)
+        journal.remove()
+    print_tspd_report(console, rows, means, optima)
+
+
+def _matching(files: list[Path], patterns: str | None) -> list[Path]:
+    """All, or those whose name fits one of the patterns."""
+    if patterns is None:
+        return files
+    chosen = [path for path in files if any(fnmatch(path.stem, one) for one in _names(patterns))]
+    if not chosen:
+        raise LeewayError(f"--instances {patterns}: fits none of {len(files)} instances")
     return chosen
 
 
