@@ -21,11 +21,12 @@ from sim_bridge.research.fleet_wind.worlds import FleetWorld
 
 OWN_PLACE, NOBODY = "own place", "where nobody is"
 PLACES = (OWN_PLACE, NOBODY)
-BEGIN_S, EVERY_S = 600, 60
+BEGIN_S, EVERY_S = 600, 120
 TARGETS = 6
 APART_M = 200.0
 """From every drone: less is somebody's own place."""
-STEP_S = 15.0
+STEP_S = TELLING_S
+"""Means to come are taken over steps of this."""
 LIE_NE_MPS = (5.0, 3.0)
 
 
@@ -149,18 +150,18 @@ def judge_errors(
         late = now_s + LONGEST_S + TELLING_S > world.seconds
         if now_s < BEGIN_S or (now_s - BEGIN_S) % EVERY_S or late:
             continue
-        own = [belief.settle(now_s) for belief in alone]
         here = np.stack([way.at(np.array([now_s]))[0] for way in world.drones])
+        own = [belief.settle(now_s) for belief in alone]
+        judged = [_Judged.of(world, OWN_PLACE, here[k], own, (k,)) for k in range(drones)]
+        everybody = tuple(range(drones))
         free = _free_places(here, rng)
+        judged += [_Judged.of(world, NOBODY, place, own, everybody) for place in free]
         for kind, fleet in fleets.items():
             settled = fleet.settle(now_s)
             tally.settled[kind.value] = tally.settled.get(kind.value, 0) + 1
             tally.left_out[kind.value] = tally.left_out.get(kind.value, 0) + len(settled.left_out)
-            first = 0 if kind is Members.HONEST else 1
-            for number in range(first, drones):
-                _judge(tally, kind, OWN_PLACE, world, here[number], settled, [own[number]])
-            for place in free:
-                _judge(tally, kind, NOBODY, world, place, settled, own[first:])
+            for one in judged:
+                one.add_to(tally, kind, settled)
     return tally
 
 
@@ -191,56 +192,75 @@ def _free_places(taken: Floats, rng: np.random.Generator) -> list[Floats]:
     return found
 
 
-def _judge(
-    tally: ErrorTally,
-    kind: Members,
-    where: str,
-    world: FleetWorld,
-    place: Floats,
-    everybody: SettledField,
-    own: list[SettledField],
-) -> None:
-    """Add one place: the fleet's error once for each who forecasts alone."""
-    now_s = everybody.now_s
-    fleet = forecasts(everybody, place)
-    each = [forecasts(one, place) for one in own]
-    for q, question in enumerate(QUESTIONS):
-        first, last = now_s, now_s + question.lead_s
-        if not question.is_mean:
-            first, last = last - 0.5 * TELLING_S, last + 0.5 * TELLING_S
-        actual = world.mean_truth(place, first, last)
-        error, nees = _squares(fleet[q], actual)
-        alone = [_squares(said[q], actual) for said in each]
-        count = len(own)
-        own_error, own_nees = (sum(one[k] for one in alone) for k in (0, 1))
-        sums = SquareSums(count, own_error, count * error, own_nees, count * nees)
-        tally.add(key_of(kind, where, question), sums)
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One place: its true winds, and the error and NEES there of who forecasts alone.
+
+    `actual` (questions, 2), `alone` by member (questions, 2).
+    """
+
+    where: str
+    place_ne_m: Floats
+    actual: Floats
+    alone: dict[int, Floats]
+
+    @classmethod
+    def of(
+        cls,
+        world: FleetWorld,
+        where: str,
+        place_ne_m: Floats,
+        own: list[SettledField],
+        who: tuple[int, ...],
+    ) -> "_Judged":
+        now_s = own[0].now_s
+        actual = np.empty((len(QUESTIONS), 2))
+        for q, question in enumerate(QUESTIONS):
+            first, last = now_s, now_s + question.lead_s
+            if not question.is_mean:
+                first, last = last - 0.5 * TELLING_S, last + 0.5 * TELLING_S
+            actual[q] = world.mean_truth(place_ne_m, first, last)
+        alone = {k: _squares(forecasts(own[k], place_ne_m), actual) for k in who}
+        return cls(where, place_ne_m, actual, alone)
+
+    def add_to(self, tally: ErrorTally, kind: Members, fleet: SettledField) -> None:
+        """Count the fleet's error once for each honest member who forecasts alone."""
+        honest = [k for k in self.alone if kind is Members.HONEST or k > 0]
+        if not honest:
+            return
+        squares = _squares(forecasts(fleet, self.place_ne_m), self.actual)
+        alone = np.sum([self.alone[k] for k in honest], axis=0)
+        count = len(honest)
+        for q, question in enumerate(QUESTIONS):
+            error, nees = (float(x) for x in count * squares[q])
+            own_error, own_nees = (float(x) for x in alone[q])
+            sums = SquareSums(count, own_error, error, own_nees, nees)
+            tally.add(key_of(kind, self.where, question), sums)
 
 
-def _squares(said: tuple[Floats, Floats], actual: Floats) -> tuple[float, float]:
+def _squares(said: tuple[Floats, Floats], actual: Floats) -> Floats:
+    """Squared error and NEES of each question, (questions, 2)."""
     mean, variance = said
     error = (actual - mean) ** 2
-    return float(error.sum()), float((error / variance).sum())
+    return np.stack([error.sum(axis=1), (error / variance).sum(axis=1)], axis=1)
 
 
-def forecasts(field: SettledField, place_ne_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Mean (2,) and variances (2,) of each question's wind at a place."""
+def forecasts(field: SettledField, place_ne_m: Floats) -> tuple[Floats, Floats]:
+    """Means and variances of each question's wind at a place, (questions, 2) each."""
     steps = np.arange(0.5 * STEP_S, LONGEST_S, STEP_S)
     single = [q.lead_s for q in QUESTIONS if not q.is_mean]
-    means = field.forecast(points_at(place_ne_m, field.now_s + steps), STEP_S)
-    singles = field.forecast(points_at(place_ne_m, field.now_s + np.array(single)), TELLING_S)
-    found: list[tuple[Floats, Floats]] = []
-    for question in QUESTIONS:
+    ahead_s = np.concatenate([steps, single])
+    said = field.forecast(points_at(place_ne_m, field.now_s + ahead_s), STEP_S)
+    means, variances = np.empty((len(QUESTIONS), 2)), np.empty((len(QUESTIONS), 2))
+    for q, question in enumerate(QUESTIONS):
         if question.is_mean:
-            some = steps < question.lead_s
-            block = np.ix_(some, some)
-            north, east = means.north_cov_m2ps2[block].mean(), means.east_cov_m2ps2[block].mean()
-            found.append((means.mean_to_ne_mps[some].mean(axis=0), np.array([north, east])))
+            some = np.flatnonzero(steps < question.lead_s)
         else:
-            k = single.index(question.lead_s)
-            variance = np.array([singles.north_cov_m2ps2[k, k], singles.east_cov_m2ps2[k, k]])
-            found.append((singles.mean_to_ne_mps[k], variance))
-    return found
+            some = np.array([steps.size + single.index(question.lead_s)])
+        block = np.ix_(some, some)
+        means[q] = said.mean_to_ne_mps[some].mean(axis=0)
+        variances[q] = said.north_cov_m2ps2[block].mean(), said.east_cov_m2ps2[block].mean()
+    return means, variances
 
 
 def points_at(place_ne_m: Floats, t_s: Floats) -> FieldPoints:
