@@ -92,14 +92,13 @@ def fleet_wind(
     done = run_journaled("fields", work, judge_draw, jobs, kept)
     ordinary, front, alerts = summed(done)
     rows = sheets.error_rows(ordinary, front)
-    shown = [sheets.alert_sheet(alerts)]
+    shown = {}
     if rows:
-        shown = [
-            sheets.error_sheet(done, rows, setting),
-            sheets.member_sheet(rows, ordinary),
-            *shown,
-        ]
-    for sheet, stem in zip(shown, ("error", "members", "alerts")[-len(shown) :], strict=True):
+        shown["error"] = sheets.error_sheet(done, rows, setting)
+        shown["members"] = sheets.member_sheet(rows, ordinary)
+    if alerts.fronts:
+        shown["alerts"] = sheets.alert_sheet(alerts)
+    for stem, sheet in shown.items():
         sheet.write(out, stem)
         typer.echo(sheet.markdown())
     sheets.draw_field(out / "fleet_wind.png", setting)

@@ -57,6 +57,7 @@ class FieldDraw:
     case: int
     number: int
     errors: bool
+    alerts: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +104,12 @@ def case_names(setting: FleetWindSetting) -> tuple[str, ...]:
 
 
 def draws_of(setting: FleetWindSetting, errors: int, alerts: int) -> list[FieldDraw]:
-    """So many draws of each case; the first `errors` judge errors, too."""
+    """So many draws of each case: the first `errors` judge errors, the first `alerts` alerts."""
     cases = range(len(case_names(setting)))
     count = max(errors, alerts)
-    return [FieldDraw(setting, case, k, k < errors) for k in range(count) for case in cases]
+    return [
+        FieldDraw(setting, case, k, k < errors, k < alerts) for k in range(count) for case in cases
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +159,7 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
         with_front = judge_errors(drawn.world(front=True), drawn.rng)
     names = [way.name for way in drawn.ways]
     alerts = NO_ALERTS
-    for front in (False, True):
+    for front in (False, True) if draw.alerts else ():
         last_s = float(drawn.seconds)
         told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
         found = alerts_in(told, names, FrontWatch(drawn.process))
