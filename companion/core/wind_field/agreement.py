@@ -40,19 +40,16 @@ def contradicting(
 
     `mean_shift_squares` gives z^2 on both axes together for groups (n, groups) of values.
     """
-    present = [int(k) for k in np.unique(kept.member)]
-    if len(present) < 2:
+    present = np.unique(kept.member)
+    if present.size < 2:
         return {}
+    whose = kept.member[:, None] == present[None, :]
     fresh = now_s - kept.last[:, 0] <= NEW_S
-    groups = np.stack(
-        [kept.member == number for number in present]
-        + [(kept.member == number) & fresh for number in present],
-        axis=1,
-    ).astype(float)
+    groups = np.concatenate([whose, whose & fresh[:, None]], axis=1).astype(np.float64)
     told = groups.T @ kept.count
     square = mean_shift_squares(groups)
     square[told < LEAST_TELLINGS] = 0.0
-    count = len(present)
+    count = present.size
     excess = np.maximum(square[:count] / ALL_LIMIT, square[count:] / NEW_LIMIT)
     bad = [
         (float(e), kept.members[number])

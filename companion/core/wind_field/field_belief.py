@@ -31,6 +31,9 @@ MOST_STRETCHES = 150
 _CROWD = 12
 """More members than that join their fresh tellings over longer: there is enough of them."""
 
+_SPARE_STRETCHES = 3
+"""Kept of each member beyond its share: some tell less often, or leave."""
+
 LEAST_MISFIT, MOST_MISFIT = 1.1, 6.0
 """What was told differs by more than the process says, squared: gustier air, or a front. The
 process's variances are then taken so many times as large."""
@@ -80,8 +83,9 @@ class FieldBelief:
 
     def settle(self, now_s: float, always: str = "") -> "SettledField":
         """The field as believed now. `always` is the vehicle itself: never left out."""
+        each = MOST_STRETCHES // max(len(self._members), 1) + _SPARE_STRETCHES
         for name in list(self._members):
-            self._members[name].forget(now_s)
+            self._members[name].forget(now_s, each)
             if not self._members[name].stretches:
                 del self._members[name]
         kept = KeptStretches.of(self._members, MOST_STRETCHES)
@@ -178,7 +182,7 @@ class SettledField:
         total = np.zeros(groups.shape[1])
         for lower, weighed in self._factors:
             known = solve_triangular(lower, groups, lower=True, check_finite=False)
-            error = np.einsum("ij,ij->j", known, known)
+            error = np.square(known).sum(axis=0)
             shift = groups.T @ weighed
             total += np.divide(shift**2, error, out=np.zeros_like(error), where=error > 0.0)
         return total

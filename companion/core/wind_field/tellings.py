@@ -107,12 +107,9 @@ class Stretch:
         return Stretch(count, self.first, later.last, wind, variance)
 
     @property
-    def middle(self) -> tuple[float, float, float, float]:
-        """Time, north, east and height of the mean: a telling's is the middle of its seconds."""
-        t_s, north, east, height = (
-            0.5 * (a + b) for a, b in zip(self.first, self.last, strict=True)
-        )
-        return t_s - 0.5 * TELLING_S, north, east, height
+    def numbers(self) -> tuple[float, ...]:
+        """Its two ends (8), wind (2), variances (2) and count."""
+        return (*self.first, *self.last, *self.wind_ne_mps, *self.variance_ne_m2ps2, self.count)
 
 
 @dataclass(slots=True)
@@ -152,8 +149,8 @@ class MemberTellings:
             self.stretches.append(fresh)
         return ""
 
-    def forget(self, now_s: float) -> None:
-        """Join what is no longer fresh, drop what is old."""
+    def forget(self, now_s: float, most: int) -> None:
+        """Join what is no longer fresh, drop what is old; the newest `most` stay."""
         kept: list[Stretch] = []
         for one in self.stretches:
             if now_s - one.last[0] > KEPT_S:
@@ -164,7 +161,7 @@ class MemberTellings:
                 kept[-1] = before.joined(one)
             else:
                 kept.append(one)
-        self.stretches = kept
+        self.stretches = kept[-most:]
 
     def _is_forgotten(self, t_s: float) -> bool:
         return not self.stretches or t_s - self.stretches[-1].last[0] > KEPT_S
@@ -210,16 +207,19 @@ class KeptStretches:
         if len(rows) > most:
             rows.sort(key=lambda row: -row[1].last[0])
             rows = sorted(rows[:most], key=lambda row: row[0])
-        stretches = [row[1] for row in rows]
+        numbers = np.array([row[1].numbers for row in rows]).reshape(-1, 13)
+        first, last = numbers[:, 0:4], numbers[:, 4:8]
+        middle = 0.5 * (first + last)
+        middle[:, 0] -= 0.5 * TELLING_S  # a telling is a mean over the seconds before it
         return cls(
             tuple(members),
             np.array([row[0] for row in rows], np.int64),
-            np.array([s.middle for s in stretches]).reshape(-1, 4),
-            np.array([s.first for s in stretches]).reshape(-1, 4),
-            np.array([s.last for s in stretches]).reshape(-1, 4),
-            np.array([s.wind_ne_mps for s in stretches]).reshape(-1, 2),
-            np.array([s.variance_ne_m2ps2 for s in stretches]).reshape(-1, 2),
-            np.array([s.count for s in stretches], float),
+            middle,
+            first,
+            last,
+            numbers[:, 8:10],
+            numbers[:, 10:12],
+            numbers[:, 12],
         )
 
     def without(self, names: frozenset[str]) -> "KeptStretches":

@@ -191,10 +191,12 @@ def draw_field(path: Path, setting: FleetWindSetting) -> None:
     from sim_bridge.research.fleet_wind.moment import field_moment
 
     seen = field_moment(setting)
-    figure, axes = plt.subplots(1, 3, figsize=(12.0, 4.2), sharex=True, sharey=True)
+    figure, axes = plt.subplots(
+        1, 3, figsize=(11.0, 3.9), sharex=True, sharey=True, layout="constrained"
+    )
     most = max(float(seen.speed_mps(wind).max()) for wind in (seen.actual, seen.believed))
     least = min(float(seen.speed_mps(wind).min()) for wind in (seen.actual, seen.believed))
-    titles = ("the field that was", "the field believed", "known by the first drone alone")
+    titles = ("the field that was", "the field believed", "known by one drone (x) alone")
     for axis, title, wind in zip(
         axes, titles, (seen.actual, seen.believed, seen.alone), strict=True
     ):
@@ -211,6 +213,7 @@ def draw_field(path: Path, setting: FleetWindSetting) -> None:
             scale=250.0,
         )
         axis.plot(seen.drones[:, 1], seen.drones[:, 0], "o", color="tab:red", markersize=4)
+        axis.plot(seen.drones[:1, 1], seen.drones[:1, 0], "x", color="black", markersize=9)
         axis.set_title(title)
         axis.set_xlabel("east, m")
         axis.set_aspect("equal")

@@ -80,7 +80,7 @@ def test_the_past_is_joined_to_minutes_and_forgotten() -> None:
     for k in range(200):
         t_s = 10.0 * k
         member.take(replace(GOOD, t_s=t_s, mean_to_ne_mps=(-8.0 + 0.001 * k, 1.0)))
-        member.forget(t_s)
+        member.forget(t_s, 100)
     lengths = [one.last[0] - one.first[0] for one in member.stretches]
     assert max(lengths) <= 60.0
     assert member.stretches[0].first[0] >= 1990.0 - KEPT_S - 60.0
@@ -89,6 +89,15 @@ def test_the_past_is_joined_to_minutes_and_forgotten() -> None:
     middle = member.stretches[3]
     expected = np.mean([middle.first[0], middle.last[0]]) / 10.0 * 0.001 - 8.0
     assert middle.wind_ne_mps[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_of_many_members_the_newest_is_kept_of_each() -> None:
+    member = MemberTellings()
+    for k in range(60):
+        member.take(replace(GOOD, t_s=10.0 * k, mean_to_ne_mps=(-8.0 + 0.01 * k, 1.0)))
+        member.forget(10.0 * k, 4)
+    assert len(member.stretches) == 4
+    assert member.stretches[-1].last[0] == 590.0
 
 
 def fleet(seed: int, minutes: int = 6) -> list[WindTelling]:
