@@ -27,6 +27,7 @@ from ground_station.core.truck_drones.operation_search import (
     Operation,
     OperationParams,
     OperationSearch,
+    default_rounds,
     default_trials,
 )
 
@@ -98,7 +99,8 @@ def solve_instance(instance: TspdInstance, seconds: float | None, seed: int) -> 
     begin_s = time.process_time()
     search = OperationSearch(drive, fly, rng, OperationParams())
     if seconds is None:
-        search.round(default_trials(len(places)))
+        for _ in range(default_rounds(len(places))):
+            search.round(default_trials(len(places)))
     else:
         end_s = begin_s + seconds * (1.0 - KEPT_FRAC)
         round_until(search, time.process_time(), end_s, FIRST_RATE, lambda frac: None)

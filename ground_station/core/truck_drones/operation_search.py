@@ -12,6 +12,7 @@ from ground_station.core.truck_drones.operations import (
     ALONE,
     FLOWN,
     LOOP,
+    OFF,
     SYNC,
     Chain,
     any_move,
@@ -33,11 +34,23 @@ class OperationParams:
 
 
 TRIALS_PER_NODE = 40_000
+"""In one cooling: some 2 s of one core for 50 nodes, 10 s for 250."""
+SMALL_NODES = 25
+SMALL_ROUNDS = 6
+
+
+def default_rounds(nodes: int) -> int:
+    """Small instances settle in different plans, so they get more coolings."""
+    return SMALL_ROUNDS if nodes <= SMALL_NODES else 1
 
 
 def default_trials(nodes: int) -> int:
-    """Trials in all: some 2 s of one core for 50 nodes, 10 s for 250."""
+    """Trials of one cooling."""
     return nodes * TRIALS_PER_NODE
+
+
+NODES_PER_SPARE = 25
+"""Second visits pay seldom: in two of 70 proven optima of 11 to 17 nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +66,7 @@ class Operation:
 
 
 @compiled
-def anneal(c, best, best_role, costs, stream, trials, hot, cold):
+def anneal(c, best, best_role, best_same, costs, stream, trials, hot, cold):
     """Try `trials` moves while the temperature falls from `hot` to `cold`, units of cost.
 
     Changes the chain, `best` with its roles, and `costs` (of the chain and of the best).
@@ -70,6 +83,7 @@ def anneal(c, best, best_role, costs, stream, trials, hot, cold):
             costs[1] = costs[0]
             best[:] = c.visits
             best_role[:] = c.role
+            best_same[:] = c.same_as
 
 
 class OperationSearch:
@@ -84,22 +98,24 @@ class OperationSearch:
     ) -> None:
         """`drive`, `fly`: costs from node to node, (n, n), symmetric; node 0 is the depot."""
         nodes = len(drive)
-        self._nodes, self._params = nodes, params
-        both = [*range(nodes), 0]
-        drive, fly = drive[np.ix_(both, both)].copy(), fly[np.ix_(both, both)].copy()
-        near = _near(drive)
-        tour = _tour(drive, near)
+        self._drive, self._fly, self._nodes, self._params = drive, fly, nodes, params
+        spare = 2 + nodes // NODES_PER_SPARE
+        tour = _tour(drive)
+        visits = np.array([*tour[:-1], *range(nodes + 1, nodes + 1 + spare), nodes], dtype=np.int32)
+        same_as = np.array([*range(nodes), *([0] * (1 + spare))], dtype=np.int32)
+        role = np.full(len(visits), SYNC, dtype=np.int8)
+        role[nodes + 1 :] = OFF
         self._chain = Chain(
-            drive,
-            fly,
-            near,
-            tour,
-            np.argsort(tour).astype(np.int32),
-            np.full(nodes + 1, SYNC, dtype=np.int8),
-            np.zeros(3 * nodes + 8, dtype=np.int32),
+            drive[np.ix_(same_as, same_as)].copy(),
+            fly[np.ix_(same_as, same_as)].copy(),
+            _near(drive)[same_as],
+            visits,
+            np.argsort(visits).astype(np.int32),
+            role,
+            same_as,
+            np.zeros(3 * len(visits), dtype=np.int32),
         )
-        self._best = tour.copy()
-        self._best_role = self._chain.role.copy()
+        self._best, self._best_role, self._best_same = visits.copy(), role.copy(), same_as.copy()
         cost = self._cost()
         self._costs = np.full(2, cost)
         self._leg = cost / nodes
@@ -107,13 +123,20 @@ class OperationSearch:
 
     def _cost(self) -> float:
         c = self._chain
-        return float(stretch_cost(c.drive, c.fly, c.role, c.visits, 0, self._nodes))
+        return float(stretch_cost(c.drive, c.fly, c.role, c.visits, 0, len(c.visits) - 1))
 
     @property
     def best_cost(self) -> float:
         """Cost of the best plan so far, summed anew."""
-        c = self._chain
-        return float(stretch_cost(c.drive, c.fly, self._best_role, self._best, 0, self._nodes))
+        return sum(self._cost_of(operation) for operation in self.best())
+
+    def _cost_of(self, operation: Operation) -> float:
+        path = (operation.start, *operation.between, operation.stop)
+        truck = sum(float(self._drive[one, other]) for one, other in pairwise(path))
+        if operation.fly is None:
+            return truck
+        out, back = self._fly[operation.start, operation.fly], self._fly[operation.fly, path[-1]]
+        return max(truck, float(out + back))
 
     def step(self, trials: int, from_frac: float, to_frac: float) -> None:
         """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
@@ -122,6 +145,7 @@ class OperationSearch:
             self._chain,
             self._best,
             self._best_role,
+            self._best_same,
             self._costs,
             self._stream,
             trials,
@@ -141,41 +165,46 @@ class OperationSearch:
     def best(self) -> list[Operation]:
         """The best plan so far."""
         found: list[Operation] = []
-        visits, role = self._best, self._best_role
-        syncs = [at for at, node in enumerate(visits) if role[node] == SYNC]
+        visits = [int(visit) for visit in self._best if self._best_role[visit] != OFF]
+        syncs = [at for at, visit in enumerate(visits) if self._best_role[visit] == SYNC]
         for at, to in pairwise(syncs):
-            found += _operations(self._chain, self._node, visits[at : to + 1], role)
+            found += self._operations(visits[at : to + 1])
         return found
 
-    def _node(self, visit: int) -> int:
-        return 0 if visit == self._nodes else int(visit)
+    def _operations(self, visits: list[int]) -> list[Operation]:
+        """The operations from one SYNC visit to the next: loops at its ends, and itself."""
+        start, stop = int(self._best_same[visits[0]]), int(self._best_same[visits[-1]])
 
+        def inner(role: int) -> list[int]:
+            return [visit for visit in visits[1:-1] if self._best_role[visit] == role]
 
-def _operations(c, node, visits, role):
-    start, stop = int(visits[0]), int(visits[-1])
-    inner = [int(visit) for visit in visits[1:-1]]
-    loops = [v for v in inner if role[v] == LOOP]
-    first = [v for v in loops if c.fly[start, v] <= c.fly[stop, v]]
-    flown = [v for v in inner if role[v] == FLOWN]
-    between = tuple(node(v) for v in inner if role[v] == ALONE)
-    found = [Operation(node(start), node(start), node(v), ()) for v in first]
-    fly = node(flown[0]) if flown else None
-    found.append(Operation(node(start), node(stop), fly, between))
-    return found + [Operation(node(stop), node(stop), node(v), ()) for v in loops if v not in first]
+        # A second visit of a node by the truck alone serves nothing.
+        between = tuple(visit for visit in inner(ALONE) if visit < self._nodes)
+        flown = [visit for visit in inner(FLOWN) if visit not in (start, stop)]
+        found = [Operation(start, stop, flown[0] if flown else None, between)]
+        if start == stop and not flown and not between:
+            found = []
+        loops = [visit for visit in inner(LOOP) if visit not in (start, stop)]
+        first = [v for v in loops if self._fly[start, v] <= self._fly[stop, v]]
+        last = [v for v in loops if v not in first]
+        before = [Operation(start, start, visit, ()) for visit in first]
+        return before + found + [Operation(stop, stop, visit, ()) for visit in last]
 
 
 def _near(drive: NDArray[np.float64]) -> NDArray[np.int32]:
+    """By node, the nearest others, nearest first."""
     apart = drive.copy()
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1, kind="stable")[:, : min(NEAR, len(drive) - 1)].astype(np.int32)
 
 
-def _tour(drive: NDArray[np.float64], near: NDArray[np.int32]) -> NDArray[np.int32]:
-    """A short tour of the truck alone."""
-    end = len(drive) - 1
+def _tour(drive: NDArray[np.float64]) -> NDArray[np.int32]:
+    """A short tour of the truck alone, from node 0 to its copy `n`."""
+    end = len(drive)
     left, tour = list(range(1, end)), [0]
     while left:
         tour.append(left.pop(int(np.argmin(drive[tour[-1], left]))))
     route = np.array([*tour, end], dtype=np.int32)
-    improve_tour(drive, near, route)
+    both = [*range(end), 0]
+    improve_tour(drive[np.ix_(both, both)].copy(), _near(drive), route)
     return route

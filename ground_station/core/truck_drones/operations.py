@@ -3,8 +3,10 @@
 The chain is a sequence of visits from the depot to its copy. Each visit has a role. Truck and drone
 are together at a SYNC visit. Between two of them the truck drives through the ALONE visits and the
 drone may serve one FLOWN visit, wherever in between it stands. A LOOP visit is flown from the
-nearer of the two SYNC visits around it while the truck waits. The cost of an operation is the
-longer of the truck's and the drone's, so a change costs only the operations that it touches.
+nearer of the two SYNC visits around it while the truck waits. An OFF visit is not made; spare
+nodes stand for a second visit of some other node, and most of them are OFF. The cost of an
+operation is the longer of the truck's and the drone's, so a change costs only the operations that
+it touches.
 """
 
 from typing import NamedTuple
@@ -15,15 +17,14 @@ from numpy.typing import NDArray
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.random_stream import below, uniform
 
-SYNC, ALONE, FLOWN, LOOP = range(4)
-ROLES = 4
+SYNC, ALONE, FLOWN, LOOP, OFF = range(5)
 REFUSED = np.inf
 """The change of cost of a move that was not made."""
 
 
 class Chain(NamedTuple):
-    """The problem and a plan under search. Node `n` is the copy of the depot where the plan ends,
-    nodes above `n` are spare: second visits of nodes where those are met.
+    """The problem and a plan under search. The last visit is the copy of the depot where the plan
+    ends; nodes above it are spare.
     """
 
     drive: NDArray[np.float64]
@@ -38,6 +39,8 @@ class Chain(NamedTuple):
     """Where each node stands among the visits."""
     role: NDArray[np.int8]
     """By node."""
+    same_as: NDArray[np.int32]
+    """By node, the node whose place it has: another one for spare nodes only."""
     spare: NDArray[np.int32]
     """Room for two stretches of visits."""
 
@@ -81,7 +84,7 @@ def stretch_cost(drive, fly, role, visits, first, last):
             if flown >= 0:
                 return np.inf
             flown = node
-        else:
+        elif what == LOOP:
             loops = True
     return cost
 
@@ -148,10 +151,29 @@ def _copy_moved(c, low, high, first, last, to, back, begin):
 
 
 @compiled
+def _is_spare(c, node):
+    return node > c.visits[len(c.visits) - 1]
+
+
+@compiled
+def _place_spare(c, node, stream):
+    """Let a spare node that is OFF stand for a random node."""
+    same = c.same_as[c.visits[below(stream, len(c.visits))]]
+    c.same_as[node] = same
+    for other in range(len(c.drive)):
+        c.drive[node, other] = c.drive[other, node] = c.drive[same, other]
+        c.fly[node, other] = c.fly[other, node] = c.fly[same, other]
+    c.drive[node, node] = c.fly[node, node] = 0.0
+    c.near[node] = c.near[same]
+
+
+@compiled
 def _change_role(c, node, stream):
     """Another role for a node; the roles of customers with the truck are drawn more often."""
     drawn = uniform(stream)
-    if drawn < 0.35:
+    if _is_spare(c, node):
+        c.role[node] = SYNC if drawn < 0.5 else OFF
+    elif drawn < 0.35:
         c.role[node] = SYNC
     elif drawn < 0.65:
         c.role[node] = ALONE
@@ -172,6 +194,8 @@ def move_visits(c, stream, allowed):
     first = 1 + below(stream, end - count)
     last = first + count - 1
     node = c.visits[first]
+    if c.role[node] == OFF and count == 1:
+        _place_spare(c, node, stream)
     to = first - 1
     if below(stream, 4):
         to = c.place[_near_node(c, node, stream)] - below(stream, 2)
@@ -266,7 +290,7 @@ def exchange_visits(c, stream, allowed):
     joined = low_to < high
     if joined:
         high = max(high, high_to)
-    with_roles = below(stream, 3) > 0
+    with_roles = below(stream, 3) > 0 and not _is_spare(c, one)
     cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
     if not joined:
         cost += stretch_cost(c.drive, c.fly, c.role, c.visits, low_to, high_to)
@@ -331,11 +355,48 @@ def reverse_visits(c, stream, allowed):
 
 
 @compiled
+def _join(c, first, last, keep, role):
+    """Roles of one operation: of those flown, keep the `keep`-th; the truck's get this role."""
+    flown = 0
+    for at in range(first, last + 1):
+        node = c.visits[at]
+        what = c.role[node]
+        if (what == FLOWN and flown != keep) or what in (SYNC, ALONE):
+            c.role[node] = role
+        flown += what == FLOWN
+    return flown
+
+
+@compiled
+def join_visits(c, stream, allowed):
+    """Let the truck alone make two to six visits in a row, or both vehicles; see `move_visits`."""
+    end = len(c.visits) - 1
+    first = 1 + below(stream, end - 1)
+    last = min(first + 1 + below(stream, 5), end - 1)
+    low, high = _sync_before(c, first - 1), _sync_after(c, last + 1)
+    cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+    for at in range(first, last + 1):
+        c.spare[at] = c.role[c.visits[at]]
+    flown = _join(c, first, last, below(stream, 2), ALONE if below(stream, 3) else SYNC)
+    node = c.visits[first + below(stream, last - first + 1)]
+    if flown == 0 and not _is_spare(c, node):
+        c.role[node] = FLOWN
+    now = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+    if not now - cost <= allowed:
+        for at in range(first, last + 1):
+            c.role[c.visits[at]] = c.spare[at]
+        return REFUSED
+    return now - cost
+
+
+@compiled
 def any_move(c, stream, allowed):
     """A random move, by fixed shares; see `move_visits`."""
     drawn = uniform(stream)
-    if drawn < 0.6:
+    if drawn < 0.55:
         return move_visits(c, stream, allowed)
-    if drawn < 0.8:
+    if drawn < 0.75:
         return exchange_visits(c, stream, allowed)
+    if drawn < 0.85:
+        return join_visits(c, stream, allowed)
     return reverse_visits(c, stream, allowed)
