@@ -67,6 +67,27 @@ def makespans(done: CommandOutput) -> str:
     return console.markdown
 
 
+def operations(done: CommandOutput) -> str:
+    """Of `ground-station benchmark tspd DIR --json {out}/tspd.json`."""
+    from ground_station.adapters.files.tspd_files import (
+        MEANS,
+        instance_files,
+        read_means,
+        read_optimum,
+    )
+    from ground_station.app.benchmarks.tspd_report import print_tspd_report
+
+    if done.data is None:
+        raise ValueError(f"operations: expected {DATA}")
+    console = MarkdownConsole()
+    folder = done.data / "tspd"
+    optima = {path.stem: read_optimum(path) for path in instance_files(folder)}
+    known = {name: cost for name, cost in optima.items() if cost is not None}
+    rows = done.json("tspd.json")["rows"]
+    print_tspd_report(console, rows, read_means(folder / MEANS), known)
+    return console.markdown
+
+
 def speeds(done: CommandOutput) -> str:
     """Of `sim-bridge research bench flight --json {out}/bench.json`."""
     rows = done.json("bench.json")["rows"]
