@@ -212,7 +212,9 @@ class Plain:
     rogue: zenoh.Session
 
     def put(self, kind: str, raw: bytes, vehicle: str = "d1") -> None:
-        self.rogue.put(f"leeway/{FLEET}/vehicle/{vehicle}/{kind}", raw)
+        """None is dropped on the way: what was put last is what d1 has last."""
+        key = f"leeway/{FLEET}/vehicle/{vehicle}/{kind}"
+        self.rogue.put(key, raw, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def ask(self, payload: bytes) -> Result:
         """What d1 answers to these bytes as a command, once the attacker's line to it stands."""
