@@ -1,5 +1,6 @@
 """`ground-station map`: the running day on a map, in a browser of this machine."""
 
+import sys
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -266,10 +267,23 @@ def _fetch_assets() -> None:
 
 
 def _has_outline(basemap: Path | None) -> bool:
-    """Whether the world's outline can be drawn; says how to have it where it could be."""
+    """Whether the world's outline can be drawn. A person at a terminal waits for it once; a service
+    never waits for a registry, and says how to have it.
+    """
     from ground_station.adapters.web.npm_assets import OUTLINE, missing_assets
 
-    is_there = not missing_assets(OUTLINE)
-    if not is_there and basemap is None:
+    if not missing_assets(OUTLINE):
+        return True
+    if basemap is not None:
+        return False
+    if not sys.stdout.isatty():
         typer.echo("no outline of the world: `ground-station map --fetch-assets` brings it, once")
-    return is_there
+        return False
+    typer.echo("the world's outline is not here yet; Ctrl-C goes on without it")
+    try:
+        _fetch_assets()
+    except LeewayError as error:
+        typer.echo(f"{error}; the map goes on without the outline", err=True)
+    except KeyboardInterrupt:
+        typer.echo("without the outline: `ground-station map --fetch-assets` brings it")
+    return not missing_assets(OUTLINE)

@@ -85,6 +85,7 @@ def _operations(
         yield new, stop, [start, *by_truck, stop], route[0]
 
 
+@pytest.mark.drawn(keep=2)
 @pytest.mark.parametrize("seed", range(4))
 def test_small_instances_are_solved_to_the_optimum_of_an_exhaustive_program(seed: int) -> None:
     from ground_station.app.benchmarks.tspd_bench import solve_instance
@@ -114,6 +115,7 @@ def test_the_same_seed_makes_the_same_plan_and_no_search_beats_what_the_checker_
     assert len(truck_alone) == 1
 
 
+@pytest.mark.drawn(keep=2)
 @pytest.mark.parametrize("name", ["1-n11", "7-n13", "9-n11", "4-n15", "3-n17"])
 def test_proven_optima_are_reached_to_a_thousandth(name: str) -> None:
     path = SMALL / f"uniform-{name}.txt"

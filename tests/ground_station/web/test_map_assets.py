@@ -4,7 +4,9 @@ import base64
 import hashlib
 import io
 import json
+import os
 import tarfile
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.basemap import check_pmtiles
+from ground_station.adapters.web import npm_assets
 from ground_station.adapters.web.map_server import ASSETS
 from ground_station.adapters.web.npm_assets import (
     ALL,
@@ -23,6 +26,7 @@ from ground_station.adapters.web.npm_assets import (
     missing_assets,
     unpack,
 )
+from ground_station.app.cli.live_map import _has_outline
 from tests.ground_station.web.browser import town_tiles
 
 
@@ -65,6 +69,29 @@ def test_without_them_all_are_missing_and_an_npm_that_fails_is_said(tmp_path: Pa
     with pytest.raises(LeewayError, match=r"no network; `ground-station map --fetch-assets`"):
         fetch_assets(tmp_path)
     assert len(missing_assets(ALL, tmp_path)) == len(ALL)
+
+
+@pytest.mark.parametrize(
+    ("at_a_terminal", "npm", "said"),
+    [
+        (True, "raise SystemExit('no network')", "no network"),
+        (True, "import os, signal; os.kill(os.getppid(), signal.SIGINT)", "without the outline:"),
+        (False, "raise SystemExit('asked')", "`ground-station map --fetch-assets` brings it"),
+    ],
+    ids=["no network", "ctrl-c", "a service"],
+)
+def test_a_map_goes_on_without_an_outline_that_cannot_be_had(
+    at_a_terminal: bool, npm: str, said: str, monkeypatch, capsys
+):
+    monkeypatch.setattr(npm_assets, "_is_there", lambda package, folder: False)
+    monkeypatch.setattr(npm_assets, "NPM", npm)
+    monkeypatch.setattr(npm_assets, "_node", lambda: nullcontext(dict(os.environ)))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: at_a_terminal, raising=False)
+    assert not _has_outline(None)
+    out = "".join(capsys.readouterr())
+    assert said in out
+    assert at_a_terminal == ("Ctrl-C goes on without it" in out)
+    assert "asked" not in out
 
 
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path):
