@@ -120,10 +120,15 @@ def _planned(
         transient=True,
     ) as progress:
         bar = progress.add_task("energy of all sorties", total=1.0)
+        told = 0.0  # a log gets a line each quarter of the way
 
         def tell(done_frac: float, best_s: float) -> None:
+            nonlocal told
             words = f"best {best_s / 60.0:.1f} min"
             progress.update(bar, completed=done_frac, description=words)
+            if not console.is_terminal and done_frac >= told + 0.25:
+                told = done_frac
+                typer.echo(f"planning: {100.0 * done_frac:.0f} % of the search, {words}", err=True)
 
         params = PlanParams(policy.value, trials, seed)
         return plan_day(data, first_state(data), params, tell)
