@@ -4,7 +4,9 @@ import { $, keyed, remembering, say, set, svg } from "./dom.js";
 import { truckWords, windWords } from "./words.js";
 
 const [NONE, NO_WINDS] = [{}, []];
-const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "truck", "drones"];
+const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "drive", "truck", "drones"];
+const LEGS = ["out", "home"];
+const WAYS = [...LEGS, "asked", "now"];
 const ORDER_SHAPES = {
   open: "M-5,0a5,5 0 1,0 10,0a5,5 0 1,0 -10,0",
   assigned: "M-6,-6h12v12h-12z",
@@ -71,9 +73,12 @@ export class Drawing {
 
   #ways(drones, selected) {
     const lines = Object.entries(drones).flatMap(([name, drone]) =>
-      Object.entries(drone.way ?? {}).filter(([, points]) => points.length).map(([kind, points]) =>
-        [`${name} ${kind}`, points]));
-    const kindOf = (key) => `way-${key.split(" ").at(-1)}${key.startsWith(`${selected} `) ? " chosen" : ""}`;
+      WAYS.filter((kind) => drone.way?.[kind]?.length).map((kind) => [`${name} ${kind}`, drone.way[kind]]));
+    const kindOf = (key) => {
+      const [name, kind] = key.split(" ");
+      const straight = drones[name].way.straight && LEGS.includes(kind);
+      return `way-${kind}${straight ? " straight" : ""}${name === selected ? " chosen" : ""}`;
+    };
     keyed(this.groups.ways, lines, () => svg("polyline"), (line, points, key) =>
       set(line, { points: this.view.path(points), class: kindOf(key) }), (points, key) => `${this.view.drawing} ${kindOf(key)}`);
   }
@@ -106,12 +111,17 @@ export class Drawing {
     });
   }
 
+  // Where it reports no position it is put on the straight line between its stops, by the plan's times.
   #truck(truck, nowUs) {
+    const drive = truck?.drive;
+    const at = truck?.at ?? (drive && alongDrive(drive, nowUs));
+    keyed(this.groups.drive, drive ? [["drive", drive]] : [], () => svg("polyline"), (line) =>
+      set(line, { points: this.view.path([drive.start, drive.end]) }));
     const make = () => svg("g", {}, svg("rect", { x: -11, y: -7, width: 22, height: 14, rx: 2 }), svg("text", { x: 14, y: -8 }));
-    keyed(this.groups.truck, truck?.at ? [["truck", truck]] : [], make, (group) => {
-      set(group, { class: truck.alarms?.length ? "alarm" : "" });
+    keyed(this.groups.truck, at ? [["truck", truck]] : [], make, (group) => {
+      set(group, { class: [truck.alarms?.length && "alarm", drive && "by-plan"].filter(Boolean).join(" ") });
       say(group.children[1], `truck ${truckWords(truck, nowUs)}`);
-      this.#move(group, truck.at);
+      this.#move(group, at);
     });
   }
 
@@ -159,6 +169,11 @@ export class Drawing {
     group.addEventListener("click", () => this.select(name));
     return group;
   }
+}
+
+export function alongDrive({ start, end, left_us: left, arrive_us: arrive }, nowUs) {
+  const share = arrive > left ? Math.min(1, Math.max(0, (nowUs - left) / (arrive - left))) : 1;
+  return start.map((from, k) => from + share * (end[k] - from));
 }
 
 const PX_PER_MPS = 5; // 10 m/s reach the ring
