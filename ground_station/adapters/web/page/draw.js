@@ -22,17 +22,17 @@ export class Drawing {
     this.view = view;
     this.select = select;
     this.groups = Object.fromEntries(LAYERS.map((name) => [name, svg("g", { class: name })]));
-    this.ground = svg("g", {}, ...Object.values(this.groups));
+    this.map = $("#map");
     this.if = remembering();
-    $("#map").append(this.ground);
+    this.map.append(...Object.values(this.groups));
   }
 
   draw(picture, { selected, reach, nowUs }) {
     const { site = NONE, plan, drones = NONE, orders = NONE, truck, winds = NO_WINDS } = picture;
-    const { drawing } = this.view;
-    const [x, y] = this.view.offset;
+    const drawing = this.view.settle();
     const second = Math.floor(nowUs / 1e6);
-    this.if("ground", [x, y], () => set(this.ground, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)})` }));
+    const { placed } = this.view; // of that drawing
+    this.if("ground", [placed], () => { this.map.style.transform = placed; });
     this.if("areas", [site, drawing], () => this.#areas(site.areas ?? []));
     this.if("plan", [plan, drawing], () => this.#plan(plan));
     this.if("ways", [drones, selected, drawing], () => this.#ways(drones, selected));
@@ -71,16 +71,21 @@ export class Drawing {
     });
   }
 
+  // All ways of a kind are one path: a line of its own for each would be drawn for hundreds of drones.
   #ways(drones, selected) {
-    const lines = Object.entries(drones).flatMap(([name, drone]) =>
-      WAYS.filter((kind) => drone.way?.[kind]?.length).map((kind) => [`${name} ${kind}`, drone.way[kind]]));
-    const kindOf = (key) => {
-      const [name, kind] = key.split(" ");
-      const straight = drones[name].way.straight && LEGS.includes(kind);
-      return `way-${kind}${straight ? " straight" : ""}${name === selected ? " chosen" : ""}`;
-    };
-    keyed(this.groups.ways, lines, () => svg("polyline"), (line, points, key) =>
-      set(line, { points: this.view.path(points), class: kindOf(key) }), (points, key) => `${this.view.drawing} ${kindOf(key)}`);
+    const kinds = new Map();
+    for (const [name, { way = NONE }] of Object.entries(drones))
+      for (const kind of WAYS.filter((one) => way[one]?.length)) {
+        const look = wayLook(kind, way, name === selected);
+        if (!kinds.has(look)) kinds.set(look, []);
+        kinds.get(look).push(way[kind]);
+      }
+    keyed(this.groups.ways, kinds, (look) => svg("path", { class: look }), (path, lines) => {
+      const { number } = this.view.drawn;
+      if (isSame(path.lines, lines) && path.drawing === number) return;
+      [path.lines, path.drawing] = [lines, number];
+      set(path, { d: lines.map((points) => `M${this.view.path(points)}`).join("") });
+    });
   }
 
   #reach(ring) {
@@ -157,7 +162,7 @@ export class Drawing {
 
   // What the looks of a thing depend on beside itself.
   #look(name, selected) {
-    return this.view.drawing * (name === selected ? -1 : 1);
+    return this.view.drawn.number * (name === selected ? -1 : 1);
   }
 
   #move(group, at) {
@@ -170,6 +175,13 @@ export class Drawing {
     return group;
   }
 }
+
+function wayLook(kind, way, isChosen) {
+  const straight = way.straight && LEGS.includes(kind);
+  return `way-${kind}${straight ? " straight" : ""}${isChosen ? " chosen" : ""}`;
+}
+
+const isSame = (before, after) => before?.length === after.length && after.every((one, k) => one === before[k]);
 
 export function alongDrive({ start, end, left_us: left, arrive_us: arrive }, nowUs) {
   const share = arrive > left ? Math.min(1, Math.max(0, (nowUs - left) / (arrive - left))) : 1;
