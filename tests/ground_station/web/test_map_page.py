@@ -109,7 +109,7 @@ def test_a_truck_between_stops_is_drawn_hollow_and_said_to_be_by_plan(site, page
     site.step(30)
     truck = page.locator("#map .truck .by-plan")
     truck.wait_for(state="attached")
-    assert "drives to stop-1, by plan there in " in truck.locator("text").inner_text()
+    assert "drives to stop-1, by plan there in " in (truck.locator("text").text_content() or "")
     assert page.locator("#map .drive polyline").count() == 1
     before = truck.get_attribute("transform")
     page.wait_for_timeout(2500)
