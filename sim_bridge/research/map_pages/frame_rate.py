@@ -66,13 +66,11 @@ def median_rate(page: "Page", motion: Motion, runs: int) -> FrameRate:
         return told["ThreadTime"], told["ProcessTime"]
 
     def run() -> tuple[float, float, float]:
-        before_s = cpu_s()
+        main_s, page_s = cpu_s()
         frames_hz: float = page.evaluate(COUNT, [RUN_S, motion.value])
-        ms = (
-            1000.0 * (now_s - then_s) / (frames_hz * RUN_S)
-            for now_s, then_s in zip(cpu_s(), before_s, strict=True)
-        )
-        return frames_hz, *ms
+        main_after_s, page_after_s = cpu_s()
+        ms = 1000.0 / (frames_hz * RUN_S)
+        return frames_hz, ms * (main_after_s - main_s), ms * (page_after_s - page_s)
 
     rates, main, whole = zip(*(run() for _ in range(runs)), strict=True)
     return FrameRate(median(rates), min(rates), max(rates), median(main), median(whole))

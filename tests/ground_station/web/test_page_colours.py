@@ -99,8 +99,8 @@ def test_words_and_shapes_stand_out_from_what_they_lie_on(scheme: str):
 def test_states_are_told_apart(scheme: str, seen_as: str):
     found = colours(STYLE)[scheme]
     near = {
-        pair: distance
-        for pair in itertools.combinations(SHAPES, 2)
-        if (distance := apart(*(found[name] for name in pair), seen_as)) < APART
+        (one, other): distance
+        for one, other in itertools.combinations(SHAPES, 2)
+        if (distance := apart(found[one], found[other], seen_as)) < APART
     }
     assert not near
