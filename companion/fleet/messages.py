@@ -36,6 +36,12 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 EpochUs = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 """As large as every reader of JSON, and every database, takes a whole number."""
 
+LONGEST_WAY = 400
+"""Characters of a way in a state: some sixty waypoints."""
+
+Way = Annotated[str, Meta(max_length=LONGEST_WAY, pattern=r"^[?-~]*\Z")]
+"""A way over the ground, as `polyline.encoded` writes it."""
+
 
 class State(WireMessage, frozen=True, kw_only=True):
     """A vehicle as its companion sees it now. Unknown is absent.
@@ -103,6 +109,12 @@ class State(WireMessage, frozen=True, kw_only=True):
     """The last message to people."""
     doubt: Words = ""
     """What the monitor of its service holds in doubt, and what clears it; empty: nothing."""
+    way_out: Way = ""
+    """The mission aboard from the launch pad to the customer, an encoded polyline; empty: none, or
+    not told.
+    """
+    way_home: Way = ""
+    """The mission aboard from the customer to where it lands, likewise."""
 
 
 class EventKind(Enum):

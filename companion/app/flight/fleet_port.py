@@ -4,7 +4,6 @@ Commands become the same events as an operator's MAVLink commands (`operator_por
 alone keeps safety rule 1.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import msgspec
 from companion.adapters.clock import epoch_us, is_due, wall_s
 from companion.adapters.files.atomic_file import read_whole, settle_folder, write_whole
 from companion.adapters.files.disk import Disk
+from companion.app.flight.state_told import share, told_of
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import (
     Action,
@@ -220,7 +220,7 @@ class FleetPort:
                 self.tell(EventKind.PHASE, f"{action.before} -> {action.now}: {action.why}")
             case Decision():
                 words = f"{action.kind}: {action.reason}"
-                promise = {"p_home": _share(action.p_home), "margin_wh": action.margin_wh}
+                promise = {"p_home": share(action.p_home), "margin_wh": action.margin_wh}
                 self.tell(EventKind.DECISION, words, **promise)
             case Say() if action.severity <= Severity.NOTICE:
                 self.member.remark = action.text
@@ -304,7 +304,7 @@ class FleetPort:
             ground_speed_mps=speed,
             voltage_v=now.battery.voltage_v if now.battery else None,
             doubt=self.doubt[:500],
-            **(_promise(pilot) if pilot is not None else {}),
+            **(told_of(pilot) if pilot is not None else {}),
         )
 
     def close(self) -> None:
@@ -368,27 +368,3 @@ def _event_of(deed: Any, t_s: float, by: str) -> Event:
             return LimitsChanged(t_s, deed.max_loss, deed.reserve_frac)
         case _:
             raise LeewayError(f"{deed!r}: no order to a mission")
-
-
-def _promise(pilot: Pilot) -> dict[str, Any]:
-    """What the pilot believes, where it is fresh."""
-    seen, wind, energy = pilot.fresh_assessment, pilot.estimates.wind, pilot.estimates.energy
-    told: dict[str, Any] = {"delivered": pilot.delivered, "home": _id(pilot.home)}
-    if energy is not None:
-        told["energy_left_wh"] = energy.mean_wh
-    if wind is not None and wind.valid:
-        told["wind_to_n_mps"], told["wind_to_e_mps"] = (float(x) for x in wind.mean_to_ne_mps)
-    if seen is not None:
-        told["margin_wh"] = seen.margin_wh
-        for name in ("p_home", "p_home_now", "p_success"):
-            told[name] = _share(getattr(seen, name))
-    return told
-
-
-def _id(name: str | None) -> str | None:
-    """A place's name as messages allow it: a rally point's may hold anything."""
-    return None if name is None else re.sub(r"[^A-Za-z0-9._:-]", "-", name)[:64]
-
-
-def _share(p: float | None) -> float | None:
-    return None if p is None else min(max(p, 0.0), 1.0)

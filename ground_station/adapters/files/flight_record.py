@@ -9,8 +9,10 @@ from typing import Any
 
 import msgspec
 from mcap.exceptions import McapError
-from mcap.records import Channel, McapRecord, Message
+from mcap.records import Channel, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
+
+from ground_station.core.fleet.route_aboard import RouteAboard
 
 TOPICS = {
     "decision": (),
@@ -21,6 +23,7 @@ TOPICS = {
     "said": (),
     "heard_state": (),
     "heard_position": ("lat_deg", "lon_deg"),
+    "foxglove_route": (),
 }
 """What is kept, and the numbers that a row of it must have; no map shows the rest."""
 
@@ -33,7 +36,34 @@ FORMER = {"n": "to_n_mps", "e": "to_e_mps"}
 WALL_CLOCK_S = 1e9
 """A stamp of more is a wall clock's (2001 and later); an autopilot's counts from its start."""
 
+ROUTE = "foxglove_route"
+"""Its rows have the route itself, and their stamp's time: the file has no other for them."""
+
+METADATA, UTC_AT_ZERO = "leeway", "utc_at_t_s_0_ns"
+"""Where a record says what its autopilot's zero was by the wall clock."""
+
 Row = dict[str, Any]
+
+
+class _Geometry(msgspec.Struct):
+    type: str
+    coordinates: Any
+
+
+class _Properties(msgspec.Struct):
+    name: str = ""
+    kind: str = ""
+
+
+class _Feature(msgspec.Struct):
+    geometry: _Geometry
+    properties: _Properties
+
+
+class _Mission(msgspec.Struct):
+    """A mission as GeoJSON (RFC 7946), as far as it is shown."""
+
+    features: list[_Feature]
 
 
 @dataclass(slots=True)
@@ -72,30 +102,72 @@ class FlightRecord:
 def read_flight_record(path: Path) -> FlightRecord:
     """What can be read of a record. A file that is missing or damaged says so in `damage`."""
     record = FlightRecord(path)
+    routes: list[tuple[float, RouteAboard]] = []
     try:
-        for topic, stamp_s, row in _messages(path):
-            needed = ("t_s", *TOPICS[topic])
-            if not all(isinstance(row.get(name), int | float) for name in needed):
-                record.damage = record.damage or f"a row of {topic} without {', '.join(needed)}"
-                continue
-            record.rows[topic].append(row)
-            if record.wall_offset_s is None and stamp_s > WALL_CLOCK_S:
-                record.wall_offset_s = stamp_s - row["t_s"]
+        for found in _contents(path):
+            _take(record, routes, found)
     except OSError as error:
         record.damage = error.strerror or str(error)
     except UNDECODABLE as error:
         record.damage = f"cut off or damaged ({type(error).__name__})"
+    offset_s = record.wall_offset_s or 0.0
+    record.rows[ROUTE] = [{"t_s": stamp_s - offset_s, "route": route} for stamp_s, route in routes]
     for rows in record.rows.values():
         rows.sort(key=_time)
     return record
 
 
-def _messages(path: Path) -> Iterator[tuple[str, float, Row]]:
+def _take(
+    record: FlightRecord,
+    routes: list[tuple[float, RouteAboard]],
+    found: tuple[str, float, Row],
+) -> None:
+    """Take one message, or the wall clock's offset."""
+    topic, stamp_s, row = found
+    if topic == METADATA:
+        record.wall_offset_s = stamp_s
+        return
+    if topic == ROUTE:
+        routes.append((stamp_s, _route(row)))
+        return
+    needed = ("t_s", *TOPICS[topic])
+    if not all(isinstance(row.get(name), int | float) for name in needed):
+        record.damage = record.damage or f"a row of {topic} without {', '.join(needed)}"
+        return
+    record.rows[topic].append(row)
+    if record.wall_offset_s is None and stamp_s > WALL_CLOCK_S:
+        record.wall_offset_s = stamp_s - row["t_s"]
+
+
+def _route(row: Row) -> RouteAboard:
+    """Raises what `UNDECODABLE` has, where it is no mission."""
+    mission = msgspec.json.decode(row["geojson"], type=_Mission)
+    lines: dict[str, tuple[tuple[float, float], ...]] = {}
+    places: dict[str, tuple[float, float]] = {}
+    for feature in mission.features:
+        about, geometry = feature.properties, feature.geometry
+        if geometry.type == "LineString" and about.kind == "route":
+            points = msgspec.convert(geometry.coordinates, list[list[float]])
+            lines[about.name] = tuple(_lat_lon(point) for point in points)
+        elif geometry.type == "Point":
+            places[about.name] = _lat_lon(msgspec.convert(geometry.coordinates, list[float]))
+    return RouteAboard(lines.get("outbound", ()), lines.get("homeward", ()), places)
+
+
+def _lat_lon(position: list[float]) -> tuple[float, float]:
+    lon_deg, lat_deg, *_ = position
+    return lat_deg, lon_deg
+
+
+def _contents(path: Path) -> Iterator[tuple[str, float, Row]]:
+    """(topic, stamp, row) of each message; of the metadata the stamp of the autopilot's zero."""
     topics: dict[int, str] = {}
     with path.open("rb") as file:
         for record in _records(StreamReader(file)):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic.removeprefix("/")
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                yield METADATA, int(record.metadata[UTC_AT_ZERO]) / 1e9, {}
             elif isinstance(record, Message) and topics.get(record.channel_id) in TOPICS:
                 row = msgspec.json.decode(record.data, type=dict[str, Any])
                 if topics[record.channel_id] == "wind":

@@ -171,6 +171,11 @@ class PastStore:
         made = (plan.wind for plan in reversed(self.plans) if plan.made_us <= t_us)
         return next((wind for wind in made if wind is not None), None)
 
+    def visits_until(self, t_us: int) -> list[Visit]:
+        """The truck's visits, as they were."""
+        begun = (visit for visit in self.visits if visit.arrived_us <= t_us)
+        return [replace(visit, left_us=_if_past(visit.left_us, t_us)) for visit in begun]
+
     def visit(self, t_us: int) -> Visit | None:
         """Where the truck stood; None: nowhere."""
         there = (visit for visit in self.visits if visit.arrived_us <= t_us)

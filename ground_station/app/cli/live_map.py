@@ -64,7 +64,10 @@ def show_map(
     open_network: OpenNetwork = False,
     basemap: Annotated[
         Path | None,
-        typer.Option(help="A PMTiles extract of the town, vector tiles of the Protomaps schema."),
+        typer.Option(
+            help="A PMTiles extract of the town: vector tiles of the Protomaps or the OpenMapTiles"
+            " schema."
+        ),
     ] = None,
     replay: Annotated[
         str | None,

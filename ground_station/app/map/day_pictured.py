@@ -3,6 +3,7 @@
 from companion.fleet.messages import State
 from ground_station.app.map.drones_shown import point_of
 from ground_station.app.map.picture import (
+    DriveShown,
     NextShown,
     OrderShown,
     PlanShown,
@@ -76,9 +77,11 @@ def truck_shown(seen: VehicleStatus, day: DayShown | None, t_s: float) -> TruckS
     if state is None:
         return TruckShown(phase="not heard", alarms=alarms)
     standing = state.stop if state.phase != DRIVING else None
+    at = _truck_at(state, day, standing)
     return TruckShown(
         phase=state.phase,
-        at=_truck_at(state, day, standing),
+        at=at,
+        drive=_drive(state, day) if at is None else None,
         stop=state.stop,
         leaves_us=_leaves_us(day, standing),
         waits_for=[] if day is None or standing is None else day.binding(standing),
@@ -91,6 +94,22 @@ def _truck_at(state: State, day: DayShown | None, standing: str | None) -> Point
         return state.lat_deg, state.lon_deg
     stops = () if day is None else day.plan.stops
     return next((point_of(stop.place) for stop in stops if stop.id == standing), None)
+
+
+def _drive(state: State, day: DayShown | None) -> DriveShown | None:
+    """Its drive by the plan in force; None: when it left, or from where, is not known."""
+    if day is None or not day.visits or state.phase != DRIVING:
+        return None
+    left = max(day.visits, key=lambda visit: visit.arrived_us)
+    stops = {stop.id: stop for stop in day.plan.stops}
+    before, after = stops.get(left.stop), stops.get(state.stop or "")
+    if left.left_us is None or before is None or after is None:
+        return None
+    start, end = point_of(before.place), point_of(after.place)
+    if start is None or end is None or after.arrive_s < before.depart_s:
+        return None
+    takes_us = round(1e6 * (after.arrive_s - before.depart_s))
+    return DriveShown(start=start, end=end, left_us=left.left_us, arrive_us=left.left_us + takes_us)
 
 
 def _leaves_us(day: DayShown | None, standing: str | None) -> int | None:

@@ -94,20 +94,31 @@ def _phase(facts: DroneFacts, state: State) -> str:
 
 
 def _way(facts: DroneFacts, state: State) -> WayShown:
-    """The legs of the assignment that is aboard; nothing without one."""
-    order, at = facts.order, facts.at
-    if order is None or state.assignment is None or state.phase == STANDBY:
+    """The way of the mission that is aboard; where it is not told, the assignment's legs."""
+    if state.assignment is None or state.phase == STANDBY:
         return WayShown()
-    customer = (order.lat_deg, order.lon_deg)
-    start, end = _pad(facts, "launch"), _pad(facts, "promised")
-    asked, landing = _pad(facts, "asked"), _landing(facts)
-    before = start is not None and not state.delivered
+    at, asked, landing = facts.at, _pad(facts, "asked"), _landing(facts)
+    out, home = _legs(facts)
     return WayShown(
-        out=[start, customer] if before and start is not None else [],
-        home=[] if end is None or landing is not None else [customer, end],
+        straight=facts.track.route is None and bool(out or home),
+        out=[] if state.delivered else out,
+        home=[] if landing is not None else home,
         asked=[] if asked is None or at is None else [at, asked],
         now=[] if landing is None or at is None else [at, landing],
     )
+
+
+def _legs(facts: DroneFacts) -> tuple[list[Point], list[Point]]:
+    """Out and home: the route's, or straight lines between pads and customer."""
+    route, order = facts.track.route, facts.order
+    if route is not None:
+        return list(route.out), list(route.home)
+    if order is None:
+        return [], []
+    customer = (order.lat_deg, order.lon_deg)
+    start, end = _pad(facts, "launch"), _pad(facts, "promised")
+    out = [] if start is None else [start, customer]
+    return out, [] if end is None else [customer, end]
 
 
 def _pad(facts: DroneFacts, which: str) -> Point | None:
@@ -124,9 +135,10 @@ def _pad(facts: DroneFacts, which: str) -> Point | None:
 
 def _landing(facts: DroneFacts) -> Point | None:
     """Where a diversion in force lands."""
-    name = facts.diverted_to or ""
+    name, route = facts.diverted_to or "", facts.track.route
     pads = {} if facts.sortie is None else facts.sortie.pads
-    return facts.places.get(name) or point_of(pads.get(name))
+    aboard = {} if route is None else route.places
+    return facts.places.get(name) or point_of(pads.get(name)) or aboard.get(name)
 
 
 def point_of(place: Place | None) -> Point | None:

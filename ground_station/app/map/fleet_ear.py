@@ -7,10 +7,13 @@ a desk has written down.
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Protocol
 
+from companion.core.base.errors import LeewayError
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import State
+from companion.fleet.polyline import decoded
 from ground_station.core.fleet.fleet_link import (
     Clock,
     FleetInput,
@@ -19,6 +22,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.route_aboard import RouteAboard
 
 ASK_S = 2.0
 """All are asked for their states at most so often, however many join."""
@@ -31,6 +35,7 @@ KEPT = 3600
 """Samples of each drone's promise: an hour of states."""
 
 Place = tuple[float, float]
+WindCov = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +49,17 @@ class PromiseSample:
 
 @dataclass(slots=True)
 class VehicleTrack:
-    """Where a drone moves to, and what it said of its promise."""
+    """Where a drone moves to, what it said of its promise, the way that is aboard.
+
+    `wind_cov_m2ps2`: of its own estimate of the wind, [nn, ne, ee]; None: not told.
+    """
 
     course_deg: float | None = None
     heard_us: int | None = None
     from_: Place | None = None
     promises: deque[PromiseSample] = field(default_factory=lambda: deque(maxlen=KEPT))
+    route: RouteAboard | None = None
+    wind_cov_m2ps2: WindCov | None = None
 
     def move(self, at: Place) -> None:
         """It is here now."""
@@ -113,6 +123,7 @@ class FleetEar:
         track.heard_us = now_us
         if state.lat_deg is not None and state.lon_deg is not None:
             track.move((state.lat_deg, state.lon_deg))
+        track.route = route_of(state)
         if state.p_home is not None or state.margin_wh is not None:
             track.promises.append(PromiseSample(now_us, state.margin_wh, state.p_home))
 
@@ -121,3 +132,16 @@ class FleetEar:
         if self._states_wanted and (self._asked_s is None or now_s - self._asked_s >= ASK_S):
             self._states_wanted, self._asked_s = False, now_s
             self.fleet.ask_states(ANSWER_S)
+
+
+def route_of(state: State) -> RouteAboard | None:
+    """The route that a state tells; None: it tells none, or words that are no way."""
+    return _route(state.way_out, state.way_home) if state.way_out and state.way_home else None
+
+
+@lru_cache(maxsize=1024)
+def _route(out: str, home: str) -> RouteAboard | None:
+    try:
+        return RouteAboard(decoded(out), decoded(home))
+    except LeewayError:
+        return None

@@ -149,7 +149,7 @@ class MapView:
         elif self._data is not None:
             yield forecast_shown(self._data.day.forecast, "forecast of the day")
         seen = moment.status.vehicles.values()
-        found = fleet_wind(s.state for s in seen if s.state is not None)
+        found = fleet_wind((s.state for s in seen if s.state is not None), moment.tracks)
         if found is not None:
             yield found
 

@@ -15,8 +15,10 @@ class _Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class WayShown(_Part, frozen=True, kw_only=True):
-    """The straight legs of an assignment; the path between them is the companion's own."""
+    """The way of the mission that is aboard."""
 
+    straight: bool = False
+    """Its waypoints are not told: `out` and `home` are straight lines, which it may not fly."""
     out: list[Point] = []
     """From the launch pad to the customer."""
     home: list[Point] = []
@@ -59,11 +61,24 @@ class DroneShown(_Part, frozen=True, kw_only=True):
     alarms: list[str] = []
 
 
+class DriveShown(_Part, frozen=True, kw_only=True):
+    """A drive from stop to stop by the plan: it left when the desk noted it, and takes as long as
+    the plan says. Where the road goes is not known.
+    """
+
+    start: Point
+    end: Point
+    left_us: int
+    arrive_us: int
+
+
 class TruckShown(_Part, frozen=True, kw_only=True):
     """The truck. `at` while it drives: absent, unless its terminal reports a position."""
 
     phase: str
     at: Point | None = None
+    drive: DriveShown | None = None
+    """While it drives and reports no position."""
     stop: str | None = None
     leaves_us: int | None = None
     """Planned departure from where it stands."""

@@ -8,19 +8,20 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
-from ground_station.core.schema.sortie_rows import SortieRow
+from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 NEXT = 5
 
 
 @dataclass(frozen=True, slots=True)
 class DayShown:
-    """A day with a truck, for people: the active plan, its sorties, the day's time."""
+    """A day with a truck, for people: the active plan, its sorties, the day's time, the visits."""
 
     plan: DayPlan
     sorties: list[SortieRow]
     began_us: int | None
     now_us: int
+    visits: Sequence[Visit] = ()
 
     def following(self, open_orders: set[str]) -> list[PlannedSortie]:
         """The next sorties."""
@@ -50,7 +51,9 @@ class DayShown:
 def day_shown(day: DayStore, now_us: int) -> DayShown | None:
     """The day with a truck that the store holds; None: there is none."""
     plan = day.plan()
-    return None if plan is None else DayShown(plan, day.sorties(), day.began_us(), now_us)
+    if plan is None:
+        return None
+    return DayShown(plan, day.sorties(), day.began_us(), now_us, day.visits())
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,7 +66,7 @@ def live_map(
         typer.Option(
             "--browser",
             help="Also count the frames of the page in a headless Chromium, drawn in software: at"
-            " rest, and while the map is moved. They go with the machine and its load.",
+            " rest, panned and zoomed, the median of five runs. They go with the machine's load.",
         ),
     ] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,

@@ -386,6 +386,21 @@ PAGES = (
         4.0,
     ),
     Page(
+        "map",
+        "The live map",
+        "A busy day on the map: what its server takes, and what a page without a graphics card"
+        " draws while it is looked at, panned and zoomed.",
+        (
+            PageCommand(
+                _bench("map", "--drones", "200", "--orders", "1000", "--seed", "1", "--browser",
+                       "--json", f"{OUT}/map.json"),
+                show=tables.live_map,
+            ),
+        ),
+        2.0,
+        modules=("playwright",),
+    ),
+    Page(
         "fleet-size",
         "A thousand vehicles on one machine",
         "Members, desk, store and routers of a fleet share two cores. Members are the companion's"

@@ -153,3 +153,36 @@ def start_of_a_day(done: CommandOutput) -> str:
     lines = ["| what | s |", "| --- | --- |", *(f"| {what} | {s:.1f} |" for what, s in rows)]
     words = f"{figures['assigned']} of {figures['drones']} drones had an order"
     return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])
+
+
+MAP_GOAL = "> 20"
+"""Frames a second of the live map's page, in software rendering."""
+
+
+def live_map(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench map --browser --json {out}/map.json`."""
+    figures = done.json("map.json")
+    before, after = figures["machine_load"]
+    lines = [
+        "| what | value | goal |",
+        "| --- | --- | --- |",
+        f"| server's share of a core, {figures['windows']} windows | {figures['core_pct']:.1f} %"
+        " | < 30 % |",
+        f"| the same, beside a browser | {figures['core_with_browser_pct']:.1f} % | < 30 % |",
+        f"| pictures a second | {figures['pictures_hz']:.1f} | 5 |",
+        f"| first event of a window | {figures['whole_kb']:.0f} kB | |",
+        f"| each after that | {figures['change_kb']:.1f} kB | |",
+        f"| memory | {figures['memory_mb']:.0f} MB | |",
+        "",
+        "| the page, a drone selected | frames/s, median | least, most | goal"
+        " | CPU ms a frame, main thread | with raster |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, rate in figures["frames"].items():
+        spread = f"{rate['least_hz']:.1f}, {rate['most_hz']:.1f}"
+        lines.append(
+            f"| {name} | {rate['frames_hz']:.1f} | {spread} | {MAP_GOAL} |"
+            f" {rate['main_ms']:.0f} | {rate['page_ms']:.0f} |"
+        )
+    words = f"Load of the machine before and after: {before:.1f}, {after:.1f}."
+    return "\n".join([*lines, "", words])

@@ -11,6 +11,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.command_log import FRESH_S, KEPT, CommandBook, Verdict, book_from_dict
 from companion.fleet.messages import (
     LARGEST_BYTES,
+    LONGEST_WAY,
     Answered,
     Assign,
     Command,
@@ -76,6 +77,8 @@ def test_every_message_comes_back_as_it_went():
         ({"vehicle": "*"}, "vehicle"),
         ({"uptime_s": -1.0}, "uptime_s"),
         ({"text": "x" * 501}, "text"),
+        ({"way_out": "?" * (LONGEST_WAY + 1)}, "way_out"),
+        ({"way_home": '<img src="x">'}, "way_home"),
     ],
 )
 def test_a_state_that_breaks_the_format_is_refused_in_words(change: dict[str, object], words: str):
@@ -83,6 +86,30 @@ def test_a_state_that_breaks_the_format_is_refused_in_words(change: dict[str, ob
     refused = decode_state(json.dumps(table).encode())
     assert isinstance(refused, Refused)
     assert words in refused.reason
+
+
+def test_the_longest_words_and_ways_still_fit_into_a_state():
+    numbers = dict.fromkeys(
+        ("lat_deg", "lon_deg", "height_rel_m", "voltage_v", "energy_left_wh", "margin_wh",
+         "wind_to_n_mps", "wind_to_e_mps"),
+        -12.345678901234567,
+    )  # fmt: skip
+    shares = dict.fromkeys(("p_home", "p_home_now", "p_success"), 0.12345678901234567)
+    way = "_~" * (LONGEST_WAY // 2)
+    state = a_state(
+        text="語" * 500, doubt="x" * 500, way_out=way, way_home=way, assignment="a" * 64,
+        order="o" * 64, home="h" * 64, **numbers, **shares,
+    )  # fmt: skip
+    assert len(encode(state)) <= LARGEST_BYTES["state"]
+    told = decode_state(encode(state))
+    assert isinstance(told, State)
+    assert (told.way_out, told.way_home) == (way, way)
+
+
+def test_a_state_of_before_tells_no_way_and_is_taken():
+    table = json.loads(encode(a_state(way_out="_p~iF~ps|U")))
+    del table["way_out"], table["way_home"]
+    assert decode_state(json.dumps(table).encode()) == a_state()
 
 
 def test_a_message_of_another_version_is_refused_whatever_else_it_holds():

@@ -103,6 +103,38 @@ def test_a_drone_on_the_map_turns_and_moves(site, page):
     assert drone.get_attribute("transform") != before
 
 
+def test_a_truck_between_stops_is_drawn_hollow_and_said_to_be_by_plan(site, page):
+    while not site.world.driver.truck.driving:
+        site.step()
+    site.step(30)
+    truck = page.locator("#map .truck .by-plan")
+    truck.wait_for(state="attached")
+    assert "drives to stop-1, by plan there in " in (truck.locator("text").text_content() or "")
+    assert page.locator("#map .drive polyline").count() == 1
+    before = truck.get_attribute("transform")
+    page.wait_for_timeout(2500)
+    assert truck.get_attribute("transform") != before, "it moves by the clock"
+    while site.world.driver.truck.driving:
+        site.step()
+    site.step(2)
+    truck.wait_for(state="detached")
+
+
+def test_ways_of_many_drones_are_one_path_and_of_the_selected_one_another(site, page):
+    ways = {"way_out": "_p~iF~ps|U_ulLnnqC", "way_home": "_p~iF~ps|U_ulLnnqC_mqNvxq`@"}
+    for name in ("d1", "d2"):
+        site.ears.more[name] = ways | {"armed": True, "assignment": "a.1", "phase": "outbound"}
+    site.step(2)
+    path = page.locator("#map .ways .way-home:not(.straight)")
+    path.wait_for(state="attached")
+    drawn = path.get_attribute("d")
+    corners = [len(line.split(" ")) for line in drawn.split("M")[1:]]
+    assert corners == [3] * len(corners)
+    page.keyboard.press("j")
+    page.locator("#map .ways .way-home.chosen").wait_for(state="attached")
+    shown(page, "the route aboard")
+
+
 CHANGED = """() => {
   window.changed = new Set();
   const note = (found) => found.forEach((one) => window.changed.add(one.target));

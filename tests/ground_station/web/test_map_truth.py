@@ -8,6 +8,8 @@ from msgspec.structs import replace
 
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import EventKind
+from companion.fleet.polyline import encoded
+from ground_station.app.map.fleet_ear import VehicleTrack
 from ground_station.app.map.wind_shown import fleet_wind
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.hand_made_day import PLAN
@@ -276,3 +278,35 @@ def test_the_wind_that_three_drones_report_is_shown_with_its_spread(site):
     assert found.to_ne_mps == pytest.approx((0.0, 4.0))
     assert found.cov_m2ps2 == pytest.approx((1.0, 1.0, 4.0))
     assert fleet_wind(states[:2]) is None
+
+
+def test_where_drones_tell_their_own_error_it_is_added_to_the_spread_between_them(site):
+    """Law of total covariance by hand: spread of the means 1, 1, 1; mean of the errors 2, 0, 3."""
+    site.until_flying("d1")
+    state = site.ears.state("d1")
+    told = {"d1": ((-1.0, 2.0), (1.0, 0.5, 2.0)), "d2": ((1.0, 4.0), (3.0, -0.5, 4.0))}
+    states = [
+        replace(state, vehicle=name, armed=True, wind_to_n_mps=n, wind_to_e_mps=e)
+        for name, ((n, e), _) in told.items()
+    ]
+    tracks = {name: VehicleTrack(wind_cov_m2ps2=cov) for name, (_, cov) in told.items()}
+    found = fleet_wind(states, tracks)
+    assert found is not None
+    assert found.to_ne_mps == pytest.approx((0.0, 3.0))
+    assert found.cov_m2ps2 == pytest.approx((3.0, 1.0, 4.0))
+    tracks["d2"].wind_cov_m2ps2 = None
+    assert fleet_wind(states, tracks) is None, "two, one of which does not tell its error"
+
+
+def test_a_drone_that_tells_its_route_is_shown_on_it_and_one_that_does_not_on_straight_lines(site):
+    site.until_flying("d1")
+    site.step()
+    assert site.picture["drones"]["d1"]["way"]["straight"] is True
+    out, home = [(55.47, 8.45), (55.48, 8.46), (55.49, 8.44)], [(55.49, 8.44), (55.471, 8.451)]
+    site.ears.more["d1"] = {"way_out": encoded(out), "way_home": encoded(home)}
+    site.step()
+    told = {"out": [list(one) for one in out], "home": [list(one) for one in home]}
+    assert site.picture["drones"]["d1"]["way"] == told
+    site.ears.more["d1"] = {"way_out": "_", "way_home": encoded(home)}
+    site.step()
+    assert site.picture["drones"]["d1"]["way"]["straight"] is True, "words that are no way"

@@ -1,5 +1,6 @@
 """A past day on the map: what it shows of a moment is what the live map showed then."""
 
+import json
 import math
 import shutil
 import socket
@@ -19,6 +20,7 @@ from ground_station.app.cli.main import app
 from ground_station.app.map.map_view import MapView
 from ground_station.app.map.replay.past_folder import past_files
 from ground_station.app.map.replay.replay_feed import ReplayFeed
+from tests.ground_station.hand_made_day import PLAN
 from tests.ground_station.web.browser import browsing, needs_chromium, wait_until
 from tests.ground_station.web.map_site import HARBOUR, MapSite
 
@@ -32,6 +34,11 @@ def replay(site: MapSite, folder: Path | None = None) -> ReplayFeed:
     return ReplayFeed(MapView("harbour", HARBOUR), PastStore(site.reader.database), records)
 
 
+def as_json(picture: dict) -> dict:
+    """As a page gets it."""
+    return json.loads(json.dumps(picture))
+
+
 def test_a_moment_of_the_past_has_the_orders_truck_and_plan_that_were_shown_live(site: MapSite):
     """Every 20 s of the day until the first parcel is brought, and a while after."""
     shown = {}
@@ -43,13 +50,14 @@ def test_a_moment_of_the_past_has_the_orders_truck_and_plan_that_were_shown_live
     }
     past = replay(site)
     for t_us, live in shown.items():
-        then = past.moment(t_us)
+        then = as_json(past.moment(t_us))
         for id_, order in live["orders"].items():
             was = then["orders"][id_]
             assert (was["state"], was.get("vehicle")) == (order["state"], order.get("vehicle")), id_
         assert then["plan"]["title"] == live["plan"]["title"]
         assert then["truck"]["stop"] == live["truck"]["stop"], (then["truck"], live["truck"])
         assert then["truck"]["phase"] == live["truck"]["phase"]
+        assert then["truck"].get("drive") == live["truck"].get("drive")
         homes = {name: one.get("home") for name, one in live["drones"].items()}
         assert {name: one.get("home") for name, one in then["drones"].items()} == homes
 
@@ -82,6 +90,33 @@ def test_holds_and_confirmations_are_shown_while_they_were_in_force(site: MapSit
     assert "notes" not in past.moment(after_us)
 
 
+ROUND_IT = [[8.45, 55.47, 52.0], [8.46, 55.475, 52.0], [8.455, 55.48, 52.0]]
+HOME = [[8.455, 55.48, 52.0], [8.45, 55.47, 52.0]]
+MOVED_HOME = [[8.455, 55.48, 52.0], [8.459, 55.472, 52.0]]
+"""Out around something, home straight, and home to another place: longitude, latitude, metres."""
+
+ANEW_S = 25
+FIELD = [8.447, 55.476, 12.0]
+
+
+def mission(out: list, home: list) -> dict:
+    """A mission as GeoJSON (RFC 7946), by hand."""
+    lines = [("outbound", out), ("homeward", home)]
+    found = [
+        {"type": "Feature", "geometry": {"type": "LineString", "coordinates": line},
+         "properties": {"name": name, "kind": "route"}}
+        for name, line in lines
+    ]  # fmt: skip
+    field = {"type": "Point", "coordinates": FIELD}
+    about = {"name": "field", "kind": "rally point"}
+    found.append({"type": "Feature", "geometry": field, "properties": about})
+    return {"type": "FeatureCollection", "name": "m", "features": found}
+
+
+def lat_lon(line: list) -> list:
+    return [(lat, lon) for lon, lat, _ in line]
+
+
 def write_record(path: Path, decisions: dict[float, str]) -> None:
     """50 s of flight to the north at 10 m/s, a decision at some times, and a promise that sinks."""
     path.parent.mkdir(parents=True)
@@ -89,6 +124,7 @@ def write_record(path: Path, decisions: dict[float, str]) -> None:
     log.write("phase", {"t_s": TOOK_OFF_S, "before": "arm", "now": "outbound", "why": "go"})
     state = {"mode": "", "mode_name": "", "failsafe": False, "ready_state": True}
     log.write("heard_state", {"t_s": TOOK_OFF_S, "armed": True, **state})
+    log.write_route(TOOK_OFF_S, mission(ROUND_IT, HOME))
     for k in range(50):
         t_s = TOOK_OFF_S + k
         log.write("heard_position", {
@@ -104,13 +140,15 @@ def write_record(path: Path, decisions: dict[float, str]) -> None:
         log.write(
             "energy", {"t_s": t_s, "left_wh": 90.0, "std_wh": 1.0, "source": "", "used_wh": 0}
         )
-        cov = {"nn_m2ps2": 1.0, "ne_m2ps2": 0.0, "ee_m2ps2": 1.0}
+        cov = {"nn_m2ps2": 1.0, "ne_m2ps2": 0.25, "ee_m2ps2": 2.0 if k < 30 else 1.0}
         log.write("wind", {"t_s": t_s, "to_n_mps": -2.0, "to_e_mps": 3.0, **cov})
         for kind, _, reason in (
             words.partition(": ") for at, words in decisions.items() if at == k
         ):
             none = dict.fromkeys(("p_home", "p_home_now", "p_success", "margin_wh"))
             log.write("decision", {"t_s": t_s, "kind": kind, "reason": reason, **none})
+        if k == ANEW_S:
+            log.write_route(t_s, mission(ROUND_IT, MOVED_HOME))
     log.close()
 
 
@@ -156,6 +194,72 @@ def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(
     reach = past.reach("d1", began_us + 20_000_000)
     assert reach is not None
     assert len(reach) > 10
+
+
+def test_the_route_is_the_one_that_was_aboard_at_that_time(flown):
+    site, folder, began_us = flown
+    past = replay(site, folder)
+
+    def way(k: int) -> dict:
+        return past.moment(began_us + k * 1_000_000)["drones"]["d1"]["way"]
+
+    for k, home in ((10, HOME), (20, HOME), (28, MOVED_HOME)):
+        assert way(k) == {"out": lat_lon(ROUND_IT), "home": lat_lon(home)}
+    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
+    straight = replay(site).moment(began_us + 10_000_000)["drones"]["d1"]["way"]
+    pad = row.pads[row.sortie.launch]
+    assert straight["straight"]
+    assert straight["out"][0] == (pad.lat_deg, pad.lon_deg)
+    assert len(straight["out"]) == 2
+
+
+def test_of_a_flight_without_a_desk_route_and_diversion_are_the_records_own(tmp_path: Path):
+    folder = tmp_path / "default-seed1"
+    write_record(folder / "decisions.mcap", {30.0: "divert: to field: the wind has turned"})
+    past = ReplayFeed(MapView("past"), None, past_files(str(folder)).records)
+    began_us = past.span()["from_us"]
+    out = past.moment(began_us + 10_000_000)["drones"][folder.name]
+    assert out["way"] == {"out": lat_lon(ROUND_IT), "home": lat_lon(HOME)}
+    (feed,) = past._flights
+    feed.record.rows["phase"].append(
+        {"t_s": TOOK_OFF_S + 31, "before": "outbound", "now": "divert", "why": "wind"}
+    )
+    diverted = past.moment(began_us + 40_000_000)["drones"][folder.name]
+    assert diverted["way"]["now"] == [diverted["at"], (FIELD[1], FIELD[0])]
+    assert "home" not in diverted["way"]
+
+
+def test_the_ellipse_is_the_records_own_covariance(flown):
+    site, folder, began_us = flown
+    past = replay(site, folder)
+    for k, east in ((10, 2.0), (40, 1.0)):
+        planned, felt = past.moment(began_us + k * 1_000_000)["winds"]
+        assert "d1" not in planned["source"]
+        assert felt["to_ne_mps"] == (-2.0, 3.0)
+        assert felt["cov_m2ps2"] == (1.0, 0.25, east)
+        assert felt["source"] == "1 drone in the air, by its own error"
+
+
+def test_between_stops_the_truck_is_where_the_plans_drive_puts_it(site: MapSite):
+    """The plan of the test: depot to stop-1 in 90 s, 300 m to the east."""
+    while not site.world.driver.truck.driving:
+        site.step()
+    left_us = site.world.clock.epoch_us()
+    site.step(15)
+    depot, stop = PLAN.stops[:2]
+    live = site.picture["truck"]
+    assert "at" not in live
+    drive = live["drive"]
+    assert drive["left_us"] == pytest.approx(left_us, abs=2e6)
+    assert drive["arrive_us"] - drive["left_us"] == 90_000_000
+    for end, place in (("start", depot.place), ("end", stop.place)):
+        assert drive[end] == [place.lat_deg, place.lon_deg]
+    past = as_json(replay(site).moment(site.world.clock.epoch_us()))
+    assert past["truck"]["drive"] == drive
+    while site.world.driver.truck.driving:
+        site.step()
+    site.step(2)
+    assert "drive" not in site.picture["truck"]
 
 
 def cut(path: Path) -> None:

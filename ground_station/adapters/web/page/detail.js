@@ -34,9 +34,15 @@ function droneRows(drone, nowUs) {
     ["energy left", measure(drone.energy_left_wh, 1, "Wh")],
     ["order", drone.order ? `${drone.order}${drone.delivered ? ", delivered" : ""}` : "-"],
     ["ends at", drone.asked ? `${drone.home ?? "-"}, asked to ${drone.asked}` : drone.home ?? "-"],
+    ["way", wayWords(drone.way)],
     ["height, speed", `${measure(drone.height_rel_m, 0, "m")}, ${measure(drone.ground_speed_mps, 1, "m/s")}`],
     ["heard", ago(drone.heard_us, nowUs)],
   ];
+}
+
+function wayWords(way) {
+  if (!way?.out && !way?.home) return "-";
+  return way.straight ? "straight lines: it does not tell its route" : "the route aboard";
 }
 
 function orderRows(order) {

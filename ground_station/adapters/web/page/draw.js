@@ -4,7 +4,9 @@ import { $, keyed, remembering, say, set, svg } from "./dom.js";
 import { truckWords, windWords } from "./words.js";
 
 const [NONE, NO_WINDS] = [{}, []];
-const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "truck", "drones"];
+const LAYERS = ["areas", "route", "stops", "reach", "ways", "orders", "rally", "drive", "truck", "drones"];
+const LEGS = ["out", "home"];
+const WAYS = [...LEGS, "asked", "now"];
 const ORDER_SHAPES = {
   open: "M-5,0a5,5 0 1,0 10,0a5,5 0 1,0 -10,0",
   assigned: "M-6,-6h12v12h-12z",
@@ -20,17 +22,17 @@ export class Drawing {
     this.view = view;
     this.select = select;
     this.groups = Object.fromEntries(LAYERS.map((name) => [name, svg("g", { class: name })]));
-    this.ground = svg("g", {}, ...Object.values(this.groups));
+    this.map = $("#map");
     this.if = remembering();
-    $("#map").append(this.ground);
+    this.map.append(...Object.values(this.groups));
   }
 
   draw(picture, { selected, reach, nowUs }) {
     const { site = NONE, plan, drones = NONE, orders = NONE, truck, winds = NO_WINDS } = picture;
-    const { drawing } = this.view;
-    const [x, y] = this.view.offset;
+    const drawing = this.view.settle();
     const second = Math.floor(nowUs / 1e6);
-    this.if("ground", [x, y], () => set(this.ground, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)})` }));
+    const { placed } = this.view; // of that drawing
+    this.if("ground", [placed], () => { this.map.style.transform = placed; });
     this.if("areas", [site, drawing], () => this.#areas(site.areas ?? []));
     this.if("plan", [plan, drawing], () => this.#plan(plan));
     this.if("ways", [drones, selected, drawing], () => this.#ways(drones, selected));
@@ -69,13 +71,21 @@ export class Drawing {
     });
   }
 
+  // All ways of a kind are one path: a line of its own for each would be drawn for hundreds of drones.
   #ways(drones, selected) {
-    const lines = Object.entries(drones).flatMap(([name, drone]) =>
-      Object.entries(drone.way ?? {}).filter(([, points]) => points.length).map(([kind, points]) =>
-        [`${name} ${kind}`, points]));
-    const kindOf = (key) => `way-${key.split(" ").at(-1)}${key.startsWith(`${selected} `) ? " chosen" : ""}`;
-    keyed(this.groups.ways, lines, () => svg("polyline"), (line, points, key) =>
-      set(line, { points: this.view.path(points), class: kindOf(key) }), (points, key) => `${this.view.drawing} ${kindOf(key)}`);
+    const kinds = new Map();
+    for (const [name, { way = NONE }] of Object.entries(drones))
+      for (const kind of WAYS.filter((one) => way[one]?.length)) {
+        const look = wayLook(kind, way, name === selected);
+        if (!kinds.has(look)) kinds.set(look, []);
+        kinds.get(look).push(way[kind]);
+      }
+    keyed(this.groups.ways, kinds, (look) => svg("path", { class: look }), (path, lines) => {
+      const { number } = this.view.drawn;
+      if (isSame(path.lines, lines) && path.drawing === number) return;
+      [path.lines, path.drawing] = [lines, number];
+      set(path, { d: lines.map((points) => `M${this.view.path(points)}`).join("") });
+    });
   }
 
   #reach(ring) {
@@ -106,12 +116,17 @@ export class Drawing {
     });
   }
 
+  // Where it reports no position it is put on the straight line between its stops, by the plan's times.
   #truck(truck, nowUs) {
+    const drive = truck?.drive;
+    const at = truck?.at ?? (drive && alongDrive(drive, nowUs));
+    keyed(this.groups.drive, drive ? [["drive", drive]] : [], () => svg("polyline"), (line) =>
+      set(line, { points: this.view.path([drive.start, drive.end]) }));
     const make = () => svg("g", {}, svg("rect", { x: -11, y: -7, width: 22, height: 14, rx: 2 }), svg("text", { x: 14, y: -8 }));
-    keyed(this.groups.truck, truck?.at ? [["truck", truck]] : [], make, (group) => {
-      set(group, { class: truck.alarms?.length ? "alarm" : "" });
+    keyed(this.groups.truck, at ? [["truck", truck]] : [], make, (group) => {
+      set(group, { class: [truck.alarms?.length && "alarm", drive && "by-plan"].filter(Boolean).join(" ") });
       say(group.children[1], `truck ${truckWords(truck, nowUs)}`);
-      this.#move(group, truck.at);
+      this.#move(group, at);
     });
   }
 
@@ -147,7 +162,7 @@ export class Drawing {
 
   // What the looks of a thing depend on beside itself.
   #look(name, selected) {
-    return this.view.drawing * (name === selected ? -1 : 1);
+    return this.view.drawn.number * (name === selected ? -1 : 1);
   }
 
   #move(group, at) {
@@ -159,6 +174,18 @@ export class Drawing {
     group.addEventListener("click", () => this.select(name));
     return group;
   }
+}
+
+function wayLook(kind, way, isChosen) {
+  const straight = way.straight && LEGS.includes(kind);
+  return `way-${kind}${straight ? " straight" : ""}${isChosen ? " chosen" : ""}`;
+}
+
+const isSame = (before, after) => before?.length === after.length && after.every((one, k) => one === before[k]);
+
+export function alongDrive({ start, end, left_us: left, arrive_us: arrive }, nowUs) {
+  const share = arrive > left ? Math.min(1, Math.max(0, (nowUs - left) / (arrive - left))) : 1;
+  return start.map((from, k) => from + share * (end[k] - from));
 }
 
 const PX_PER_MPS = 5; // 10 m/s reach the ring

@@ -3,6 +3,8 @@
 const TILE = 512;
 const MOST_ZOOM = 20;
 const FAR_PX = 20000; // SVG coordinates are single precision: 0.002 px there
+const MOST_STRETCH = 1; // levels that a drawing is stretched by before it is drawn anew
+const REST_MS = 120; // after the last step of a zoom all is drawn anew
 const EARTH_M = 40075016.7; // round the equator of EPSG:3857
 
 export function unit([lat, lon]) {
@@ -10,7 +12,8 @@ export function unit([lat, lon]) {
   return [0.5 + lon / 360, 0.5 - Math.log((1 + sine) / (1 - sine)) / (4 * Math.PI)];
 }
 
-// Things are drawn about an anchor, and the drawing as a whole is moved: to pan moves one element.
+// Things are drawn about an anchor, and the drawing as a whole is moved: to pan moves one element. While
+// it is zoomed the drawing is stretched, too; it is drawn anew when the zoom has come to rest.
 export class View {
   constructor(element, moved) {
     this.element = element;
@@ -18,6 +21,7 @@ export class View {
     [this.x, this.y, this.zoom] = [0.5, 0.5, 1];
     this.width = this.height = 1;
     this.drawn = { x: 0.5, y: 0.5, zoom: null, number: 0 };
+    this.zoomedMs = -REST_MS;
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
     this.#followPointers();
@@ -44,26 +48,36 @@ export class View {
     return (EARTH_M * Math.cos((this.latitude * Math.PI) / 180)) / this.scale;
   }
 
-  // The number of the drawing that `at` holds for: where it is another one, all is drawn anew.
-  get drawing() {
+  // Begins another drawing where this one does not serve any more. Its number is answered: where it is
+  // another one, all is drawn anew, for `at` holds for it.
+  settle() {
     const far = Math.max(Math.abs(this.x - this.drawn.x), Math.abs(this.y - this.drawn.y)) * this.scale;
-    if (this.drawn.zoom !== this.zoom || far > FAR_PX)
+    if (far > FAR_PX || this.#outgrown())
       this.drawn = { x: this.x, y: this.y, zoom: this.zoom, number: this.drawn.number + 1 };
     return this.drawn.number;
   }
 
-  // Where the anchor is in the window, in pixels.
-  get offset() {
-    return [
+  #outgrown() {
+    const { zoom } = this.drawn;
+    if (zoom === this.zoom) return false;
+    const rests = performance.now() - this.zoomedMs >= REST_MS;
+    return zoom === null || rests || Math.abs(this.zoom - zoom) > MOST_STRETCH;
+  }
+
+  // How the drawing lies in the window: where its anchor is, in pixels, and how much it is stretched.
+  get placed() {
+    const [x, y] = [
       (this.drawn.x - this.x) * this.scale + this.width / 2,
       (this.drawn.y - this.y) * this.scale + this.height / 2,
     ];
+    return `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) scale(${(2 ** (this.zoom - this.drawn.zoom)).toFixed(5)})`;
   }
 
-  // A place in pixels from the anchor.
+  // A place in pixels of the drawing, from the anchor.
   at(point) {
     const [x, y] = unit(point);
-    return [(x - this.drawn.x) * this.scale, (y - this.drawn.y) * this.scale];
+    const scale = TILE * 2 ** this.drawn.zoom;
+    return [(x - this.drawn.x) * scale, (y - this.drawn.y) * scale];
   }
 
   path(points) {
@@ -82,6 +96,9 @@ export class View {
     const moved = 1 / before - 1 / this.scale;
     this.x += (px - this.width / 2) * moved;
     this.y += (py - this.height / 2) * moved;
+    this.zoomedMs = performance.now();
+    clearTimeout(this.rest);
+    this.rest = setTimeout(this.moved, REST_MS + 1);
     this.moved();
   }
 

@@ -20,11 +20,17 @@ export function ago(us, nowUs) {
 
 export function truckWords(truck, nowUs) {
   if (truck.stop === undefined) return truck.phase;
-  if (truck.phase === "driving") return `drives to ${truck.stop}`;
+  if (truck.phase === "driving") return `drives to ${truck.stop}${byPlan(truck.drive, nowUs)}`;
   const left = truck.leaves_us === undefined ? "" : (truck.leaves_us - nowUs) / 1e6;
   const leaves = left === "" ? "" : left >= 0 ? `, leaves in ${minutes(left)}` : `, due ${minutes(-left)} ago`;
   const waits = (truck.waits_for ?? []).map((why) => why.split(" ")[0]);
   return `at ${truck.stop}${leaves}${waits.length ? `, waits for ${[...new Set(waits)].join(", ")}` : ""}`;
+}
+
+function byPlan(drive, nowUs) {
+  if (!drive) return "";
+  const left = (drive.arrive_us - nowUs) / 1e6;
+  return left >= 0 ? `, by plan there in ${minutes(left)}` : `, by plan there ${minutes(-left)} ago`;
 }
 
 export function windWords({ to_ne_mps: [north, east], source }) {

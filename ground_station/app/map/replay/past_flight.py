@@ -8,9 +8,14 @@ from pathlib import Path
 
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import EventKind, FleetEvent, State
-from ground_station.adapters.files.flight_record import FlightRecord, Row, read_flight_record
+from ground_station.adapters.files.flight_record import (
+    ROUTE,
+    FlightRecord,
+    Row,
+    read_flight_record,
+)
 from ground_station.adapters.store.past_store import PastEvent
-from ground_station.app.map.fleet_ear import MOVED_M, PromiseSample, VehicleTrack
+from ground_station.app.map.fleet_ear import MOVED_M, PromiseSample, VehicleTrack, WindCov
 
 PAYLOAD_KG = 0.0
 """Heaviest parcel of a state that is rebuilt: no record tells it, and no map shows it."""
@@ -122,7 +127,7 @@ class PastFlight:
         )
 
     def track(self, t_us: int) -> VehicleTrack:
-        """Where it moved to, and its promise so far."""
+        """Where it moved to, its promise so far, its route, how sure it was of the wind."""
         t_s = (t_us - self.offset_us) / 1e6
         found = VehicleTrack(heard_us=t_us)
         for row in self.record.until("heard_position", t_s)[::-1]:
@@ -136,6 +141,8 @@ class PastFlight:
         for row in self.record.until("assessment", t_s):
             at_us = self.offset_us + round(1e6 * row["t_s"])
             found.promises.append(PromiseSample(at_us, row.get("margin_wh"), row.get("p_home")))
+        found.route = (self.record.at(ROUTE, t_s) or {}).get("route")
+        found.wind_cov_m2ps2 = _cov(self.record.at("wind", t_s) or {})
         return found
 
     def decisions(self) -> list[PastEvent]:
@@ -168,6 +175,11 @@ def _written_s(paths: tuple[Path, ...]) -> float:
 def _speed_mps(place: Row) -> float | None:
     north, east = place.get("vel_n_mps"), place.get("vel_e_mps")
     return None if north is None or east is None else math.hypot(north, east)
+
+
+def _cov(wind: Row) -> WindCov | None:
+    nn, ne, ee = (wind.get(name) for name in ("nn_m2ps2", "ne_m2ps2", "ee_m2ps2"))
+    return None if nn is None or ne is None or ee is None else (nn, ne, ee)
 
 
 def _course_deg(before: tuple[float, float], here: tuple[float, float]) -> float | None:

@@ -138,7 +138,8 @@ class ReplayFeed:
         if plan is not None:
             began = past.began_us
             began = began if began is not None and began <= t_us else None
-            day = DayShown(plan.plan, past.sorties(t_us), began, t_us)
+            visits = past.visits_until(t_us)
+            day = DayShown(plan.plan, past.sorties(t_us), began, t_us, visits)
         rows = WatchRows(past.in_force(t_us), past.orders(t_us), day, past.holds(t_us))
         return StoreReading.of(rows, past.wind(t_us))
 

@@ -1,0 +1,15 @@
+"""The way that a drone's mission takes, as it is aboard."""
+
+from dataclasses import dataclass, field
+
+Point = tuple[float, float]
+"""Latitude and longitude, degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouteAboard:
+    """Waypoints out to the customer and home from there. `places`: where it could land instead."""
+
+    out: tuple[Point, ...]
+    home: tuple[Point, ...]
+    places: dict[str, Point] = field(default_factory=dict)

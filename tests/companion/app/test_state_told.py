@@ -1,0 +1,45 @@
+"""The way that a state tells is the mission's that is aboard."""
+
+from dataclasses import replace
+
+import pytest
+
+from companion.adapters.files.params import (
+    flight_path,
+    read_airframe,
+    read_flight,
+    read_obstacle_document,
+)
+from companion.app.flight import state_told
+from companion.core.exports.exported import mission_export
+from companion.core.exports.ground_plan import plan_on_the_ground
+from companion.core.mission.flight_plan import FlightPlan
+from companion.core.routing.leg_energy import RouteEnergy
+from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
+from companion.fleet.messages import LONGEST_WAY
+from companion.fleet.polyline import decoded
+
+
+@pytest.fixture(scope="module")
+def flown() -> FlightPlan:
+    path = flight_path("default")
+    flight = read_flight(path)
+    energy = RouteEnergy(read_airframe(flight.vehicle.airframe), REFERENCE_DENSITY_KGPM3)
+    return plan_on_the_ground(flight, energy, read_obstacle_document(flight, path))
+
+
+def test_it_goes_by_the_waypoints_that_are_exported_to_other_tools(flown: FlightPlan):
+    mission = mission_export(flown, "m")
+    for text, points in zip(
+        state_told.ways(flown), (mission.outbound, mission.homeward), strict=True
+    ):
+        assert len(points) > 2, "it goes around something"
+        assert len(text) < LONGEST_WAY
+        for told, point in zip(decoded(text), points, strict=True):
+            assert told == pytest.approx(point[:2], abs=0.6e-5)
+
+
+def test_a_way_that_is_too_long_is_not_told_at_all(flown: FlightPlan):
+    mission = flown.mission
+    long = replace(mission, outbound=mission.outbound * LONGEST_WAY)
+    assert state_told.ways(replace(flown, mission=long)) == ("", "")
