@@ -190,7 +190,7 @@ def estimator(
     For example: sim-bridge research bench estimator --no-envelope, which takes half a minute.
     """
     from companion.adapters.files.params import params_dir, read_airframe
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.wind import estimator_bench as bench
     from sim_bridge.research.wind.anemometer_flight import read_recording
     from sim_bridge.truth.params import load_airframe
@@ -238,7 +238,7 @@ def air(
 
     For example: sim-bridge research bench air --seeds 1
     """
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.wind import air_bench as bench
 
     work = bench.tasks(seeds, out / "air_runs", stated=stated)
