@@ -36,6 +36,37 @@ def flight(
         json_out.write_text(json.dumps(result, indent=1) + "\n")
 
 
+@app.command("draw")
+def draw(
+    seeds: Annotated[int, typer.Option(min=1, help="Flights of each autopilot in each air.")] = 3,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every figure here as JSON.")
+    ] = None,
+    out: Out = OUT,
+    jobs: Jobs = 0,
+) -> None:
+    """How soon a rise of the draw is told in calm, usual and rough air, and how soon it could be.
+
+    Example: sim-bridge research bench draw --seeds 3 --json draw.json
+
+    Flights that nothing befalls are flown; the companion's own detector then hears them again with
+    the draw raised from some second on. Some 15 s of CPU a flight, three airs, two
+    autopilots.
+    """
+    import msgspec
+
+    from sim_bridge.adapters.journal import Journal, digest_of
+    from sim_bridge.research.benchmarks import draw_bench as bench
+
+    work = bench.tasks(seeds)
+    kept = Journal(out / "draw.partial", digest_of(work), list[bench.HeardRow])
+    rows = bench.by_air(work, run_journaled("draw", work, bench.fly_one, jobs, kept))
+    finish(bench.sheet(rows), out, "draw")
+    if json_out is not None:
+        json_out.write_bytes(msgspec.json.format(msgspec.json.encode(rows)) + b"\n")
+    kept.remove()
+
+
 @app.command("dispatch")
 def dispatch(
     vehicles: Annotated[int, typer.Option(min=1, max=500, help="Connected vehicles.")] = 100,
