@@ -26,7 +26,10 @@ def flight(
         bool, typer.Option(help="Time `make fly` on a clone, install included (needs network).")
     ] = True,
 ) -> None:
-    """Measure speed and size: one vehicle on one core, a fleet, a companion at real time."""
+    """Measure speed and size: one vehicle on one core, a fleet, a companion at real time.
+
+    At real time also with a disk that takes 3 s to sync: no command waits for it.
+    """
     from rich.console import Console
 
     from sim_bridge.research.benchmarks.flight_bench import bench as bench_now
