@@ -124,11 +124,8 @@ def stays_disarmed(flown: FlownFault) -> str | None:
 
 
 def stays_down(flown: FlownFault) -> str | None:
-    """It never leaves the ground, and its companion has ended."""
-    craft = flown.stage.craft
-    if craft.record.took_off_s is not None:
-        return "it took off"
-    return "the companion goes on for ever" if craft.companion.exit_code is None else None
+    """It never leaves the ground."""
+    return None if flown.stage.craft.record.took_off_s is None else "it took off"
 
 
 def tells(*words: str, within_s: float | None = None) -> Ask:

@@ -64,10 +64,6 @@ def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
     assert rule(flown(**BAD[rule]))
 
 
-def test_what_stays_down_has_to_end_too():
-    assert stays_down(flown(exit_code=None)) == "the companion goes on for ever"
-
-
 def test_a_torn_record_is_looked_for_in_the_run_folder(tmp_path):
     rule = keeps_aside("decisions.mcap.torn-1")
     assert rule(flown(run_dir=tmp_path))
