@@ -210,6 +210,8 @@ NO_GUARD = {
     34: "none: the estimator counts in the world's axes, whatever the heading",
     35: "none: the autopilot flies by these positions, too",
     38: "none: as for a spin; what is told of the course is by position",
+    42: "a thread writes, and nobody waits for it: taken out, the row would take minutes of sleep;"
+    " test_disk.py asks it of a disk that hangs, `research bench flight` of a slow one",
     47: "that of 3: what waited is heard before anything is decided",
     49: LIST_ABOARD,
     50: "none: orders are repeated until telemetry shows their effect, and few are needed",
