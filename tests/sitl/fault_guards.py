@@ -139,6 +139,11 @@ GUARDS: dict[str, Guard] = {
     "mission-cleared": Guard("return", without(HOLD, "UnansweredHold.tick", "None")),
     "home-down-20": Guard("outbound", HOME_TRUSTED),
     "height-reset": Guard("outbound", HOME_TRUSTED),
+    "progress-late": Guard(
+        "outbound",
+        "import companion.core.mission.jump_watch as guarded\n"
+        "guarded.CONFIRM_S, guarded.TRIES = 0.3, 1",
+    ),
     "draw-1.7-far": Guard("outbound", GATE_OPEN),
     "draw-2": Guard(
         "outbound", without("companion.core.vehicle.draw_change", "DrawChange.observe", "None")
@@ -202,7 +207,6 @@ NO_GUARD = {
     3: "shown by `sim-bridge trials stall`, whose guard is taken out in test_trials.py",
     8: f"no name tells it from our vehicle: we let go, and there is {LIST_ABOARD}",
     14: "the autopilot's own: an upload that stops is dropped, and the list before it stays",
-    20: "none: an order is followed for 7 s, and a report that is 2 s late comes within them",
     28: "none: the voltage under load bounds what is believed, and the flight has that to spare",
     29: "none: as for a cold pack",
     31: "none: wind and draw are off by the density, and no flight is lost by that",

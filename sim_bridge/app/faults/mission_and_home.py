@@ -301,7 +301,7 @@ CASES = (
         GROUP,
         "mission progress comes two seconds late",
         progress_late,
-        (comes_home,),
+        (comes_home, delivers),
         ("climb", "outbound"),
     ),
 )
