@@ -11,7 +11,6 @@ import pytest
 import sqlalchemy as sa
 
 from ground_station.adapters.store import order_steps, tables
-from ground_station.adapters.store.day_store import DayStore
 from ground_station.app.desk.exchange import Exchange
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE, case_of
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
@@ -56,16 +55,10 @@ def unforgiving(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Exchange, "store_may_be_away", lambda self: nullcontext())
 
 
-def timeless(patch: pytest.MonkeyPatch) -> None:
-    """A desk that begins again by its own wall clock, wherever its store's day has got to."""
-    patch.setattr(DayStore, "newest_us", lambda self: None)
-
-
 GUARDS = {
     "desk-killed": ("land", unheard, "the store is wrong about F-1"),
     "network-cut": ("return", unheard, "the store is wrong about F-1"),
     "away-for-an-hour": ("outbound", unheard, "the store is wrong about F-1"),
-    "desk-back-behind": ("outbound", timeless, "not brought"),
     "two-desks": ("ready", unconstrained, "F-1 was assigned 2 times"),
     "store-away": ("outbound", unforgiving, "StoreError"),
 }
