@@ -44,8 +44,9 @@ SEED := $(shell date +%Y%j)
 TRIAL := $(BIN)/sim-bridge trials
 # Whole days keep their store in PostgreSQL, too, where a server is installed.
 STORES := $(if $(wildcard /usr/lib/postgresql/*/bin/postgres)$(shell command -v postgres),both,sqlite)
-trials: $(VENV)/.sim  ## lies, stalls, damaged logs, half a day of flights, whole days; SEED=N again
+trials: $(VENV)/.sim  ## faults, lies, stalls, damaged logs, half a day of flights, days; SEED=N again
 	@failed=0; \
+	$(BIN)/sim-bridge faults --seeds $(SEED) --json logs/trials/faults.json || failed=1; \
 	$(TRIAL) fuzz --count 500 --seed $(SEED) --json logs/trials/fuzz.json || failed=1; \
 	$(TRIAL) stall --seed $(SEED) --json logs/trials/stall.json || failed=1; \
 	$(TRIAL) logs --minutes 60 --seed $(SEED) --json logs/trials/logs.json || failed=1; \

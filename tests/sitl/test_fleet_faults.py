@@ -12,10 +12,11 @@ import sqlalchemy as sa
 
 from ground_station.adapters.store import order_steps, tables
 from ground_station.app.desk.exchange import Exchange
-from sim_bridge.app.fault_suite.catalogue import case_of
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE, case_of
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.fleet_faults.fleet_case import FleetCase
 from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault
+from tests.sitl import fault_guards
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
 
@@ -27,7 +28,8 @@ def flown(fault: str, phase: str, run_root: Path) -> FaultRow:
     case = case_of(fault)
     assert isinstance(case, FleetCase)
     task = FaultTask(fault, "px4", phase, 1, run_root)
-    return fly_fleet_fault(replace(case, day_s=LONG_ENOUGH_S), task)
+    day_s = case.day_s if fault == "away-for-an-hour" else LONG_ENOUGH_S
+    return fly_fleet_fault(replace(case, day_s=day_s), task)
 
 
 def taken_by_anybody(db: sa.Connection, order_id: str) -> str:
@@ -55,6 +57,8 @@ def unforgiving(patch: pytest.MonkeyPatch) -> None:
 
 GUARDS = {
     "desk-killed": ("land", unheard, "the store is wrong about F-1"),
+    "network-cut": ("return", unheard, "the store is wrong about F-1"),
+    "away-for-an-hour": ("outbound", unheard, "the store is wrong about F-1"),
     "two-desks": ("ready", unconstrained, "F-1 was assigned 2 times"),
     "store-away": ("outbound", unforgiving, "StoreError"),
 }
@@ -69,4 +73,12 @@ def test_without_its_guard_a_row_of_the_fleet_breaks(tmp_path, monkeypatch, faul
     row = flown(fault, phase, tmp_path)
     assert not row.held
     assert words in row.why
-    assert row.delivered or fault != "desk-killed"
+    assert row.delivered or take_out is not unheard
+
+
+def test_each_row_has_a_canary_or_a_stated_reason_why_it_can_have_none():
+    shown = {case_of(name).number for name in (*fault_guards.GUARDS, *GUARDS)}
+    explained = {*fault_guards.NO_GUARD, *fault_guards.SAME_GUARD}
+    assert {case.number for case in CATALOGUE} == shown | explained
+    assert not shown & explained
+    assert set(fault_guards.SAME_GUARD.values()) <= shown

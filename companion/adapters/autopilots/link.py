@@ -74,7 +74,22 @@ class _Reader:
         return 0
 
     def start(self) -> None:
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError as error:  # no memory, or too many processes
+            self.close()
+            raise LinkClosedError(
+                f"link: no thread can be had to read it ({error}): too many processes, or no memory"
+            ) from error
+
+    def close(self) -> None:
+        """Stop reading and give the line back."""
+        raise NotImplementedError
+
+    def _stop_reading(self) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -210,8 +225,7 @@ class UdpLink(_Reader):
 
     def close(self) -> None:
         """Stop reading and free the port."""
-        self._stop.set()
-        self._thread.join(timeout=2.0)
+        self._stop_reading()
         self._socket.close()
 
 
@@ -296,8 +310,7 @@ class TcpLink(_Reader):
 
     def close(self) -> None:
         """Stop reading and hang up."""
-        self._stop.set()
-        self._thread.join(timeout=2.0)
+        self._stop_reading()
         self._drop()
 
 
@@ -368,8 +381,7 @@ class SerialLink(_Reader):
 
     def close(self) -> None:
         """Stop reading and close the port."""
-        self._stop.set()
-        self._thread.join(timeout=2.0)
+        self._stop_reading()
         self._drop()
 
 

@@ -1,7 +1,13 @@
-"""Who works on a plan: a thread of its own, while the loop goes on hearing, or the loop itself."""
+"""Who works on a plan: a thread of its own, while the loop goes on hearing, or the loop itself.
+
+Whatever breaks in the work, memory that is not to be had too, is no plan: the vehicle stays on the
+ground, and the operator is told why.
+"""
 
 import queue
 import threading
+import traceback
+from pathlib import Path
 from typing import Protocol
 
 from companion.core.mission.find_plan import FindPlan
@@ -12,6 +18,17 @@ Found = tuple[int, FlightPlan | NoRoute]
 """The number of a `FindPlan`, and what came of it."""
 
 
+def worked_out(asked: FindPlan) -> Found:
+    """What came of the work."""
+    try:
+        return asked.number, asked.work()
+    except Exception as error:  # noqa: BLE001 - see above
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        what = f"{type(error).__name__} {error}".strip()
+        at = f"{Path(last.filename).name}:{last.lineno}"
+        return asked.number, NoRoute(f"planning failed: {what} ({at})")
+
+
 class Planning(Protocol):
     """Takes work, and hands out what came of it."""
 
@@ -20,7 +37,7 @@ class Planning(Protocol):
         ...
 
     def found(self) -> Found | None:
-        """One result that was not handed out yet. Raises what the work raised."""
+        """One result that was not handed out yet."""
         ...
 
 
@@ -32,7 +49,7 @@ class PlanAtOnce:
 
     def begin(self, asked: FindPlan) -> None:
         """See `Planning`."""
-        self._done.append((asked.number, asked.work()))
+        self._done.append(worked_out(asked))
 
     def found(self) -> Found | None:
         """See `Planning`."""
@@ -43,7 +60,7 @@ class PlanBeside:
     """Does the work on a thread of its own; one that is not wanted any more ends unheard."""
 
     def __init__(self) -> None:
-        self._done: queue.SimpleQueue[Found | BaseException] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[Found] = queue.SimpleQueue()
 
     def begin(self, asked: FindPlan) -> None:
         """See `Planning`. Where no thread can be had, the loop does the work."""
@@ -53,17 +70,11 @@ class PlanBeside:
             self._work(asked)
 
     def _work(self, asked: FindPlan) -> None:
-        try:
-            self._done.put((asked.number, asked.work()))
-        except BaseException as error:  # noqa: BLE001 - raised where the loop takes the result
-            self._done.put(error)
+        self._done.put(worked_out(asked))
 
     def found(self) -> Found | None:
         """See `Planning`."""
         try:
-            done = self._done.get_nowait()
+            return self._done.get_nowait()
         except queue.Empty:
             return None
-        if isinstance(done, BaseException):
-            raise done
-        return done

@@ -86,6 +86,9 @@ CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
 PACK_WAIT_S = 5.0
 PLAN_SAID_S = 10.0
+PLAN_LIMIT_S = 180.0
+"""Ten times what the hardest site takes that was tried, among towers: who plans has hung."""
+
 PRESSURE_WAIT_S = 3.0
 """Three of the barometer's messages at 1 Hz; without one the standard atmosphere will do."""
 
@@ -152,6 +155,7 @@ class GroundWork:
     waiting_for: str = ""
     """What was said last to be waited for."""
     plans_asked: int = 0
+    plan_asked_s: float | None = None
     plan_wanted: bool = False
     """The plan of number `plans_asked` is being worked on."""
 
@@ -511,7 +515,9 @@ class GroundSequence:
 
     def _make_plan(self, context: FlightContext) -> None:
         if self._state.plan_wanted:
-            if context.since_s(self._state.asked_s) > PLAN_SAID_S:
+            if context.since_s(self._state.plan_asked_s) > PLAN_LIMIT_S:
+                self._give_up(context, f"no plan within {PLAN_LIMIT_S:.0f} s")
+            elif context.since_s(self._state.asked_s) > PLAN_SAID_S:
                 self._state.asked_s = context.t_s
                 context.say(Severity.NOTICE, "still planning the way")
             return
@@ -538,7 +544,7 @@ class GroundSequence:
         state = self._state
         state.plans_asked += 1
         state.plan_wanted = True
-        state.asked_s = context.t_s
+        state.asked_s = state.plan_asked_s = context.t_s
         context.do(
             FindPlan(
                 state.plans_asked,

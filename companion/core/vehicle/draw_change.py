@@ -23,8 +23,8 @@ _LARGE_LIMIT = 1.5
 flight, seeds 1 to 10, both autopilots); 1.7 times is told in 6 s, twice in 4 s."""
 
 _SMALL_LIMIT_NATS = 5.0
-"""Log-likelihood. The most in the same 20 flights is 3.5. In calm air 1.25 times is told within
-10 s; in rough air, where means of 10 s scatter by 0.1, in half a minute."""
+"""Log-likelihood. The most in the same 20 flights is 3.5. 1.4 times is told in 20 s (median over
+flights in calm to rough air), 1.25 times in 40 s and more, or not before a short flight is over."""
 
 _FALL_LIMIT = 4.0
 """Log-seconds: a descent or braking draws 0.45 (log) less for 10 s and is no end of a rise."""

@@ -11,6 +11,9 @@ app = typer.Typer()
 
 ALL = "all"
 
+INTERRUPTED = 130
+"""The shell's exit code for a program that Ctrl-C ended."""
+
 
 @app.command()
 def faults(
@@ -28,6 +31,9 @@ def faults(
     ] = ALL,
     seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:1",
     jobs: Annotated[int, typer.Option(min=1, help="Flights side by side.")] = 2,
+    minutes: Annotated[
+        float | None, typer.Option(min=0.1, help="Begin no flight after so many minutes.")
+    ] = None,
     json_out: Annotated[Path | None, typer.Option("--json", help="Every row goes here.")] = None,
     runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs/faults"),
 ) -> None:
@@ -38,17 +44,17 @@ def faults(
     A fault begins in the phase that is named, at a moment drawn by seed. A row holds where the
     vehicle is home with its reserve (or what else the fault leaves to be asked), nothing is
     commanded after a person has taken over, nothing false is promised and no exception is raised.
-    Exit code 0 where all rows hold, 1 where one does not.
-    """
-    from rich.console import Console
-    from rich.progress import Progress
+    With --json it can be flown in pieces: after Ctrl-C, or --minutes, the same command goes on
+    where it stopped. With --minutes the order is drawn by seed: what has been flown is a sample.
 
+    Exit code 0 where all rows hold, 1 where one does not, 130 after Ctrl-C.
+    """
     from sim_bridge.app.fault_suite import report, suite
     from sim_bridge.app.fault_suite.catalogue import chosen
+    from sim_bridge.app.fault_suite.session import Session
     from sim_bridge.app.faults.case import BOTH, PHASES
-    from sim_bridge.app.faults.fault_row import FaultRow
+    from sim_bridge.app.trials.trial import Bounds
 
-    console = Console()
     cases = chosen([*(only or []), *(names or [])])
     if show:
         for line in report.listing(cases):
@@ -59,23 +65,16 @@ def faults(
     )
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    rows: list[FaultRow] = []
-    with Progress(console=console, transient=True) as bar:
-        flights = bar.add_task(f"{len(todo)} flights", total=len(todo))
-
-        def flown(row: FaultRow) -> None:
-            rows.append(row)
-            report.broke(console, row)
-            bar.advance(flights)
-            if json_out is not None:
-                report.write(json_out, rows)
-
-        ordered = suite.run_all(todo, jobs, flown)
-    console.print(report.summary(ordered))
-    console.print(report.promises(ordered))
-    if json_out is not None:
-        report.write(json_out, ordered)
-    if not all(row.held for row in ordered):
+    session = Session(todo, Bounds(jobs, minutes), json_out)
+    try:
+        rows = session.run()
+    except KeyboardInterrupt:
+        if session.journal is None:
+            raise
+        path = session.journal.path
+        typer.echo(f"stopped; {path} keeps what was flown, the same command goes on")
+        raise typer.Exit(INTERRUPTED) from None
+    if not all(row.held for row in rows):
         raise typer.Exit(1)
 
 

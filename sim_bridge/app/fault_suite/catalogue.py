@@ -10,6 +10,7 @@ from sim_bridge.app.faults import (
     mission_and_home,
     signing,
     telemetry,
+    workers,
 )
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.fleet_faults import fleet_cases
@@ -27,6 +28,7 @@ CATALOGUE: tuple[Case, ...] = tuple(
             *energy.CASES,
             *telemetry.CASES,
             *host.CASES,
+            *workers.CASES,
             *link.CASES,
             *signing.CASES,
             *fleet_cases.CASES,

@@ -10,22 +10,36 @@ from rich.console import Console
 from rich.table import Table
 
 from sim_bridge.app.fault_suite.catalogue import Case
+from sim_bridge.app.fault_suite.promises import by_group
 from sim_bridge.app.faults.fault_row import FaultRow
 from sim_bridge.app.flight.report import slim_table
 
-SURE = 0.99
-"""What counts as a promise."""
+
+def result(rows: Sequence[FaultRow], left: int = 0) -> dict[str, Any]:
+    """`{"rows": [...], "held": n, "of": n, "left": n, "groups": [...], "cpu_s": {...}}`.
+
+    `left`: so many flights have not been flown yet.
+    """
+    return {
+        "rows": list(rows),
+        "held": sum(row.held for row in rows),
+        "of": len(rows),
+        "left": left,
+        "groups": by_group(rows),
+        "cpu_s": cpu_s(rows),
+    }
 
 
-def result(rows: Sequence[FaultRow]) -> dict[str, Any]:
-    """`{"rows": [...], "held": n, "of": n}`."""
-    return {"rows": list(rows), "held": sum(row.held for row in rows), "of": len(rows)}
+def cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | None:
+    """Seconds of CPU that a flight took: the median and the most; None: nobody measured."""
+    spent = [row.cpu_s for row in rows if row.cpu_s is not None]
+    return {"median": float(np.median(spent)), "most": max(spent)} if spent else None
 
 
-def write(path: Path, rows: Sequence[FaultRow]) -> None:
+def write(path: Path, rows: Sequence[FaultRow], left: int = 0) -> None:
     """Write the result, whole or not at all."""
     fresh = path.with_name(path.name + ".new")
-    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows))) + b"\n")
+    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows, left))) + b"\n")
     fresh.replace(path)
 
 
@@ -60,16 +74,22 @@ def promises(rows: Sequence[FaultRow]) -> Table:
     table = slim_table(title, ("group", "left"))
     for name in columns:
         table.add_column(name, justify="right")
-    said = [row for row in rows if row.p_home_last_go is not None and row.outcome != "TAKEN"]
-    for group in dict.fromkeys(row.group for row in said):
-        pairs = [(row.p_home_last_go or 0.0, row.home) for row in said if row.group == group]
-        p_home, home = np.asarray(pairs, float).T
-        sure = home[p_home >= SURE]
-        kept = f"{round(sure.sum())} of {sure.size}"
-        brier = np.mean((p_home - home) ** 2)
-        shares = (f"{p_home.mean():.3f}", f"{home.mean():.3f}", f"{brier:.4f}")
-        table.add_row(group, str(len(pairs)), *shares, kept)
+    for each in by_group(rows):
+        shares = (f"{each.p_home:.3f}", f"{each.home:.3f}", f"{each.brier:.4f}")
+        table.add_row(each.group, str(each.flights), *shares, "{} of {}".format(*each.sure))
     return table
+
+
+def spent(rows: Sequence[FaultRow]) -> str:
+    """What a flight took, in words."""
+    used = cpu_s(rows)
+    if used is None:
+        return ""
+    longest = max((row for row in rows if row.cpu_s is not None), key=lambda row: row.cpu_s or 0.0)
+    return (
+        f"CPU a flight: {used['median']:.1f} s (median), at most {used['most']:.1f} s"
+        f" ({longest.fault} {longest.autopilot} {longest.phase})"
+    )
 
 
 def broke(console: Console, row: FaultRow) -> None:

@@ -1,14 +1,18 @@
-"""Flies the rows of the suite, side by side."""
+"""Flies the rows of the suite, side by side, in pieces where that is asked."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import msgspec
+import numpy as np
+
+from sim_bridge.adapters.wall_clock import cpu_with_children_s
 from sim_bridge.app.fault_suite.catalogue import Case, case_of
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.runner import fly_flight_fault
 from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault
-from sim_bridge.app.flight.stopping import worker_pool
+from sim_bridge.app.trials.trial import Bounds, tried
 
 
 def tasks(
@@ -31,32 +35,43 @@ def tasks(
 
 
 def run_all(
-    todo: Sequence[FaultTask], jobs: int, flown: Callable[[FaultRow], None]
+    todo: Sequence[FaultTask],
+    bounds: Bounds,
+    done: Mapping[int, FaultRow],
+    flown: Callable[[int, FaultRow], None],
 ) -> list[FaultRow]:
-    """Fly them, `jobs` side by side; `flown` is told each as it ends. In the tasks' order."""
-    rows: dict[int, FaultRow] = {}
-    for index, row in _run(todo, jobs):
+    """Fly those that are not `done`, side by side; `flown` is told each as it ends.
+
+    Returns all that have been flown, in the tasks' order.
+    """
+    rows = dict(done)
+    left = [(index, todo[index]) for index in _order(todo, bounds) if index not in done]
+    for index, row in tried(left, _fly_numbered, bounds):
         rows[index] = row
-        flown(row)
+        flown(index, row)
     return [rows[index] for index in sorted(rows)]
 
 
-def _run(todo: Sequence[FaultTask], jobs: int) -> Iterator[tuple[int, FaultRow]]:
-    if jobs == 1 or len(todo) <= 1:
-        yield from map(_fly_numbered, enumerate(todo))
-        return
-    with worker_pool(min(jobs, len(todo))) as pool:
-        yield from pool.imap_unordered(_fly_numbered, list(enumerate(todo)))
+def _order(todo: Sequence[FaultTask], bounds: Bounds) -> list[int]:
+    """Where the time may end first: an order drawn by seed, so that what is flown is a sample."""
+    if bounds.minutes is None or not todo:
+        return list(range(len(todo)))
+    return np.random.default_rng(todo[0].seed).permutation(len(todo)).tolist()
 
 
-def _fly_numbered(numbered: tuple[int, FaultTask]) -> tuple[int, FaultRow]:
+def _fly_numbered(numbered: tuple[int, FaultTask]) -> list[tuple[int, FaultRow]]:
     index, task = numbered
-    return index, fly_fault(task)
+    return [(index, fly_fault(task))]
 
 
 def fly_fault(task: FaultTask) -> FaultRow:
     """Fly one row and judge it: one vehicle's flight, or a fleet's small day."""
-    case = case_of(task.fault)
+    before_s = cpu_with_children_s()
+    row = _flown(case_of(task.fault), task)
+    return msgspec.structs.replace(row, cpu_s=round(cpu_with_children_s() - before_s, 2))
+
+
+def _flown(case: Case, task: FaultTask) -> FaultRow:
     if isinstance(case, FaultCase):
         return fly_flight_fault(case, task)
     return fly_fleet_fault(case, task)

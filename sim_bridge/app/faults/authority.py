@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from sim_bridge.app.faults.case import FLYING, FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, FaultCase, Play
 from sim_bridge.app.faults.computers import (
     USAGE,
     SecondCompanion,
@@ -103,9 +103,11 @@ def false_disarmed(stage: Stage) -> Iterator[None]:
 
 
 def kill_switch(stage: Stage) -> Iterator[None]:
-    """Somebody stops the motors, in the air."""
+    """Somebody stops the motors, in the air, or on the ground as soon as they turn."""
     station = Station(stage)
     yield from stage.reached()
+    yield from stage.until(lambda: stage.armed)
+    stage.begin()
     station.disarm(by_force=True)
     stage.taken_over(TOLD_S)
 
@@ -236,7 +238,7 @@ CASES = (
         "every acknowledgement is lost, then the pilot takes over",
         acks_lost,
         (hands_off,),
-        (*FLYING, "land"),
+        IN_THE_AIR,
         ends_after_s=15.0,
     ),
     FaultCase(
@@ -256,7 +258,7 @@ CASES = (
             f"the companion stands still for {duration_s:.0f} s; the pilot takes over meanwhile",
             stalled(duration_s),
             (hands_off, tells("hands off")),
-            FLYING,
+            IN_THE_AIR,
             ends_after_s=duration_s + 15.0,
         )
         for duration_s in (2.0, 6.0, 20.0)
@@ -323,7 +325,7 @@ CASES = (
         "one false heartbeat says disarmed, and a second of silence follows",
         false_disarmed,
         (comes_home, delivers),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         9,
@@ -332,7 +334,7 @@ CASES = (
         "the motors are stopped in the air: told within 2.5 s, and nothing is commanded",
         kill_switch,
         (hands_off, tells("hands off", "disarm", within_s=2.5)),
-        FLYING,
+        ("ready", *IN_THE_AIR),
         ends_after_s=15.0,
     ),
 )

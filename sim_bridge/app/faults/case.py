@@ -9,6 +9,7 @@ from sim_bridge.app.faults.verdict import (
     Ask,
     FlownFault,
     comes_home,
+    ends_in_order,
     fault_began,
     promises_nothing_false,
     raises_nothing,
@@ -19,6 +20,9 @@ PHASES = ("ready", "climb", "outbound", "drop", "return", "land")
 
 FLYING = ("climb", "outbound", "drop", "return")
 """Those in the air, but for the landing."""
+
+IN_THE_AIR = (*FLYING, "land")
+"""All of those in the air."""
 
 BOTH = ("px4", "ardupilot")
 
@@ -62,6 +66,6 @@ class FaultCase:
     signed: bool = False
 
     def wrong(self, flown: FlownFault) -> list[str]:
-        """What does not hold. In any flight the fault has begun, and nobody raises an exception."""
-        found = [ask(flown) for ask in (fault_began, *self.asks, raises_nothing)]
+        """What does not hold. In any flight: the fault begins, nobody raises, it ends in order."""
+        found = [ask(flown) for ask in (fault_began, *self.asks, raises_nothing, ends_in_order)]
         return [words for words in found if words]

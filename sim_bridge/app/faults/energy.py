@@ -22,6 +22,10 @@ FAR = {
 }
 """With 1.7 times the draw it ends under the reserve unless the way home begins at once."""
 
+SMALL_TOLD_S = 60.0
+"""Of 1.4 times, in a flight of which a minute is left: half are told within 20 s, nine of ten
+within 40 s (`sim-bridge research bench draw --seeds 1`)."""
+
 LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
 """A change of draw by more than a half is told within: in level flight, and where a climb or a
 descent of up to 15 s, whose power no model knows so well, hides it."""
@@ -111,6 +115,11 @@ def draw_rises(times: float) -> Play:
     return play
 
 
+def tells_small_draw(flown: FlownFault) -> str | None:
+    """The operator hears of a rise by four tenths before the flight is over."""
+    return tells("draw", within_s=SMALL_TOLD_S)(flown)
+
+
 def tells_draw(flown: FlownFault) -> str | None:
     """The operator hears that the draw has changed, in time."""
     limit_s = LEVEL_TOLD_S if flown.stage.phase == "outbound" else TOLD_S
@@ -134,6 +143,15 @@ CASES = (
         draw_rises(1.25),
         SAFE,
         FLYING,
+    ),
+    FaultCase(
+        21,
+        "draw-1.4",
+        GROUP,
+        "the draw rises to 1.4 times: told within a minute",
+        draw_rises(1.4),
+        (*SAFE, tells_small_draw),
+        ("outbound",),
     ),
     FaultCase(
         22,

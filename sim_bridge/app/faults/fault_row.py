@@ -24,6 +24,8 @@ class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
     said: list[str]
     held: bool
     why: str
+    cpu_s: float | None = None
+    """What the flight took, of simulator and companions together; None: not measured."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
+from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play, from_the_start
 from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import delivers
+from sim_bridge.app.faults.verdict import delivers, keeps_aside
 
 BOOT_S = (1.0, 8.0)
 SLOW_S = 20.0
@@ -30,7 +30,9 @@ def killed(*, comes_back: bool, meanwhile: Callable[[Stage], None] = lambda stag
 
 
 def torn(name: str) -> Play:
-    """Killed; of a file in its folder the last third is gone; started again."""
+    """Killed; of a file in its folder the last third is garbage, as of blocks that the card never
+    took; started again.
+    """
 
     def play(stage: Stage) -> Iterator[None]:
         yield from stage.reached()
@@ -39,7 +41,8 @@ def torn(name: str) -> Play:
         stage.lockstep.lose(craft.number - 1)
         path = craft.run_dir / name
         data = path.read_bytes()
-        path.write_bytes(data[: 2 * len(data) // 3])
+        whole = 2 * len(data) // 3
+        path.write_bytes(data[:whole] + stage.rng.bytes(len(data) - whole))
         yield from stage.wait(stage.rng.uniform(*BOOT_S))
         craft.companion.start()
         craft.companion_returns = True
@@ -108,7 +111,7 @@ CASES = (
         "the disk is full",
         disk_full,
         (*SAFE, delivers),
-        ("ready", *FLYING),
+        ("ready", *IN_THE_AIR),
     ),
     FaultCase(
         41,
@@ -156,7 +159,7 @@ CASES = (
         "killed; its checkpoint is torn; started again",
         torn("checkpoint.json"),
         SAFE,
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         43,
@@ -164,8 +167,8 @@ CASES = (
         GROUP,
         "killed; its decision log is torn; started again",
         torn("decisions.mcap"),
-        SAFE,
-        FLYING,
+        (*SAFE, keeps_aside("decisions.mcap.torn-1")),
+        IN_THE_AIR,
     ),
     FaultCase(
         46,
@@ -192,7 +195,7 @@ CASES = (
         "killed in mid-air, and back after some seconds",
         killed(comes_back=True),
         SAFE,
-        FLYING,
+        ("ready", *IN_THE_AIR),
     ),
     FaultCase(
         49,
@@ -201,6 +204,6 @@ CASES = (
         "killed in mid-air for good: the mission aboard brings it home",
         killed(comes_back=False),
         SAFE,
-        FLYING,
+        ("ready", *IN_THE_AIR),
     ),
 )

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import delivers
 from sim_bridge.app.link.bad_link import BadLink
-from sim_bridge.app.link.tap import SlowLine
+from sim_bridge.app.link.lies import FIELD_DEEDS, Liar
+from sim_bridge.app.link.tap import SlowLine, as_it_is
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 SHARE = 0.3
@@ -92,6 +93,18 @@ def strangers(stage: Stage) -> Iterator[None]:
     stage.craft.bad_link = BadLink(stage.craft.number, np.random.default_rng(seed))
 
 
+def fields_mutated(stage: Stage) -> Iterator[None]:
+    """For some seconds one message in twenty has up to three fields that are anything else."""
+    yield from stage.reached()
+    liar = Liar(stage.rng, MUTATED_SHARE, tuple(FIELD_DEEDS), active=True)
+    stage.tap.to_companion = liar.change
+    yield from stage.wait(stage.rng.uniform(*MUTATED_FOR_S))
+    stage.tap.to_companion = as_it_is
+
+
+MUTATED_SHARE = 0.05
+MUTATED_FOR_S = (3.0, 10.0)
+
 GROUP = "link"
 CASES = (
     FaultCase(
@@ -110,7 +123,7 @@ CASES = (
         "a second of silence",
         silent(1.0),
         (*SAFE, delivers),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         51,
@@ -119,7 +132,7 @@ CASES = (
         "ten seconds of silence",
         silent(10.0),
         SAFE,
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         51,
@@ -128,7 +141,7 @@ CASES = (
         "a minute of silence",
         silent(60.0),
         SAFE,
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         51,
@@ -137,7 +150,7 @@ CASES = (
         "silence for good: the mission aboard brings it home",
         silent(FOR_EVER_S),
         SAFE,
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         52,
@@ -147,6 +160,15 @@ CASES = (
         strangers,
         (*SAFE, delivers),
         ("ready", *FLYING),
+    ),
+    FaultCase(
+        53,
+        "fields-mutated",
+        GROUP,
+        "for 3 to 10 s one message in twenty has fields that are extreme, NaN, off, or anything",
+        fields_mutated,
+        SAFE,
+        IN_THE_AIR,
     ),
     FaultCase(
         8,

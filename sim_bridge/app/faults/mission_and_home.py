@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
+from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play
 from sim_bridge.app.faults.people import Station, dragged, foreign
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import comes_home, delivers, tells
@@ -147,7 +147,7 @@ CASES = (
         "another station drags one waypoint 1.5 km away; the list is as long as before",
         edited,
         (*SAFE, tells("mission")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         11,
@@ -156,7 +156,7 @@ CASES = (
         "another station uploads a mission of the same length, 3 km away",
         replaced,
         (*SAFE, tells("mission")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         11,
@@ -174,7 +174,7 @@ CASES = (
         "another station uploads our own mission once more",
         uploaded_anew,
         (*SAFE, delivers),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         12,
@@ -183,7 +183,7 @@ CASES = (
         "another station uploads the first half of the list",
         shorter,
         (*SAFE, tells("mission")),
-        FLYING,
+        IN_THE_AIR,
         arguments=RETURNS,
     ),
     FaultCase(
@@ -193,7 +193,7 @@ CASES = (
         "another station uploads the list with another appended",
         longer,
         (*SAFE, tells("mission")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         13,
@@ -202,7 +202,7 @@ CASES = (
         "another station clears the mission",
         cleared,
         (*SAFE, tells("mission")),
-        FLYING,
+        IN_THE_AIR,
         ("px4",),
         arguments=RETURNS,
     ),
@@ -213,7 +213,7 @@ CASES = (
         "another station clears the mission: ArduCopter refuses that in the air, nothing changes",
         cleared,
         (*SAFE, delivers),
-        FLYING,
+        IN_THE_AIR,
         ("ardupilot",),
     ),
     FaultCase(
@@ -223,7 +223,7 @@ CASES = (
         "another station begins an upload and falls silent half-way",
         cut_half_way,
         SAFE,
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         15,
@@ -232,7 +232,7 @@ CASES = (
         "home is set 25 m higher",
         home_moved(up_m=25.0),
         (*SAFE, tells("home")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         16,
@@ -241,7 +241,7 @@ CASES = (
         "home is set 20 m lower",
         home_moved(up_m=-20.0),
         (*SAFE, tells("home")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         16,
@@ -259,7 +259,7 @@ CASES = (
         "home is set 3 km away",
         home_moved(north_m=3000.0),
         (*SAFE, tells("home")),
-        FLYING,
+        IN_THE_AIR,
     ),
     FaultCase(
         19,
@@ -301,7 +301,7 @@ CASES = (
         GROUP,
         "mission progress comes two seconds late",
         progress_late,
-        (comes_home,),
+        (comes_home, delivers),
         ("climb", "outbound"),
     ),
 )

@@ -122,10 +122,11 @@ class Station:
 
 
 def dragged(items: Sequence[MissionItem], current: int, east_m: float) -> list[MissionItem]:
-    """The same list with the next waypoint after the current item dragged sideways."""
+    """The same list with the next waypoint after the current item dragged sideways; behind the last
+    one it is the current item, where it lands."""
     out = list(items)
     ahead = [k for k, i in enumerate(out) if k > current and i.command == MAV_CMD_WAYPOINT]
-    for k in ahead[:1]:
+    for k in [*ahead, current][:1]:
         out[k] = _moved(out[k], east_m)
     return out
 

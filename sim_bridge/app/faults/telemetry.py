@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from sim_bridge.app.faults.case import SAFE, FaultCase, Play
 from sim_bridge.app.faults.stage import Stage
+from sim_bridge.app.faults.verdict import tells
 from sim_bridge.app.link.tap import Change, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
@@ -149,6 +150,13 @@ GROUPS = {
     "position": "air and sensors",
     "battery": "energy",
 }
+MUST_TELL = {
+    ("attitude", "off"): "no fresh attitude",
+    ("position", "off"): "position lost",
+    ("battery", "off"): "no fresh battery reading",
+}
+"""What is told no more has to be missed, and the operator to hear it."""
+
 CASES = tuple(
     FaultCase(
         NUMBERS[what],
@@ -156,7 +164,7 @@ CASES = tuple(
         GROUPS[what],
         f"{what} {words}, for good",
         fails(what, kind),
-        SAFE,
+        (*SAFE, *(tells(words) for key, words in MUST_TELL.items() if key == (what, kind))),
         ("outbound",),
     )
     for what in TOLD

@@ -6,6 +6,9 @@ from typing import Any
 
 from sim_bridge.app.faults.stage import Stage
 
+BROKEN, USAGE = 1, 2
+"""Exit codes of a companion that met an error inside, or a mistake in what it was given."""
+
 TRACEBACK = "Traceback (most recent call last)"
 
 
@@ -58,6 +61,12 @@ Ask = Callable[[FlownFault], str | None]
 def raises_nothing(flown: FlownFault) -> str | None:
     """No exception reaches anybody."""
     return f"{flown.exceptions} exceptions" if flown.exceptions else None
+
+
+def ends_in_order(flown: FlownFault) -> str | None:
+    """The companion ends by no error of its own: not broken, not taking its own files amiss."""
+    code = flown.stage.craft.companion.exit_code
+    return f"exit code {code}" if code in (BROKEN, USAGE) else None
 
 
 def comes_home(flown: FlownFault) -> str | None:
@@ -114,6 +123,11 @@ def stays_disarmed(flown: FlownFault) -> str | None:
     return "armed again" if flown.stage.armed else None
 
 
+def stays_down(flown: FlownFault) -> str | None:
+    """It never leaves the ground."""
+    return None if flown.stage.craft.record.took_off_s is None else "it took off"
+
+
 def tells(*words: str, within_s: float | None = None) -> Ask:
     """The operator hears one of these words (in time) after the fault began."""
 
@@ -127,6 +141,16 @@ def tells(*words: str, within_s: float | None = None) -> Ask:
         if any(word in text for text in heard for word in words):
             return None
         return f"the operator did not hear {' or '.join(repr(word) for word in words)}"
+
+    return ask
+
+
+def keeps_aside(name: str) -> Ask:
+    """In the run folder lies a torn record under this name."""
+
+    def ask(flown: FlownFault) -> str | None:
+        path = flown.stage.craft.run_dir / name
+        return None if path.exists() else f"no {name} in its folder"
 
     return ask
 

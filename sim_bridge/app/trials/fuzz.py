@@ -22,8 +22,8 @@ from sim_bridge.app.faults.verdict import TRACEBACK
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
 from sim_bridge.app.flight.vehicle_process import MISSION_CUSTOM_MODE, Craft
+from sim_bridge.app.link.lies import DEEDS, Liar
 from sim_bridge.app.link.tap import Tap
-from sim_bridge.app.trials.lies import DEEDS, Liar
 from sim_bridge.app.trials.trial import TrialRow
 from sim_bridge.autopilot.mavlink.codec import Message
 

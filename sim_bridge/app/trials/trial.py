@@ -17,6 +17,8 @@ from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.flight.stopping import worker_pool
 
 Case = TypeVar("Case", bound=msgspec.Struct)
+Work = TypeVar("Work")
+Row = TypeVar("Row")
 
 
 class TrialRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,8 +40,8 @@ class Bounds:
 
 
 def tried(
-    todo: Iterable[Case], attempt: Callable[[Case], list[TrialRow]], bounds: Bounds
-) -> Iterator[TrialRow]:
+    todo: Iterable[Work], attempt: Callable[[Work], list[Row]], bounds: Bounds
+) -> Iterator[Row]:
     """Try cases side by side, in their order, until all are tried or the time is up."""
     left = in_time(todo, bounds)
     if bounds.jobs == 1:
@@ -50,7 +52,7 @@ def tried(
         yield from _side_by_side(pool, left, attempt, bounds.jobs)
 
 
-def in_time(todo: Iterable[Case], bounds: Bounds) -> Iterator[Case]:
+def in_time(todo: Iterable[Work], bounds: Bounds) -> Iterator[Work]:
     """These cases, until the time is up."""
     end_s = None if bounds.minutes is None else wall_s() + 60.0 * bounds.minutes
     for case in todo:
@@ -60,9 +62,9 @@ def in_time(todo: Iterable[Case], bounds: Bounds) -> Iterator[Case]:
 
 
 def _side_by_side(
-    pool: Pool, left: Iterator[Case], attempt: Callable[[Case], list[TrialRow]], jobs: int
-) -> Iterator[TrialRow]:
-    under_way: deque[AsyncResult[list[TrialRow]]] = deque()
+    pool: Pool, left: Iterator[Work], attempt: Callable[[Work], list[Row]], jobs: int
+) -> Iterator[Row]:
+    under_way: deque[AsyncResult[list[Row]]] = deque()
     for case in left:
         under_way.append(pool.apply_async(attempt, (case,)))
         if len(under_way) > jobs:  # one more than workers, so that none waits for us

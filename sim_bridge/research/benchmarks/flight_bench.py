@@ -20,10 +20,18 @@ from rich.table import Table
 
 from companion.adapters.files.params import params_dir
 from sim_bridge.adapters.wall_clock import wall_s
+from sim_bridge.app.faults.host import slow_fsync
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.report import slim_table
 from sim_bridge.app.flight.vehicle_process import Craft
 from sim_bridge.research.benchmarks.timing import Samples
+
+AUTOPILOTS = ("px4", "ardupilot")
+PROMPT = ("ms", "< 20")
+"""What is asked of a command: a fifth of a tick of 0.1 s."""
+
+SLOW_SYNC_S = 3.0
+"""A card that is busy; 0.5 to 10 s were seen."""
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
@@ -103,7 +111,7 @@ class _Meter(Progress):
 def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[str, Any]:
     """Run all benchmarks; prints a table and returns its rows."""
     rows: list[tuple[str, list[float], str, str]] = []
-    for autopilot in ("px4", "ardupilot"):
+    for autopilot in AUTOPILOTS:
         what = f"one vehicle, {autopilot}, one core"
         meters = _measure(rounds, console, what, autopilot, 1, None)
         speeds = [m.times_real for m in meters]
@@ -117,18 +125,32 @@ def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[st
             ">= 1",
         )
     )
-    for autopilot in ("px4", "ardupilot"):
+    for autopilot in AUTOPILOTS:
         meters = _measure(rounds, console, f"{autopilot} at real time", autopilot, 1, 1.0)
         loads = [100.0 * m.cpu_s / m.wall for m in meters]
-        rows.append((f"companion at real time, {autopilot}", loads, "%", "< 15"))
+        rows.append((f"companion at real time, {autopilot}", loads, "%", "< 5"))
         rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
-        rows.append(
-            ("  telemetry to command p99", [m.exchange_p99_ms for m in meters], "ms", "< 100")
-        )
+        rows.append(("  telemetry to command p99", [m.exchange_p99_ms for m in meters], *PROMPT))
+    rows += slow_disk(rounds, console)
     if fresh_clone:
         rows.append(("make fly, fresh clone", [_fresh_clone_s(console)], "s", "< 180"))
     console.print(_table(rounds, rows))
     return {"rows": [{"what": w, "values": v, "unit": u, "goal": g} for w, v, u, g in rows]}
+
+
+def slow_disk(rounds: int, console: Console) -> list[tuple[str, list[float], str, str]]:
+    """Telemetry to command at real time where each sync of the disk takes 3 s.
+
+    Lockstep's companion keeps its checkpoints by a thread, as on a vehicle.
+    """
+    rows: list[tuple[str, list[float], str, str]] = []
+    for autopilot in AUTOPILOTS:
+        what = f"{autopilot} at real time, the disk takes {SLOW_SYNC_S:.0f} s to sync"
+        slow = slow_fsync(SLOW_SYNC_S)
+        meters = _measure(rounds, console, what, autopilot, 1, 1.0, before_companion=slow)
+        words = f"the same p99, disk syncs in {SLOW_SYNC_S:.0f} s, {autopilot}"
+        rows.append((words, [m.exchange_p99_ms for m in meters], *PROMPT))
+    return rows
 
 
 def _table(rounds: int, rows: list[tuple[str, list[float], str, str]]) -> Table:
@@ -168,7 +190,14 @@ def _fresh_clone_s(console: Console) -> float:
 
 
 def _measure(
-    rounds: int, console: Console, what: str, autopilot: str, vehicles: int, speedup: float | None
+    rounds: int,
+    console: Console,
+    what: str,
+    autopilot: str,
+    vehicles: int,
+    speedup: float | None,
+    *,
+    before_companion: str = "",
 ) -> list[_Meter]:
     cores = os.sched_getaffinity(0)
     if speedup is None:
@@ -189,6 +218,7 @@ def _measure(
                     speedup=speedup,
                     run_root=Path(folder),
                     picture=False,
+                    before_companion=before_companion,
                 )
                 fly(options, meter)
             meters.append(meter)

@@ -13,6 +13,7 @@ from typing import Protocol
 import msgspec
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.journal import Journal, leave_ctrl_c_to_the_parent
 from sim_bridge.research.campaign.campaign import (
     CampaignParams,
     CampaignRow,
@@ -24,7 +25,6 @@ from sim_bridge.research.campaign.campaign import (
     tasks_of,
 )
 from sim_bridge.research.planners.scenario import Scenario, scenario_json
-from sim_bridge.research.results.journal import Journal, leave_ctrl_c_to_the_parent
 
 PER_WORKER = 2  # tasks handed out ahead of each worker
 

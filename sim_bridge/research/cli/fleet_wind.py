@@ -57,6 +57,7 @@ def fleet_wind(
     """
     import msgspec
 
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.fleet_wind import sheets
     from sim_bridge.research.fleet_wind.study import (
         DrawResult,
@@ -67,7 +68,6 @@ def fleet_wind(
         summed,
     )
     from sim_bridge.research.promise.world import digest
-    from sim_bridge.research.results.journal import Journal, digest_of
 
     if (wind_log is None) == (field is None):
         raise LeewayError("expected either --wind-log or --field")

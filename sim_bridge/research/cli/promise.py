@@ -66,9 +66,9 @@ def promise(
     import msgspec
 
     from companion.adapters.files.params import params_dir
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.promise import flying, sheets
     from sim_bridge.research.promise.world import Setting, digest
-    from sim_bridge.research.results.journal import Journal, digest_of
 
     logs = tuple(wind_log or ())
     if json is not None and not json.parent.is_dir():

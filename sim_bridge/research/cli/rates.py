@@ -37,6 +37,7 @@ def rates(
     """
     import msgspec
 
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.rates.sheets import check_sheet, choice_sheet
     from sim_bridge.research.rates.study import (
         CHECKED_RATE,
@@ -47,7 +48,6 @@ def rates(
         run_work,
         works,
     )
-    from sim_bridge.research.results.journal import Journal, digest_of
 
     asked = tuple(rate or (1e-2, 1e-3, 1e-4))
     for one in asked:

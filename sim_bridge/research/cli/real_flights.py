@@ -44,12 +44,12 @@ def real_flights(
     """
     import msgspec
 
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.real_flights.figures import figures
     from sim_bridge.research.real_flights.fold import FoldResult, run_fold
     from sim_bridge.research.real_flights.folder import read_folder
     from sim_bridge.research.real_flights.folds import folds_of
     from sim_bridge.research.real_flights.sheets import draw, sheets_of
-    from sim_bridge.research.results.journal import Journal, digest_of
 
     for one in (folder, *((fit,) if fit else ())):
         if not one.is_dir():

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from sim_bridge.research.results.journal import Journal
+    from sim_bridge.adapters.journal import Journal
     from sim_bridge.research.results.sheet import Sheet
 
 Work = TypeVar("Work")
@@ -67,7 +67,7 @@ def run_journaled(
     kept: "Journal[Result]",
 ) -> list[Result]:
     """`do` of every piece of work, with progress; Ctrl-C leaves what is done in the journal."""
-    from sim_bridge.research.results.journal import journaled_map
+    from sim_bridge.adapters.journal import journaled_map
 
     cores = jobs or len(os.sched_getaffinity(0))
     with progress_bar() as bar:

@@ -24,7 +24,7 @@ def table1(
     """Table 1: SER, RER, GER and BER on random graphs, 4 and 8 wind classes."""
     from dataclasses import replace
 
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.tables.table1 import (
         GUSTY_PARAMS,
         NOTE,
@@ -71,7 +71,7 @@ def table2(
     Example: sim-bridge research table2 --trials 2 --jobs 2
     """
     from ground_station.adapters.llm import LlmParams
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.tables import table2 as experiment
 
     if (llm_url is None) != (llm_model is None):
@@ -99,7 +99,7 @@ def lambda_sweep(
     graphs: Annotated[int, typer.Option(help="graphs")] = 100,
 ) -> None:
     """Outcomes against the risk weight lambda and the battery."""
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.tables import lambda_sweep as experiment
 
     work = experiment.jobs_of(graphs)
@@ -163,7 +163,7 @@ def towns(
     """Outcomes over generated towns whose wind differs from edge to edge."""
     import numpy as np
 
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.tables import urban_table
     from sim_bridge.research.tables.urban_scene import TownParams, generate_town
 
@@ -185,8 +185,8 @@ def frontier(
     jobs: Jobs = 0,
 ) -> None:
     """How far BER is below the frontier on random chains; goes on where it was stopped."""
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.campaign import frontier_check as check
-    from sim_bridge.research.results.journal import Journal, digest_of
 
     cases = check.cases(graphs, seed)
     kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])

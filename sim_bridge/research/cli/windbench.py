@@ -46,7 +46,7 @@ def windbench(
     """
     import msgspec
 
-    from sim_bridge.research.results.journal import Journal, digest_of
+    from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.windbench.contest import BenchDay, DayResult, run_day
     from sim_bridge.research.windbench.estimators import estimators
     from sim_bridge.research.windbench.flights import read_bench_folder

@@ -6,6 +6,7 @@ import os
 import random
 import socket
 import struct
+import threading
 import time
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from companion.adapters.files.signing_files import (
     read_signing_key,
     write_signing_key,
 )
-from companion.core.base.errors import LeewayError
+from companion.core.base.errors import LeewayError, LinkClosedError
 from companion.core.mission import events as ev
 
 
@@ -683,3 +684,15 @@ def test_a_serial_port_that_another_companion_holds_is_told_with_what_to_do():
         first.close()
         os.close(slave)
         os.close(master)
+
+
+def test_a_link_without_a_thread_to_read_it_stays_shut_and_gives_its_port_back(monkeypatch):
+    with monkeypatch.context() as patch:
+
+        def no_thread(thread: threading.Thread) -> None:
+            raise RuntimeError("can't start new thread")
+
+        patch.setattr(threading.Thread, "start", no_thread)
+        with pytest.raises(LinkClosedError, match=r"no thread can be had.*can't start new thread"):
+            open_link("udpin:127.0.0.1:14998")
+    open_link("udpin:127.0.0.1:14998").close()

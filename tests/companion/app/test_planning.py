@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
@@ -53,13 +54,24 @@ def test_in_a_world_that_waits_it_is_done_when_begin_returns():
 
 
 @pytest.mark.parametrize("kind", [PlanAtOnce, PlanBeside])
-def test_what_breaks_in_the_work_breaks_where_the_loop_asks(kind: type):
-    planning, asked = kind(), SlowWork(fault=ZeroDivisionError("of the work"))
+@pytest.mark.parametrize("fault", [ZeroDivisionError("of the work"), MemoryError()])
+def test_what_breaks_in_the_work_is_no_plan_and_says_what_and_where(kind: type, fault: Exception):
+    planning, asked = kind(), SlowWork(fault=fault)
     asked.go_on.set()
+    planning.begin(asked)
+    number, found = wait_for(planning)
+    assert number == asked.number
+    assert isinstance(found, NoRoute)
+    assert f"planning failed: {type(fault).__name__}" in found.reason
+    assert Path(__file__).name in found.reason
 
-    def begin_and_take() -> None:
-        planning.begin(asked)
-        wait_for(planning)
 
-    with pytest.raises(ZeroDivisionError, match="of the work"):
-        begin_and_take()
+def test_without_a_thread_to_be_had_the_loop_does_the_work(monkeypatch):
+    def no_thread(self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", no_thread)
+    planning, asked = PlanBeside(), SlowWork(7)
+    asked.go_on.set()
+    planning.begin(asked)
+    assert planning.found() == (7, NoRoute("number 7"))

@@ -976,6 +976,18 @@ def test_only_the_plan_that_was_asked_for_last_is_taken() -> None:
     assert w.kinds.count("planned") == 1
 
 
+def test_a_plan_that_never_comes_keeps_it_on_the_ground_and_says_so() -> None:
+    w = world().until(Phase.PLAN)
+    w.run(lambda w: any(isinstance(a, PlanFound) for a in w.answers))
+    asked_s = w.t_s
+    w.answers = [a for a in w.answers if not isinstance(a, PlanFound)]
+    done = w.to_the_end()
+    assert "no plan within 180 s" in done.reason
+    assert 180.0 < w.t_s - asked_s < 190.0
+    assert w.said.count("still planning the way") >= 15
+    assert not any(isinstance(a, Arm) for _, a in w.log)
+
+
 class Poor(ScriptedJudge):
     """Nearly nothing is left in the pack."""
 

@@ -2,9 +2,11 @@
 
 import json
 
+import msgspec
+import pytest
 from rich.console import Console
 
-from sim_bridge.app.fault_suite.report import promises, result, write
+from sim_bridge.app.fault_suite.report import promises, result, spent, write
 from sim_bridge.app.faults.fault_row import FaultRow
 
 
@@ -49,4 +51,22 @@ def test_the_file_holds_every_row_and_the_count(tmp_path):
     read = json.loads(path.read_text())
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
-    assert result([]) == {"rows": [], "held": 0, "of": 0}
+    nothing = {"rows": [], "held": 0, "of": 0, "left": 0, "groups": [], "cpu_s": None}
+    assert result([]) == nothing
+
+
+def test_the_file_says_how_reliable_what_was_said_is_group_by_group():
+    said = [(0.999, True), (0.995, False), (0.98, True), (0.5, False), (None, True)]
+    (energy,) = result([row(promised=p, home=home) for p, home in said])["groups"]
+    assert (energy.group, energy.flights) == ("energy", 4)
+    # By hand: (0.001**2 + 0.995**2 + 0.02**2 + 0.5**2) / 4.
+    assert energy.brier == pytest.approx(0.31010, abs=1e-5)
+    classes = [(each.from_p, each.flights, each.home) for each in energy.reliability]
+    assert classes == [(0.0, 1, 0.0), (0.97, 1, 1.0), (0.99, 2, 0.5)]
+    assert energy.sure == (1, 2)
+
+
+def test_what_a_flight_took_is_said_with_the_longest():
+    assert spent([row()]) == ""
+    rows = [msgspec.structs.replace(row(), cpu_s=seconds) for seconds in (9.0, 10.0, 31.0)]
+    assert spent(rows) == "CPU a flight: 10.0 s (median), at most 31.0 s (draw-2 px4 drop)"

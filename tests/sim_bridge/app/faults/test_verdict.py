@@ -9,12 +9,15 @@ from sim_bridge.app.faults.verdict import (
     claims_no_delivery,
     comes_home,
     delivers,
+    ends_in_order,
     fault_began,
     hands_off,
     is_taken,
+    keeps_aside,
     promises_nothing_false,
     raises_nothing,
     stays_disarmed,
+    stays_down,
     tells,
 )
 
@@ -26,6 +29,9 @@ def flown(**changes) -> FlownFault:
         vehicle=SimpleNamespace(is_crashed=changes.pop("crashed", False)),
         commands=changes.pop("commands", []),
         operator=SimpleNamespace(said=changes.pop("said", [])),
+        companion=SimpleNamespace(exit_code=changes.pop("exit_code", 0)),
+        record=SimpleNamespace(took_off_s=changes.pop("took_off_s", None)),
+        run_dir=changes.pop("run_dir", None),
     )
     stage = SimpleNamespace(
         craft=craft,
@@ -46,6 +52,8 @@ BAD = {
     hands_off: {"commands": [(60.1, "COMMAND_LONG", 400)]},
     stays_disarmed: {"armed": True},
     promises_nothing_false: LOST,
+    ends_in_order: {"exit_code": 1},
+    stays_down: {"took_off_s": 23.0},
     raises_nothing: {"words": "x\nTraceback (most recent call last):\n  File"},
 }
 
@@ -54,6 +62,13 @@ BAD = {
 def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
     assert rule(flown()) is None
     assert rule(flown(**BAD[rule]))
+
+
+def test_a_torn_record_is_looked_for_in_the_run_folder(tmp_path):
+    rule = keeps_aside("decisions.mcap.torn-1")
+    assert rule(flown(run_dir=tmp_path))
+    (tmp_path / "decisions.mcap.torn-1").touch()
+    assert rule(flown(run_dir=tmp_path)) is None
 
 
 def test_a_crash_at_home_is_not_home():

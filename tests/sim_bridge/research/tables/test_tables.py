@@ -11,10 +11,10 @@ import pytest
 
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
+from sim_bridge.adapters.journal import Journal, digest_of, journaled_map
 from sim_bridge.research.benchmarks import planner_bench
 from sim_bridge.research.campaign import frontier_check
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
-from sim_bridge.research.results.journal import Journal, digest_of, journaled_map
 from sim_bridge.research.results.sheet import Sheet, interval95, mean_std
 from sim_bridge.research.tables import energy_speed, lambda_sweep, table1
 from sim_bridge.research.tables.table1 import recorded_wind

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim_bridge.app.trials.lies import DEEDS, FIELD_DEEDS, INT_BITS, Liar, fitted, limits
+from sim_bridge.app.link.lies import DEEDS, FIELD_DEEDS, INT_BITS, Liar, fitted, limits
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 from sim_bridge.autopilot.mavlink.message_table import SPECS
 
