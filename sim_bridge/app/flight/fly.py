@@ -25,6 +25,7 @@ from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.fork_server import ForkServer
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.adapters.wall_clock import signing_10us, wall_s
@@ -89,6 +90,8 @@ class FlyOptions:
     before_companion: str = ""
     companion_arguments: tuple[str, ...] = ()
     """More of `companion run`, as its operator would choose them."""
+    forks: ForkServer | None = None
+    """Of companions, for suites of many flights; None: each is started as a user's is."""
 
 
 @dataclass(slots=True)
@@ -237,6 +240,7 @@ def build_craft(
             *options.companion_arguments,
         ],
         before=options.before_companion,
+        forks=options.forks,
     )
     return Craft(
         number=number,
