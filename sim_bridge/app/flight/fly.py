@@ -35,7 +35,6 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.faults import FaultPlan
 from sim_bridge.app.flight.judge import FlightVerdict, judge
 from sim_bridge.app.flight.operator import Operator
-from sim_bridge.app.flight.picture import NAME, draw_flight, true_course
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
 from sim_bridge.app.flight.scenario import read_faults, read_wind
 from sim_bridge.app.flight.vehicle_process import (
@@ -449,6 +448,8 @@ def _draw(
     reserve_wh: float,
     airframe: Airframe,
 ) -> None:
+    from sim_bridge.app.flight.picture import NAME, draw_flight, true_course
+
     site = craft.flight.site
     places = {"depot": (0.0, 0.0)}
     shown = [("customer", site.customer), *((p.name or "rally", p) for p in site.rally)]
