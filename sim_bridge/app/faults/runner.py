@@ -1,7 +1,5 @@
 """Flies a row of one vehicle and judges it."""
 
-import atexit
-import functools
 import secrets
 import tomllib
 from dataclasses import dataclass
@@ -14,12 +12,11 @@ import numpy as np
 from companion.adapters.files.params import params_dir
 from companion.adapters.files.signing_files import write_signing_key
 from companion.app.flight.recorder import TEXT
-from sim_bridge.adapters.fork_server import ForkServer
 from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
-from sim_bridge.app.flight.companion_process import companion_forks
+from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 
 FLIGHT = "faults.toml"
@@ -45,21 +42,13 @@ def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
         before_companion=case.before_companion,
-        forks=_forks(),
+        forks=suite_forks(),
         signing_key=_key_in(folder) if case.signed else None,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)
     (row,) = fly(options, ending, performance)["flights"]
     assert performance.stage is not None
     return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
-
-
-@functools.cache
-def _forks() -> ForkServer:
-    """Of this process, for all rows that it flies."""
-    forks = companion_forks()
-    atexit.register(forks.close)
-    return forks
 
 
 def _key_in(folder: Path) -> Path:

@@ -1,6 +1,8 @@
 """A `companion run` process beside a simulated vehicle: started, killed, restarted, ended."""
 
+import atexit
 import contextlib
+import functools
 import json
 import os
 import resource
@@ -18,9 +20,12 @@ ENTRY = "from companion.app.cli.main import main; main()"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def companion_forks() -> ForkServer:
-    """For suites of short flights: companions that need not be imported anew for each."""
-    return ForkServer(("companion.app.cli.main", "companion.app.cli.flying"), ENTRY, ONE_THREAD)
+@functools.cache
+def suite_forks() -> ForkServer:
+    """Of this process, for suites of short flights: their companions are imported once."""
+    forks = ForkServer(("companion.app.cli.main", "companion.app.cli.flying"), ENTRY, ONE_THREAD)
+    atexit.register(forks.close)
+    return forks
 
 
 @dataclass(slots=True)
