@@ -11,7 +11,6 @@ What ArduCopter and PX4 do differently is in `ardupilot/` and `px4/`, which nobo
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from sim_bridge.autopilot.ardupilot.behaviour import ArduPilot
 from sim_bridge.autopilot.base.geodesy import LocalFrame
@@ -315,7 +314,7 @@ class Autopilot:
             state.goal = self.behaviour.goal()
             actuation = self._guidance.fly(state.goal, readings, dt_s)
         if actuation.release is not self.behaviour.release:
-            actuation = replace(actuation, release=self.behaviour.release)
+            actuation = actuation._replace(release=self.behaviour.release)
         state.actuation = actuation
         self._publish_estimate()
 

@@ -4,6 +4,7 @@
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 Vec3 = tuple[float, float, float]
 
@@ -24,8 +25,7 @@ class Actuation:
     release: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class SensorReadings:
+class SensorReadings(NamedTuple):  # made 100 times a second: a fifth of a frozen dataclass's time
     """What the vehicle's sensors say, with their noise, bias and delay.
 
     Positions and velocities are NED about the depot's ground point, as GNSS gave them last

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.flight.faults import FaultPlan
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.vehicle_process import Craft
@@ -134,6 +135,7 @@ def fly_case(tmp_path):
             believed=believed,
             signing_key=signing_key,
             companion_arguments=companion_arguments,
+            forks=suite_forks(),
         )
         row = fly(options, keep)["flights"][0]
         assert keep.plan is not None

@@ -5,6 +5,7 @@ Whole datagrams (UDP) or whatever arrived (TCP, serial) enter the queue. TCP and
 by themselves after a break.
 """
 
+import contextlib
 import errno
 import queue
 import select
@@ -63,7 +64,7 @@ class _Reader:
     """A thread that reads until told to stop; what it read waits in a bounded queue."""
 
     def __init__(self) -> None:
-        self._queue: queue.Queue[Incoming] = queue.Queue(QUEUE_LIMIT)
+        self._queue: queue.SimpleQueue[Incoming] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._settled = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mavlink-reader", daemon=True)
@@ -105,14 +106,10 @@ class _Reader:
         raise NotImplementedError
 
     def _put(self, item: Incoming) -> None:
-        try:
-            self._queue.put_nowait(item)
-        except queue.Full:  # the newest matter: drop the oldest
-            try:
+        if self._queue.qsize() >= QUEUE_LIMIT:  # the newest matter: drop the oldest
+            with contextlib.suppress(queue.Empty):
                 self._queue.get_nowait()
-                self._queue.put_nowait(item)
-            except (queue.Empty, queue.Full):
-                return
+        self._queue.put(item)
 
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next bytes, or `None` after `timeout_s` of silence."""

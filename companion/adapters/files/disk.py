@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 WAITING_LIMIT = 20_000
-"""Deeds that wait: two minutes of a flight's record, at some 150 rows and frames a second."""
+"""Deeds that wait: minutes of a flight's record, at some 100 rows and turns' frames a second."""
 
 CLOSE_LIMIT_S = 30.0
 """How long the end of a flight waits for the disk: three times the slowest fsync that was seen."""

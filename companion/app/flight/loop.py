@@ -203,6 +203,7 @@ class Loop:
         if self.port is not None:
             self._talk_to_desk(self.port)
         self.flush()
+        self.recorder.hand_over()
 
     def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:

@@ -90,6 +90,8 @@ class Recorder:
         self._text: TextLog | None = None
         self._stream: Tlog | None = None
         self._decisions: DecisionLog | None = None
+        self._frames: list[tuple[bytes, float]] = []
+        self._at_once = at_once
         self._disk: Disk = (DiskAtOnce if at_once else DiskThread)(self._on_trouble)
         self._disk.do(TEXT, self._open_text)
         self._disk.do(STREAM, self._open_stream)
@@ -135,9 +137,10 @@ class Recorder:
         assert self._decisions is not None
         self._decisions.write(topic, row)
 
-    def _write_frame(self, frame: bytes, t_s: float) -> None:
+    def _write_frames(self, frames: list[tuple[bytes, float]]) -> None:
         assert self._stream is not None
-        self._stream.write(frame, t_s)
+        for frame, t_s in frames:
+            self._stream.write(frame, t_s)
 
     def _write_text(self, line: str) -> None:
         assert self._text is not None
@@ -160,7 +163,15 @@ class Recorder:
 
     def stream(self, frame: bytes, t_s: float) -> None:
         """Record one MAVLink frame that came or went."""
-        self._disk.do(STREAM, lambda: self._write_frame(frame, t_s))
+        self._frames.append((frame, t_s))
+        if self._at_once:
+            self.hand_over()
+
+    def hand_over(self) -> None:
+        """Give the frames of a turn to the disk, together: each deed wakes its thread."""
+        if self._frames:
+            frames, self._frames = self._frames, []
+            self._disk.do(STREAM, lambda: self._write_frames(frames))
 
     def show(self, on_action: Callable[[Action], None], action: Action) -> None:
         """Give an action to who prints it; a screen can be a full disk or a pipe that blocks."""
@@ -176,6 +187,7 @@ class Recorder:
 
     def settle(self) -> None:
         """Return once all that was recorded is on the disk."""
+        self.hand_over()
         self._disk.settle()
 
     def heard(
@@ -307,7 +319,7 @@ class Recorder:
             "plan": None if flown is None else plan_row(flown),
         }
         self._disk.do(RESULT, lambda: self._write_result(result), whole=True)
-        self._disk.settle()
+        self.settle()
 
     def _write_result(self, result: dict[str, Any]) -> None:
         rows = {name: self._before.get(name, []) + rows for name, rows in self._rows.items()}
@@ -316,6 +328,7 @@ class Recorder:
 
     def close(self) -> None:
         """End every file."""
+        self.hand_over()
         self._disk.do("end of the records", self._ends.close)
         self._disk.close()
 

@@ -304,7 +304,7 @@ def wrap_pi(angle_rad: Angle) -> Angle:
 
 def course_rad(a_ned_m: Ned, b_ned_m: Ned) -> float:
     """Course from a to b, clockwise from north."""
-    return float(np.arctan2(b_ned_m[1] - a_ned_m[1], b_ned_m[0] - a_ned_m[0]))
+    return math.atan2(b_ned_m[1] - a_ned_m[1], b_ned_m[0] - a_ned_m[0])
 
 
 def over(ground_ned_m: Ned, level: Ned) -> Ned:
@@ -313,5 +313,5 @@ def over(ground_ned_m: Ned, level: Ned) -> Ned:
 
 
 def horizontal_m(a_ned_m: Ned, b_ned_m: Ned) -> float:
-    """Horizontal distance."""
-    return float(np.hypot(b_ned_m[0] - a_ned_m[0], b_ned_m[1] - a_ned_m[1]))
+    """Horizontal distance, by C's hypot as numpy's is: `math.hypot` rounds otherwise."""
+    return abs(complex(b_ned_m[0] - a_ned_m[0], b_ned_m[1] - a_ned_m[1]))

@@ -156,11 +156,11 @@ class LegTable:
 
     def _need(self, spans: list[_Span]) -> Need:
         """Need of these spans together. Its variance: the wind's walk plus its lasting error."""
-        rows = [row for span in spans for row in _rows(span)]
-        total = self._seen_gradient[rows].sum(axis=0)
-        lasting = float(total @ self._error_cov @ total)
+        rows = np.array([row for span in spans for row in _rows(span)], dtype=np.int64)
         by_leg = self._seen_gradient[rows]
-        left = self._seen_cov[np.ix_(rows, rows)]
+        total = by_leg.sum(axis=0)
+        lasting = float(total @ self._error_cov @ total)
+        left = self._seen_cov[rows[:, None], rows]
         walk = float(np.einsum("ia,ij,ja->", by_leg, left, by_leg))
         std_wh = math.sqrt(max(walk, 0.0) + max(lasting, 0.0))
         return Need(self._seen[rows].sum(axis=0), std_wh)

@@ -336,6 +336,8 @@ class RouteEnergy:
         speed = np.array([airspeed_mps])
         level = float(power.level_w(speed)[0])
         share = min(max(climb_mps / self.airframe.speeds.climb_mps, 0.0), 2.0)
+        if share == 0.0:
+            return level
         return level + share * (float(power.climb_w(speed)[0]) - level)
 
     def hover_power_w(self, payload_kg: float) -> float:

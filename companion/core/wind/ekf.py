@@ -242,7 +242,7 @@ class WindState:
         variance = self.gust_variance_m2ps2
         left = 1.0 - taken
         move = _STILL.copy()
-        move.flat[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
+        move.reshape(-1)[_MOVED] = (keep, keep, left, left, taken, taken, taken, taken)
         self.x = move @ self.x
         cov = move @ self.cov @ move.T
         cov += cov.T  # restore symmetry
@@ -254,7 +254,7 @@ class WindState:
         pitot = p.pitot_walk_per_s * dt_s
         heading = p.heading_walk_rad2ps * dt_s
         new = p.velocity_std_mps**2
-        self.cov.flat[:: STATES + 1] += (
+        cov.reshape(-1)[:: STATES + 1] += (
             *(walk, walk, gust, gust, 0.0, 0.0, trim, trim, gain, gain, heading, pitot, pitot),
             *(new, new, 0.0, 0.0, 0.0),
         )
@@ -284,10 +284,12 @@ class WindState:
         memory_s = self.gust_memory_s
         ahead_s = 0.5 * _WINDOW_S + p.latency_s
         share = ahead_s / _WINDOW_S
+        gust = share * memory_s / ahead_s * (1.0 - math.exp(-ahead_s / memory_s))
         rows = np.zeros((2, STATES))
-        rows[_PAIR, _MEAN] = share
-        rows[_PAIR, _LATELY] = 1.0 - share
-        rows[_PAIR, _GUST] = share * memory_s / ahead_s * (1.0 - math.exp(-ahead_s / memory_s))
+        for axis in (0, 1):
+            rows[axis, At.MEAN + axis] = share
+            rows[axis, At.LATELY + axis] = 1.0 - share
+            rows[axis, At.GUST + axis] = gust
         variance = self.gust_variance_m2ps2
         unforeseen = share**2 * variance * _mean_variance(ahead_s / memory_s)
         lag = 0.25 * _LAG_MISFIT_S * 2.0 * variance / memory_s
@@ -295,7 +297,7 @@ class WindState:
         blown = 2.0 * variance * (1.0 - math.exp(-waited_s / memory_s))
         spread = unforeseen + lag + walked + blown + p.floor_std_mps**2
         cov = rows @ self.cov @ rows.T
-        return rows @ self.x, 0.5 * (cov + cov.T) + spread * np.eye(2)
+        return rows @ self.x, 0.5 * (cov + cov.T) + spread * _BOTH
 
     def open_wind(self, variance_m2ps2: float) -> None:
         """Add a variance on each axis to the slow mean and the lagged mean, fully correlated."""
@@ -311,7 +313,7 @@ class WindState:
 
 _WINDOW_S = 10.0
 _LAG_MISFIT_S = 0.075  # integral of (mean of 5 s less lag of 2.7 s)^2 over a random walk's past
-_PAIR = [0, 1]
+_BOTH = np.eye(2)
 _MEAN = [At.MEAN, At.MEAN + 1]
 _GUST = [At.GUST, At.GUST + 1]
 _LATELY = [At.LATELY, At.LATELY + 1]
@@ -330,16 +332,18 @@ def _still() -> Floats:
 _STILL = _still()
 # Flat indices into the transition matrix that `wait` fills, as (row, column): gust on itself,
 # lagged mean on itself, on the slow mean, on the gust.
-_MOVED = [
-    STATES * (row + axis) + column + axis
-    for row, column in (
-        (At.GUST, At.GUST),
-        (At.LATELY, At.LATELY),
-        (At.LATELY, At.MEAN),
-        (At.LATELY, At.GUST),
-    )
-    for axis in (0, 1)
-]
+_MOVED = np.array(
+    [
+        STATES * (row + axis) + column + axis
+        for row, column in (
+            (At.GUST, At.GUST),
+            (At.LATELY, At.LATELY),
+            (At.LATELY, At.MEAN),
+            (At.LATELY, At.GUST),
+        )
+        for axis in (0, 1)
+    ]
+)
 
 
 def gust_length_m(height_m: float) -> float:

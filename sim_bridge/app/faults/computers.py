@@ -62,7 +62,7 @@ class SecondCompanion:
         port = self._endpoints.urls[0].rsplit(":", 1)[1]
         others = [a for a in craft.companion.arguments if not a.startswith("--link=")]
         arguments = [f"--link=udpout:127.0.0.1:{port}", *others]
-        self.process = CompanionProcess(self.run_dir, arguments)
+        self.process = CompanionProcess(self.run_dir, arguments, forks=craft.companion.forks)
         self._lockstep = Lockstep(
             self._endpoints,
             range(1),

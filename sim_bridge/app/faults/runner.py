@@ -16,6 +16,7 @@ from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.stage import Performance
 from sim_bridge.app.faults.verdict import FlownFault
+from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 
 FLIGHT = "faults.toml"
@@ -41,6 +42,7 @@ def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
         before_companion=case.before_companion,
+        forks=suite_forks(),
         signing_key=_key_in(folder) if case.signed else None,
     )
     ending = _Ending(after_s=case.ends_after_s, performance=performance)

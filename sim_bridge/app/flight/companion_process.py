@@ -1,6 +1,8 @@
 """A `companion run` process beside a simulated vehicle: started, killed, restarted, ended."""
 
+import atexit
 import contextlib
+import functools
 import json
 import os
 import resource
@@ -11,9 +13,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
+from sim_bridge.adapters.fork_server import ForkedProcess, ForkServer
 from sim_bridge.adapters.lifeline import entry
 
 ENTRY = "from companion.app.cli.main import main; main()"
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+@functools.cache
+def suite_forks() -> ForkServer:
+    """Of this process, for suites of short flights: their companions are imported once."""
+    forks = ForkServer(("companion.app.cli.main", "companion.app.cli.flying"), ENTRY, ONE_THREAD)
+    atexit.register(forks.close)
+    return forks
 
 
 @dataclass(slots=True)
@@ -23,10 +35,12 @@ class CompanionProcess:
     run_dir: Path
     arguments: list[str]
     before: str = ""
-    """Python that the process runs before its `main`."""
+    """Python that the process runs before its `main`, and before its imports."""
+    forks: ForkServer | None = None
+    """Where it is forked instead of started anew, unless something runs before its imports."""
     starts: int = 0
     stalled: bool = False
-    _process: subprocess.Popen[bytes] | None = None
+    _process: subprocess.Popen[bytes] | ForkedProcess | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
     _read_bytes: int = 0
     """Of what it printed, given out by `new_lines`."""
@@ -36,24 +50,22 @@ class CompanionProcess:
         self.run_dir.mkdir(parents=True, exist_ok=True)
         self._close_output()
         self._output = (self.run_dir / "companion.out").open("ab")
-        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self._process = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                entry(f"{self.before}\n{ENTRY}"),
-                "run",
-                *self.arguments,
-                "--run-dir",
-                str(self.run_dir),
-            ],
+        arguments = ["run", *self.arguments, "--run-dir", str(self.run_dir)]
+        if self.forks is not None and not self.before:
+            self._process = self.forks.start(arguments, self._output)
+        else:
+            self._process = self._start_anew(arguments, self._output)
+        self.starts += 1
+
+    def _start_anew(self, arguments: list[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-c", entry(f"{self.before}\n{ENTRY}"), *arguments],
             stdin=subprocess.DEVNULL,
-            stdout=self._output,
+            stdout=output,
             stderr=subprocess.STDOUT,
-            env=environment,
+            env=os.environ | ONE_THREAD,
             start_new_session=True,  # Ctrl-C reaches the bridge alone, which ends it in order
         )
-        self.starts += 1
 
     @property
     def pid(self) -> int | None:

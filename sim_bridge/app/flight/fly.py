@@ -25,6 +25,7 @@ from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.adapters.endpoint import EndpointSet
+from sim_bridge.adapters.fork_server import ForkServer
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.adapters.wall_clock import signing_10us, wall_s
@@ -34,7 +35,6 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.faults import FaultPlan
 from sim_bridge.app.flight.judge import FlightVerdict, judge
 from sim_bridge.app.flight.operator import Operator
-from sim_bridge.app.flight.picture import NAME, draw_flight, true_course
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
 from sim_bridge.app.flight.scenario import read_faults, read_wind
 from sim_bridge.app.flight.vehicle_process import (
@@ -89,6 +89,8 @@ class FlyOptions:
     before_companion: str = ""
     companion_arguments: tuple[str, ...] = ()
     """More of `companion run`, as its operator would choose them."""
+    forks: ForkServer | None = None
+    """Of companions, for suites of many flights; None: each is started as a user's is."""
 
 
 @dataclass(slots=True)
@@ -237,6 +239,7 @@ def build_craft(
             *options.companion_arguments,
         ],
         before=options.before_companion,
+        forks=options.forks,
     )
     return Craft(
         number=number,
@@ -445,6 +448,8 @@ def _draw(
     reserve_wh: float,
     airframe: Airframe,
 ) -> None:
+    from sim_bridge.app.flight.picture import NAME, draw_flight, true_course
+
     site = craft.flight.site
     places = {"depot": (0.0, 0.0)}
     shown = [("customer", site.customer), *((p.name or "rally", p) for p in site.rally)]

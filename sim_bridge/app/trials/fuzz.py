@@ -19,6 +19,7 @@ from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.app.faults.authority import TOLD_PILOT_S
 from sim_bridge.app.faults.runner import printed_and_logged, write_flight
 from sim_bridge.app.faults.verdict import TRACEBACK
+from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
 from sim_bridge.app.flight.vehicle_process import MISSION_CUSTOM_MODE, Craft
@@ -319,6 +320,7 @@ def attempt(case: FuzzCase, run_root: Path) -> TrialRow:
         run_root=folder,
         picture=False,
         lockstep_limit_s=ANSWERS_S,
+        forks=suite_forks(),
     )
     (row,) = fly(options, _Ending(witness=witness), witness)["flights"]
     craft = witness.craft

@@ -156,13 +156,12 @@ class Guidance:
         flown = self.controller.track_velocity(
             (north, east, -goal.climb_mps), self.yaw_sp_rad, readings, dt_s
         )
-        return replace(flown, roll_rad=goal.roll_rad, pitch_rad=goal.pitch_rad)
+        return flown._replace(roll_rad=goal.roll_rad, pitch_rad=goal.pitch_rad)
 
     def _by_hand(self, goal: FlyByHand, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         self.yaw_sp_rad += goal.yaw_rate_rps * dt_s
         idle = self.controller.idle(readings, dt_s)
-        return replace(
-            idle,
+        return idle._replace(
             roll_rad=goal.roll_rad,
             pitch_rad=goal.pitch_rad,
             yaw_rad=self.yaw_sp_rad,

@@ -70,6 +70,26 @@ def draw(
     kept.remove()
 
 
+@app.command("hot")
+def hot(
+    rounds: Annotated[int, typer.Option(min=1, help="Flights, and starts of each process.")] = 3,
+    autopilot: Annotated[str, typer.Option(help="px4 or ardupilot.")] = "px4",
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="Write every value here as JSON.")
+    ] = None,
+) -> None:
+    """Where the CPU of a simulated flight goes: each process's start, and its parts in flight."""
+    if autopilot not in ("px4", "ardupilot"):
+        raise LeewayError(f"--autopilot {autopilot}: expected px4 or ardupilot")
+    from rich.console import Console
+
+    from sim_bridge.research.benchmarks.hot_bench import bench as bench_now
+
+    result = bench_now(rounds, autopilot, Console())
+    if json_out is not None:
+        json_out.write_text(json.dumps(result, indent=1) + "\n")
+
+
 @app.command("dispatch")
 def dispatch(
     vehicles: Annotated[int, typer.Option(min=1, max=500, help="Connected vehicles.")] = 100,
