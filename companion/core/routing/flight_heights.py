@@ -124,11 +124,11 @@ def seen_over(
 
 
 def _along(a: Ned, b: Ned) -> list[Ned]:
-    """Points between two, no further apart than a vehicle may go before it turns round."""
+    """Points from one to another, where a vehicle may turn round; the last is the other."""
     steps = math.ceil(horizontal_m(a, b) / _TURN_EVERY_M)
     return [
         (a[0] + (b[0] - a[0]) * k / steps, a[1] + (b[1] - a[1]) * k / steps, a[2])
-        for k in range(1, steps)
+        for k in range(1, steps + 1)
     ]
 
 
