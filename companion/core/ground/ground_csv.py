@@ -41,6 +41,15 @@ def ground_table_from_csv(raw: bytes, where: str) -> GroundTable:
         raise LeewayError(f"{where}: {error}") from error
 
 
+def ground_csv(table: GroundTable) -> str:
+    """The text of such a file, of a table that is not turned."""
+    rows = [",".join(COLUMNS)]
+    for north, heights in zip(table.along_m, table.up_m, strict=True):
+        for east, up in zip(table.across_m, heights, strict=True):
+            rows.append(f"{east:.10g},{north:.10g}," + ("" if up is None else f"{up:.10g}"))
+    return "\n".join(rows) + "\n"
+
+
 def _heights(rows: "csv.Reader", where: str) -> dict[tuple[float, float], float | None]:
     header = tuple(name.strip() for name in next(rows, []))
     if header != COLUMNS:

@@ -50,9 +50,13 @@ class SiteElevation:
         Unknown heights stay unknown: the vehicle refuses what leads over them. LeewayError where
         the places lie too far apart for a command.
         """
+        north_m, east_m, _ = place_ned(frame_at(depot), places[0])
+        return self.table(depot, places, math.atan2(east_m, north_m))
+
+    def table(self, depot: Place, places: Sequence[Place], course_rad: float = 0.0) -> GroundTable:
+        """The same on a lattice of this course; 0: as a CSV file has it."""
         frame = frame_at(depot)
         ned_m = np.array([(0.0, 0.0, 0.0), *(place_ned(frame, place) for place in places)])
-        course_rad = math.atan2(ned_m[1, 1], ned_m[1, 0])
         cos, sin = math.cos(course_rad), math.sin(course_rad)
         turned = np.stack([ned_m[:, :2] @ (cos, sin), ned_m[:, :2] @ (-sin, cos)])
         along, across = (_axis(values) for values in turned)
@@ -80,3 +84,18 @@ def _axis(values: Floats) -> Floats:
 
 def _degrees(depot: Place, north_m: Floats, east_m: Floats) -> tuple[Floats, Floats]:
     return moved_deg(depot.lat_deg or 0.0, depot.lon_deg or 0.0, north_m, east_m)
+
+
+def grounds_of(
+    elevation: SiteElevation, depot: Place, places: Sequence[Place]
+) -> list[tuple[str, float, float | None]]:
+    """Of the depot and each place: its name, its ground as stated above the depot's, as known."""
+    frame = frame_at(depot)
+    found: list[tuple[str, float, float | None]] = []
+    for place in (depot, *places):
+        ned_m = place_ned(frame, place)
+        lat_rad, lon_rad, _ = frame.to_geodetic(ned_m)
+        known_m = elevation.at_place(math.degrees(lat_rad), math.degrees(lon_rad))
+        name = place.name or ("depot" if place is depot else "a rally point")
+        found.append((name, -ned_m[2], None if known_m is None else known_m - frame.alt_amsl_m))
+    return found

@@ -465,6 +465,7 @@ def _draw(
         north, east = place_ne_m(place, craft.depot)
         places[name] = (east, north)
     obstacles = read_obstacles(craft.flight, options.flight_file, craft.depot)
+    hills = craft.terrain if site.terrain.kind == "grid" else None
     gate = "" if options.gate else ", gate off"
     what = f"{craft.flight.name}, {airframe.name} on {craft.autopilot_kind}"
     came = f"{verdict.outcome} in {verdict.flight_time_s:.0f} s"
@@ -472,11 +473,12 @@ def _draw(
     draw_flight(
         craft.run_dir / NAME,
         title=f"{what}, seed {options.seed}{gate}: {came}, {left}",
-        course=true_course(craft.record, reserve_wh),
+        course=true_course(craft.record, reserve_wh, hills),
         result=result,
         places_en_m=places,
         polygons_en_m=[np.array([(e, n) for n, e in o.ring_ne_m]) for o in obstacles],
         max_loss=craft.flight.mission.max_loss,
+        clearance_m=craft.flight.mission.clearance_m,
     )
     with contextlib.suppress(OSError):
         shutil.copy(options.flight_file, craft.run_dir / "flight.source.toml")

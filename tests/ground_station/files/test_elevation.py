@@ -105,7 +105,7 @@ def test_a_strip_is_the_same_ground_about_the_depot_and_fits_a_command(tiles):
     lat, lon = moved_deg(LAT_DEG, LON_DEG, places[:, 0], places[:, 1])
     np.testing.assert_allclose(strip.up_m(places), plane_m(lat, lon) - 46.0, atol=0.06)
     assert len(msgspec.json.encode(table)) < 20_000 < LARGEST_BYTES["command"]
-    far = [customer, Place(name="far", north_m=-9000.0, east_m=9000.0)]
+    far = [customer, Place(name="far", north_m=-40000.0, east_m=9000.0)]
     with pytest.raises(LeewayError, match="at most 60000 in all"):
         elevation.strip(depot, far)
 
