@@ -169,8 +169,8 @@ class Assign(_Deed, frozen=True, kw_only=True, tag="assign"):
     order: Id
     """The order."""
     flight: dict[str, Any]
-    """A whole flight/1 table, `site.obstacles` and `site.terrain.grid` absent: ground is written out
-    in `site.terrain.heights`.
+    """A whole flight/1 table, `site.obstacles` and `site.terrain.grid` absent: the ground is
+    written out in `site.terrain.heights`.
     """
     obstacles: dict[str, Any] | None = None
     """The GeoJSON that stands on its site."""

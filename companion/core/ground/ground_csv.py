@@ -18,8 +18,7 @@ def ground_table_from_csv(raw: bytes, where: str) -> GroundTable:
     is missing.
     """
     try:
-        rows = csv.reader(io.StringIO(raw.decode("utf-8-sig")), strict=True)
-        heights = _heights(rows, where)
+        heights = _heights(raw.decode("utf-8-sig"), where)
     except (UnicodeDecodeError, csv.Error) as error:
         raise LeewayError(f"{where}: not a CSV text file ({error})") from error
     norths = sorted({north for north, _ in heights})
@@ -50,7 +49,8 @@ def ground_csv(table: GroundTable) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _heights(rows: "csv.Reader", where: str) -> dict[tuple[float, float], float | None]:
+def _heights(text: str, where: str) -> dict[tuple[float, float], float | None]:
+    rows = csv.reader(io.StringIO(text), strict=True)
     header = tuple(name.strip() for name in next(rows, []))
     if header != COLUMNS:
         raise LeewayError(f"{where}: line 1: expected the columns {', '.join(COLUMNS)}")

@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import moved_deg
@@ -15,6 +16,8 @@ from companion.core.mission.flight_file import Flight
 from companion.fleet.messages import LARGEST_BYTES, Assign
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.elevation import read_elevation
+from ground_station.adapters.files.params import read_flight
+from ground_station.app.cli.main import app
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
 from ground_station.core.dispatch.flight_tables import delivery_table
 from ground_station.core.schema.day import DayFilesError
@@ -211,3 +214,25 @@ def test_an_order_that_the_tiles_do_not_have_is_named_by_its_row(tmp_path):
         read_day(write_day(tmp_path, "o1,57.5,8.41,,0.4\n"))
     assert "row 2" in str(told.value)
     assert "the elevation has no height there" in str(told.value)
+
+
+def test_the_file_of_a_flights_ground_is_written_from_tiles_and_planned_over(tmp_path, tiles):
+    flight = tmp_path / "f.toml"
+    site = """
+format = "flight/1"
+vehicle = { airframe = "m100" }
+[site]
+depot = { lat_deg = 55.999, lon_deg = 8.4, alt_amsl_m = 46.0 }
+customer = { name = "c", north_m = 300.0, east_m = 300.0, up_m = 20.0 }
+"""
+    flight.write_text(site)
+    out = tmp_path / "g.csv"
+    done = CliRunner().invoke(app, ["ground", str(flight), *map(str, tiles), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "EGM2008" in done.output
+    # 300 m north and 300 m east of the plane: 10.8 m and 9.6 m higher.
+    assert "c: ground 20.4 m above the depot's as stated, the file has 20" in done.output
+    flight.write_text(site + 'terrain = { kind = "grid", grid = "g.csv" }\n')
+    heights = read_flight(flight).site.terrain.heights
+    assert heights is not None
+    assert GroundStrip(heights).up_at_m((300.0, 300.0, 0.0)) == pytest.approx(20.4, abs=0.1)
