@@ -19,7 +19,7 @@ from companion.core.base.wire_message import VERSION, Name, WireMessage
 from companion.core.separation.track import Track
 
 LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096, "track": 1024}
-"""A command may carry a site's obstacles; the others are a few hundred bytes."""
+"""A command may carry a site's obstacles and its ground; the others are a few hundred bytes."""
 
 Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*\Z")]
 AIRFRAME = r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,63}\Z"
@@ -181,7 +181,9 @@ class Assign(_Deed, frozen=True, kw_only=True, tag="assign"):
     order: Id
     """The order."""
     flight: dict[str, Any]
-    """A whole flight/1 table, `site.obstacles` absent."""
+    """A whole flight/1 table, `site.obstacles` and `site.terrain.grid` absent: the ground is
+    written out in `site.terrain.heights`.
+    """
     obstacles: dict[str, Any] | None = None
     """The GeoJSON that stands on its site."""
 

@@ -1,6 +1,7 @@
 """Height of the ground about the depot: a plane, or a grid interpolated bilinearly."""
 
 import itertools
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Protocol
@@ -27,6 +28,21 @@ class PlaneTerrain:
 
     def up_m(self, north_m: float, east_m: float) -> float:
         return self._slope_north * north_m + self._slope_east * east_m
+
+
+class TurnedTerrain:
+    """Ground whose own north is the course of a strip, clockwise from north."""
+
+    __slots__ = ("_cos", "_ground", "_sin")
+
+    def __init__(self, ground: Terrain, course_deg: float) -> None:
+        self._ground = ground
+        self._cos, self._sin = (f(math.radians(course_deg)) for f in (math.cos, math.sin))
+
+    def up_m(self, north_m: float, east_m: float) -> float:
+        ahead = self._cos * north_m + self._sin * east_m
+        right = self._cos * east_m - self._sin * north_m
+        return self._ground.up_m(ahead, right)
 
 
 class GridTerrain:

@@ -160,7 +160,7 @@ class Px4:
                 "RTL_RETURN_ALT",
                 facts.rtl_height_m,
                 math.ceil(facts.rtl_height_m),
-                f"an RTL above every obstacle ({facts.rtl_height_m:.0f} m)",
+                f"an RTL above every obstacle and the ground ({facts.rtl_height_m:.0f} m)",
                 True,
             ),
             Requirement(

@@ -16,7 +16,9 @@ from companion.core.base.documents import (
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Obstacle
 from companion.core.base.place import Place
-from companion.core.mission.flight_file import Flight
+from companion.core.ground.ground_csv import ground_table_from_csv
+from companion.core.ground.ground_table import GroundTable
+from companion.core.mission.flight_file import Flight, with_heights
 from companion.core.mission.flight_plan import frame_at, site_map
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
 from companion.core.wind.process import WindProcessParams, wind_process_from_dict
@@ -84,6 +86,16 @@ def read_flight(path: Path) -> Flight:
         raise LeewayError(f"{path}: {error}") from error
 
 
+def read_grounded_flight(path: Path) -> Flight:
+    """The same with the grid that it names written out: as everything that plans takes it."""
+    flight = read_flight(path)
+    grid = flight.site.terrain.grid
+    if grid is None:
+        return flight
+    file = path.parent / grid  # an absolute path stays as it is
+    return with_heights(flight, ground_table_from_csv(_bytes_of(file), str(file)))
+
+
 def read_obstacle_document(flight: Flight, flight_file: Path) -> dict[str, Any] | None:
     """Read the GeoJSON that a flight names, beside the flight file; `None` where it names none."""
     if flight.site.obstacles is None:
@@ -99,9 +111,17 @@ def read_obstacles(flight: Flight, flight_file: Path, depot: Place) -> tuple[Obs
     return site_map(flight, frame_at(depot), document).obstacles.obstacles
 
 
-def digest_of(flight_file: Path, airframe: Airframe, wind_process: WindProcessParams) -> str:
-    """Tell a flight, an airframe and a wind process from others: a checkpoint belongs to one."""
+def digest_of(
+    flight_file: Path,
+    airframe: Airframe,
+    wind_process: WindProcessParams,
+    ground: GroundTable | None = None,
+) -> str:
+    """Tell a flight, an airframe, a wind process and a ground from others: a checkpoint belongs to
+    one.
+    """
     raw = flight_file.read_bytes() + msgspec.json.encode([airframe, wind_process])
+    raw += b"" if ground is None else msgspec.json.encode(ground)
     return hashlib.sha256(raw).hexdigest()[:16]
 
 

@@ -14,7 +14,7 @@ from companion.adapters.clock import cpu_s, wall_s
 from companion.adapters.files.params import (
     flight_path,
     read_airframe,
-    read_flight,
+    read_grounded_flight,
     read_obstacle_document,
     read_wind_process,
 )
@@ -89,7 +89,7 @@ def replay_log(
 def _terms(asked: ReplayRequest, log: RecordedFlight) -> ReplayTerms:
     if asked.flight is not None:
         path = flight_path(asked.flight, asked.params)
-        flight = read_flight(path)
+        flight = read_grounded_flight(path)
         airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
         obstacles = read_obstacle_document(flight, path)
         flight = _with_limits(asked, flight)

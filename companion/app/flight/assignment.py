@@ -36,6 +36,9 @@ def write_assignment(
         raise LeewayError("site: expected a table")
     if site.get("obstacles") is not None:
         raise LeewayError("site.obstacles: expected none, the command carries them itself")
+    terrain = site.get("terrain")
+    if isinstance(terrain, dict) and terrain.get("grid") is not None:
+        raise LeewayError("site.terrain.grid: expected none, the command carries heights itself")
     if deed.obstacles is not None:
         _settled(folder / OBSTACLES, json.dumps(deed.obstacles).encode())
         flight["site"] = site | {"obstacles": OBSTACLES}

@@ -19,7 +19,7 @@ from companion.adapters.files.params import (
     airframe_path,
     digest_of,
     read_airframe,
-    read_flight,
+    read_grounded_flight,
     read_obstacle_document,
     read_wind_process,
 )
@@ -122,12 +122,12 @@ class LoadedFlight:
     def read(cls, options: RunOptions, settings: Settings | None = None) -> "LoadedFlight":
         """Raises LeewayError for whatever would end the flight before it begins."""
         settings = settings or Settings.read(options)
-        flight = read_flight(options.mission)
+        flight = read_grounded_flight(options.mission)
         process = settings.wind_process or read_wind_process(
             flight.mission.wind_process, options.params
         )
         obstacles = read_obstacle_document(flight, options.mission)
-        digest = digest_of(options.mission, settings.airframe, process)
+        digest = digest_of(options.mission, settings.airframe, process, flight.site.terrain.heights)
         loaded = cls(options, settings, flight, process, obstacles, digest)
         loaded.pilot(None)
         if flight.site.depot is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from companion.adapters.files.params import (
     flight_path,
     read_airframe,
-    read_flight,
+    read_grounded_flight,
     read_obstacle_document,
 )
 from companion.adapters.logs.open_log import open_log
@@ -63,7 +63,7 @@ def _log(what: Path) -> Path | None:
 
 def _mission(asked: ExportRequest) -> tuple[str, str]:
     path = flight_path(asked.what, asked.params)
-    flight = read_flight(path)
+    flight = read_grounded_flight(path)
     airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
     depot = flight.site.depot
     alt_amsl_m = 0.0 if depot is None else depot.alt_amsl_m or 0.0

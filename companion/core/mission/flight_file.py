@@ -11,12 +11,16 @@ import msgspec
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.core.base.safe_text import check_name
+from companion.core.ground.ground_table import GroundTable
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C
 from companion.core.vehicle.speed_to_fly import SpeedRule
 
 
 class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Ground height around the depot: a plane by its slopes, or a grid of heights (CSV file)."""
+    """Ground height around the depot: a plane by its slopes, or a grid of heights.
+
+    The plane is the simulator's. Over a grid the companion keeps `mission.clearance_m`.
+    """
 
     kind: Literal["flat", "plane", "grid"] = "flat"
     """A plane by its slopes, a grid of heights, or flat."""
@@ -25,13 +29,28 @@ class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     slope_north_frac: float = 0.0
     """Rise of the ground for each metre north."""
     grid: str | None = None
-    """CSV file with the columns `east_m`, `north_m`, `up_m`; only with kind "grid"."""
+    """CSV file with the columns `east_m`, `north_m`, `up_m` (`docs/how-to/fly-over-ground.md`); a
+    height may be empty: unknown. Only with kind "grid".
+    """
+    heights: GroundTable | None = None
+    """The same heights written out, in place of `grid`: as a dispatcher sends them."""
 
     def __post_init__(self) -> None:
         check_range("site.terrain.slope_east_frac", self.slope_east_frac, -1.0, 1.0)
         check_range("site.terrain.slope_north_frac", self.slope_north_frac, -1.0, 1.0)
-        if (self.kind == "grid") != (self.grid is not None):
-            raise LeewayError('site.terrain.grid: a file name, exactly when kind = "grid"')
+        given = (self.grid is not None) + (self.heights is not None)
+        if given != (self.kind == "grid"):
+            words = 'a file name, or heights, exactly when kind = "grid"'
+            raise LeewayError(f"site.terrain.grid: {words}")
+
+
+def with_heights(flight: "Flight", heights: GroundTable | None) -> "Flight":
+    """The same flight with the heights of its grid written out, where it has any."""
+    if heights is None:
+        return flight
+    terrain = Terrain(kind="grid", heights=heights)
+    site = msgspec.structs.replace(flight.site, terrain=terrain)
+    return msgspec.structs.replace(flight, site=site)
 
 
 class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -130,6 +149,11 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Height of the way out, above the depot."""
     return_height_m: float | None = None
     """Height of the way back, above the depot. Absent: `cruise_height_m`."""
+    clearance_m: float = 20.0
+    """Least height over the ground of every line that is flown, where `site.terrain` is a grid;
+    waypoints are lifted over `cruise_height_m` for it. Near the depot, the customer and landing
+    places the flight is lower, straight above them.
+    """
     drop_height_m: float = 6.0
     """Height above the customer's ground at which the parcel is released."""
     leg_length_m: float = 150.0
@@ -157,6 +181,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         check_range("mission.cruise_height_m", self.cruise_height_m, 5.0, 500.0)
         if self.return_height_m is not None:
             check_range("mission.return_height_m", self.return_height_m, 5.0, 500.0)
+        check_range("mission.clearance_m", self.clearance_m, 5.0, 300.0)
         check_range("mission.drop_height_m", self.drop_height_m, 1.0, 100.0)
         check_range("mission.leg_length_m", self.leg_length_m, 20.0, 5000.0)
         check_range("mission.wind_settle_s", self.wind_settle_s, 0.0, 120.0)

@@ -17,12 +17,14 @@ from companion.core.base.geo import (
     place_ned,
 )
 from companion.core.base.place import Place
+from companion.core.ground.clearance import GroundClearance
+from companion.core.ground.ground_strip import GroundStrip, NoGround
 from companion.core.mission.events import Position
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import DeadMansMission, Spot, build_dead_mans_mission
 from companion.core.mission.preflight_checks import RouteFacts
 from companion.core.routing.route_planner import NoRoute, Plan, Planner, PlanRequest
-from companion.core.routing.waypoint_graph import SAME_PAD_M, SiteMap
+from companion.core.routing.waypoint_graph import SAME_PAD_M, SiteMap, cut_into_legs
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
@@ -49,6 +51,12 @@ SETTLE_SLACK_S = 8.0
 ASIDE_S = 10.0
 """How long ArduCopter hovers at most, once set-points have stopped, before it goes on by itself: a
 live companion asks again well before."""
+
+RTL_EVERY_M = 50.0
+"""Along the route: where an autopilot's own return may begin."""
+
+GROUND_DIFFERS_M = 10.0
+"""A place's stated ground and the known one: 4 m of GLO-30 (LE90), and a slope's share."""
 
 DODGE_M = 12.0
 """From one height to dodge to, to the next: separation, both barometers' drift, tracking."""
@@ -80,7 +88,10 @@ class FlightPlan:
         return north, east, -spot.height_rel_m
 
     def is_clear(self, a_ned_m: Ned, b_ned_m: Ned) -> bool:
-        """Tell whether the straight line from a to b keeps clear of every obstacle."""
+        """Tell whether the straight line from a to b keeps clear of obstacles and known ground."""
+        ground = self.site.ground
+        if ground is not None and not ground.is_clear(a_ned_m, b_ned_m):
+            return False
         return self.site.obstacles.blocking(a_ned_m, b_ned_m) is None
 
     def sees(self, a_ned_m: Ned, b_ned_m: Ned) -> bool:
@@ -184,7 +195,17 @@ def site_map(
         ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M),
         flight.site.home,
         _stops(flight, drawn),
+        _ground(flight),
     )
+
+
+def _ground(flight: Flight) -> GroundClearance | None:
+    """The ground that the flight file brings; None where it brings no heights."""
+    table = flight.site.terrain.heights
+    if table is None:
+        return None
+    strip = GroundStrip(table)
+    return GroundClearance(strip, flight.mission.clearance_m, CLEARANCE_M, CLEARANCE_UP_M)
 
 
 def _stops(flight: Flight, drawn: LocalFrame) -> tuple[tuple[str, Ned], ...]:
@@ -210,7 +231,7 @@ def make_plan(
     `asides`: with the items by which ArduCopter obeys set-points and goes on without.
     """
     mission = flight.mission
-    trouble = _too_low(flight, site) or _home_built_in(site)
+    trouble = _too_low(flight, site) or _home_built_in(site) or _other_ground(site)
     if trouble:
         return NoRoute(trouble)
     request = PlanRequest(
@@ -229,7 +250,45 @@ def make_plan(
     plan = planner.plan(request)
     if isinstance(plan, NoRoute):
         return plan
+    if isinstance(return_m := return_over_ground_m(site, plan), NoGround):
+        return NoRoute(f"no height of the ground is known {return_m.place}, on the way of an RTL")
     return FlightPlan(site, plan, lay_out(flight, site, plan, asides=asides))
+
+
+def return_over_ground_m(site: SiteMap, plan: Plan) -> float | NoGround:
+    """Height above the depot at which a straight line home from anywhere on the route keeps the
+    clearance over known ground; 0 where none is known.
+    """
+    ground = site.ground
+    if ground is None:
+        return 0.0
+    ways = (plan.outbound_ned_m, (plan.over_customer_ned_m, *plan.return_ned_m), plan.away_ned_m)
+    sites = tuple(rally.ground_ned_m for rally in plan.sites)
+    starts = [p for way in ways for p in cut_into_legs(list(way), RTL_EVERY_M)]
+    least_m = 0.0
+    for start in (*starts, *sites):
+        peak = ground.highest(start, plan.depot_ned_m)
+        if isinstance(peak, NoGround):
+            return peak
+        least_m = max(least_m, ground.planned_over_m(peak))
+    return least_m
+
+
+def _other_ground(site: SiteMap) -> str:
+    """Say of which place the flight file states another ground than is known; `""`: of none."""
+    if site.ground is None:
+        return ""
+    places = [("depot", site.depot_ned_m), ("customer", site.customer_ned_m)]
+    for name, place in (*places, *site.rally_ned_m, *site.stops_ned_m):
+        known_m = site.ground.strip.up_at_m(place)
+        if known_m is None:
+            return f"{name}: no height of its ground is known"
+        if abs(known_m + place[2]) > GROUND_DIFFERS_M:
+            return (
+                f"{name}: its ground is stated {-place[2]:.0f} m above the depot's, the terrain has"
+                f" {known_m:.0f} m; expected within {GROUND_DIFFERS_M:g} m"
+            )
+    return ""
 
 
 def _too_low(flight: Flight, site: SiteMap) -> str:
@@ -280,9 +339,7 @@ def lay_out(flight: Flight, site: SiteMap, plan: Plan, *, asides: bool = False) 
         drop=spot((over_customer[0], over_customer[1], drop_down_m)),
         returning=[spot(over_customer), *(spot(p) for p in plan.return_ned_m)],
         entries=[entry + 1 for entry in plan.entry],
-        rally=[
-            (spot(over(r.ground_ned_m, over_customer)), spot(r.ground_ned_m)) for r in plan.sites
-        ],
+        rally=[(spot(r.above(over_customer)), spot(r.ground_ned_m)) for r in plan.sites],
         settle_s=math.ceil(flight.mission.wind_settle_s + SETTLE_SLACK_S),
         hold_s=CUSTOMER_HOLD_S,
         weigh_s=WEIGH_S,
@@ -337,9 +394,12 @@ def route_facts(
         np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
     )
     speeds = airframe.speeds
-    top_m = max(-plan.outbound_ned_m[-1][2], -plan.return_ned_m[-1][2])
+    top_m = max(-p[2] for p in (*plan.outbound_ned_m, *plan.return_ned_m))
+    over_ground_m = return_over_ground_m(flown.site, plan)
+    assert not isinstance(over_ground_m, NoGround), "make_plan refuses such a route"
     return RouteFacts(
         highest_obstacle_m=highest_m,
+        over_ground_m=over_ground_m,
         cruise_height_m=top_m + (max(DODGES) * DODGE_M if keep_apart else 0.0),
         farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
         first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),

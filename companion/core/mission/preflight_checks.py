@@ -30,11 +30,14 @@ class RouteFacts:
     battery_capacity_mah: float
     carries_parcel: bool
     set_points: bool = False
+    over_ground_m: float = 0.0
+    """Clear of known ground, with the clearance; 0 where none is known."""
 
     @property
     def rtl_height_m(self) -> float:
         """The least height at which a straight line home is clear of everything on the site."""
-        return self.highest_obstacle_m + 10.0 if self.highest_obstacle_m > 0.0 else 0.0
+        built_m = self.highest_obstacle_m + 10.0 if self.highest_obstacle_m > 0.0 else 0.0
+        return max(built_m, self.over_ground_m)
 
 
 @dataclass(frozen=True, slots=True)

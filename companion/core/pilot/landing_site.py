@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, Ned, horizontal_m, over
+from companion.core.base.geo import LocalFrame, Ned, horizontal_m
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import Event, HomeMoved
 from companion.core.mission.flight_plan import FlightPlan
@@ -117,7 +117,7 @@ class LandingSite:
         if context.telemetry.troubles() or context.since_s(self._assessed_s) < ASSESS_S - 1e-6:
             return False
         self._assessed_s = context.t_s
-        if here[2] > flown.plan.return_ned_m[-1][2] + LOW_M:
+        if here[2] > max(p[2] for p in flown.plan.return_ned_m) + LOW_M:
             return False
         item = _item_to(flown, here, wanted)
         if item is None:
@@ -227,8 +227,7 @@ def _item_to(flown: FlightPlan, here: Ned, name: str) -> int | None:
     plan = flown.plan
     if name == plan.landing:
         return flown.item_home_from(here)
-    ground = next(stop.ground_ned_m for stop in plan.stops if stop.name == name)
-    above = over(ground, plan.return_ned_m[-1])
+    above = next(s for s in plan.stops if s.name == name).above(plan.return_ned_m[-1])
     return flown.site_items(name)[0] if flown.sees(here, above) else None
 
 

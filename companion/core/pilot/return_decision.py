@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from companion.core.base.geo import Ned, horizontal_m, over
+from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import AbortOrdered, Event, LimitsChanged
 from companion.core.mission.flight_plan import DROP_S, FlightPlan
@@ -410,9 +410,9 @@ def low_at(here: Ned, above: Ned) -> bool:
 
 def rally_in_sight(flown: FlightPlan, name: str, here: Ned) -> bool:
     """Tell whether the straight line to a rally point is clear, at the height it is flown at."""
-    ground = next((r.ground_ned_m for r in flown.plan.rally if r.name == name), None)
+    rally = next((r for r in flown.plan.rally if r.name == name), None)
     level = flown.plan.return_ned_m[-1]
-    return ground is not None and flown.sees(here, over(ground, level))
+    return rally is not None and flown.sees(here, rally.above(level))
 
 
 def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:

@@ -13,7 +13,7 @@ from companion.core.base.arrays import Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
 from companion.core.return_budget.remaining_mission import Ahead, Stage
 from companion.core.return_budget.wind_samples import PathSampler
-from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.routing.leg_energy import OVER_M, Leg, LegKind, RouteEnergy
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindOutlook
 
@@ -338,6 +338,9 @@ def _goes_straight_on(before: Leg, leg: Leg) -> bool:
         return False
     if horizontal_m(before.from_ned_m, leg.to_ned_m) > _MERGE_M:
         return False
+    rises_m = [before.to_ned_m[2] - before.from_ned_m[2], leg.to_ned_m[2] - leg.from_ned_m[2]]
+    if rises_m[0] * rises_m[1] < 0.0 and min(map(abs, rises_m)) > OVER_M:
+        return False  # over a ridge: what the climb costs, sinking does not give back
     before_rad = course_rad(before.from_ned_m, before.to_ned_m)
     turn_rad = wrap_pi(course_rad(leg.from_ned_m, leg.to_ned_m) - before_rad)
     return abs(turn_rad) < _MERGE_TURN_RAD

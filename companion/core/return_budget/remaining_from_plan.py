@@ -32,7 +32,7 @@ def ahead_outbound(
     Turning back now is priced straight to the return branch's entry of the waypoint behind; from
     the first leg to the depot, or to a home elsewhere by the way that leads there from over it.
     """
-    start = _at_cruise(plan, position_ned_m)
+    start = _lifted(position_ned_m, plan.outbound_ned_m, next_index)
     first = _rise(position_ned_m, start, payload_kg)
     if settle_left_s > 0.0:
         first += (Leg(LegKind.HOVER, start, start, payload_kg, settle_left_s),)
@@ -84,7 +84,7 @@ def ahead_returning(
         above = over(ground, position_ned_m)
         legs = (*cruise_legs(position_ned_m, above, payload_kg), _land(above, ground, payload_kg))
         return Ahead((_way(landing, legs, plan.home_ground_speed_mps),), (), delivered)
-    start = _at_return(plan, position_ned_m)
+    start = _lifted(position_ned_m, plan.return_ned_m, return_index)
     rise = _rise(position_ned_m, start, payload_kg)
     if rally_name is not None and plan.home is not None:
         return _ahead_bound(plan, start, rise, rally_name, payload_kg, delivered)
@@ -96,7 +96,7 @@ def ahead_returning(
         ways += _rally_ways(plan, start, last, None, return_index, payload_kg)
     if rally_name is not None and all(way.landing != rally_name for way in ways):
         rally = next(r for r in plan.rally if r.name == rally_name)
-        ways.append(_rally_way(plan, (start,), rally.name, rally.ground_ned_m, payload_kg))
+        ways.append(_rally_way(plan, (start,), rally, payload_kg))
     return Ahead(tuple(_after(rise, way) for way in ways), (), delivered)
 
 
@@ -110,7 +110,7 @@ def _ahead_bound(
 ) -> Ahead:
     """On a straight way to one of the landing sites beside home."""
     rally = next(r for r in plan.rally if r.name == name)
-    way = _rally_way(plan, (start,), rally.name, rally.ground_ned_m, payload_kg)
+    way = _rally_way(plan, (start,), rally, payload_kg)
     return Ahead((_after(rise, way),), (), delivered)
 
 
@@ -118,16 +118,17 @@ def ahead_away(
     plan: Plan, position_ned_m: Ned, away_index: int, payload_kg: float, delivered: bool
 ) -> Ahead:
     """On the way from the launch pad to a home elsewhere, to `plan.away_ned_m[away_index]`."""
-    start = _at_return(plan, position_ned_m)
+    points = (*plan.away_ned_m, plan.return_ned_m[-1])
+    start = _lifted(position_ned_m, points, away_index)
     rise = _rise(position_ned_m, start, payload_kg)
-    way = _way_by(plan, (start, *plan.away_ned_m[away_index:], plan.return_ned_m[-1]), payload_kg)
+    way = _way_by(plan, (start, *points[away_index:]), payload_kg)
     return Ahead((_after(rise, way),), (), delivered)
 
 
 def ways_from_outbound(plan: Plan, index: int, payload_kg: float) -> tuple[WayHome, ...]:
     """Ways home from an outbound waypoint: the return branch, then each rally point."""
     here = plan.outbound_ned_m[index]
-    start = over(here, plan.return_ned_m[-1])
+    start = over(here, plan.return_ned_m[plan.entry[index]])
     change = _change(plan, here, start, payload_kg)
     return tuple(_after(change, way) for way in _ways_from(plan, start, index, payload_kg))
 
@@ -168,13 +169,16 @@ def _ways_now_changing(
     plan: Plan, start: Ned, rise: tuple[Leg, ...], next_index: int, payload_kg: float
 ) -> tuple[WayHome, ...]:
     """Turning round into a way home at another height, or to a home that is not the launch pad."""
-    level = over(start, plan.return_ned_m[-1])
+    if next_index > 0:
+        onward = (plan.return_ned_m[plan.entry[next_index - 1]],)
+    else:
+        onward = (*plan.away_ned_m[1:], plan.return_ned_m[-1])
+    level = over(start, onward[0])
     change = (*rise, *_change(plan, start, level, payload_kg))
     if next_index > 0:
         ways = _ways_from(plan, level, next_index - 1, payload_kg)
     else:
-        points = (level, *plan.away_ned_m[1:], plan.return_ned_m[-1])
-        ways = (_way_by(plan, points, payload_kg),)
+        ways = (_way_by(plan, (level, *onward), payload_kg),)
     return tuple(_after(change, way) for way in ways)
 
 
@@ -203,9 +207,9 @@ def _rally_ways(
     ways: list[WayHome] = []
     for rally in plan.rally:
         if outbound in rally.from_outbound or homeward in rally.from_return:
-            ways.append(_rally_way(plan, (here,), rally.name, rally.ground_ned_m, payload_kg))
+            ways.append(_rally_way(plan, (here,), rally, payload_kg))
         elif entry is not None and (via := _shortest_via(plan, here, entry, rally)):
-            ways.append(_rally_way(plan, via, rally.name, rally.ground_ned_m, payload_kg))
+            ways.append(_rally_way(plan, via, rally, payload_kg))
     return tuple(ways)
 
 
@@ -224,12 +228,11 @@ def _length_m(path: tuple[Ned, ...]) -> float:
     return sum(horizontal_m(a, b) for a, b in pairwise(path))
 
 
-def _rally_way(
-    plan: Plan, path: tuple[Ned, ...], name: str, ground: Ned, payload_kg: float
-) -> WayHome:
-    above = over(ground, path[-1])
+def _rally_way(plan: Plan, path: tuple[Ned, ...], rally: RallyWay, payload_kg: float) -> WayHome:
+    above = rally.above(path[-1])
     legs = [leg for a, b in pairwise((*path, above)) for leg in cruise_legs(a, b, payload_kg)]
-    return _way(name, (*legs, _land(above, ground, payload_kg)), plan.home_ground_speed_mps)
+    land = _land(above, rally.ground_ned_m, payload_kg)
+    return _way(rally.name, (*legs, land), plan.home_ground_speed_mps)
 
 
 def _delivery(
@@ -259,12 +262,10 @@ def _after(legs: tuple[Leg, ...], way: WayHome) -> WayHome:
     return WayHome(way.landing, (*legs, *way.legs), (*legs, *way.unattended_legs))
 
 
-def _at_cruise(plan: Plan, position: Ned) -> Ned:
-    return position[0], position[1], min(position[2], plan.outbound_ned_m[0][2])
-
-
-def _at_return(plan: Plan, position: Ned) -> Ned:
-    return position[0], position[1], min(position[2], plan.return_ned_m[-1][2])
+def _lifted(position: Ned, points: tuple[Ned, ...], to: int) -> Ned:
+    """At least as high as the lower end of the leg to `points[to]`."""
+    low = max(points[max(to - 1, 0)][2], points[to][2])
+    return position[0], position[1], min(position[2], low)
 
 
 def _change(plan: Plan, position: Ned, to: Ned, payload_kg: float) -> tuple[Leg, ...]:

@@ -98,6 +98,7 @@ class _Group:
     east: Floats
     length_m: Floats
     climb_m: Floats
+    vertical_s: Floats
     stops: Floats
     duration_s: Floats
 
@@ -212,6 +213,7 @@ class RouteEnergy:
             east=np.sin(course_rad)[:, None],
             length_m=length_m[:, None],
             climb_m=zero,
+            vertical_s=zero,
             stops=zero,
             duration_s=zero,
         )
@@ -234,6 +236,7 @@ class RouteEnergy:
             east=np.sin(courses),
             length_m=_column([horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in chosen]),
             climb_m=_column([max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in chosen]),
+            vertical_s=_column([self._rise_or_sink_s(leg) for leg in chosen]),
             stops=_column([stops[i] for i in indices]),
             duration_s=_column(
                 [0.0 if cruise else self._duration_s(legs[i], stops[i]) for i in indices]
@@ -244,6 +247,11 @@ class RouteEnergy:
         speeds = self.airframe.speeds
         stopping_s = stop * self.cruise_airspeed_mps / speeds.accel_mps2
         return stopping_s + self._vertical_s(leg)
+
+    def _rise_or_sink_s(self, leg: Leg) -> float:
+        """What a change of height takes at least; both autopilots slow down for it on a line."""
+        speeds, up_m = self.airframe.speeds, leg.from_ned_m[2] - leg.to_ned_m[2]
+        return max(up_m / speeds.climb_mps, -up_m / speeds.descent_mps)
 
     def _vertical_s(self, leg: Leg) -> float:
         speeds = self.airframe.speeds
@@ -283,7 +291,7 @@ class RouteEnergy:
         ground, draw = self._cruise_table(group).look_up(*_along_across(group, north, east))
         feasible = ground >= LEAST_GROUND_SPEED_MPS
         np.maximum(ground, LEAST_GROUND_SPEED_MPS, out=ground)
-        time = group.length_m / ground
+        time = np.maximum(group.length_m / ground, group.vertical_s)
         time += ground * (group.stops / self.airframe.speeds.accel_mps2)
         draw *= time
         draw += self._climb_j(group)

@@ -15,6 +15,7 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, ObstacleMap, horizontal_m, over
 from companion.core.routing.cheapest_way import Surrogate, cheapest_way
+from companion.core.routing.flight_heights import LiftedWays, NoHeight, lifted_over, seen_over
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.routing.smooth_route import smooth_route
 from companion.core.routing.waypoint_graph import SightLines, SiteMap, cut_into_legs
@@ -33,19 +34,28 @@ DEPOT = "depot"
 @dataclass(frozen=True, slots=True)
 class RallyWay:
     """A rally point's ground point and where it can be flown to in a straight, clear line from:
-    indices into `Plan.outbound_ned_m` and `Plan.return_ned_m`.
+    indices into `Plan.outbound_ned_m` and `Plan.return_ned_m`. `height_m`: how high above the depot
+    it is flown to over known ground; None: at the height of the way back.
     """
 
     name: str
     ground_ned_m: Ned
     from_outbound: tuple[int, ...]
     from_return: tuple[int, ...]
+    height_m: float | None = None
+
+    def above(self, level: Ned) -> Ned:
+        """The point over it at its own height; without one as high as `level`."""
+        if self.height_m is None:
+            return over(self.ground_ned_m, level)
+        return self.ground_ned_m[0], self.ground_ned_m[1], -self.height_m
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """Waypoints of the dead man's mission, the way out at cruise height (down = -cruise height),
-    the way back at its own, which may be another.
+    the way back at its own, which may be another; over known ground each waypoint as much higher as
+    it asks.
 
     `outbound_ned_m[0]` is the first waypoint after the one over the depot; the last is over the
     customer. `return_ned_m` starts with the first waypoint after the customer and ends over the
@@ -88,12 +98,13 @@ class Plan:
     @property
     def over_customer_ned_m(self) -> Ned:
         """Where the way back begins: over the customer, at its height."""
-        return over(self.outbound_ned_m[-1], self.return_ned_m[-1])
+        return over(self.outbound_ned_m[-1], self.return_ned_m[0])
 
     @property
     def layered(self) -> bool:
-        """Tell whether the way back is flown at another height than the way out."""
-        return self.return_ned_m[-1][2] != self.outbound_ned_m[-1][2]
+        """Tell whether waypoints are at different heights: the way back's at least."""
+        first = self.outbound_ned_m[0][2]
+        return any(p[2] != first for p in (*self.outbound_ned_m, *self.return_ned_m))
 
     @property
     def sites(self) -> tuple[RallyWay, ...]:
@@ -228,8 +239,11 @@ class BerPlanner:
             entry = entries(outbound[1:], homeward[1:], obstacles, leg_m) or ()
         rally = _rally_ways(site, site.rally_ned_m, outbound[1:], homeward[1:])
         stops = _rally_ways(site, _other_stops(site), outbound[1:], homeward[1:])
-        outbound = at_height(outbound, request.cruise_height_m)
-        homeward = at_height(homeward, request.back_height_m)
+        lifted = _lifted(request, (outbound, homeward, away), entry)
+        if isinstance(lifted, NoHeight):
+            return NoRoute(lifted.reason)
+        outbound, homeward = lifted.outbound, lifted.homeward
+        rally, stops = (_over_ground(request, ways, lifted) for ways in (rally, stops))
         outward, inward = legs_out(request, outbound), legs_back(request, homeward)
         costs = self.route_energy.costs((*outward, *inward), wind[None, :])
         energy_out = float(costs.energy_wh[0, : len(outward)].sum())
@@ -247,7 +261,7 @@ class BerPlanner:
             route_std_wh=self.route_energy.route_std_wh((*outward, *inward), wind, cov),
             home=site.home,
             home_ned_m=site.home_ned_m if site.home is not None else None,
-            away_ned_m=tuple(at_height(away[:-1], request.back_height_m)),
+            away_ned_m=tuple(lifted.away),
             stops=stops,
         )
         to_rally = self._to_rally_wh(request, plan, homeward, wind)
@@ -279,9 +293,7 @@ class BerPlanner:
     ) -> float:
         """Energy from the drop to the rally point that is cheapest to reach; infinite without."""
         ways = [
-            legs_back(
-                request, [*homeward[: index + 2], over(rally.ground_ned_m, homeward[0])], rally
-            )
+            legs_back(request, [*homeward[: index + 2], rally.above(homeward[0])], rally)
             for rally in plan.rally
             for index in rally.from_return
         ]
@@ -413,6 +425,40 @@ def entries(
 def at_height(points: list[Ned], height_m: float) -> list[Ned]:
     """The same points at another height above the depot."""
     return [(north, east, -height_m) for north, east, _ in points]
+
+
+def _lifted(
+    request: PlanRequest, ways: tuple[list[Ned], list[Ned], list[Ned]], entry: tuple[int, ...]
+) -> LiftedWays | NoHeight:
+    """Each way at its height above the depot, or as much higher as known ground asks."""
+    outbound, homeward, away = ways
+    level = LiftedWays(
+        at_height(outbound, request.cruise_height_m),
+        at_height(homeward, request.back_height_m),
+        at_height(away[:-1], request.back_height_m),
+    )
+    ground = request.site.ground
+    if ground is None:
+        return level
+    return lifted_over(ground, level.outbound, level.homeward, level.away, entry)
+
+
+def _over_ground(
+    request: PlanRequest, rally: tuple[RallyWay, ...], lifted: LiftedWays
+) -> tuple[RallyWay, ...]:
+    """The same landing sites, seen only from where known ground is cleared on the way."""
+    ground = request.site.ground
+    if ground is None:
+        return rally
+    found: list[RallyWay] = []
+    for way in rally:
+        place, level_m = way.ground_ned_m, request.back_height_m
+        out, level_m = seen_over(ground, place, level_m, lifted.outbound[1:])
+        back, level_m = seen_over(ground, place, level_m, lifted.homeward[1:])
+        seen_out = tuple(i for i in way.from_outbound if i in out)
+        seen_back = tuple(i for i in way.from_return if i in back)
+        found.append(replace(way, from_outbound=seen_out, from_return=seen_back, height_m=level_m))
+    return tuple(found)
 
 
 def _other_stops(site: SiteMap) -> tuple[tuple[str, Ned], ...]:

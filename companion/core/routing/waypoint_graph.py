@@ -12,6 +12,7 @@ import numpy as np
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_m
+from companion.core.ground.clearance import GroundClearance
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.leg_energy import RouteEnergy
 
@@ -27,7 +28,7 @@ class SiteMap:
     """The site in the local frame. Ground points: down is minus the ground's height.
 
     `depot_ned_m` is the launch pad. `home` names the promised one of `stops_ned_m`; without it home
-    is the launch pad, and stops mean nothing.
+    is the launch pad, and stops mean nothing. `ground` None: it is not known.
     """
 
     frame: LocalFrame
@@ -37,6 +38,7 @@ class SiteMap:
     obstacles: ObstacleMap
     home: str | None = None
     stops_ned_m: tuple[tuple[str, Ned], ...] = ()
+    ground: GroundClearance | None = None
 
     @property
     def home_ned_m(self) -> Ned:

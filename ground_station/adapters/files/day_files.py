@@ -14,9 +14,11 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.geo import obstacles_from_geojson
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
+from ground_station.adapters.files.elevation import read_elevation
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
 from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
+from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
 from ground_station.core.schema.orders import Order
 from ground_station.core.schema.table_errors import table_errors
@@ -36,8 +38,10 @@ def read_day(path: Path) -> DayData:
         raise DayFilesError([FileProblem(str(path), None, None, one) for one in words]) from error
     problems: list[FileProblem] = []
     rows: list[tuple[str, int, Order]] = []
-    for name in day.orders:
-        rows += _read_orders(path.parent / name, day.depot, problems)
+    elevation = _read_elevation(day, path, problems)
+    if not problems:
+        for name in day.orders:
+            rows += _read_orders(path.parent / name, day.depot, problems, elevation)
     problems += duplicates(rows)
     orders = [order for _, _, order in rows]
     no_fly = _read_no_fly(path.parent / day.no_fly, day, problems) if day.no_fly else None
@@ -46,7 +50,19 @@ def read_day(path: Path) -> DayData:
     roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
         raise DayFilesError(problems)
-    return DayData(day, orders, no_fly, airframes, roads)
+    return DayData(day, orders, no_fly, airframes, roads, elevation)
+
+
+def _read_elevation(day: Day, path: Path, problems: list[FileProblem]) -> SiteElevation | None:
+    if not day.elevation:
+        return None
+    depot = day.depot
+    try:
+        tiles = [path.parent / name for name in day.elevation]
+        return read_elevation(tiles, depot.lat_deg, depot.lon_deg)
+    except LeewayError as error:
+        problems.append(FileProblem(str(path), None, None, f"elevation: {error}"))
+        return None
 
 
 def read_orders(path: Path, depot: Depot | None) -> list[Order]:
@@ -60,7 +76,10 @@ def read_orders(path: Path, depot: Depot | None) -> list[Order]:
 
 
 def _read_orders(
-    path: Path, depot: Depot | None, problems: list[FileProblem]
+    path: Path,
+    depot: Depot | None,
+    problems: list[FileProblem],
+    elevation: SiteElevation | None = None,
 ) -> list[tuple[str, int, Order]]:
     file = str(path)
     try:
@@ -71,7 +90,7 @@ def _read_orders(
         return []
     found: list[tuple[str, int, Order]] = []
     for row, cells in table:
-        made = order_of(file, row, cells, depot)
+        made = order_of(file, row, cells, depot, elevation)
         if isinstance(made, Order):
             found.append((file, row, made))
         else:

@@ -3,8 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from companion.core.base.documents import json_object, params_folders, toml_table, unknown_name
 from companion.core.base.errors import LeewayError
+from companion.core.ground.ground_csv import ground_table_from_csv
+from companion.core.mission.flight_file import Flight, with_heights
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
 from companion.core.wind.process import WindProcessParams, wind_process_from_dict
 
@@ -53,6 +57,19 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON (GeoJSON) file as an object."""
     return json_object(_bytes_of(path), str(path))
+
+
+def read_flight(path: Path) -> Flight:
+    """A `flight/1` file, with the heights of the grid that it names."""
+    try:
+        flight = msgspec.convert(read_toml(path), Flight)
+    except (msgspec.ValidationError, LeewayError) as error:
+        raise LeewayError(f"{path}: {error}") from error
+    grid = flight.site.terrain.grid
+    if grid is None:
+        return flight
+    file = path.parent / grid
+    return with_heights(flight, ground_table_from_csv(_bytes_of(file), str(file)))
 
 
 def read_airframe(name: str) -> Airframe:

@@ -62,6 +62,22 @@ def _print(made: "FlightEstimate") -> None:
         ("return budget (gate)", "no go" if seen.turn_back else "go"),
     ):
         table.add_row(what, figure)
+    for what, figure in _over_ground(made):
+        table.add_row(what, figure)
     console = Console()
     console.print(table)
     console.print(seen.reason, highlight=False)
+
+
+def _over_ground(made: "FlightEstimate") -> list[tuple[str, str]]:
+    """Of a flight whose file brings the ground."""
+    clearance_m, plan = made.clearance_m, made.planned.plan
+    if clearance_m is None:
+        return []
+    top_m = max(-p[2] for p in (*plan.outbound_ned_m, *plan.return_ned_m))
+    seen = {True: "yes", False: "no", None: "unknown"}[made.drop_in_sight]
+    return [
+        ("highest, above the depot", f"{top_m:.0f} m"),
+        ("least over the ground, as planned", f"{clearance_m:.0f} m"),
+        ("the drop in sight from the depot", seen),
+    ]

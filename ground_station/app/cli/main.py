@@ -13,6 +13,7 @@ from ground_station.app.cli import (
     cluster,
     dispatch,
     estimate,
+    ground,
     hold,
     live_map,
     order,
@@ -64,6 +65,7 @@ def program_options(
 
 
 app.add_typer(estimate.app)
+app.add_typer(ground.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(pki.app, name="pki")

@@ -254,7 +254,7 @@ def assigner_of(data: "DayData") -> "DepotAssigner":
     """Who knows what the day's drones can bring from the depot."""
     from ground_station.core.dispatch.depot_assignment import DepotAssigner
 
-    return DepotAssigner(data.day, data.airframes)
+    return DepotAssigner(data.day, data.airframes, data.elevation)
 
 
 def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:

@@ -84,15 +84,12 @@ class ActivePlan:
 
     def _with_forecast(self, wind: Forecast) -> DayData:
         day = msgspec.structs.replace(self.data.day, forecast=wind)
-        return DayData(
-            day, self.data.orders, self.data.no_fly, self.data.airframes, self.data.roads_s
-        )
+        return replace(self.data, day=day)
 
     def note_orders(self, orders: list[OrderRow]) -> None:
         """Orders that the store has taken meanwhile are part of the day."""
         if len(orders) != len(self.data.orders):
-            data, taken = self.data, [row.order for row in orders]
-            self.data = DayData(data.day, taken, data.no_fly, data.airframes, data.roads_s)
+            self.data = replace(self.data, orders=[row.order for row in orders])
             self.version += 1
 
     def note_plan(self, newest: DayPlan | None) -> None:

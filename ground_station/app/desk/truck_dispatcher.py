@@ -167,7 +167,7 @@ class TruckDispatcher:
         if order is None or drone is None:
             return None
         pads = candidate_pads(self.active.plan, sortie, self.active.stops)
-        table = sortie_table(data.day, drone, order, sortie, pads)
+        table = sortie_table(data.day, drone, order, sortie, pads, data.elevation)
         id_ = self.day.assign(
             sortie, pads, lambda assignment: table | {"name": assignment}, data.no_fly, self.by
         )

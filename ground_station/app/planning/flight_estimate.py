@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
+from companion.core.ground.ground_strip import Peak
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import (
     DROP_S,
@@ -30,10 +31,13 @@ from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
 from ground_station.adapters.files.params import (
     read_airframe,
+    read_flight,
     read_json,
-    read_toml,
     read_wind_process,
 )
+
+EYES_M = 2.0
+"""Of a person, or an antenna, at the depot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +59,37 @@ class FlightEstimate:
     reserve_wh: float
     assessment: Assessment
 
+    @property
+    def clearance_m(self) -> float | None:
+        """Least height of the planned legs over the known ground of their corridors."""
+        site, plan = self.planned.site, self.planned.plan
+        if site.ground is None:
+            return None
+        ways = plan.outbound_ned_m, (plan.over_customer_ned_m, *plan.return_ned_m)
+        lines = [line for way in ways for line in pairwise(way)]
+        return min(
+            min(-a[2], -b[2]) - peak.up_m
+            for a, b in lines
+            if isinstance(peak := site.ground.highest(a, b), Peak)
+        )
+
+    @property
+    def drop_in_sight(self) -> bool | None:
+        """Whether the ground lets the depot see the vehicle at its drop height; None: unknown."""
+        site, customer = self.planned.site, self.planned.plan.customer_ned_m
+        if site.ground is None:
+            return None
+        north, east, down = customer
+        drop = (north, east, down - self.flight.mission.drop_height_m)
+        return site.ground.strip.sees((0.0, 0.0, -EYES_M), drop)
+
 
 def estimate_flight(path: Path, wind: StatedWind, charge_frac: float | None) -> FlightEstimate:
     """Plan the flight of a file and assess it at its start. `charge_frac` None: as the file says.
 
     Raises LeewayError where the file is wrong or there is no route.
     """
-    flight = _read_flight(path)
+    flight = read_flight(path)
     airframe = read_airframe(flight.vehicle.airframe)
     depot = flight.site.depot
     if depot is None:
@@ -88,13 +116,6 @@ def estimate_flight(path: Path, wind: StatedWind, charge_frac: float | None) -> 
     )
     assessment = gate.assess(ahead, belief, outlook, energy)
     return FlightEstimate(flight, planned, energy, reserve_wh, assessment)
-
-
-def _read_flight(path: Path) -> Flight:
-    try:
-        return msgspec.convert(read_toml(path), Flight)
-    except (msgspec.ValidationError, LeewayError) as error:
-        raise LeewayError(f"{path}: {error}") from error
 
 
 def _energy(

@@ -25,6 +25,7 @@ class DepotLayers:
         return msgspec.structs.replace(
             self.mission,
             cruise_height_m=self.mission.cruise_height_m + up_m,
+            clearance_m=self.mission.clearance_m + up_m,  # so that lifted ways are apart, too
             return_height_m=None if back_m is None else back_m + up_m,
         )
 

@@ -28,6 +28,7 @@ from ground_station.core.feasibility.reach import (
 )
 from ground_station.core.planning.day_problem import TOP_M
 from ground_station.core.schema.day import Day, Drone
+from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -73,8 +74,14 @@ class DepotAssigner:
     for each kind of drone. A day may have a hundred drones of one kind.
     """
 
-    def __init__(self, day: Day, airframes: Mapping[str, Airframe]) -> None:
+    def __init__(
+        self,
+        day: Day,
+        airframes: Mapping[str, Airframe],
+        elevation: SiteElevation | None = None,
+    ) -> None:
         self._day = day
+        self._elevation = elevation
         self._frame = frame_at(day.depot.place)
         energies = {name: day_energy(day, airframe) for name, airframe in airframes.items()}
         self._reach = {
@@ -210,7 +217,7 @@ class DepotAssigner:
         if stand is not None:
             depot = msgspec.structs.replace(depot, lat_deg=stand.lat_deg, lon_deg=stand.lon_deg)
         day = msgspec.structs.replace(self._day, mission=mission, depot=depot)
-        return delivery_table(day, drone, order)
+        return delivery_table(day, drone, order, self._elevation)
 
     def stand_of(self, lat_deg: float | None, lon_deg: float | None) -> Place | None:
         """Where a drone stands that is seen at the depot; None where it is not."""

@@ -1,31 +1,39 @@
 """The `flight/1` of an order or a planned sortie, as its vehicle is assigned it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
-from companion.core.mission.flight_file import Flight, Site, Vehicle
+from companion.core.mission.flight_file import Flight, Site, Vehicle, with_heights
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import Order, place_of
 
 ANY_CHARGE = [0.05, 1.0]
 """The desk does not know the charge of a pack: the companion measures it at rest."""
 
 
-def delivery_table(day: Day, drone: Drone, order: Order) -> dict[str, Any]:
-    """A delivery from the depot and back, as the table of an `Assign` command."""
+def delivery_table(
+    day: Day, drone: Drone, order: Order, elevation: SiteElevation | None = None
+) -> dict[str, Any]:
+    """A delivery from the depot and back, as the table of an `Assign` command.
+
+    With `elevation` it carries the ground along its way.
+    """
     site = {"depot": day.depot.place, "customer": place_of(order), "rally": day.rally}
     stated_c = day.forecast.air_temperature_c
     air = {} if stated_c is None else {"air_temperature_c": stated_c}
     return {
         "format": "flight/1",
         "name": order.id,
-        "site": {key: _plain(value) for key, value in site.items()} | air,
+        "site": {key: _plain(value) for key, value in site.items()}
+        | air
+        | _terrain(elevation, day.depot.place, [place_of(order), *day.rally]),
         "vehicle": {
             "airframe": drone.airframe,
             "payload_kg": order.mass_kg,
@@ -38,7 +46,12 @@ def delivery_table(day: Day, drone: Drone, order: Order) -> dict[str, Any]:
 
 
 def sortie_table(
-    day: Day, drone: Drone, order: Order, sortie: PlannedSortie, pads: Mapping[str, Place]
+    day: Day,
+    drone: Drone,
+    order: Order,
+    sortie: PlannedSortie,
+    pads: Mapping[str, Place],
+    elevation: SiteElevation | None = None,
 ) -> dict[str, Any]:
     """A sortie from a stop of the truck to the stop that it promises, as the table of an `Assign`.
 
@@ -51,11 +64,13 @@ def sortie_table(
         return_height_m=sortie.return_height_m,
     )
     stops = [msgspec.structs.replace(place, name=stop) for stop, place in pads.items()]
+    places = [place_of(order), *day.rally, *stops]
     site = table["site"] | {
         "depot": _plain(msgspec.structs.replace(pads[sortie.launch], name="pad")),
         "stops": _plain(stops),
         "home": sortie.home,
     }
+    site |= _terrain(elevation, pads[sortie.launch], places)
     return table | {"site": site, "mission": _plain(mission)}
 
 
@@ -64,17 +79,19 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
 
     Its pads at home and at `others` are the stops aboard. Obstacles travel beside the flight.
     """
-    day = data.day
+    day, elevation = data.day, data.elevation
     drone = day.drone(sortie.vehicle)
     order = next((order for order in data.orders if order.id == sortie.order), None)
     if drone is None or order is None:
         raise LeewayError(f"{sortie.vehicle} with {sortie.order}: not in the day's files")
     pads = [(id_, plan.stop(id_).pads[sortie.vehicle]) for id_ in (sortie.home, *sortie.others)]
-    return Flight(
+    launch = plan.stop(sortie.launch).pads[sortie.vehicle]
+    places = [place_of(order), *day.rally, *(pad for _, pad in pads)]
+    flight = Flight(
         format="flight/1",
         name=order.id,
         site=Site(
-            depot=msgspec.structs.replace(plan.stop(sortie.launch).pads[sortie.vehicle], name=""),
+            depot=msgspec.structs.replace(launch, name=""),
             customer=place_of(order),
             rally=day.rally,
             stops=[msgspec.structs.replace(pad, name=id_) for id_, pad in pads],
@@ -94,6 +111,16 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
             return_height_m=sortie.return_height_m,
         ),
     )
+    return with_heights(flight, None if elevation is None else elevation.strip(launch, places))
+
+
+def _terrain(
+    elevation: SiteElevation | None, depot: Place, places: Sequence[Place]
+) -> dict[str, Any]:
+    if elevation is None:
+        return {}
+    heights = elevation.strip(depot, places)
+    return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
 
 
 def _plain(value: Any) -> Any:

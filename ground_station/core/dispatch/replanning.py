@@ -4,7 +4,7 @@ Promises bind whatever the plan says: a new plan begins after the last promised 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import msgspec
@@ -198,4 +198,4 @@ def day_now(data: DayData, day: DaySnapshot) -> DayData:
         else order
         for order in data.orders
     ]
-    return DayData(data.day, orders, data.no_fly, data.airframes, data.roads_s)
+    return replace(data, orders=orders)

@@ -130,7 +130,7 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     alt_amsl_m: float
     """Height of the ground above mean sea level."""
     terrain: Terrain | None = None
-    """Ground height around the depot, for orders that state none."""
+    """Ground height around the depot, for orders that state none; `elevation` goes before it."""
 
     def __post_init__(self) -> None:
         check_range("depot.lat_deg", self.lat_deg, -85.0, 85.0)
@@ -164,6 +164,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Files of orders, CSV or GeoJSON."""
     no_fly: str | None = None
     """GeoJSON file of polygons with `height_m`."""
+    elevation: list[str] = []
+    """GeoTIFF tiles of the ground (needs the extra `terrain`): heights of orders that state none,
+    and each flight's strip of ground.
+    """
     roads: str | None = None
     """CSV matrix of driving times in seconds between the depot and the orders."""
     truck: Truck = Truck()

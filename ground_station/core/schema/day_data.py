@@ -5,6 +5,7 @@ from typing import Any
 
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
+from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import Order
 
 DEPOT = "depot"
@@ -16,7 +17,7 @@ class DayData:
     """The day and its files. `no_fly` is the GeoJSON document.
 
     `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
-    speed.
+    speed. `elevation`: of the ground about the depot, where the day names tiles.
     """
 
     day: Day
@@ -24,3 +25,4 @@ class DayData:
     no_fly: dict[str, Any] | None
     airframes: dict[str, Airframe]
     roads_s: dict[tuple[str, str], float] | None
+    elevation: SiteElevation | None = None

@@ -7,6 +7,7 @@ from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.base.safe_text import safe_text
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.schema.day import Depot, FileProblem
+from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import BOUNDS, Order, Service
 
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
@@ -30,11 +31,16 @@ def check_columns(file: str, columns: list[str]) -> list[FileProblem]:
 
 
 def order_of(
-    file: str, row: int, cells: Mapping[str, str], depot: Depot | None
+    file: str,
+    row: int,
+    cells: Mapping[str, str],
+    depot: Depot | None,
+    elevation: SiteElevation | None = None,
 ) -> Order | list[FileProblem]:
     """One order, or everything that is wrong in its row.
 
-    An empty `alt_amsl_m` is the height of the depot's terrain there, where the day states one.
+    An empty `alt_amsl_m` is the ground's height by `elevation`, without it that of the depot's
+    terrain, where the day states one.
     """
     problems: list[FileProblem] = []
 
@@ -57,11 +63,14 @@ def order_of(
     if service not in [s.value for s in Service]:
         wrong("service", f"{service!r}: expected any, drone or truck")
     if "alt_amsl_m" not in numbers and not cells.get("alt_amsl_m", "").strip():
-        height_m = _terrain_amsl_m(depot, numbers)
-        if height_m is None:
-            wrong("alt_amsl_m", "empty, and the day's depot states no terrain")
+        known = _ground_amsl_m(depot, elevation, numbers)
+        if known is None:
+            words = "the day's depot states no terrain, nor the day elevation"
+            wrong("alt_amsl_m", f"empty, and {words}")
+        elif math.isnan(known):
+            wrong("alt_amsl_m", "empty, and the elevation has no height there")
         else:
-            numbers["alt_amsl_m"] = height_m
+            numbers["alt_amsl_m"] = known
     id_ = cells.get("id", "").strip()
     if not _is_id(id_):
         wrong("id", f"{id_!r}: expected 1 to 40 letters, digits, '.', '_' or '-'")
@@ -119,6 +128,16 @@ def _is_same_parcel(one: Order, other: Order) -> bool:
 def problems_at(problems: list[FileProblem], file: str, row: int) -> bool:
     """Whether this row has been named already."""
     return any(problem.file == file and problem.row == row for problem in problems)
+
+
+def _ground_amsl_m(
+    depot: Depot | None, elevation: SiteElevation | None, numbers: dict[str, float]
+) -> float | None:
+    """None: nobody states the ground; NaN: the elevation does not have it there."""
+    if elevation is None or not {"lat_deg", "lon_deg"} <= numbers.keys():
+        return _terrain_amsl_m(depot, numbers)
+    height_m = elevation.at_place(numbers["lat_deg"], numbers["lon_deg"])
+    return math.nan if height_m is None else round(height_m, 1)
 
 
 def _terrain_amsl_m(depot: Depot | None, numbers: dict[str, float]) -> float | None:

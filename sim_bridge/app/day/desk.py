@@ -145,13 +145,13 @@ class DeskHere:
         Raises LeewayError if the store holds other orders.
         """
         data, params = built.data, DepotParams(confirms=False)
-        assigner = DepotAssigner(data.day, data.airframes)
+        assigner = DepotAssigner(data.day, data.airframes, data.elevation)
         impossible = impossible_at_depot(data, assigner)
 
         def sit_down(
             books: Books, fleet: BusFleet, say: Callable[[str], None], clock: Clock
         ) -> Desk:
-            known = DepotAssigner(data.day, data.airframes)
+            known = DepotAssigner(data.day, data.airframes, data.elevation)
             return open_depot_desk(data, books.store, fleet, say, params, impossible, clock, known)
 
         seat = cls._begun(built, folder, None, host, sit_down, impossible)

@@ -33,7 +33,7 @@ from sim_bridge.app.flight.clairvoyant import Foresight
 from sim_bridge.app.flight.clairvoyant_flight import foresee_flight
 from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.faults import FaultPlan
-from sim_bridge.app.flight.judge import FlightVerdict, judge
+from sim_bridge.app.flight.judge import FlightVerdict, NearestGround, judge, nearest_ground
 from sim_bridge.app.flight.operator import Operator
 from sim_bridge.app.flight.run_folder import new_run_dir, saved_on_interrupt
 from sim_bridge.app.flight.scenario import read_faults, read_wind
@@ -295,10 +295,9 @@ def _write_own_flight(flight_file: Path, depot: Place, own_dir: Path) -> Path:
         "lon_deg": depot.lon_deg,
         "alt_amsl_m": depot.alt_amsl_m,
     }
-    if "obstacles" in table["site"]:
-        table["site"]["obstacles"] = os.path.abspath(
-            flight_file.parent / table["site"]["obstacles"]
-        )
+    for holder, key in ((table["site"], "obstacles"), (table["site"].get("terrain", {}), "grid")):
+        if key in holder:
+            holder[key] = os.path.abspath(flight_file.parent / holder[key])
     path = own_dir / "flight.toml"
     path.write_bytes(msgspec.toml.encode(table))
     return path
@@ -391,12 +390,20 @@ def _conclude(options: FlyOptions, craft: Craft, airframe: Airframe) -> dict[str
         wind_estimates=result.get("wind", []),
     )
     document = read_obstacle_document(flight, options.flight_file)
+    nearest = nearest_ground(craft.record, craft.terrain, _low_places(craft))
     foresight = foresee_flight(
         craft, airframe, truth_airframe, reserve_wh, result.get("plan"), document
     )
     if options.picture:
         _draw(options, craft, verdict, result, reserve_wh, airframe)
-    return _row(craft, verdict, foresight, result)
+    return _row(craft, verdict, foresight, result, nearest)
+
+
+def _low_places(craft: Craft) -> list[tuple[float, float]]:
+    """Where a vehicle may be low: the pad, the customer, and every declared landing place."""
+    site = craft.flight.site
+    places = (site.customer, *site.rally, *site.stops)
+    return [(0.0, 0.0), *(place_ne_m(place, craft.depot) for place in places)]
 
 
 def _reserve_wh(craft: Craft, truth_airframe: AirframeTruth) -> float:
@@ -411,7 +418,11 @@ def _reserve_wh(craft: Craft, truth_airframe: AirframeTruth) -> float:
 
 
 def _row(
-    craft: Craft, verdict: FlightVerdict, foresight: Foresight, result: dict[str, Any]
+    craft: Craft,
+    verdict: FlightVerdict,
+    foresight: Foresight,
+    result: dict[str, Any],
+    nearest: NearestGround | None,
 ) -> dict[str, Any]:
     assessed = [a["p_home"] for a in result.get("assessments", []) if a.get("p_home") is not None]
     keys = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
@@ -429,6 +440,8 @@ def _row(
         "wind_rmse_mps": _rounded(verdict.wind_rmse_mps),
         "wind_nees": _rounded(verdict.wind_nees),
         "p_home_min": min(assessed) if assessed else None,
+        "least_clearance_m": None if nearest is None else round(nearest.clearance_m, 1),
+        "least_clearance_at": None if nearest is None else nearest.place,
         "clairvoyant": foresight.outcome,
         "clairvoyant_margin_wh": round(foresight.margin_wh, 3),
         "decisions": [{key: d.get(key) for key in keys} for d in result.get("decisions", [])],
@@ -457,6 +470,7 @@ def _draw(
         north, east = place_ne_m(place, craft.depot)
         places[name] = (east, north)
     obstacles = read_obstacles(craft.flight, options.flight_file, craft.depot)
+    hills = craft.terrain if site.terrain.kind == "grid" else None
     gate = "" if options.gate else ", gate off"
     what = f"{craft.flight.name}, {airframe.name} on {craft.autopilot_kind}"
     came = f"{verdict.outcome} in {verdict.flight_time_s:.0f} s"
@@ -464,11 +478,12 @@ def _draw(
     draw_flight(
         craft.run_dir / NAME,
         title=f"{what}, seed {options.seed}{gate}: {came}, {left}",
-        course=true_course(craft.record, reserve_wh),
+        course=true_course(craft.record, reserve_wh, hills),
         result=result,
         places_en_m=places,
         polygons_en_m=[np.array([(e, n) for n, e in o.ring_ne_m]) for o in obstacles],
         max_loss=craft.flight.mission.max_loss,
+        clearance_m=craft.flight.mission.clearance_m,
     )
     with contextlib.suppress(OSError):
         shutil.copy(options.flight_file, craft.run_dir / "flight.source.toml")

@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 
 from sim_bridge.app.flight.record import TruthRecord
+from sim_bridge.truth.terrain import Terrain
 
 HOME_RADIUS_M = 12.0  # a pad with room for GNSS error (2.5 m CEP) and landing drift
 DROP_RADIUS_M = 12.0
 DROP_HEIGHT_SLACK_M = 4.0  # barometer and GNSS height error at the drop
 WIND_WINDOW_S = 10.0  # evaluation: the centred 10 s mean of the true wind at the vehicle
 WIND_WARM_UP_S = 30.0
+STRAIGHT_M = 30.0
+"""So near to a place where it may come down, a vehicle climbs and sinks: a pad, with the room that
+a take-off, a drop or a landing in wind takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,3 +121,38 @@ def wind_errors(
     cov = np.moveaxis(np.array([[nn, ne], [ne, ee]]), -1, 0)
     nees = np.einsum("ki,kij,kj->k", err, np.linalg.inv(cov), err)
     return float(np.sqrt(np.mean(np.sum(err**2, axis=1)))), float(np.mean(nees))
+
+
+@dataclass(frozen=True, slots=True)
+class NearestGround:
+    """The least true height over the ground, and where (m about the depot)."""
+
+    clearance_m: float
+    north_m: float
+    east_m: float
+
+    @property
+    def place(self) -> dict[str, float]:
+        """Where, as a flight's JSON has it."""
+        return {"north_m": round(self.north_m, 1), "east_m": round(self.east_m, 1)}
+
+
+def nearest_ground(
+    record: TruthRecord, terrain: Terrain, low_ne_m: list[tuple[float, float]]
+) -> NearestGround | None:
+    """Away from the places where the vehicle may be low; None where it never was in the air there.
+
+    A vehicle that came down elsewhere has met the ground: it is 0 there.
+    """
+    truth = record.arrays()
+    columns = (truth[name] for name in ("north_m", "east_m", "down_m", "airborne"))
+    nearest: NearestGround | None = None
+    flown = False
+    for north_m, east_m, down_m, airborne in zip(*columns, strict=True):
+        flown = flown or bool(airborne)
+        if not flown or any(math.dist((north_m, east_m), low) <= STRAIGHT_M for low in low_ne_m):
+            continue
+        over_m = max(float(-down_m) - terrain.up_m(float(north_m), float(east_m)), 0.0)
+        if nearest is None or over_m < nearest.clearance_m:
+            nearest = NearestGround(over_m, float(north_m), float(east_m))
+    return nearest

@@ -48,6 +48,8 @@ def own_row(
         "energy_predicted_wh": _rounded(_predicted_wh(energy, assessments)),
         "margin_wh": _rounded(result.get("margin_wh")),
         "flight_time_s": _flight_time_s(took_off_s, landed_s),
+        "least_clearance_m": None,
+        "least_clearance_at": None,
         "wind_rmse_mps": _rounded(rmse_mps),
         "wind_nees": _rounded(nees),
         "wind_std_mps": _wind_std_mps(wind, took_off_s, landed_s),

@@ -16,8 +16,10 @@ from companion.core.base.geo import LocalFrame
 from companion.core.replay.recorded_flight import sampled
 from sim_bridge.app.flight.judge import WIND_WINDOW_S, centred_mean
 from sim_bridge.app.flight.record import TruthRecord
+from sim_bridge.truth.terrain import Terrain
 
 INK, OUT, BACK, WIND, WARN = "#22313f", "#1f77b4", "#d62728", "#2a9d8f", "#e76f51"
+EARTH = "#b7a58a"
 NAME = "flight.png"
 LEAST_LOSS = 1e-5
 """Smaller chances of loss are drawn here: the tables behind them know no better."""
@@ -32,8 +34,9 @@ AXES = (("to_n_mps", "nn_m2ps2", OUT, "north"), ("to_e_mps", "ee_m2ps2", BACK, "
 class Course:
     """Where the vehicle went, (n,) each; times are seconds since take-off.
 
-    `above_reserve_wh` and `wind_to_ne_mps` are truth; None: nobody knows it. `took_off_s` and
-    `landed_s` are on the clock of the companion's record.
+    `above_reserve_wh` and `wind_to_ne_mps` are truth; None: nobody knows it. So are `up_m` and
+    `ground_up_m` (above the depot: the vehicle, and the ground below it); None: not to be drawn.
+    `took_off_s` and `landed_s` are on the clock of the companion's record.
     """
 
     t_s: np.ndarray
@@ -45,6 +48,8 @@ class Course:
     above_reserve_wh: np.ndarray | None = None
     wind_to_ne_mps: tuple[np.ndarray, np.ndarray] | None = None
     released_s: float | None = None
+    up_m: np.ndarray | None = None
+    ground_up_m: np.ndarray | None = None
 
     @property
     def end_s(self) -> float:
@@ -53,8 +58,8 @@ class Course:
         return float(self.t_s[flying[-1]]) if flying.size else 1.0
 
 
-def true_course(record: TruthRecord, reserve_wh: float) -> Course:
-    """Of a simulated vehicle."""
+def true_course(record: TruthRecord, reserve_wh: float, terrain: Terrain | None = None) -> Course:
+    """Of a simulated vehicle; with its heights where a `terrain` is to be shown."""
     truth = record.arrays()
     took_off_s = record.took_off_s if record.took_off_s is not None else float(truth["t_s"][0])
     released = np.flatnonzero(np.diff(truth["parcel_aboard"]) < 0)
@@ -68,7 +73,14 @@ def true_course(record: TruthRecord, reserve_wh: float) -> Course:
         above_reserve_wh=truth["usable_wh"] - reserve_wh,
         wind_to_ne_mps=(truth["wind_to_n_mps"], truth["wind_to_e_mps"]),
         released_s=float(truth["t_s"][released[0]]) - took_off_s if released.size else None,
+        up_m=None if terrain is None else -truth["down_m"],
+        ground_up_m=None if terrain is None else _ground_up_m(terrain, truth),
     )
+
+
+def _ground_up_m(terrain: Terrain, truth: dict[str, np.ndarray]) -> np.ndarray:
+    places = zip(truth["north_m"], truth["east_m"], strict=True)
+    return np.array([terrain.up_m(float(north), float(east)) for north, east in places])
 
 
 def heard_course(stream: Path, result: dict[str, Any], frame: LocalFrame | None) -> Course | None:
@@ -117,6 +129,7 @@ def draw_flight(
     places_en_m: dict[str, tuple[float, float]],
     polygons_en_m: list[np.ndarray],
     max_loss: float,
+    clearance_m: float = 0.0,
 ) -> None:
     """Write the PNG. `result` is the companion's own record; positions are east, north metres."""
     import matplotlib
@@ -125,13 +138,16 @@ def draw_flight(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.0, 7.6), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+    rows = 3 if course.ground_up_m is None else 4
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.15, 1.0))
     _draw_map(figure.add_subplot(grid[:, 0]), course, result, places_en_m, polygons_en_m)
     axes = [figure.add_subplot(grid[0, 1])]
-    axes += [figure.add_subplot(grid[k, 1], sharex=axes[0]) for k in (1, 2)]
+    axes += [figure.add_subplot(grid[k, 1], sharex=axes[0]) for k in range(1, rows)]
     _draw_energy(axes[0], course, result)
     _draw_loss(axes[1], course, result, max_loss)
-    _draw_wind(axes[2], course, result)
+    if course.ground_up_m is not None:
+        _draw_profile(axes[2], course, clearance_m)
+    _draw_wind(axes[-1], course, result)
     for axis in axes:
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
@@ -235,6 +251,19 @@ def _draw_loss(axis, course: Course, result, max_loss: float) -> None:
     axis.set_yscale("log")
     axis.set_ylim(LEAST_LOSS / 1.5, 1.6)
     axis.set_ylabel("chance of loss")
+    _legend(axis)
+
+
+def _draw_profile(axis, course: Course, clearance_m: float) -> None:
+    """The vehicle over the true ground below it, and the clearance that was asked."""
+    if course.up_m is None or course.ground_up_m is None:
+        return
+    least_m = course.ground_up_m + clearance_m
+    axis.plot(course.t_s, course.up_m, color=OUT, lw=1.6, label="vehicle")
+    axis.plot(course.t_s, least_m, color=WARN, lw=1, ls="--", label=f"{clearance_m:g} m over it")
+    bottom_m = float(course.ground_up_m.min()) - 5.0
+    axis.fill_between(course.t_s, course.ground_up_m, bottom_m, color=EARTH, label="ground")
+    axis.set_ylabel("above the depot, m")
     _legend(axis)
 
 

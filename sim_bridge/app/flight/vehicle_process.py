@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from companion.core.base.errors import LeewayError
 from companion.core.base.geo import place_ned
 from companion.core.base.place import Place
 from companion.core.mission.flight_file import Flight, Terrain
@@ -244,7 +245,17 @@ def place_ne_m(place: Place, depot: Place) -> tuple[float, float]:
 
 
 def build_terrain(terrain: Terrain, folder: Path) -> ground.Terrain:
-    """The world's ground from the flight file's table."""
+    """The world's ground from the flight file's table.
+
+    LeewayError where it has heights that nobody knows: the world has none such.
+    """
+    if terrain.heights is not None:
+        table = terrain.heights
+        ups = [[up for up in row if up is not None] for row in table.up_m]
+        if any(len(row) != len(table.across_m) for row in ups):
+            raise LeewayError("site.terrain.heights.up_m: null, and the simulated ground has none")
+        grid = ground.GridTerrain(table.along_m, table.across_m, ups)
+        return ground.TurnedTerrain(grid, table.course_deg)
     if terrain.kind == "grid":
         return load_grid_terrain(folder / str(terrain.grid))
     if terrain.kind == "plane":

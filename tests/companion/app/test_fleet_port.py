@@ -99,6 +99,10 @@ def test_a_flight_that_the_vehicle_may_not_fly_is_refused_in_words(port):
         ({"vehicle": good["vehicle"] | {"airframe": "octo8"}}, "this is m100"),
         ({"vehicle": good["vehicle"] | {"payload_kg": 7.5}}, "at most 1"),
         ({"site": good["site"] | {"obstacles": "/etc/passwd"}}, "site.obstacles"),
+        (
+            {"site": good["site"] | {"terrain": {"kind": "grid", "grid": "/etc/passwd"}}},
+            "site.terrain.grid",
+        ),
         ({"colour": "red"}, "colour"),
         ({"mission": good["mission"] | {"max_loss": 3.0}}, "mission.max_loss"),
         ({"mission": good["mission"] | {"wind_process": "moon"}}, "no such wind process"),

@@ -40,3 +40,13 @@ def test_a_missing_flight_file_is_one_line_and_exit_code_2(tmp_path):
     assert (code, out) == (2, "")
     assert len(errors.strip().splitlines()) == 1
     assert "none.toml" in errors
+
+
+def test_over_known_ground_the_estimate_says_how_near_and_how_high():
+    hills = FLIGHT.with_name("hills.toml")
+    code, out, _ = ask(str(hills), "--wind-speed", "5", "--wind-from", "250")
+    assert code == 0
+    figures = dict(re.findall(r"│ (.+?) +│ +(.+?) │", out))
+    assert figures["highest, above the depot"] == "98 m"  # 69.7 m of hill, 20 m and 8 m
+    assert figures["least over the ground, as planned"] == "28 m"
+    assert figures["the drop in sight from the depot"] == "no"  # two hills are between

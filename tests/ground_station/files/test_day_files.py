@@ -60,7 +60,8 @@ def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
         "orders.csv, row 3, column lon_deg: 'eight': expected a number from -180 to 180",
         "orders.csv, row 3, column service: 'ship': expected any, drone or truck",
         "orders.csv, row 5, column mass_kg: 'nan': expected a number from 0 to 500",
-        "orders.csv, row 7, column alt_amsl_m: empty, and the day's depot states no terrain",
+        "orders.csv, row 7, column alt_amsl_m: empty, and the day's depot states no terrain,"
+        " nor the day elevation",
         "orders.csv, row 9, column mass_kg: '-1': expected a number from 0 to 500",
         "orders.csv, row 9, column id: 'f g': expected 1 to 40 letters, digits, '.', '_' or '-'",
     ]

@@ -67,6 +67,9 @@ BACK_S, BACK_MPS = 4.0, 2.0
 LAYER_S = 20.0
 """From then on, so long, it goes on in that height."""
 
+DODGE_WITHIN_M = 200.0
+"""Known ground so near is under all layers: who dodges for 20 s goes no further aside."""
+
 STRAY_M = 2.0
 """Farther from its reference than this, the vehicle is taken where it is."""
 
@@ -310,7 +313,13 @@ class SetpointTakeover:
         beginning.
         """
         assert context.flight_plan is not None
-        level = context.flight_plan.plan.outbound_ned_m[-1][2]
+        flown, here = context.flight_plan, context.here_ned()
+        level = flown.plan.outbound_ned_m[-1][2]
+        ground = flown.site.ground
+        if ground is not None and here is not None:
+            # The lowest layer clears all known ground that is near.
+            least_m = ground.least_about_m(here, DODGE_WITHIN_M)
+            level = min(level, -least_m + min(DODGES) * DODGE_M)
         return min(level - DODGES[self._state.rank % len(DODGES)] * DODGE_M, -LOWEST_M)
 
     def _take_over(self, context: FlightContext, here: Floats) -> None:
@@ -403,5 +412,11 @@ def _here(context: FlightContext) -> tuple[Ned | None, Floats | None]:
 def _clearance(context: FlightContext) -> Clearance | None:
     """How far points are from what stands on the site, at their heights."""
     assert context.flight_plan is not None
-    obstacles = context.flight_plan.site.obstacles
+    site, here = context.flight_plan.site, context.here_ned()
+    obstacles, ground = site.obstacles, site.ground
+    # Low over a customer or a landing site it is nearer to the ground than on any way.
+    if ground is not None and here is not None and ground.spare_at_m(np.array([here]))[0] > 0.0:
+        return lambda points, _: np.minimum(
+            obstacles.clearance_at(points), ground.spare_at_m(points)
+        )
     return (lambda points, _: obstacles.clearance_at(points)) if obstacles.obstacles else None

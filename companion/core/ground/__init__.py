@@ -1,0 +1,1 @@
+"""Heights of the ground, and how flights keep clear of it. Imports base only."""
