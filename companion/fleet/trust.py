@@ -15,13 +15,17 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
 from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
-from companion.fleet.roster import Roster, RosterMember, SignedRoster, decode_signed_roster
+from companion.fleet.roster import (
+    WARN_DAYS,
+    Roster,
+    RosterMember,
+    SignedRoster,
+    decode_signed_roster,
+)
 from companion.fleet.signature import is_signed, public_key_of, sign
 
 ROSTER_KIND = "roster"
-DAY_US = 86_400_000_000
-WARN_DAYS = 30
-"""A month: time enough to bring a new certificate to a vehicle that is away."""
+DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +172,9 @@ class Trust:
         me = self.me
         if me is None or self._trouble(me):
             return self._trouble(me)
-        self.look_at_certificate()
-        days = self._left_s(me) * 1e6 / DAY_US
+        if self._left_s(me) <= WARN_DAYS * DAY_S:
+            self.look_at_certificate()  # a newer one may have been carried here since
+        days = self._left_s(me) / DAY_S
         if days > WARN_DAYS:
             return ""
         return f"certificate of {self.name}: {days:.0f} days left ({self._remedy(me)})"
@@ -180,7 +185,7 @@ class Trust:
         if me is None or self._trouble(me):
             return self._trouble(me)
         if self._left_s(me) < seconds:
-            self.look_at_certificate()  # a newer one may have been carried here since
+            self.look_at_certificate()
         left_s = self._left_s(me)
         if left_s >= seconds:
             return ""

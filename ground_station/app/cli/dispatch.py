@@ -36,6 +36,7 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
+    from ground_station.app.desk.certificate_reminder import CertificateReminder
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
 
@@ -98,6 +99,7 @@ def dispatch(
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
     from ground_station.adapters.files.plan_files import read_day_plan
+    from ground_station.app.desk.certificate_reminder import CertificateReminder
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
@@ -131,12 +133,18 @@ def dispatch(
             if open_network:
                 typer.echo(OPEN_WORDS)
             meter = None if server is None else serve_desk(server, desk, fleet)
-            through = _run(desk, idle if until_done else None, meter)
+            reminder = CertificateReminder(network, say, epoch_us)
+            through = _run(desk, idle if until_done else None, meter, reminder)
         if through:
             _end(desk)
 
 
-def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
+def _run(
+    desk: "Desk",
+    idle_s: float | None,
+    meter: "DeskMeter | None",
+    reminder: "CertificateReminder",
+) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     from companion.fleet.service_manager import Watchdog
 
@@ -146,6 +154,7 @@ def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
         with stop_signals() as stopped:
             while not stopped:
                 watchdog.turn(monotonic_s())
+                reminder.turn(monotonic_s())
                 if meter is not None:
                     meter.turn()
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
@@ -194,6 +203,7 @@ def watch(
 
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.views.attention import CERTIFICATES, ending_certificates
     from ground_station.app.views.terminal import terminal
     from ground_station.app.views.watch_view import watch_view
     from ground_station.app.views.watched_rows import WatchRows, read_rows
@@ -213,6 +223,8 @@ def watch(
         notes = [OPEN_WORDS] if open_network else []
         notes += [] if exchange.status.vehicles else [f"nobody is heard in fleet {fleet}"]
         notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
+        ending = ending_certificates(ears.certificates(), epoch_us())
+        notes += [f"LOOK: {CERTIFICATES}: {ending}"] if ending else []
         return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:

@@ -156,7 +156,7 @@ def show_map(
         notes = (OPEN_WORDS,) if open_network else ()
         ear = FleetEar(ears, clock, status)
         view = MapView(name, data, notes, basemap is not None, _has_outline(basemap))
-        feed = MapFeed(view, ear, opened, clock)
+        feed = MapFeed(view, ear, opened, clock, ears.certificates)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
         _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
 

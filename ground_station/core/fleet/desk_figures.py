@@ -12,6 +12,8 @@ from companion.fleet.roster import Roster
 from ground_station.core.fleet.name_counts import MOST_NAMES
 from ground_station.core.fleet.time_counts import TimesBy
 
+DAY_US = 86_400_000_000
+
 
 class Standing(Enum):
     """How the desk finds a member. `SILENT`: on the network, but its states do not come, or two
@@ -112,6 +114,11 @@ def listed(members: list[MemberFigures]) -> tuple[MemberFigures, ...]:
     if len(members) > MOST_NAMES:
         members = sorted(members, key=lambda m: (not m.flies, m.standing is Standing.GONE))
     return tuple(members[:MOST_NAMES])
+
+
+def days_left(end_us: int, now_us: int) -> float:
+    """Days until a certificate ends; below 0 where it has ended."""
+    return (end_us - now_us) / DAY_US
 
 
 def certificates_of(roster: Roster, me: str, own_end_us: int | None = None) -> CertificateFigures:

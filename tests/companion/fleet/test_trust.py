@@ -3,6 +3,7 @@
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -21,9 +22,11 @@ from companion.fleet.messages import (
     SetLimits,
     encode,
 )
+from companion.fleet.network import Asked
 from companion.fleet.refusals import Refusals
 from companion.fleet.roles import Role
 from companion.fleet.roster import RosterMember, roster_from_toml, roster_toml
+from companion.fleet.signed_link import SignedLink
 from companion.fleet.trust import SignedCommand, Trust
 from ground_station.adapters.pki.pki_folder import PkiFolder
 
@@ -243,6 +246,27 @@ def test_nothing_may_begin_that_outlasts_the_certificate(pki):
         "the certificate of d1 ends in 30 min, expected at least 32 min more"
         " (ground-station pki renew)"
     )
+
+
+class SilentLink:
+    """A line on which nothing is asked."""
+
+    def asked(self) -> list[Asked]:
+        return []
+
+
+def test_a_member_that_runs_across_the_day_says_it_and_again_every_day(pki):
+    """Started 31.5 days before its end, with no new roster meanwhile."""
+    start_us = round((NOW + timedelta(days=DAYS - 31.5)).timestamp() * 1e6)
+    d1, now_s = trust(pki, "d1"), 0.0
+    d1.epoch_us = lambda: start_us + round(now_s * 1e6)
+    link = SignedLink(cast(Any, SilentLink()), d1, "life", lambda: now_s)
+    said: list[tuple[float, str]] = []
+    for hour in range(24 * 4):
+        now_s = 3600.0 * hour
+        said += [(hour / 24.0, asked.payload.decode()) for asked in link.asked()]
+    words = "certificate of d1: {} days left (ground-station pki renew)"
+    assert said == [(2.0, words.format(30)), (3.0, words.format(28))]  # 29.5 and 28.5
 
 
 TLS = "tls.pem"
