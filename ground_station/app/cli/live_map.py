@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.adapters.listening_socket import is_loopback
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
@@ -165,9 +165,13 @@ def _serve_until_stopped(
     server: "MapServer", answers: "MapAnswers", what: str, turn: Callable[[], object]
 ) -> None:
     server.serve(answers)
+    from companion.fleet.service_manager import Watchdog
+
     typer.echo(f"{what}: {server.address}/  Ctrl-C ends it")
+    watchdog = Watchdog()
     with stop_signals() as stopped:
         while not stopped:
+            watchdog.turn(monotonic_s())
             turn()
 
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.service_manager import Watchdog
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import Task
 
@@ -26,7 +27,9 @@ def run_console(
     lines: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_read, args=(sys.stdin, lines, woken), daemon=True).start()
     shown: list[Task] | None = None
+    watchdog = Watchdog()
     while not stopped:
+        watchdog.turn(truck.member.clock_s())
         truck.turn()
         truck.publish()
         if truck.todo != shown:
