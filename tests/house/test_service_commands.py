@@ -1,5 +1,5 @@
-"""What the systemd units start, with the settings that deploy/install writes: each program takes its
-command line, may write what it writes, and pets its watchdog if it has one.
+"""What the systemd units start, with the settings that deploy/install writes: each program takes
+its command line, may write what it writes, and pets its watchdog if it has one.
 """
 
 import os

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.network import OPEN_MARK, OPEN_WORDS
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.app.cli.metrics import MetricsAddress, OpenMetrics, hold_port, serve_desk
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
-    OPEN_WORDS,
     DayArgument,
     FleetName,
     IdentityFolder,
@@ -334,7 +334,7 @@ def _look(words: str) -> None:
 
 
 def _say_open(words: str) -> None:
-    _say(f"[OPEN NETWORK] {words}")
+    _say(f"{OPEN_MARK} {words}")
 
 
 def _say(words: str) -> None:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.network import OPEN_WORDS
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.adapters.listening_socket import is_loopback
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
-    OPEN_WORDS,
     IdentityFolder,
     OpenNetwork,
     StoreFile,
