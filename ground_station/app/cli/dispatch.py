@@ -1,7 +1,7 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
-from contextlib import closing
+from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from companion.adapters.clock import is_due
 from companion.core.base.errors import LeewayError
 from companion.fleet.network import OPEN_MARK, OPEN_WORDS
 from ground_station.adapters.clock import epoch_us, monotonic_s
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from ground_station.app.desk.desk_meter import DeskMeter
 
 TURN_S = 0.2
+PIPED_S = 10.0
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
 NOT_HELD = 4
@@ -191,10 +193,12 @@ def watch(
     identity: IdentityFolder = None,
     open_network: OpenNetwork = False,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Watch for so long, print once, end.")
+        float | None, typer.Option(min=0.1, help="Watch for so long, then end.")
     ] = None,
 ) -> None:
     """Watch the fleet live: phase, margin, P(home), orders. It commands nothing.
+
+    Into a pipe or file it prints at once, every 10 s, and at its end.
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
@@ -203,6 +207,7 @@ def watch(
 
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.desk.recall import SAY_S
     from ground_station.app.views.attention import CERTIFICATES, ending_certificates
     from ground_station.app.views.terminal import terminal
     from ground_station.app.views.watch_view import watch_view
@@ -230,10 +235,18 @@ def watch(
     try:
         with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
-            with Live(view(), console=console, auto_refresh=False, transient=True) as live:
+            shown = Live(view(), console=console, auto_refresh=False, transient=True)
+            piped_s, joined_s = None, monotonic_s()
+            with shown if console.is_terminal else nullcontext():
                 while not stopped and (until_s is None or monotonic_s() < until_s):
                     exchange.listen(TURN_S)
-                    live.update(view(), refresh=console.is_terminal)
+                    now_s = monotonic_s()
+                    known = exchange.status.vehicles or now_s - joined_s > SAY_S
+                    if console.is_terminal:
+                        shown.update(view(), refresh=True)
+                    elif known and is_due(piped_s, PIPED_S, now_s):
+                        piped_s = now_s
+                        console.print(view())
         console.print(view())
     finally:
         ears.close()
