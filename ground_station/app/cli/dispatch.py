@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from companion.adapters.clock import is_due
 from companion.core.base.errors import LeewayError
 from companion.fleet.network import OPEN_MARK, OPEN_WORDS
 from ground_station.adapters.clock import epoch_us, monotonic_s
@@ -37,7 +36,7 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
-    from ground_station.app.desk.certificate_reminder import CertificateReminder
+    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
 
@@ -101,7 +100,7 @@ def dispatch(
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
     from ground_station.adapters.files.plan_files import read_day_plan
-    from ground_station.app.desk.certificate_reminder import CertificateReminder
+    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
@@ -236,7 +235,7 @@ def watch(
         with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
             shown = Live(view(), console=console, auto_refresh=False, transient=True)
-            piped_s, joined_s = None, monotonic_s()
+            next_s, joined_s = 0.0, monotonic_s()
             with shown if console.is_terminal else nullcontext():
                 while not stopped and (until_s is None or monotonic_s() < until_s):
                     exchange.listen(TURN_S)
@@ -244,8 +243,8 @@ def watch(
                     known = exchange.status.vehicles or now_s - joined_s > SAY_S
                     if console.is_terminal:
                         shown.update(view(), refresh=True)
-                    elif known and is_due(piped_s, PIPED_S, now_s):
-                        piped_s = now_s
+                    elif known and now_s >= next_s:
+                        next_s = now_s + PIPED_S
                         console.print(view())
         console.print(view())
     finally:

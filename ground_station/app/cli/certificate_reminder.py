@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from companion.adapters.clock import is_due
 from ground_station.app.views.attention import CERTIFICATES, ending_certificates
 from ground_station.core.fleet.desk_figures import CertificateFigures
 
@@ -37,7 +36,8 @@ class CertificateReminder:
     def turn(self, now_s: float) -> None:
         """Say what is due. Of the own one the network's opener has spoken at the start."""
         found = self.network.certificates()
-        if found is None or (found is self._seen and not is_due(self._said_s, DAY_S, now_s)):
+        due = self._said_s is None or now_s - self._said_s >= DAY_S
+        if found is None or (found is self._seen and not due):
             return
         own = self.network.warning if self._seen is not None else ""
         self._seen, self._said_s = found, now_s
