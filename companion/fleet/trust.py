@@ -53,10 +53,10 @@ class Trust:
     epoch_us: Callable[[], int]
     keep: Callable[[SignedRoster], None]
     read_end_us: Callable[[], int | None] = lambda: None
-    _own_end_us: int | None = field(init=False)
+    own_end_us: int | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self._own_end_us = self.read_end_us()
+        self.own_end_us = self.read_end_us()
 
     @property
     def fleet(self) -> str:
@@ -133,7 +133,7 @@ class Trust:
         """
         if self.me is None:
             return None
-        return min(self.me.not_after_us, self._own_end_us or self.me.not_after_us)
+        return min(self.me.not_after_us, self.own_end_us or self.me.not_after_us)
 
     def look_at_certificate(self) -> None:
         """Take up a certificate that was carried here; the old one counts while it is not whole.
@@ -143,7 +143,7 @@ class Trust:
         if self._is_called:
             return
         with contextlib.suppress(LeewayError):
-            self._own_end_us = self.read_end_us() or self._own_end_us
+            self.own_end_us = self.read_end_us() or self.own_end_us
 
     @property
     def _is_called(self) -> bool:

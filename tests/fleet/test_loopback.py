@@ -160,7 +160,7 @@ def test_each_line_of_a_companion_on_an_open_network_says_so(tmp_path, monkeypat
     said: list[str] = []
 
     def one_decision(port: FleetPort, *flight: Any) -> bool:
-        shown = flying._show_open if told else flying._show
+        shown = flying.show_open if told else flying.show_action
         shown(Decision(1.0, "gate", "open: going"))
         port.member.settle()
         said.extend([port.member.remark, *(event.text for event in port.log.after(0))])

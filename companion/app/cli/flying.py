@@ -59,7 +59,7 @@ class CommandLine:
 
 def fly(options: RunOptions) -> int:
     """Fly the mission; the exit code."""
-    code, _ = run(options, on_action=_show)
+    code, _ = run(options, on_action=show_action)
     if code == NO_LINK:
         typer.echo(nobody_there(options.link))
     return code
@@ -102,7 +102,7 @@ def fly_in_fleet(said: FleetLine, options: RunOptions, *, one_mission: bool) -> 
 
     join = JoinOptions(said.identity, said.open_network)
     fleet = FleetOptions(said.fleet, said.vehicle, said.zenoh, join)
-    show = _show_open if said.open_network else _show
+    show = show_open if said.open_network else show_action
     if one_mission:
         return fly_one(fleet, options, show)
     return serve(fleet, options, say=_say_open if said.open_network else _say, on_action=show)
@@ -143,11 +143,13 @@ def check(options: RunOptions) -> int:
     return DONE if ready else GROUNDED
 
 
-def _show(action: Action) -> None:
+def show_action(action: Action) -> None:
+    """Print what it says, if anything."""
     _say(_line_of(action))
 
 
-def _show_open(action: Action) -> None:
+def show_open(action: Action) -> None:
+    """The same on an open network."""
     _say_open(_line_of(action))
 
 

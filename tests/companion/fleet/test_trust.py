@@ -279,7 +279,7 @@ def test_a_renewed_roster_does_not_lengthen_a_certificate_that_was_not_carried(p
     """`pki renew d1` writes both; the desk tells the roster, a person carries `tls.pem` later."""
     home, d1 = pki.folder / "members" / "d1", trust(pki, "d1", NEAR)
     if not looks:
-        d1.read_end_us, d1._own_end_us = (lambda: None), None
+        d1.read_end_us, d1.own_end_us = (lambda: None), None
     old = (home / TLS).read_bytes()
     assert "ends in 10 min" in d1.trouble_until(3600.0)
     pki.now = NEAR
