@@ -5,10 +5,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+from cryptography import x509
 from msgspec import Meta
 
 from companion.adapters.clock import epoch_us
@@ -21,6 +23,7 @@ from companion.fleet.roster import Key, SignedRoster
 from companion.fleet.trust import Trust, checked_roster
 
 IDENTITY, ROSTER, SIGNING_KEY, ZENOH = "identity.toml", "roster.json", "signing.key", "zenoh.json5"
+TLS_CERTIFICATE = "tls.pem"
 OTHERS = 0o077
 
 
@@ -69,7 +72,8 @@ def read_identity(folder: Path, clock_us: Callable[[], int] = epoch_us) -> Ident
     def keep(newer: SignedRoster) -> None:
         write_text_whole(folder / ROSTER, msgspec.json.encode(newer).decode())
 
-    trust = Trust(who.name, private, authorities, signed, roster, clock_us, keep)
+    end_us = partial(certificate_end_us, folder / TLS_CERTIFICATE)
+    trust = Trust(who.name, private, authorities, signed, roster, clock_us, keep, end_us)
     return Identity(folder, trust)
 
 
@@ -81,6 +85,20 @@ def identity_of(folder: Path, fleet: str, name: str | None = None) -> Identity:
     if name is not None and found.trust.name != name:
         raise LeewayError(f"{folder}: is {found.trust.name}'s, expected {name}'s")
     return found
+
+
+def certificate_end_us(path: Path) -> int | None:
+    """When a certificate (PEM) ends, in microseconds since 1970; None: the file is not there.
+
+    LeewayError where it is no certificate.
+    """
+    if not path.exists():
+        return None
+    try:
+        end = x509.load_pem_x509_certificate(read_bytes(path)).not_valid_after_utc
+    except ValueError as error:
+        raise LeewayError(f"{path}: not a certificate: {error}") from error
+    return round(end.timestamp() * 1e6)
 
 
 def read_signing_key(path: Path) -> bytes:

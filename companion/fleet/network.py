@@ -5,6 +5,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+OPEN_MARK = "[OPEN NETWORK]"
+"""Stands before each line of a program that lets strangers in."""
+
+OPEN_WORDS = "OPEN NETWORK: strangers may listen and command"
+
 
 class Ask(Enum):
     """What somebody on the network wants of the vehicle."""

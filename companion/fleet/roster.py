@@ -17,6 +17,8 @@ from companion.fleet.roles import Role
 LARGEST_ROSTER_BYTES = 1 << 20
 """Some 5,000 members of 200 bytes."""
 
+WARN_DAYS = 30
+"""A month: time enough to bring a new certificate to a vehicle that is away."""
 
 Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 Address = Annotated[str, Meta(max_length=260, pattern=r"^([A-Za-z0-9.:\[\]-]+:[0-9]{1,5})?\Z")]

@@ -1,4 +1,4 @@
-"""Ed25519 signatures over messages of a fleet. The only module aboard that loads `cryptography`.
+"""Ed25519 signatures over messages of a fleet; only a fleet with a roster loads `cryptography`.
 
 What is signed names its purpose, so that a signature for one thing is none for another: a domain,
 the message's kind, the fleet, the signer, then the exact bytes.

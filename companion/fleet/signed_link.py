@@ -5,10 +5,11 @@ roster allows comes in. The member behind it does not know the difference.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from companion.adapters.clock import is_due
 from companion.fleet.messages import Answered, Refused, Result, encode
 from companion.fleet.network import Ask, Asked, MemberLink, Told
 from companion.fleet.refusals import Refusals
-from companion.fleet.trust import Trust
+from companion.fleet.trust import DAY_S, Trust
 
 
 @dataclass(slots=True)
@@ -21,16 +22,17 @@ class SignedLink:
     clock_s: Callable[[], float]
     refusals: Refusals = field(default_factory=Refusals)
     _notices: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._warn()
+    _warned_s: float | None = None
 
     # --- in ------------------------------------------------------------------------------------
 
     def asked(self) -> list[Asked]:
         """Everything that waits and may be believed, and notices of what may not."""
         found = [passed for one in self.link.asked() if (passed := self._passed(one)) is not None]
-        said = self.refusals.due(self.clock_s())
+        now_s = self.clock_s()
+        if is_due(self._warned_s, DAY_S, now_s):
+            self._warn(now_s)
+        said = self.refusals.due(now_s)
         notices = [*self._notices, *([said] if said is not None else [])]
         self._notices.clear()
         return [*found, *(_notice(words) for words in notices)]
@@ -74,9 +76,11 @@ class SignedLink:
             self.refusals.note(taken.reason)
         elif taken is not None:
             self._notices.append(f"roster {taken.number} is in force")
-            self._warn()
+            self._warn(self.clock_s())
 
-    def _warn(self) -> None:
+    def _warn(self, now_s: float) -> None:
+        """At the start, with each roster, and again every day: a program may run for months."""
+        self._warned_s = now_s
         warning = self.trust.warning()
         if warning:
             self._notices.append(warning)

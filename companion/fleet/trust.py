@@ -5,21 +5,27 @@ a recall is taken of it, and network certificates end by themselves at the next 
 it tells of a flight is heard to the end. Who is revoked is not heard at all.
 """
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
 
+from companion.core.base.errors import LeewayError
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
-from companion.fleet.roles import COMMANDS, SPEAKS
-from companion.fleet.roster import Roster, RosterMember, SignedRoster, decode_signed_roster
+from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
+from companion.fleet.roster import (
+    WARN_DAYS,
+    Roster,
+    RosterMember,
+    SignedRoster,
+    decode_signed_roster,
+)
 from companion.fleet.signature import is_signed, public_key_of, sign
 
 ROSTER_KIND = "roster"
-DAY_US = 86_400_000_000
-WARN_DAYS = 30
-"""A month: time enough to bring a new certificate to a vehicle that is away."""
+DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +40,9 @@ class SignedCommand:
 class Trust:
     """One member's view of its fleet. `authorities`: the public keys that may sign rosters.
 
-    `keep` puts a newer roster on the disk.
+    `keep` puts a newer roster on the disk. `read_end_us` looks at our own certificate as it lies
+    on the disk now, and says when that ends (None: there is none). The roster alone does not say:
+    it names the end of a renewed certificate before that has been carried to us.
     """
 
     name: str
@@ -44,6 +52,11 @@ class Trust:
     roster: Roster
     epoch_us: Callable[[], int]
     keep: Callable[[SignedRoster], None]
+    read_end_us: Callable[[], int | None] = lambda: None
+    own_end_us: int | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.own_end_us = self.read_end_us()
 
     @property
     def fleet(self) -> str:
@@ -113,9 +126,38 @@ class Trust:
         """Its certificate has ended by our clock. A clock that stands at 1970 finds none ended."""
         return self.epoch_us() > member.not_after_us
 
-    def days_left(self) -> float:
-        """Days until our own certificate ends; 0 where the roster does not list us."""
-        return 0.0 if self.me is None else (self.me.not_after_us - self.epoch_us()) / DAY_US
+    @property
+    def end_us(self) -> int | None:
+        """When we can join no more: the roster's end or our certificate's, which comes first.
+        None: the roster does not list us.
+        """
+        if self.me is None:
+            return None
+        return min(self.me.not_after_us, self.own_end_us or self.me.not_after_us)
+
+    def look_at_certificate(self) -> None:
+        """Take up a certificate that was carried here; the old one counts while it is not whole.
+
+        It is read at each joining, but by who is called by the others only at its start.
+        """
+        if self._is_called:
+            return
+        with contextlib.suppress(LeewayError):
+            self.own_end_us = self.read_end_us() or self.own_end_us
+
+    @property
+    def _is_called(self) -> bool:
+        return self.me is not None and self.me.role in LISTENS and bool(self.me.address)
+
+    def _left_s(self, me: RosterMember) -> float:
+        return ((self.end_us or me.not_after_us) - self.epoch_us()) / 1e6
+
+    def _remedy(self, me: RosterMember) -> str:
+        """What a person does about an end that is near."""
+        if (self.end_us or 0) < me.not_after_us:
+            anew = ", start it anew" if self._is_called else ""
+            return f"renewed until {me.not_after:%Y-%m-%d}: carry tls.pem to {self.name}{anew}"
+        return "ground-station pki renew"
 
     def _trouble(self, me: RosterMember | None) -> str:
         """Why nobody believes anything of ours; empty: they do."""
@@ -126,25 +168,30 @@ class Trust:
         return ""
 
     def warning(self) -> str:
-        """What a person should do about our own certificate; empty: nothing."""
-        if trouble := self._trouble(self.me):
-            return trouble
-        days = self.days_left()
+        """What a person should do about our own certificate, looked at now; empty: nothing."""
+        me = self.me
+        if me is None or self._trouble(me):
+            return self._trouble(me)
+        if self._left_s(me) <= WARN_DAYS * DAY_S:
+            self.look_at_certificate()  # a newer one may have been carried here since
+        days = self._left_s(me) / DAY_S
         if days > WARN_DAYS:
             return ""
-        return f"certificate of {self.name}: {days:.0f} days left (ground-station pki renew)"
+        return f"certificate of {self.name}: {days:.0f} days left ({self._remedy(me)})"
 
     def trouble_until(self, seconds: float) -> str:
         """Why nothing may begin that takes so long: our certificate would end meanwhile."""
         me = self.me
         if me is None or self._trouble(me):
             return self._trouble(me)
-        left_s = (me.not_after_us - self.epoch_us()) / 1e6
+        if self._left_s(me) < seconds:
+            self.look_at_certificate()
+        left_s = self._left_s(me)
         if left_s >= seconds:
             return ""
         return (
             f"the certificate of {self.name} ends in {max(left_s, 0.0) / 60.0:.0f} min,"
-            f" expected at least {seconds / 60.0:.0f} min more"
+            f" expected at least {seconds / 60.0:.0f} min more ({self._remedy(me)})"
         )
 
     def command_trouble(self) -> str:
@@ -174,6 +221,7 @@ class Trust:
         if roster.number <= self.roster.number:
             return None
         self.signed, self.roster = signed, roster
+        self.look_at_certificate()
         self.keep(signed)
         return roster
 

@@ -39,7 +39,7 @@ class ZenohFleet:
         self._fleet = fleet
         identity = _identity(fleet, options)
         self._trust = identity.trust if identity is not None else None
-        self._ends: tuple[Roster, CertificateFigures] | None = None
+        self._ends: tuple[Roster, int | None, CertificateFigures] | None = None
         self.inbox = FleetInbox(self._opened, is_member=self._is_member)
         file = config or (identity.zenoh if identity is not None else None)
         try:
@@ -74,10 +74,10 @@ class ZenohFleet:
         """When they end, by the roster in force; None: we are here without an identity."""
         if self._trust is None:
             return None
-        roster = self._trust.roster
-        if self._ends is None or self._ends[0] is not roster:
-            self._ends = roster, certificates_of(roster, self._trust.name)
-        return self._ends[1]
+        roster, end_us = self._trust.roster, self._trust.end_us
+        if self._ends is None or self._ends[0] is not roster or self._ends[1] != end_us:
+            self._ends = roster, end_us, certificates_of(roster, self._trust.name, end_us)
+        return self._ends[2]
 
     def ask_states(self, wait_s: float) -> None:
         """Ask every member for its newest state, and the network for the tokens of who is there."""

@@ -12,9 +12,15 @@ import pytest
 import zenoh
 from typer.testing import CliRunner
 
+from companion.app.cli import flying
+from companion.app.flight import fleet_run
+from companion.app.flight.fleet_port import FleetPort
+from companion.app.flight.loaded_flight import RunOptions
 from companion.core.base.errors import LeewayError
+from companion.core.mission.actions import Decision
 from companion.fleet import zenoh_config
 from companion.fleet.membership import JoinOptions, join
+from companion.fleet.network import OPEN_WORDS
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
@@ -134,6 +140,42 @@ def test_every_status_of_an_open_network_says_so(tmp_path, monkeypatch):
     words += ["--store", "sqlite:///desk.db"]
     assert "OPEN NETWORK" not in CliRunner().invoke(app, words).output
     assert "OPEN NETWORK" in CliRunner().invoke(app, [*words, "--open-network"]).output
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["canary: closed", "open"])
+def test_each_line_of_a_driver_of_an_open_network_says_so(tmp_path, monkeypatch, told):
+    monkeypatch.chdir(tmp_path)
+    config = str(config_file(tmp_path / "a.json5", listen=free_port()))
+    words = ["truck", "harbour", "--zenoh", config, *(["--open-network"] if told else [])]
+    shown = CliRunner().invoke(app, words, input="2\nq\n").output.splitlines()
+    where = [line for line in shown if "at depot" in line]
+    assert where
+    assert all(line.startswith("[OPEN NETWORK] ") is told for line in where)
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["canary: closed", "open"])
+def test_each_line_of_a_companion_on_an_open_network_says_so(tmp_path, monkeypatch, capsys, told):
+    """Where it stands by and what a flight decides; the desk is told at its start."""
+    zenoh_file = config_file(tmp_path / "a.json5", connect=free_port())
+    said: list[str] = []
+
+    def one_decision(port: FleetPort, *flight: Any) -> bool:
+        shown = flying.show_open if told else flying.show_action
+        shown(Decision(1.0, "gate", "open: going"))
+        port.member.settle()
+        said.extend([port.member.remark, *(event.text for event in port.log.after(0))])
+        return False
+
+    monkeypatch.setattr(fleet_run, "_stand_by", one_decision)
+    line = flying.FleetLine(FLEET, "d1", zenoh_file, None, told)
+    flying.fly_in_fleet(line, RunOptions("memory", "m100", Path(), tmp_path), one_mission=False)
+    printed = capsys.readouterr().out.splitlines()
+    assert [one.replace("[OPEN NETWORK] ", "") for one in printed] == [
+        "standing by as d1 of harbour",
+        "      1.0 s  gate: open: going",
+    ]
+    assert all(one.startswith("[OPEN NETWORK] ") is told for one in printed)
+    assert said == ([OPEN_WORDS, OPEN_WORDS] if told else [""])
 
 
 def test_a_fleet_without_identities_loads_no_cryptography():

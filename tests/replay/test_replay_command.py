@@ -171,6 +171,37 @@ def test_time_in_the_air_is_counted_where_nothing_tells_the_wind(make, world, tm
     assert float(printed_s[1]) == pytest.approx(flown_s, abs=1.0)
 
 
+HOSTILE = "ArduCopter \x1b]0;owned\x07\x1b[2J[red]V9\u202e\r\nready"
+
+
+@pytest.mark.parametrize("kind", ["dataflash", "ulog"])
+@pytest.mark.parametrize("guarded", [True, False], ids=["ours", "canary"])
+def test_what_a_log_calls_its_firmware_does_not_rule_the_terminal(
+    make, world, tmp_path, monkeypatch, kind, guarded
+):
+    if not guarded:
+        module = f"companion.adapters.logs.{kind}_log"
+        monkeypatch.setattr(f"{module}.safe_text", lambda text: text)
+    short = world.rows(slice(0, 200))
+    if kind == "dataflash":
+        path = make.dataflash(tmp_path / "a.bin", short, says=HOSTILE)
+    else:
+        path = make.ulog(tmp_path / "a.ulg", short)
+        path.write_bytes(path.read_bytes() + ulog_information("ver_sw", HOSTILE))
+    printed = run(path, "--airframe", "m100").output
+    assert "ArduCopter" in printed
+    ruled = any(sign in printed for sign in ("\x1b", "\x07", "\u202e", "[red]"))
+    assert ruled is not guarded
+
+
+def ulog_information(key: str, text: str) -> bytes:
+    """An information message, by the file format's documentation (PX4, ULog, message 'I')."""
+    value = text.encode()
+    named = f"char[{len(value)}] {key}".encode()
+    body = bytes([len(named)]) + named + value
+    return len(body).to_bytes(2, "little") + b"I" + body
+
+
 def test_what_is_printed_counts_from_the_logs_start_whatever_its_clock_says(make, world, tmp_path):
     columns = make.csv_columns(world) | make.battery_columns(world)
     log = open_log(make.csv(tmp_path / "f.csv", columns))

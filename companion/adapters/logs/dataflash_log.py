@@ -12,6 +12,7 @@ from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.clock import AutopilotClock
 from companion.adapters.logs.dataflash_filter import whole_messages
 from companion.core.base.errors import LeewayError
+from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
@@ -222,7 +223,7 @@ class _Reader:
         if kind == "VER":
             self.vehicle = BUILDS.get(getattr(message, "BU", -1), self.vehicle)
         else:
-            text = str(message.Message)
+            text = safe_text(str(message.Message))
             for name, vehicle in NAMES.items():
                 if text.startswith(name):
                     self.vehicle, self.firmware = self.vehicle or vehicle, text

@@ -6,6 +6,7 @@ import msgspec
 
 from companion.adapters.logs.decision_log import KINDS, as_event_fields, read_log
 from companion.core.base.errors import LeewayError
+from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import Event, Identified
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
 from companion.core.vehicle.airframe import MULTIROTOR
@@ -28,14 +29,14 @@ def read_mcap_log(path: Path) -> RecordedFlight:
         try:
             event = msgspec.convert(as_event_fields(topic, row), kind)
         except msgspec.ValidationError as error:
-            findings.append(LogFinding(f"topic {topic}", str(error), "left out"))
+            findings.append(LogFinding(f"topic {topic}", safe_text(str(error)), "left out"))
             continue
         if isinstance(event, Identified):
             identified = event
         else:
             events.append(event)
     if not events:
-        seen = ", ".join(sorted(topics)) or "none"
+        seen = safe_text(", ".join(sorted(topics))) or "none"
         raise LeewayError(
             f"{path}: topics heard_attitude, heard_position ... expected, found {seen};"
             " replay the stream.tlog beside it instead"

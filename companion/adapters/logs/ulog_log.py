@@ -16,6 +16,7 @@ from companion.adapters.logs.ulog_filter import wanted_part
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import moved_deg
+from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (
     Airspeed,
     Attitude,
@@ -428,4 +429,4 @@ def _firmware(log: Any) -> str | None:
     if isinstance(raw, int):
         return f"{raw >> 24 & 255}.{raw >> 16 & 255}.{raw >> 8 & 255}"
     version = log.msg_info_dict.get("ver_sw")
-    return version if isinstance(version, str) else None
+    return safe_text(version) if isinstance(version, str) else None

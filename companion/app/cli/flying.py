@@ -16,6 +16,7 @@ from companion.app.flight.run import DONE, GROUNDED, NO_LINK, NOT_TO_BE_CHECKED,
 from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
+from companion.fleet.network import OPEN_MARK
 
 SHOWN_NOTES = ("pre-flight", "not granted", "setting ", "settings ")
 """How the notes begin that `run` prints: what is missing, refused, or changed on the vehicle."""
@@ -58,7 +59,7 @@ class CommandLine:
 
 def fly(options: RunOptions) -> int:
     """Fly the mission; the exit code."""
-    code, _ = run(options, on_action=_show)
+    code, _ = run(options, on_action=show_action)
     if code == NO_LINK:
         typer.echo(nobody_there(options.link))
     return code
@@ -101,9 +102,10 @@ def fly_in_fleet(said: FleetLine, options: RunOptions, *, one_mission: bool) -> 
 
     join = JoinOptions(said.identity, said.open_network)
     fleet = FleetOptions(said.fleet, said.vehicle, said.zenoh, join)
+    show = show_open if said.open_network else show_action
     if one_mission:
-        return fly_one(fleet, options, _show)
-    return serve(fleet, options, say=typer.echo, on_action=_show)
+        return fly_one(fleet, options, show)
+    return serve(fleet, options, say=_say_open if said.open_network else _say, on_action=show)
 
 
 def put_settings_back(
@@ -141,20 +143,41 @@ def check(options: RunOptions) -> int:
     return DONE if ready else GROUNDED
 
 
-def _show(action: Action) -> None:
+def show_action(action: Action) -> None:
+    """Print what it says, if anything."""
+    _say(_line_of(action))
+
+
+def show_open(action: Action) -> None:
+    """The same on an open network."""
+    _say_open(_line_of(action))
+
+
+def _say(line: str) -> None:
+    """Nothing for an empty line."""
+    if line:
+        typer.echo(line)
+        sys.stdout.flush()
+
+
+def _say_open(line: str) -> None:
+    _say(f"{OPEN_MARK} {line}" if line else "")
+
+
+def _line_of(action: Action) -> str:
+    """What is printed of it; empty: nothing."""
     match action:
         case Say():
-            typer.echo(f"  {action.text}")
+            return f"  {action.text}"
         case PhaseChanged():
-            typer.echo(f"{action.t_s:9.1f} s  {action.before} -> {action.now}")
+            return f"{action.t_s:9.1f} s  {action.before} -> {action.now}"
         case Decision():
             promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
-            typer.echo(f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}")
+            return f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}"
         case Note() if action.text.startswith(SHOWN_NOTES):
-            typer.echo(f"  {action.text}")
+            return f"  {action.text}"
         case _:
-            return
-    sys.stdout.flush()
+            return ""
 
 
 def _show_check(action: Action) -> None:

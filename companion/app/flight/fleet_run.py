@@ -16,7 +16,8 @@ from companion.app.flight.standby import Standby, StopSignals
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions, join
-from companion.fleet.messages import AIRFRAME
+from companion.fleet.messages import AIRFRAME, EventKind
+from companion.fleet.network import OPEN_WORDS
 from companion.fleet.topics import VehicleKeys
 
 
@@ -37,7 +38,7 @@ def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> F
     if re.match(AIRFRAME, airframe) is None:
         raise LeewayError(f"airframe {airframe!r}: no name that a fleet's messages may carry")
     try:
-        return FleetPort.open(
+        port = FleetPort.open(
             fleet.vehicle,
             airframe,
             settings.airframe,
@@ -48,6 +49,10 @@ def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> F
         )
     except OSError as error:
         raise LeewayError(f"{options.run_dir}: {error.strerror}") from error
+    if fleet.join.open_network:
+        port.member.remark = OPEN_WORDS
+        port.tell(EventKind.SAID, OPEN_WORDS)
+    return port
 
 
 def serve(

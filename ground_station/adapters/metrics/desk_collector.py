@@ -15,7 +15,6 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from companion.fleet.trust import DAY_US
 from ground_station.core.fleet.desk_figures import (
     CertificateFigures,
     CommandFigures,
@@ -25,6 +24,7 @@ from ground_station.core.fleet.desk_figures import (
     ReplanFigures,
     Standing,
     StoreFigures,
+    days_left,
 )
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.time_counts import TimesBy
@@ -117,15 +117,11 @@ def _certificates(figures: CertificateFigures | None, now_us: int) -> Iterator[M
     if figures is None:
         return
     own_us = figures.own_us
-    own_days = 0.0 if own_us is None else _days(own_us, now_us)
+    own_days = 0.0 if own_us is None else days_left(own_us, now_us)
     about = "Of the desk's own; 0: not on the roster, or revoked."
     yield _gauge("own_certificate_days_left", about, own_days)
-    ends = [(name, _days(end_us, now_us)) for name, end_us in figures.members_us]
+    ends = [(name, days_left(end_us, now_us)) for name, end_us in figures.members_us]
     yield _gauges("certificate_days_left", "Of each member's, by the roster.", "member", ends)
-
-
-def _days(end_us: int, now_us: int) -> float:
-    return (end_us - now_us) / DAY_US
 
 
 def _gauge(name: str, about: str, value: float) -> Metric:

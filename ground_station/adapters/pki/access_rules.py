@@ -8,12 +8,13 @@ import ipaddress
 import json
 from typing import Any
 
+from companion.fleet.identity import TLS_CERTIFICATE
 from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
 from companion.fleet.roster import Roster, RosterMember
 from companion.fleet.topics import VehicleKeys, roster_key
 from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
 
-TLS_CERTIFICATE, TLS_KEY, TLS_AUTHORITIES = "tls.pem", "tls.key", "ca.pem"
+TLS_KEY, TLS_AUTHORITIES = "tls.key", "ca.pem"
 
 MANY_CALLERS = {"max_sessions": 5000, "accept_pending": 1000}
 """zenoh's own limits are 1000 members, and 100 of them calling at the same moment: a fleet that

@@ -18,6 +18,7 @@ from companion.fleet.identity import (
     IDENTITY,
     ROSTER,
     SIGNING_KEY,
+    TLS_CERTIFICATE,
     ZENOH,
     read_bytes,
     read_signing_key,
@@ -29,7 +30,6 @@ from companion.fleet.topics import checked_name
 from companion.fleet.trust import ROSTER_KIND
 from ground_station.adapters.pki.access_rules import (
     TLS_AUTHORITIES,
-    TLS_CERTIFICATE,
     TLS_KEY,
     zenoh_json,
 )

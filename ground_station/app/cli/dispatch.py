@@ -1,7 +1,7 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
-from contextlib import closing
+from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.network import OPEN_MARK, OPEN_WORDS
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.app.cli.metrics import MetricsAddress, OpenMetrics, hold_port, serve_desk
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
-    OPEN_WORDS,
     DayArgument,
     FleetName,
     IdentityFolder,
@@ -36,10 +36,12 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
+    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
 
 TURN_S = 0.2
+PIPED_S = 10.0
 LEAST_SILENT_S = 5.0
 NOT_RECALLED = 3
 NOT_HELD = 4
@@ -98,6 +100,7 @@ def dispatch(
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
     from ground_station.adapters.files.plan_files import read_day_plan
+    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
@@ -131,12 +134,18 @@ def dispatch(
             if open_network:
                 typer.echo(OPEN_WORDS)
             meter = None if server is None else serve_desk(server, desk, fleet)
-            through = _run(desk, idle if until_done else None, meter)
+            reminder = CertificateReminder(network, say, epoch_us)
+            through = _run(desk, idle if until_done else None, meter, reminder)
         if through:
             _end(desk)
 
 
-def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
+def _run(
+    desk: "Desk",
+    idle_s: float | None,
+    meter: "DeskMeter | None",
+    reminder: "CertificateReminder",
+) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     from companion.fleet.service_manager import Watchdog
 
@@ -146,6 +155,7 @@ def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
         with stop_signals() as stopped:
             while not stopped:
                 watchdog.turn(monotonic_s())
+                reminder.turn(monotonic_s())
                 if meter is not None:
                     meter.turn()
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
@@ -182,10 +192,12 @@ def watch(
     identity: IdentityFolder = None,
     open_network: OpenNetwork = False,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Watch for so long, print once, end.")
+        float | None, typer.Option(min=0.1, help="Watch for so long, then end.")
     ] = None,
 ) -> None:
     """Watch the fleet live: phase, margin, P(home), orders. It commands nothing.
+
+    Into a pipe or file it prints at once, every 10 s, and at its end.
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
@@ -194,6 +206,8 @@ def watch(
 
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
+    from ground_station.app.desk.recall import SAY_S
+    from ground_station.app.views.attention import CERTIFICATES, ending_certificates
     from ground_station.app.views.terminal import terminal
     from ground_station.app.views.watch_view import watch_view
     from ground_station.app.views.watched_rows import WatchRows, read_rows
@@ -213,15 +227,25 @@ def watch(
         notes = [OPEN_WORDS] if open_network else []
         notes += [] if exchange.status.vehicles else [f"nobody is heard in fleet {fleet}"]
         notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
+        ending = ending_certificates(ears.certificates(), epoch_us())
+        notes += [f"LOOK: {CERTIFICATES}: {ending}"] if ending else []
         return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:
         with stop_signals() as stopped:
             until_s = None if seconds is None else monotonic_s() + seconds
-            with Live(view(), console=console, auto_refresh=False, transient=True) as live:
+            shown = Live(view(), console=console, auto_refresh=False, transient=True)
+            next_s, joined_s = 0.0, monotonic_s()
+            with shown if console.is_terminal else nullcontext():
                 while not stopped and (until_s is None or monotonic_s() < until_s):
                     exchange.listen(TURN_S)
-                    live.update(view(), refresh=console.is_terminal)
+                    now_s = monotonic_s()
+                    known = exchange.status.vehicles or now_s - joined_s > SAY_S
+                    if console.is_terminal:
+                        shown.update(view(), refresh=True)
+                    elif known and now_s >= next_s:
+                        next_s = now_s + PIPED_S
+                        console.print(view())
         console.print(view())
     finally:
         ears.close()
@@ -322,7 +346,7 @@ def _look(words: str) -> None:
 
 
 def _say_open(words: str) -> None:
-    _say(f"[OPEN NETWORK] {words}")
+    _say(f"{OPEN_MARK} {words}")
 
 
 def _say(words: str) -> None:

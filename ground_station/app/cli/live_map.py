@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import epoch_us
+from companion.fleet.network import OPEN_WORDS
+from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.adapters.listening_socket import is_loopback
 from ground_station.app.cli.options import (
     DEFAULT_STORE,
-    OPEN_WORDS,
     IdentityFolder,
     OpenNetwork,
     StoreFile,
@@ -159,7 +159,7 @@ def show_map(
         notes = (OPEN_WORDS,) if open_network else ()
         ear = FleetEar(ears, clock, status)
         view = MapView(name, data, notes, basemap is not None, _has_outline(basemap))
-        feed = MapFeed(view, ear, opened, clock)
+        feed = MapFeed(view, ear, opened, clock, ears.certificates)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
         _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
 
@@ -168,9 +168,13 @@ def _serve_until_stopped(
     server: "MapServer", answers: "MapAnswers", what: str, turn: Callable[[], object]
 ) -> None:
     server.serve(answers)
+    from companion.fleet.service_manager import Watchdog
+
     typer.echo(f"{what}: {server.address}/  Ctrl-C ends it")
+    watchdog = Watchdog()
     with stop_signals() as stopped:
         while not stopped:
+            watchdog.turn(monotonic_s())
             turn()
 
 

@@ -70,7 +70,6 @@ OpenNetwork = Annotated[
         help="Allow a network that lets strangers in: without TLS, or found by multicast.",
     ),
 ]
-OPEN_WORDS = "OPEN NETWORK: strangers may listen and command"
 FleetName = Annotated[str, typer.Option("--fleet", help="The fleet's name, as in the day file.")]
 
 

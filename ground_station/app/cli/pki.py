@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 SOON = 3
 DAYS = 365
-WARN_DAYS = 30
-"""A month: time enough to bring a new certificate to a vehicle that is away."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -97,6 +95,8 @@ def status(pki: Folder = HERE) -> None:
     """
     from rich.console import Console
     from rich.table import Table
+
+    from companion.fleet.roster import WARN_DAYS
 
     folder = _open(pki)
     table = Table("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.network import OPEN_MARK
 from ground_station.adapters.clock import epoch_us, monotonic_s
 from ground_station.app.cli.options import (
     DayArgument,
@@ -64,6 +65,6 @@ def truck(
         raise LeewayError(f"{folder}: {error.strerror}") from error
     try:
         with stop_signals() as stopped:
-            run_console(member, terminal(), woken, stopped)
+            run_console(member, terminal(), woken, stopped, OPEN_MARK if open_network else "")
     finally:
         member.close()

@@ -30,8 +30,10 @@ LISTEN_S = 0.2
 JOIN_S = 2.0
 """How long the fleet is listened for before it counts who is there."""
 
-SAY_S = 0.8
-"""After so long somebody who waits is told that nobody was heard: within a second."""
+SAY_S = 0.5
+"""After so long somebody who waits is told that nobody was heard: within a second. Members that are
+there have answered by then; on one machine programs call each other twice a second.
+"""
 
 
 class NobodyHeardError(LeewayError):
@@ -91,11 +93,11 @@ class Recaller:
     def join(self, vehicle: str | None, wait_s: float) -> None:
         """Listen until the vehicle, or (None) whoever is there, is heard; say where nobody is."""
         began_s, said = self.clock.monotonic_s(), False
-        while (past_s := self.clock.monotonic_s() - began_s) < min(wait_s, JOIN_S):
+        while self.clock.monotonic_s() - began_s < min(wait_s, JOIN_S):
             if vehicle is not None and self.hears(vehicle):
                 return
             self.listen()
-            if past_s > SAY_S and not said:
+            if self.clock.monotonic_s() - began_s > SAY_S and not said:
                 said = self._say_silence(vehicle)
 
     def _say_silence(self, vehicle: str | None) -> bool:

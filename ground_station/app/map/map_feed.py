@@ -4,7 +4,7 @@ One thread runs `turn`; the server's threads only read what was published, and a
 `reach`, which look at values that are replaced and never changed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,7 +17,9 @@ from ground_station.app.map.fleet_ear import FleetEar, PromiseSample
 from ground_station.app.map.flight_decisions import FlightDecisions
 from ground_station.app.map.map_view import MapView, Moment, StoreReading
 from ground_station.app.map.picture import Point
+from ground_station.app.views.attention import ending_certificates
 from ground_station.app.views.watched_rows import read_rows
+from ground_station.core.fleet.desk_figures import CertificateFigures
 from ground_station.core.fleet.fleet_link import Clock
 
 TICK_S = 0.2
@@ -34,13 +36,21 @@ SAMPLES = 2000
 class MapFeed:
     """The feed of one map."""
 
-    def __init__(self, view: MapView, ear: FleetEar, store: Store, clock: Clock) -> None:
+    def __init__(
+        self,
+        view: MapView,
+        ear: FleetEar,
+        store: Store,
+        clock: Clock,
+        certificates: Callable[[], CertificateFigures | None] = lambda: None,
+    ) -> None:
         self.stream = LiveStream()
         self._view, self._ear, self._store, self._clock = view, ear, store, clock
         self._day = DayStore(store.database, clock.epoch_us)
         self._decisions = DecisionReader(store.database)
         self._flights = FlightDecisions()
         self._read, self._away = StoreReading(), ""
+        self._certificates = certificates
         self._next_s, self._rows_s, self._published_s = 0.0, 0.0, 0.0
 
     def turn(self) -> None:
@@ -94,7 +104,10 @@ class MapFeed:
     def picture(self, now_s: float) -> dict[str, Any]:
         """What is seen at this time of the monotonic clock, as JSON's own types."""
         ear = self._ear
-        moment = Moment(now_s, ear.status, ear.tracks, self._flights, self._read, self._away)
+        ending = ending_certificates(self._certificates(), self._clock.epoch_us())
+        moment = Moment(
+            now_s, ear.status, ear.tracks, self._flights, self._read, self._away, ending
+        )
         return self._view.picture(moment)
 
     # --- what the page asks for ----------------------------------------------------------------

@@ -22,7 +22,7 @@ from ground_station.app.map.picture import (
 from ground_station.app.map.reach_ring import ReachRings
 from ground_station.app.map.site_shown import forecast_shown, site_shown
 from ground_station.app.map.wind_shown import fleet_wind
-from ground_station.app.views.attention import stuck_orders
+from ground_station.app.views.attention import CERTIFICATES, stuck_orders
 from ground_station.app.views.watched_rows import WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.truck_state import TRUCK
@@ -62,7 +62,8 @@ class StoreReading:
 class Moment:
     """All that is known at one moment. `t_s`: by the clock that the statuses were heard by.
 
-    `away`: why the store cannot be read; empty: it can. `notes`: what else is to be said.
+    `away`: why the store cannot be read; empty: it can. `ending`: whose certificates end soon.
+    `notes`: what else is to be said.
     """
 
     t_s: float
@@ -71,6 +72,7 @@ class Moment:
     decisions: Decisions
     read: StoreReading
     away: str = ""
+    ending: str = ""
     notes: tuple[str, ...] = ()
 
 
@@ -158,6 +160,8 @@ class MapView:
     ) -> Iterator[AttentionShown]:
         if moment.away:
             yield AttentionShown(who="store", words=f"away, rows are old: {moment.away}")
+        if moment.ending:
+            yield AttentionShown(who=CERTIFICATES, words=moment.ending)
         if not moment.status.vehicles:
             yield AttentionShown(who=self._fleet, words="nobody is heard")
         members = {TRUCK: truck} | drones if truck is not None else drones

@@ -150,7 +150,7 @@ class SiteShown(_Part, frozen=True, kw_only=True):
 
 
 class AttentionShown(_Part, frozen=True, kw_only=True):
-    """Something that wants a person's eye. `who`: a member, an order or `store`."""
+    """Something that wants a person's eye. `who`: a member, an order, `store`, `certificates`."""
 
     who: str
     words: str

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.service_manager import Watchdog
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import Task
 
@@ -20,18 +21,26 @@ LOOK = f"1 {GONE}, 1 {ABOARD}: where its parcel is"
 
 
 def run_console(
-    truck: TruckMember, console: Console, woken: threading.Event, stopped: Sequence[int]
+    truck: TruckMember,
+    console: Console,
+    woken: threading.Event,
+    stopped: Sequence[int],
+    mark: str = "",
 ) -> None:
-    """Answer the desk and take the driver's words, until `stopped` or the driver leaves."""
+    """Answer the desk and take the driver's words, until `stopped` or the driver leaves. `mark`:
+    what stands before each line that says where the truck is.
+    """
     lines: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_read, args=(sys.stdin, lines, woken), daemon=True).start()
     shown: list[Task] | None = None
+    watchdog = Watchdog()
     while not stopped:
+        watchdog.turn(truck.member.clock_s())
         truck.turn()
         truck.publish()
         if truck.todo != shown:
             shown = truck.todo
-            _show(truck, console)
+            _show(truck, console, mark)
         woken.wait(TURN_S)
         woken.clear()
         while not lines.empty():
@@ -48,9 +57,10 @@ def _read(source: TextIO, lines: "queue.Queue[str]", woken: threading.Event) -> 
         woken.set()
 
 
-def _show(member: TruckMember, console: Console) -> None:
+def _show(member: TruckMember, console: Console, mark: str) -> None:
     truck = member.truck
     where = f"driving to {truck.stop}" if truck.driving else f"at {truck.stop}"
+    where = f"{mark} {where}" if mark else where
     if not truck.tasks:
         console.print(f"{where}: nothing to do, wait for the dispatcher", highlight=False)
         return

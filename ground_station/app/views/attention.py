@@ -3,10 +3,16 @@
 from collections.abc import Iterator, Sequence
 
 from companion.fleet.messages import State
+from companion.fleet.roster import WARN_DAYS
 from ground_station.app.views.watched_rows import DayShown
+from ground_station.core.fleet.desk_figures import CertificateFigures, days_left
 from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import OrderRow, OrderState
+
+CERTIFICATES = "certificates"
+NAMED = 5
+"""Certificates that are named in one line; the others are counted."""
 
 
 def expected_silence(seen: VehicleStatus, day: DayShown | None) -> str | None:
@@ -44,3 +50,23 @@ def stuck_orders(orders: Sequence[OrderRow]) -> Iterator[tuple[str, str]]:
     """Orders that wait for a person, and why."""
     stuck = (row for row in orders if row.state is OrderState.STUCK)
     yield from ((row.order.id, f"is stuck: {row.why}") for row in stuck)
+
+
+def ending_certificates(certificates: CertificateFigures | None, now_us: int) -> str:
+    """Whose certificates end within a month, soonest first; empty: nobody's.
+
+    In one line: a fleet that was set up on one day ends on one day.
+    """
+    if certificates is None:
+        return ""
+    own = [] if certificates.own_us is None else [("your own", certificates.own_us)]
+    ends = [(who, days_left(end_us, now_us)) for who, end_us in [*own, *certificates.members_us]]
+    soon = [_ends(who, days) for who, days in ends if days <= WARN_DAYS]
+    if not soon:
+        return ""
+    others = f" and {len(soon) - NAMED} others" if len(soon) > NAMED else ""
+    return f"{', '.join(soon[:NAMED])}{others} (ground-station pki renew)"
+
+
+def _ends(who: str, days: float) -> str:
+    return f"{who} has ended" if days < 0.0 else f"{who} ends in {days:.0f} days"

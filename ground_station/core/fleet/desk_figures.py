@@ -12,6 +12,8 @@ from companion.fleet.roster import Roster
 from ground_station.core.fleet.name_counts import MOST_NAMES
 from ground_station.core.fleet.time_counts import TimesBy
 
+DAY_US = 86_400_000_000
+
 
 class Standing(Enum):
     """How the desk finds a member. `SILENT`: on the network, but its states do not come, or two
@@ -114,9 +116,18 @@ def listed(members: list[MemberFigures]) -> tuple[MemberFigures, ...]:
     return tuple(members[:MOST_NAMES])
 
 
-def certificates_of(roster: Roster, me: str) -> CertificateFigures:
-    """When the certificates of a roster end; who is revoked needs none."""
+def days_left(end_us: int, now_us: int) -> float:
+    """Days until a certificate ends; below 0 where it has ended."""
+    return (end_us - now_us) / DAY_US
+
+
+def certificates_of(roster: Roster, me: str, own_end_us: int | None = None) -> CertificateFigures:
+    """When the certificates of a roster end; who is revoked needs none. `own_end_us`: when the one
+    ends that this desk has, where it is known; a roster tells of a newer one before it is carried.
+    """
     ends = sorted((m.not_after_us, m.name) for m in roster.members if not m.revoked)
     own = next((end for end, name in ends if name == me), None)
+    if own is not None and own_end_us is not None:
+        own = min(own, own_end_us)
     others = [(name, end) for end, name in ends if name != me]
     return CertificateFigures(own, tuple(others[:MOST_NAMES]))

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from companion.adapters.clock import epoch_us, wall_s
 from companion.app.flight import fleet_port
 from companion.app.flight.assignment import MISSION, take_up, write_assignment
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
@@ -17,6 +19,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet import member as fleet_member
 from companion.fleet.command_log import Verdict
 from companion.fleet.event_log import BATCH, KEPT, LEAP, SLACK, EventLog
+from companion.fleet.identity import TLS_CERTIFICATE, read_identity
 from companion.fleet.member import FleetMember
 from companion.fleet.messages import (
     Answered,
@@ -35,7 +38,11 @@ from companion.fleet.messages import (
 )
 from companion.fleet.messages import encode as encoded
 from companion.fleet.network import Ask, Asked
+from companion.fleet.roles import Role
+from companion.fleet.signed_link import SignedLink
+from companion.fleet.trust import Trust
 from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
 from ground_station.core.dispatch.flight_tables import delivery_table
 from tests.fleet.zenoh_net import Vehicle, config_file, free_port
 
@@ -258,6 +265,45 @@ def test_what_is_aboard_stays_aboard_when_the_certificate_ends(port):
     port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
     again = Assign(assignment="a1", order="o1", flight={})
     assert ask(port, again).answer is Answered.DONE
+
+
+@pytest.mark.parametrize("carried", [False, True], ids=["not carried", "canary: carried"])
+def test_a_launch_waits_until_the_renewed_certificate_is_carried(port, tmp_path, carried):
+    """The desk tells the new roster at once; what the vehicle joins with lies in its folder."""
+    pki = PkiFolder.init(tmp_path / "pki", "harbour", utc_at(epoch_us()) - timedelta(days=365))
+    pki.add("desk", Role.DESK, 800, "")
+    pki.add("d1", Role.VEHICLE, 365, "")
+    home = pki.folder / "members" / "d1"
+    d1, desk = read_identity(home).trust, read_identity(pki.folder / "members" / "desk").trust
+    old = (home / TLS_CERTIFICATE).read_bytes()
+    pki.renew("d1", 800)
+    if not carried:
+        (home / TLS_CERTIFICATE).write_bytes(old)
+    wire = port.link
+    port.member.link = SignedLink(wire, d1, port.life, wall_s)
+    port.begin_trouble = lambda: d1.trouble_until(3600.0)
+    roster = (pki.folder / "roster.json").read_bytes()
+    wire.put(Asked(Ask.ROSTER, lambda replies: None, roster))
+    port.turn(lambda asked: Verdict(Answered.DONE, "done"))
+    assert d1.roster.number == pki.roster.number
+    result = ask_signed(port, wire, desk, Launch(assignment="a1"))
+    assert result.answer is (Answered.DONE if carried else Answered.REFUSED)
+    assert carried or "carry tls.pem to d1" in result.reason
+
+
+def ask_signed(port: fleet_port.FleetPort, wire: Any, desk: Trust, deed: Deed) -> Result:
+    """What the vehicle answers, signed, to a command that the desk signed."""
+    replies: list[bytes] = []
+    made = {"id": "c1", "vehicle": "d1", "life": port.life, "as_of_s": 0.0, "by": "desk"}
+    command = desk.seal("command", encoded(Command(**made, deed=deed)))
+    wire.put(Asked(Ask.COMMAND, replies.extend, command))
+    port.turn(lambda asked: Verdict(Answered.DONE, "done"))
+    (sealed,) = replies
+    raw = desk.told("result", sealed, "d1")
+    assert isinstance(raw, bytes), raw
+    result = decode_result(raw)
+    assert isinstance(result, Result)
+    return result
 
 
 class HeldDisk:

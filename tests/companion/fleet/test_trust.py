@@ -3,6 +3,7 @@
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -21,9 +22,11 @@ from companion.fleet.messages import (
     SetLimits,
     encode,
 )
+from companion.fleet.network import Asked
 from companion.fleet.refusals import Refusals
 from companion.fleet.roles import Role
 from companion.fleet.roster import RosterMember, roster_from_toml, roster_toml
+from companion.fleet.signed_link import SignedLink
 from companion.fleet.trust import SignedCommand, Trust
 from ground_station.adapters.pki.pki_folder import PkiFolder
 
@@ -241,7 +244,99 @@ def test_nothing_may_begin_that_outlasts_the_certificate(pki):
     assert d1.trouble_until(1700.0) == ""
     assert d1.trouble_until(1900.0) == (
         "the certificate of d1 ends in 30 min, expected at least 32 min more"
+        " (ground-station pki renew)"
     )
+
+
+class SilentLink:
+    """A line on which nothing is asked."""
+
+    def asked(self) -> list[Asked]:
+        return []
+
+
+def test_a_member_that_runs_across_the_day_says_it_and_again_every_day(pki):
+    """Started 31.5 days before its end, with no new roster meanwhile."""
+    start_us = round((NOW + timedelta(days=DAYS - 31.5)).timestamp() * 1e6)
+    d1, now_s = trust(pki, "d1"), 0.0
+    d1.epoch_us = lambda: start_us + round(now_s * 1e6)
+    link = SignedLink(cast(Any, SilentLink()), d1, "life", lambda: now_s)
+    said: list[tuple[float, str]] = []
+    for hour in range(24 * 4):
+        now_s = 3600.0 * hour
+        said += [(hour / 24.0, asked.payload.decode()) for asked in link.asked()]
+    words = "certificate of d1: {} days left (ground-station pki renew)"
+    assert said == [(2.0, words.format(30)), (3.0, words.format(28))]  # 29.5 and 28.5
+
+
+TLS = "tls.pem"
+NEAR = NOW + timedelta(days=DAYS) - timedelta(minutes=10)
+"""Ten minutes before the certificates of `pki` end."""
+
+
+@pytest.mark.parametrize("looks", [True, False], ids=["ours", "canary: the roster alone"])
+def test_a_renewed_roster_does_not_lengthen_a_certificate_that_was_not_carried(pki, looks):
+    """`pki renew d1` writes both; the desk tells the roster, a person carries `tls.pem` later."""
+    home, d1 = pki.folder / "members" / "d1", trust(pki, "d1", NEAR)
+    if not looks:
+        d1.read_end_us, d1.own_end_us = (lambda: None), None
+    old = (home / TLS).read_bytes()
+    assert "ends in 10 min" in d1.trouble_until(3600.0)
+    pki.now = NEAR
+    pki.renew("d1", DAYS)
+    new = (home / TLS).read_bytes()
+    (home / TLS).write_bytes(old)
+    assert d1.take_roster((pki.folder / "roster.json").read_bytes()) == pki.roster
+    remedy = "(renewed until 2028-11-22: carry tls.pem to d1)"
+    assert (d1.trouble_until(3600.0), d1.warning()) == (
+        (
+            f"the certificate of d1 ends in 10 min, expected at least 60 min more {remedy}",
+            f"certificate of d1: 0 days left {remedy}",
+        )
+        if looks
+        else ("", "")
+    )
+    (home / TLS).write_bytes(new)
+    assert (d1.trouble_until(3600.0), d1.warning()) == ("", "")
+
+
+@pytest.mark.parametrize("name", ["desk", "d1"])
+def test_who_is_called_by_others_must_start_anew_to_show_its_new_certificate(pki, name):
+    """zenoh reads a listener's certificate when it starts to listen, a caller's at each call."""
+    one = trust(pki, name, NEAR)
+    pki.now = NEAR
+    pki.renew(name, DAYS)
+    one.take_roster((pki.folder / "roster.json").read_bytes())
+    assert one.warning() == (
+        "certificate of desk: 0 days left"
+        " (renewed until 2028-11-22: carry tls.pem to desk, start it anew)"
+        if name == "desk"
+        else ""
+    )
+    assert trust(pki, name, NEAR).warning() == ""
+
+
+@pytest.mark.parametrize("spoilt", [b"", b"-----BEGIN CERTIFICATE-----\nAAAA\n", None])
+def test_a_certificate_that_is_only_half_carried_leaves_the_one_before(pki, spoilt):
+    path, d1 = pki.folder / "members" / "d1" / TLS, trust(pki, "d1", NEAR)
+    _ = path.unlink() if spoilt is None else path.write_bytes(spoilt)
+    assert "0 days left" in d1.warning()
+    assert "ends in 10 min" in d1.trouble_until(3600.0)
+
+
+def test_a_certificate_that_is_none_is_said_at_the_start(pki):
+    (pki.folder / "members" / "d1" / TLS).write_text("no certificate")
+    with pytest.raises(LeewayError, match=r"d1/tls\.pem: not a certificate"):
+        trust(pki, "d1")
+
+
+def test_a_roster_that_names_an_earlier_end_than_the_certificate_holds(pki):
+    """A certificate that was carried before the roster has come: others go by the roster."""
+    d1, before = trust(pki, "d1", NEAR), (pki.folder / "roster.json").read_bytes()
+    pki.now = NEAR
+    pki.renew("d1", DAYS)
+    assert d1.take_roster(before) is None
+    assert d1.trouble_until(3600.0).endswith("60 min more (ground-station pki renew)")
 
 
 def test_a_roster_file_is_read_strictly_and_written_as_it_was(pki):

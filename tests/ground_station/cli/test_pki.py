@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -11,12 +12,13 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.messages import Answered, Command, Recall
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+from ground_station.adapters.store.database import Database
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
 from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import hears
-from tests.fleet.zenoh_net import free_port
+from tests.fleet.zenoh_net import FLEET, free_port
 
 DAY = str(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "secure-a-fleet.md"
@@ -67,6 +69,16 @@ def test_the_five_commands_of_the_page_secure_a_desk_and_two_drones(tmp_path, mo
     finally:
         for one in (*drones, desk):
             one.close()
+
+
+def test_watch_says_whose_certificate_ends_within_a_month(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    site = SecureSite(tmp_path / "pki", days={"d2": 20})
+    Database("sqlite:///desk.db").close()
+    words = ["watch", "--fleet", FLEET, "--identity", str(site.home("otto")), "--seconds", "0.1"]
+    with closing(site.person("desk")):
+        shown = CliRunner().invoke(app, [*words, "--store", "sqlite:///desk.db"]).output
+    assert "LOOK: certificates: d2 ends in 20 days (ground-station pki renew)" in shown
 
 
 @pytest.fixture

@@ -104,4 +104,7 @@ def test_certificates_end_soonest_first_and_the_revoked_have_none():
     first_us = round(END.timestamp() * 1e6)
     assert figures.own_us == first_us + 6 * day_us
     assert figures.members_us == (("d2", first_us + 2 * day_us), ("d1", first_us + 19 * day_us))
-    assert certificates_of(Roster(fleet="harbour", number=1, members=members), "d3").own_us is None
+    roster = Roster(fleet="harbour", number=1, members=members)
+    assert certificates_of(roster, "d3").own_us is None
+    assert certificates_of(roster, "desk", first_us).own_us == first_us  # renewed, not carried
+    assert certificates_of(roster, "desk", first_us + 30 * day_us) == figures

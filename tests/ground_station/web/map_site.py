@@ -22,6 +22,7 @@ from ground_station.app.desk.replanner import InlineReplanner
 from ground_station.app.map.fleet_ear import FleetEar
 from ground_station.app.map.map_feed import MapFeed
 from ground_station.app.map.map_view import MapView
+from ground_station.core.fleet.desk_figures import CertificateFigures
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, StateReceived
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.hand_made_day import PLAN, by_truck
@@ -87,6 +88,7 @@ class MapSite:
         )
         self.desk.begin()
         self.ears = MapEars(self.world)
+        self.ends: CertificateFigures | None = None
         self.reader = Store(Database(self.url, create=False), clock.epoch_us)
         self.held = ExitStack()
         for end in (self.store.close, self.reader.close):
@@ -101,7 +103,7 @@ class MapSite:
         self.ears.known = set()
         ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
         view = MapView("harbour", HARBOUR, basemap=basemap is not None, outline=outline)
-        self.feed = MapFeed(view, ear, self.reader, clock)
+        self.feed = MapFeed(view, ear, self.reader, clock, lambda: self.ends)
         self.server = MapServer("127.0.0.1", port)
         answers = MapAnswers(self.feed.stream, self.feed.history, self.feed.reach, basemap)
         self.server.serve(answers)

@@ -11,6 +11,7 @@ from companion.fleet.messages import EventKind
 from companion.fleet.polyline import encoded
 from ground_station.app.map.fleet_ear import VehicleTrack
 from ground_station.app.map.wind_shown import fleet_wind
+from ground_station.core.fleet.desk_figures import DAY_US, CertificateFigures
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.hand_made_day import PLAN
 from tests.ground_station.web.map_site import HARBOUR, MapSite
@@ -207,6 +208,16 @@ def test_what_wants_a_persons_eye_is_listed_with_who_and_why(site):
         db.commit()
     site.step(2)
     assert attention(site) == ["d1: 3.2 Wh short of its promise", "H-108: is stuck: three attempts"]
+
+
+def test_a_certificate_that_ends_within_a_month_wants_a_persons_eye(site):
+    now_us = site.world.clock.epoch_us()
+    site.ends = CertificateFigures(now_us + 90 * DAY_US, (("d1", now_us + 12 * DAY_US),))
+    site.step()
+    assert attention(site) == ["certificates: d1 ends in 12 days (ground-station pki renew)"]
+    site.ends = CertificateFigures(now_us + 90 * DAY_US, (("d1", now_us + 90 * DAY_US),))
+    site.step()
+    assert attention(site) == []
 
 
 def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
