@@ -7,7 +7,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
-from companion.core.mission.flight_file import Flight, Site, Vehicle, with_heights
+from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle, with_heights
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
@@ -41,7 +41,7 @@ def delivery_table(
             "temperature_c": drone.temperature_c,
             "battery_health_frac": drone.battery_health_frac,
         },
-        "mission": _plain(day.mission),
+        "mission": _mission(day.mission, elevation),
     }
 
 
@@ -71,7 +71,7 @@ def sortie_table(
         "home": sortie.home,
     }
     site |= _terrain(elevation, pads[sortie.launch], places)
-    return table | {"site": site, "mission": _plain(mission)}
+    return table | {"site": site, "mission": _mission(mission, elevation)}
 
 
 def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Flight:
@@ -121,6 +121,14 @@ def _terrain(
         return {}
     heights = elevation.strip(depot, places)
     return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
+
+
+def _mission(mission: Mission, elevation: SiteElevation | None) -> dict[str, Any]:
+    """Without a clearance where no ground is told: older vehicles do not know the key."""
+    table = _plain(mission)
+    if elevation is None:
+        del table["clearance_m"]
+    return table
 
 
 def _plain(value: Any) -> Any:
