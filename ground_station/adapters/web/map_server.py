@@ -26,7 +26,6 @@ from ground_station.adapters.web.web_guard import WebGuard
 from ground_station.core.people.web_tokens import TokenBook
 
 PAGE = Path(__file__).with_name("page")
-ASSETS = Path(__file__).with_name("assets")
 MOST_CONNECTIONS = 4 * MOST_CLIENTS
 """A page opens six at most; beyond it clients are answered 503."""
 
