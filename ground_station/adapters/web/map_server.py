@@ -20,6 +20,7 @@ from starlette.types import ASGIApp
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.listening_socket import listening_socket
 from ground_station.adapters.web.live_stream import MOST_CLIENTS, LiveStream
+from ground_station.adapters.web.npm_assets import ASSETS
 from ground_station.adapters.web.people import DEEDS, TokenToRead, WebPeople
 from ground_station.adapters.web.tls_files import TlsFiles
 from ground_station.adapters.web.web_guard import WebGuard
