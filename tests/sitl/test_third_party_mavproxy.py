@@ -13,7 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from companion.app.cli.main import app
 from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -183,6 +185,35 @@ def on_px4_over_udp(tmp_path: Path) -> None:
             client.expect("Mode MISSION")
             client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
             fly(client, served)
+
+
+def test_mavproxy_puts_an_exported_mission_with_fence_and_rally_aboard(
+    tmp_path: Path,
+) -> None:
+    done = CliRunner().invoke(
+        app,
+        ["export", "default", "--format", "wpl", "--autopilot", "ardupilot",
+         "--out", str(tmp_path / "harbour.waypoints")],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    rows = [len((tmp_path / f"harbour.{ending}").read_text().splitlines())
+            for ending in ("waypoints", "fence.waypoints", "rally.waypoints")]  # fmt: skip
+    served = on_the_ground(AutopilotKind.ARDUPILOT)
+    with Host(SPEEDUP) as host:
+        (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
+        with host.running(), mavproxy(url.replace("tcpin", "tcp"), tmp_path) as client:
+            client.expect("online system 1")
+            store = served.autopilot.store
+            client.say("module load fence")
+            client.say("module load rally")
+            for command, name, aboard, count in (
+                ("wp", "harbour.waypoints", store.mission, rows[0] - 1),
+                ("fence", "harbour.fence.waypoints", store.fence, rows[1] - 1),
+                ("rally", "harbour.rally.waypoints", store.rally, rows[2] - 1),
+            ):
+                client.say(f"{command} load {name}")
+                client.expect(f"Loaded {count} .* from {name}")
+                client.wait_for(lambda to=aboard, n=count: len(to) == n, 20.0)
 
 
 @pytest.mark.drawn(keep=1)

@@ -254,8 +254,8 @@ def on_ardupilot_over_tcp() -> None:
 def test_mavsdk_opens_an_exported_mission_with_its_fence_and_rally_points() -> None:
     """Both of its readers, a QGroundControl plan's and Mission Planner's, find the same items."""
     default = Path("default")
-    plan_text, _ = export(ExportRequest(default, ExportFormat.PLAN, "px4"))
-    wpl_text, _ = export(ExportRequest(default, ExportFormat.WPL, "ardupilot"))
+    plan_text = export(ExportRequest(default, ExportFormat.PLAN, "px4")).text
+    wpl_text = export(ExportRequest(default, ExportFormat.WPL, "ardupilot")).text
     port = free_udp_port()
 
     async def body() -> None:

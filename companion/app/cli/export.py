@@ -28,7 +28,8 @@ def export_command(
         typer.Option(
             "--format",
             help="plan (QGroundControl, with geofence and rally points), wpl (Mission Planner,"
-            " MAVProxy), kml (Google Earth), gpx, geojson (QGIS). A log is kml, gpx or geojson.",
+            " MAVProxy; fence and rally points in files beside it), kml (Google Earth), gpx,"
+            " geojson (QGIS). A log is kml, gpx or geojson.",
         ),
     ] = ExportFormat.PLAN,
     out: Annotated[
@@ -57,12 +58,15 @@ def export_command(
     from companion.app.tools.export import ExportRequest, export
 
     asked = ExportRequest(what, file_format, autopilot, airframe, every, params)
-    text, path = export(asked)
+    made = export(asked)
     if out == Path("-"):
-        typer.echo(text, nl=False)
+        typer.echo(made.text, nl=False)
         return
     from companion.adapters.files.atomic_file import write_text_whole
 
-    path = out or path
-    write_text_whole(path, text, settle=False)
-    typer.echo(f"wrote {path}")
+    path = out or made.path
+    texts = {path: made.text}
+    texts |= {path.with_name(path.stem + ending): text for ending, text in made.beside.items()}
+    for written, text in texts.items():
+        write_text_whole(written, text, settle=False)
+        typer.echo(f"wrote {written}")

@@ -15,7 +15,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
 from companion.core.exports.exported import mission_export
 from companion.core.exports.flown_track import track_export
-from companion.core.exports.formats import mission_text, track_text
+from companion.core.exports.formats import mission_text, texts_beside, track_text
 from companion.core.exports.ground_plan import plan_on_the_ground
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.air import standard_air
@@ -37,16 +37,21 @@ class ExportRequest:
     params: Path | None = None
 
 
-def export(asked: ExportRequest) -> tuple[str, Path]:
-    """The document, and the name of its file. LeewayError: a mistake in what was asked for."""
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """A document, the name of its file, and by their endings those that belong beside it."""
+
+    text: str
+    path: Path
+    beside: dict[str, str]
+
+
+def export(asked: ExportRequest) -> Exported:
+    """What was asked for. LeewayError: a mistake in that."""
     if asked.autopilot not in AUTOPILOTS:
         raise LeewayError(f"--autopilot {asked.autopilot}: expected {' or '.join(AUTOPILOTS)}")
     log = _log(asked.what)
-    if log is None:
-        text, name = _mission(asked)
-    else:
-        text, name = _track(asked, log)
-    return text, Path(name + asked.file_format.suffix)
+    return _mission(asked) if log is None else _track(asked, log)
 
 
 def _log(what: Path) -> Path | None:
@@ -61,7 +66,7 @@ def _log(what: Path) -> Path | None:
     return what
 
 
-def _mission(asked: ExportRequest) -> tuple[str, str]:
+def _mission(asked: ExportRequest) -> Exported:
     path = flight_path(asked.what, asked.params)
     flight = read_grounded_flight(path)
     airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
@@ -75,10 +80,14 @@ def _mission(asked: ExportRequest) -> tuple[str, str]:
         raise LeewayError(f"{path}: {error}") from error
     free_yaw = 0.0 if asked.autopilot == "ardupilot" else math.nan
     mission = mission_export(flown, path.stem, free_yaw=free_yaw)
-    return mission_text(mission, asked.file_format, asked.autopilot), path.stem
+    return Exported(
+        mission_text(mission, asked.file_format, asked.autopilot),
+        Path(path.stem + asked.file_format.suffix),
+        texts_beside(mission, asked.file_format),
+    )
 
 
-def _track(asked: ExportRequest, log: Path) -> tuple[str, str]:
+def _track(asked: ExportRequest, log: Path) -> Exported:
     name = log.parent.resolve().name if log.name in LOGS_OF_A_RUN else log.stem
     flight = open_log(log)
     if not flight.position_measured:
@@ -86,4 +95,4 @@ def _track(asked: ExportRequest, log: Path) -> tuple[str, str]:
     track = track_export(
         flight.events, name, every_s=asked.every_s, utc_at_zero_s=flight.utc_at_zero_s
     )
-    return track_text(track, asked.file_format), name
+    return Exported(track_text(track, asked.file_format), Path(name + asked.file_format.suffix), {})

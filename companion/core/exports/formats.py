@@ -9,7 +9,7 @@ from companion.core.exports.geojson import mission_geojson, track_geojson
 from companion.core.exports.gpx import mission_gpx, track_gpx
 from companion.core.exports.kml import mission_kml, track_kml
 from companion.core.exports.qgc_plan import mission_plan
-from companion.core.exports.wpl import wpl_document
+from companion.core.exports.wpl import fence_document, rally_document, wpl_document
 
 
 def mission_text(mission: MissionExport, file_format: ExportFormat, autopilot: str) -> str:
@@ -25,6 +25,19 @@ def mission_text(mission: MissionExport, file_format: ExportFormat, autopilot: s
             return mission_gpx(mission)
         case ExportFormat.GEOJSON:
             return _json(mission_geojson(mission))
+
+
+def texts_beside(mission: MissionExport, file_format: ExportFormat) -> dict[str, str]:
+    """Documents that belong beside a mission's, by their files' endings: of formats that hold
+    neither fence nor rally points.
+    """
+    if file_format is not ExportFormat.WPL:
+        return {}
+    found = {
+        ".fence.waypoints": fence_document(mission),
+        ".rally.waypoints": rally_document(mission),
+    }
+    return {ending: text for ending, text in found.items() if text is not None}
 
 
 def track_text(track: TrackExport, file_format: ExportFormat) -> str:

@@ -20,13 +20,13 @@ from starlette.types import ASGIApp
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.listening_socket import listening_socket
 from ground_station.adapters.web.live_stream import MOST_CLIENTS, LiveStream
+from ground_station.adapters.web.npm_assets import ASSETS
 from ground_station.adapters.web.people import DEEDS, TokenToRead, WebPeople
 from ground_station.adapters.web.tls_files import TlsFiles
 from ground_station.adapters.web.web_guard import WebGuard
 from ground_station.core.people.web_tokens import TokenBook
 
 PAGE = Path(__file__).with_name("page")
-ASSETS = Path(__file__).with_name("assets")
 MOST_CONNECTIONS = 4 * MOST_CLIENTS
 """A page opens six at most; beyond it clients are answered 503."""
 

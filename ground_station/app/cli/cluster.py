@@ -73,10 +73,10 @@ def cluster(
 
 
 def _show(console: "Console", problem: "ClusteringProblem", made: "Clustered") -> None:
-    from rich.table import Table
+    from ground_station.app.views.terminal import listing
 
     index = problem.index()
-    table = Table("stop", "customers", "kg", "mean Wh", title=f"by {made.method}")
+    table = listing("stop", "customers", "kg", "mean Wh", title=f"by {made.method}")
     total_wh = 0.0
     for group in made.clusters:
         mine = [index[id_] for id_ in group.customers]

@@ -168,15 +168,13 @@ def _run(
 
 def _end(desk: "Desk") -> None:
     """Say what is left over; that decides the exit code."""
-    from rich.table import Table
-
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.terminal import listing, terminal
 
     left = desk.left_over()
     if not left:
         typer.echo("every order is delivered or cancelled")
         return
-    table = Table("order", "state", "why", title="left over")
+    table = listing("order", "state", "why", title="left over")
     for row in left:
         table.add_row(row.order.id, row.state.value, desk.why_left(row))
     terminal().print(table)

@@ -257,10 +257,20 @@ def _server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
 def _have_basemap(basemap: Path) -> None:
     """Check the file, and fetch the scripts that draw it where they are missing."""
     from ground_station.adapters.files.basemap import check_pmtiles
-    from ground_station.adapters.web.npm_assets import missing_assets
+    from ground_station.adapters.web.npm_assets import (
+        ASSETS,
+        fetch_command,
+        may_write,
+        missing_assets,
+    )
 
     check_pmtiles(basemap)
-    if missing_assets():
+    if missing := missing_assets():
+        if not may_write():
+            raise LeewayError(
+                f"--basemap: {ASSETS} lacks {', '.join(missing)}, and this user cannot write there:"
+                f" once, `{fetch_command()}`"
+            )
         _fetch_assets()
 
 
@@ -277,14 +287,19 @@ def _has_outline(basemap: Path | None) -> bool:
     """Whether the world's outline can be drawn. A person at a terminal waits for it once; a service
     never waits for a registry, and says how to have it.
     """
-    from ground_station.adapters.web.npm_assets import OUTLINE, missing_assets
+    from ground_station.adapters.web.npm_assets import (
+        OUTLINE,
+        fetch_command,
+        may_write,
+        missing_assets,
+    )
 
     if not missing_assets(OUTLINE):
         return True
     if basemap is not None:
         return False
-    if not sys.stdout.isatty():
-        typer.echo("no outline of the world: `ground-station map --fetch-assets` brings it, once")
+    if not sys.stdout.isatty() or not may_write():
+        typer.echo(f"no outline of the world: `{fetch_command()}` brings it, once")
         return False
     typer.echo("the world's outline is not here yet; Ctrl-C goes on without it")
     try:

@@ -118,14 +118,12 @@ def list_(
     store_file: StoreFile = None,
 ) -> None:
     """List the orders with their states."""
-    from rich.table import Table
-
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.terminal import listing, terminal
 
     opened = open_store(store, store_file)
     rows = opened.orders() if state is None else opened.orders(state)
     opened.close()
-    table = Table("order", "kg", "service", "state", "flights", "why")
+    table = listing("order", "kg", "service", "state", "flights", "why")
     for row in rows:
         order = row.order
         cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
@@ -259,12 +257,10 @@ def assigner_of(data: "DayData") -> "DepotAssigner":
 
 def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
     """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
-    from rich.table import Table
-
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.terminal import listing, terminal
 
     found: list[str] = []
-    table = Table("order", "no drone from the depot", "possible with")
+    table = listing("order", "no drone from the depot", "possible with")
     for order in data.orders:
         cannot = assigner.impossible(order)
         if cannot is not None:

@@ -93,20 +93,19 @@ def status(pki: Folder = HERE) -> None:
 
     Exit code 3: one has at most 30 days left, or none.
     """
-    from rich.console import Console
-    from rich.table import Table
+    from ground_station.app.views.terminal import listing, terminal
 
     from companion.fleet.roster import WARN_DAYS
 
     folder = _open(pki)
-    table = Table("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")
+    table = listing("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")
     soon: list[str] = []
     for member in folder.roster.members:
         days = (member.not_after - folder.now).days
         if not member.revoked and days <= WARN_DAYS:
             soon.append(member.name)
         table.add_row(member.name, member.role.value, "revoked" if member.revoked else str(days))
-    Console().print(table)
+    terminal().print(table)
     if soon:
         typer.echo(f"renew: {', '.join(soon)}", err=True)
         raise typer.Exit(SOON)

@@ -74,12 +74,10 @@ def revoke(
 @app.command(name="list")
 def list_(tokens: TokensFile = DEFAULT_TOKENS) -> None:
     """List who has a token."""
-    from rich.table import Table
-
     from ground_station.adapters.files.token_file import read_tokens
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.terminal import listing, terminal
 
-    table = Table("name", "role", "made")
+    table = listing("name", "role", "made")
     for one in read_tokens(tokens).people:
         table.add_row(one.name, one.role, one.made)
     terminal().print(table)

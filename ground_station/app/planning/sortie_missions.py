@@ -5,7 +5,7 @@ from pathlib import Path
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
 from companion.core.exports.exported import mission_export
-from companion.core.exports.formats import mission_text
+from companion.core.exports.formats import mission_text, texts_beside
 from companion.core.exports.ground_plan import plan_on_the_ground
 from companion.core.mission.flight_plan import FlightPlan
 from ground_station.adapters.files.plan_files import write_text
@@ -16,8 +16,8 @@ from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 
 
 def write_missions(data: DayData, plan: DayPlan, folder: Path, file_format: ExportFormat) -> int:
-    """Write one file for each sortie, named by its order; how many. LeewayError: a sortie has no
-    route.
+    """Write a file for each sortie, named by its order, and what belongs beside it; how many
+    sorties. LeewayError: one has no route.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -27,6 +27,8 @@ def write_missions(data: DayData, plan: DayPlan, folder: Path, file_format: Expo
         mission = mission_export(companion_plan(data, plan, sortie), sortie.order)
         text = mission_text(mission, file_format, "px4")
         write_text(folder / f"{sortie.order}{file_format.suffix}", text)
+        for ending, more in texts_beside(mission, file_format).items():
+            write_text(folder / f"{sortie.order}{ending}", more)
     return len(plan.sorties)
 
 

@@ -1,17 +1,16 @@
 """The audit as a table."""
 
-from rich import box
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
+from ground_station.app.views.terminal import listing
 from ground_station.app.views.times import date_and_time
 from ground_station.core.people.audit_chain import AuditRow
 
 
 def audit_view(rows: list[AuditRow]) -> RenderableType:
     """One line for each row, oldest first. Words from outside are shown as they are."""
-    table = Table("", "when", "who", "did", "to what", "answer", box=box.SIMPLE_HEAD)
+    table = listing("", "when", "who", "did", "to what", "answer")
     for row in rows:
         entry = row.entry
         words = (date_and_time(entry.at_us), _who(row), entry.deed, entry.subject, entry.answer)

@@ -5,7 +5,6 @@ from collections import Counter
 from statistics import fmean, median
 from typing import Any
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,6 +12,7 @@ from rich.text import Text
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.views.terminal import listing
 from ground_station.core.schema.orders import TAKEN, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
@@ -142,7 +142,7 @@ def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
 
 def report_view(figures: dict[str, Any]) -> RenderableType:
     """The figures as tables."""
-    table = Table("what", "figure", title="the day", title_justify="left", box=box.SIMPLE_HEAD)
+    table = listing("what", "figure", title="the day")
     for name, value in figures.items():
         if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
             continue
@@ -157,8 +157,7 @@ def report_view(figures: dict[str, Any]) -> RenderableType:
 
 
 def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("vehicle")
+    table = listing("vehicle")
     for name in ("ended", "delivered", "not home", "least margin Wh"):
         table.add_column(name, justify="right")
     for name, row in by_vehicle.items():

@@ -7,6 +7,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from ground_station.app.views.terminal import listing
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, since_start
 
@@ -14,10 +15,10 @@ from ground_station.core.schema.day_plan import DayPlan, since_start
 def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
     """Print the plan."""
     stops = _table(f"{plan.day}: {plan.makespan_s / 60.0:.1f} min; times are min:s from its start")
-    stops.add_column("stop", no_wrap=True)
+    stops.add_column("stop", overflow="fold")
     for name in ("from", "to", "launches", "recoveries"):
         stops.add_column(name, justify="right", no_wrap=True)
-    stops.add_column("by truck")
+    stops.add_column("by truck", overflow="fold")
     for stop in plan.stops:
         launches = sum(s.launch == stop.id for s in plan.sorties)
         homes = sum(s.home == stop.id for s in plan.sorties)
@@ -26,7 +27,7 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
     console.print(stops)
     sorties = _table(None)
     for name in ("order", "drone", "launched\nat", "lands\nat"):
-        sorties.add_column(name, no_wrap=True)
+        sorties.add_column(name, overflow="fold")
     for name in ("starts", "lands", "layer\nm", "mean\nWh", "sure\nWh", "pack\nWh"):
         sorties.add_column(name, justify="right", no_wrap=True)
     for sortie in plan.sorties:
@@ -45,7 +46,7 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
         highlight=False,
     )
     if plan.unplanned:
-        left = Table("order", "nobody can bring it", "possible with")
+        left = listing("order", "nobody can bring it", "possible with")
         for line in plan.unplanned:
             left.add_row(line.order, line.why, line.remedy)
         console.print(left)

@@ -1,12 +1,14 @@
 """The live view of a fleet: one line for each vehicle, then what needs attention and what comes
 next.
 
-Made for 80 columns: only what a vehicle last reported is cut off there.
+Made for 80 columns: only what a vehicle last reported is cut off there. Long names go on in a
+second line.
 """
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -22,6 +24,8 @@ from ground_station.core.schema.sortie_rows import SortieRow
 
 COLUMNS = ("\n", "\nphase", "\norder", "\nends at", "left\nWh", "P\nhome", "P\ndone", "s\nago")
 FIGURES_FROM = 4
+ROOM = 80 - 2 * len(COLUMNS) - 8
+"""Characters for these columns together: of 80, less the gaps and the least for what it says."""
 
 
 def watch_view(
@@ -50,16 +54,35 @@ def watch_view(
 
 def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
     """Columns as wide as their content; the last one gives way."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.show_edge = table.pad_edge = False
-    for k, name in enumerate(COLUMNS):
-        widest = max(map(len, [*name.split("\n"), *(cells[k] for cells, _ in lines)]))
+    table.expand = True  # and the last column takes what room the others leave
+    rows = _folded([cells[:-1] for cells, _ in lines])
+    for k, (name, widest) in enumerate(zip(COLUMNS, _widths(rows), strict=True)):
         justify = "right" if k >= FIGURES_FROM else "left"
         table.add_column(name, justify=justify, no_wrap=True, min_width=widest)
-    table.add_column("\nsays", no_wrap=True, overflow="ellipsis")
-    for cells, alarming in lines:
-        table.add_row(*cells, style="bold red" if alarming else None)
+    table.add_column("\nsays", no_wrap=True, overflow="ellipsis", ratio=1)
+    for row, (cells, alarming) in zip(rows, lines, strict=True):
+        table.add_row(*row, cells[-1], style="bold red" if alarming else None)
     return table
+
+
+def _folded(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The rows, with cells in as many lines as it takes for all columns to fit."""
+    folded = rows
+    for width in range(40, 5, -1):
+        folded = [
+            tuple("\n".join(wrap(cell, width, break_on_hyphens=False)) for cell in row)
+            for row in rows
+        ]
+        if sum(_widths(folded)) <= ROOM:
+            break
+    return folded
+
+
+def _widths(rows: list[tuple[str, ...]]) -> list[int]:
+    columns = [[name, *(row[k] for row in rows)] for k, name in enumerate(COLUMNS)]
+    return [max(len(part) for text in texts for part in text.split("\n")) for texts in columns]
 
 
 def _title(orders: Sequence[OrderRow], day: DayShown | None) -> str:

@@ -13,7 +13,12 @@ from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
-from ground_station.core.planning.forward_pass import ForwardPass, ForwardSchedule, polished
+from ground_station.core.planning.forward_pass import (
+    ForwardPass,
+    ForwardSchedule,
+    TriedPlan,
+    polished,
+)
 from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder, SortieRequest
 from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.schema.day_data import DEPOT, DayData
@@ -22,6 +27,7 @@ from ground_station.core.schema.day_state import DayState
 from ground_station.core.schema.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import (
     Search,
     SearchParams,
@@ -70,6 +76,13 @@ def plan_day(
     return _DayPlanner(data, start, params, tell).planned()
 
 
+def tried_plans(
+    data: DayData, start: DayState, params: PlanParams, tell: Tell = lambda done_frac, best_s: None
+) -> Iterator[TriedPlan]:
+    """What the search found and the planner chooses from, before the chosen one is polished."""
+    yield from _DayPlanner(data, start, params, tell).tried()
+
+
 def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
     """The truck-and-drones problem of the policies, without layers."""
     planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
@@ -96,6 +109,24 @@ class _DayPlanner:
             order = nodes.orders[driven.lost[0] - 1]
             self._unplanned.append(no_slot(order))
             nodes = without(nodes, {order.id})
+
+    def tried(self) -> Iterator[TriedPlan]:
+        nodes = self.nodes()
+        drive = self._drive(nodes)
+        for problem, plan in self._plans(nodes):
+            planned = {wish.customer: wish.launch for wish in drive.wished(problem, plan)[1]}
+            _, _, driven = self._repaired(nodes, drive, problem, plan)
+            wishes = [slot.wish for slot in driven.slots]
+            homes = "where launched" if problem.loops_only else "anywhere"
+            layers = "free" if problem.air is None else "priced"
+            yield TriedPlan(
+                f"homes {homes}, layers {layers}",
+                schedule_of(problem, plan).makespan_s,
+                driven.makespan_s,
+                len({wish.launch for wish in wishes}),
+                sum(wish.launch != wish.meet for wish in wishes),
+                sum(planned[wish.customer] != wish.launch for wish in wishes),
+            )
 
     def _driven(self, nodes: DayProblem) -> ForwardSchedule:
         """The best of the policy's plans, after the forward pass."""

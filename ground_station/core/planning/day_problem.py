@@ -149,6 +149,7 @@ def build_day_problem(
         truck_can_serve=by_truck,
         pads=True,
         lead_s=LEAD_S,
+        stay_s=truck.ready_s,
         hold_s=hold_s,
         air=Air(
             ned_m[:, :2],

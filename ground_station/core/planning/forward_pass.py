@@ -37,6 +37,22 @@ class ForwardSchedule:
         return self.stops[-1].depart_s if self.stops else 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class TriedPlan:
+    """One of the search's plans: the makespan that its prices promise, and as it is driven.
+
+    `elsewhere`: sorties that land at another stop than they took off from. `moved`: launches that
+    the forward pass put off to another stop than was planned.
+    """
+
+    name: str
+    promised_s: float
+    driven_s: float
+    launch_stops: int
+    elsewhere: int
+    moved: int
+
+
 POLISH_DRIVES = 50
 POLISH_ORDERS = 2_000
 """Together: with more orders fewer passes, since each takes longer."""

@@ -77,7 +77,8 @@ class TruckAndDrones:
     `pads`: each drone has its own pad at each stop. It may be recovered where it was launched,
     lands by itself at least `lead_s` after the truck has come, and waits on the ground. Without
     pads (the published mFSTSP) it is recovered at a later stop and hovers until the driver takes
-    it. `loops_only`: every drone is recovered where it was launched. `hold_s`: the truck does
+    it. `stay_s`: so long after a launch the truck stays, until the drone has taken off.
+    `loops_only`: every drone is recovered where it was launched. `hold_s`: the truck does
     not leave the first node before. `release_s`, by customer: the driver does not begin its
     launch before (a launch slot). `air`: set where drones must be separated.
     """
@@ -90,6 +91,7 @@ class TruckAndDrones:
     """By node; a customer that no road reaches must be served by a drone."""
     pads: bool = False
     lead_s: float = 0.0
+    stay_s: float = 0.0
     loops_only: bool = False
     hold_s: float = 0.0
     release_s: Floats | None = None

@@ -8,7 +8,7 @@ as much (this costs nothing where the truck waits on the way), and the pass is r
 With the order of launches and recoveries thus given, these are the earliest times. Where drones
 have pads of their own, the same is done with one that would land before the truck has come. Where
 drones must be separated, a launch without a free layer waits until the first drone that blocks it
-has landed.
+has landed. The truck stays until what it has launched has taken off.
 """
 
 import math
@@ -216,9 +216,10 @@ def _too_early(whole, times_s, node, from_s):
 
 
 @compiled
-def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, at):
+def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, stay_s, at):
     """Do everything at this place. Returns (departure, place to go on from; -1: impossible)."""
     node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
+    taken_off_s = now_s
     _mark_pending(plan, whole, times_s, node)
     deliver, logged = deliver_s > 0.0, whole[LOGGED, at]
     while True:
@@ -229,7 +230,7 @@ def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s
         if launches == 0 and meetings == 0 and not deliver:
             if at + 1 < whole.shape[1]:
                 whole[LOGGED, at + 1] = logged
-            return now_s, at + 1
+            return max(now_s, taken_off_s), at + 1
         if launch >= 0:
             ends_s = now_s + launch_s[plan[KIND, launch]]
             if not _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
@@ -261,6 +262,7 @@ def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s
                 whole[LAYER, launch], whole[LOG, logged] = layer, launch
                 logged += 1
             times_s[LAUNCHED, launch] = now_s + lasts_s
+            taken_off_s = now_s + lasts_s + stay_s
             aboard[plan[KIND, launch]] -= 1
             whole[PENDING, launch] = 2 if plan[MEET, launch] == node else 0
         elif meet >= 0:
@@ -308,7 +310,7 @@ def simulate(t, plan, w, give_up_s):
                 at = whole[PLACE, plan[LAUNCH, early]]
                 continue
         depart_s, go_on = _stop_here(
-            t.air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], at
+            t.air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], t.stay_s, at
         )
         if go_on < 0:
             return IMPOSSIBLE

@@ -45,6 +45,7 @@ class Tables(NamedTuple):
     hold_s: float
     pads: bool
     lead_s: float
+    stay_s: float
     loops_only: bool
     air: "AirTable"
 
@@ -122,6 +123,7 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         hold_s=problem.hold_s,
         pads=problem.pads,
         lead_s=problem.lead_s,
+        stay_s=problem.stay_s,
         loops_only=problem.loops_only,
         air=_air_of(problem.air, sum(kind.count for kind in kinds)),
     )

@@ -1,4 +1,4 @@
-"""`sim-bridge examples`: the shipped flights, days and sites as files of one's own."""
+"""`sim-bridge examples`: the shipped flights, days, sites and layouts as files of one's own."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from companion.core.base.errors import LeewayError
 
 app = typer.Typer()
 
-FOLDERS = ("flights", "days", "sites")
+FOLDERS = ("flights", "days", "sites", "layouts")
 SCHEMA_LINE = "#:schema "
 """Names a schema of the repository for editors; it does not lie beside a copy."""
 
@@ -20,12 +20,13 @@ def examples(
         Path, typer.Argument(metavar="DIR", help="Where they go; it is made where it is missing.")
     ],
 ) -> None:
-    """Copy the shipped flights, days and sites into DIR, to change and fly.
+    """Copy the shipped flights, days, sites and layouts into DIR, to change and fly.
 
     DIR/flights has single deliveries (flight/1), DIR/days whole days with their orders (day/1,
-    CSV), DIR/sites the obstacles and no-fly areas that they name (GeoJSON). Airframes are named in
-    the files and stay where they are. Each file's first lines say what it is for. No file is
-    written over: where one is there already, nothing is copied.
+    CSV), DIR/sites the obstacles and no-fly areas that they name (GeoJSON), DIR/layouts what
+    Foxglove and PlotJuggler open a flight with. Airframes are named in the files and stay where
+    they are. Each file's first lines say what it is for. No file is written over: where one is
+    there already, nothing is copied.
 
     sim-bridge examples my-town
     sim-bridge fly my-town/flights/default.toml

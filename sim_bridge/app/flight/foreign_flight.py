@@ -70,12 +70,12 @@ class _Guest:
     def shown(self) -> Shown:
         heard = self.heard
         return Shown(
-            label=f"{self.number} {heard.autopilot_kind or self.link}",
+            label=f"{self.number} {heard.autopilot_kind or '-'}",
             phase=self.companion.phase or "looking for it",
             away_m=heard.away_m,
             up_m=heard.up_m,
             named=heard.named,
-            said=heard.said,
+            said=heard.said or [(0.0, f"(nothing yet, on {self.link})")],
         )
 
     def flown_s(self) -> float:

@@ -17,6 +17,16 @@ from sim_bridge.app.flight.vehicle_process import Craft
 
 REFRESH_WALL_S = 0.25
 LINE_EVERY_S = 30.0
+COLUMNS: tuple[tuple[str, JustifyMethod, int], ...] = (
+    ("\nvehicle", "left", 11),
+    ("\nphase", "left", 17),  # "wait for position", the longest
+    ("from\ndepot m", "right", 7),
+    ("height\nm", "right", 6),
+    ("wind m/s\nfrom deg", "right", 13),
+    ("margin\nWh", "right", 6),
+    ("P\nhome", "right", 5),
+)
+"""Of the live view: name, justification, least width."""
 ROUTINE = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
 
 
@@ -69,7 +79,7 @@ class LiveView(Progress):
         self._next_wall_s = now + REFRESH_WALL_S
         pace = t_s / max(now - self._started_wall_s, 1e-6)
         if self._live is not None:
-            self._live.update(_live_table(vehicles, t_s, pace))
+            self._live.update(live_view(vehicles, t_s, pace))
         elif t_s >= self._next_line_s:
             self._next_line_s = t_s + LINE_EVERY_S
             for vehicle in vehicles:
@@ -88,38 +98,57 @@ def _shown(craft: Craft) -> Shown:
     )
 
 
-def _live_table(vehicles: list[Shown], t_s: float, pace: float) -> Table:
-    table = Table(title=f"{t_s:.0f} s of flight time at {pace:.0f} x real time", box=None)
-    for name in ("vehicle", "phase", "from depot", "height", "wind", "margin", "P(home)", "says"):
-        table.add_column(name, justify="left" if name in ("vehicle", "phase", "says") else "right")
+def live_view(vehicles: Sequence[Shown], t_s: float, pace: float) -> RenderableType:
+    """A line of figures for each vehicle, and below what each said last.
+
+    Made for 80 columns: columns keep their widths while the figures change, and only what a
+    vehicle said is cut off.
+    """
+    table = Table(box=None, pad_edge=False)
+    for name, justify, least in COLUMNS:
+        table.add_column(name, justify=justify, no_wrap=True, min_width=least)
     for vehicle in vehicles:
         table.add_row(*_cells(vehicle))
-    return table
+    return Group(
+        Text(f"{t_s:.0f} s of flight time at {pace:.0f} x real time", no_wrap=True),
+        table,
+        *(_says(vehicle) for vehicle in vehicles),
+    )
+
+
+def _says(vehicle: Shown) -> Text:
+    said = vehicle.said[-1][1] if vehicle.said else "-"
+    return Text(f"{vehicle.label} says: {said}", no_wrap=True, overflow="ellipsis")
 
 
 def _cells(vehicle: Shown) -> list[str]:
-    named, said = vehicle.named, vehicle.said
-    wind = "-"
-    if "LW_WINDN" in named and "LW_WINDE" in named:
-        north, east = named["LW_WINDN"], named["LW_WINDE"]
-        from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
-        wind = f"{math.hypot(north, east):.1f} m/s from {from_deg:03.0f}"
+    named = vehicle.named
     return [
         vehicle.label,
         vehicle.phase,
-        f"{vehicle.away_m:.0f} m",
-        f"{vehicle.up_m:.0f} m",
-        wind,
-        f"{named['LW_MARGIN']:+.1f} Wh" if "LW_MARGIN" in named else "-",
+        f"{vehicle.away_m:.0f}",
+        f"{vehicle.up_m:.0f}",
+        _wind(named, ""),
+        f"{named['LW_MARGIN']:+.1f}" if "LW_MARGIN" in named else "-",
         f"{named['LW_PHOME']:.3f}" if "LW_PHOME" in named else "-",
-        said[-1][1] if said else "",
     ]
 
 
+def _wind(named: Mapping[str, float], unit: str) -> str:
+    if "LW_WINDN" not in named or "LW_WINDE" not in named:
+        return "-"
+    north, east = named["LW_WINDN"], named["LW_WINDE"]
+    from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+    return f"{math.hypot(north, east):.1f}{unit} from {from_deg:03.0f}"
+
+
 def _line(vehicle: Shown, t_s: float) -> str:
-    names = ("", "", "out ", "up ", "wind ", "margin ", "P(home) ", "")
-    cells = [n + c for n, c in zip(names, _cells(vehicle), strict=True) if c]
-    return f"t={t_s:5.0f} s  " + ", ".join(cells)
+    label, phase, away, up, _, margin, p_home = _cells(vehicle)
+    words = [label, phase, f"out {away} m", f"up {up} m", f"wind {_wind(vehicle.named, ' m/s')}"]
+    words.append(f"margin {margin}" if margin == "-" else f"margin {margin} Wh")
+    words.append(f"P(home) {p_home}")
+    words += [vehicle.said[-1][1]] if vehicle.said else []
+    return f"t={t_s:5.0f} s  " + ", ".join(words)
 
 
 def slim_table(title: str, *columns: tuple[str, JustifyMethod]) -> Table:

@@ -26,6 +26,7 @@ from companion.app.tools.export import ExportRequest, export
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
 from companion.core.exports.exported import MissionExport, mission_export
+from companion.core.exports.formats import texts_beside
 from companion.core.exports.geojson import mission_geojson
 from companion.core.exports.ground_plan import plan_on_the_ground
 from companion.core.exports.qgc_plan import mission_plan
@@ -56,7 +57,7 @@ def mission(flown) -> MissionExport:
 
 
 def text_of(file_format: ExportFormat) -> str:
-    return export(ExportRequest(Path("default"), file_format, autopilot="ardupilot"))[0]
+    return export(ExportRequest(Path("default"), file_format, autopilot="ardupilot")).text
 
 
 READ_WPL = """
@@ -93,6 +94,47 @@ def test_mavproxy_reads_the_waypoints_and_finds_every_item_where_it_is(flown, tm
         if item.kind is ItemKind.JUMP:
             assert command == DO_JUMP
             assert int(first) == int(item.value) + 1, "home is item 0"
+
+
+READ_BESIDE = """
+import json, sys
+from pymavlink import mavwp
+fence, rally = mavwp.MissionItemProtocol_Fence(), mavwp.MissionItemProtocol_Rally()
+fence.load(sys.argv[1])
+rally.load(sys.argv[2])
+print(json.dumps([[[i.command, i.param1, i.x, i.y] for i in fence.wpoints],
+    [[i.command, i.frame, i.x, i.y, i.z] for i in rally.wpoints]]))
+"""
+FENCE_RETURN, FENCE_EXCLUSION, RALLY_POINT = 5000, 5002, 5100
+
+
+def test_mavproxys_loaders_read_fence_and_rally_points_beside_the_mission(mission, tmp_path):
+    done = CliRunner().invoke(
+        app, ["export", "default", "--format", "wpl", "--out", str(tmp_path / "h.waypoints")]
+    )
+    assert done.exit_code == 0, done.output
+    names = [str(tmp_path / name) for name in ("h.fence.waypoints", "h.rally.waypoints")]
+    words = [sys.executable, "-c", READ_BESIDE, *names]
+    read = subprocess.run(words, env=os.environ | {"MAVLINK20": "1"}, capture_output=True)
+    assert read.returncode == 0, read.stderr.decode()
+    (first, *corners), rally = json.loads(read.stdout)
+    assert first == [FENCE_RETURN, 0.0, pytest.approx(DEPOT[0]), pytest.approx(DEPOT[1])]
+    high = [area for area in mission.areas if area.name in ("silo", "wind turbine works")]
+    for area in high:
+        ring, corners = corners[: len(area.ring_deg)], corners[len(area.ring_deg) :]
+        for (command, count, *at), expected in zip(ring, area.ring_deg, strict=True):
+            assert (command, count) == (FENCE_EXCLUSION, len(area.ring_deg))
+            assert at == pytest.approx(expected, abs=1e-7)
+    assert corners == []
+    (place,) = [place.point for place in mission.places if place.name == "quay"]
+    lat_lon = [pytest.approx(at, abs=1e-7) for at in (place.lat_deg, place.lon_deg)]
+    assert rally == [[RALLY_POINT, RELATIVE_FRAME, *lat_lon, 40.0]] * 2, "Mission Planner drops one"
+
+
+def test_a_mission_without_areas_and_sites_has_its_own_file_only(mission):
+    bare = replace(mission, areas=(), rally=())
+    assert texts_beside(bare, ExportFormat.WPL) == {}
+    assert texts_beside(mission, ExportFormat.PLAN) == {}
 
 
 def test_gpxpy_reads_places_and_both_ways(mission):

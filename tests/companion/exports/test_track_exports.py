@@ -40,7 +40,7 @@ def run_folder(tmp_path) -> Path:
 
 
 def exported(what: Path, file_format: ExportFormat) -> str:
-    return export(ExportRequest(what, file_format))[0]
+    return export(ExportRequest(what, file_format)).text
 
 
 def test_gpxpy_reads_a_run_folders_track_a_point_a_second_in_utc(run_folder):

@@ -10,14 +10,21 @@ import sys
 from pathlib import Path
 
 import mapbox_vector_tile
+import msgspec
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.pyplot import imread
 from pmtiles.tile import Compression, TileType, zxy_to_tileid
 from pmtiles.writer import Writer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.basemap import Ground, read_ground
+from ground_station.adapters.files.day_files import read_day
+from ground_station.app.pictures.day_picture import GROUND, draw_day_plan
+from tests.ground_station.views.test_plan_view import plan_with
 
+HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 HOW_TO = Path(__file__).parents[3] / "docs" / "how-to" / "watch-on-a-map.md"
 SIDE = 4096
 TOP_DEG = 85.0511287798066
@@ -122,6 +129,26 @@ OSM = """<osm version="0.6">
 <way id="8" version="1"><nd ref="3"/><nd ref="4"/><nd ref="5"/><nd ref="6"/><nd ref="3"/>
 <tag k="natural" v="water"/></way></osm>
 """
+
+
+def test_a_plans_picture_has_the_base_map_beneath_and_its_attribution(tmp_path: Path):
+    """A park over all of it, in the tile of zoom 6 that has the harbour."""
+    park = f"POLYGON ((0 0, {SIDE} 0, {SIDE} {SIDE}, 0 {SIDE}, 0 0))"
+    layer = {"name": "landuse", "features": [feature(park, {"kind": "park"})]}
+    town = write(tmp_path / "town.pmtiles", [layer], 6, 33, 20)
+    data = read_day(HARBOUR)
+    plan = msgspec.structs.replace(plan_with(["depot", "depot-end"]), sorties=[])
+    pictures = []
+    for name, basemap in (("bare.png", None), ("streets.png", town)):
+        draw_day_plan(data, plan, tmp_path / name, basemap)
+        pictures.append(imread(tmp_path / name)[..., :3])
+    bare, streets = pictures
+    assert bare.shape == streets.shape, "the base map moves no limits"
+    green = np.isclose(streets, to_rgb(GROUND["green"]), atol=0.02).all(axis=-1)
+    assert not np.isclose(bare, to_rgb(GROUND["green"]), atol=0.02).all(axis=-1).any()
+    assert green.mean() > 0.3
+
+
 TOOLS = ("osmium", "tilemaker", "jq", "sqlite3")
 
 

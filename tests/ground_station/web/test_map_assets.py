@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import os
+import sys
 import tarfile
 from contextlib import nullcontext
 from dataclasses import replace
@@ -15,18 +16,19 @@ import pytest
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.basemap import check_pmtiles
 from ground_station.adapters.web import npm_assets
-from ground_station.adapters.web.map_server import ASSETS
 from ground_station.adapters.web.npm_assets import (
     ALL,
+    ASSETS,
     LICENCES,
     NODE,
     PACKAGES,
     NpmPackage,
     fetch_assets,
+    may_write,
     missing_assets,
     unpack,
 )
-from ground_station.app.cli.live_map import _has_outline
+from ground_station.app.cli.live_map import _has_outline, _have_basemap
 from tests.ground_station.web.browser import town_tiles
 
 
@@ -92,6 +94,26 @@ def test_a_map_goes_on_without_an_outline_that_cannot_be_had(
     assert said in out
     assert at_a_terminal == ("Ctrl-C goes on without it" in out)
     assert "asked" not in out
+
+
+def test_who_cannot_write_beside_the_programs_is_told_what_to_type(
+    tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.setattr(npm_assets, "_is_there", lambda package, folder: False)
+    monkeypatch.setattr(npm_assets.os, "access", lambda path, mode: False)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    town = tmp_path / "town.pmtiles"
+    town_tiles(town)
+    remedy = f"sudo {sys.prefix}/bin/ground-station map --fetch-assets"
+    with pytest.raises(LeewayError, match=rf"cannot write there: once, `{remedy}`"):
+        _have_basemap(town)
+    assert not _has_outline(None)
+    assert f"`{remedy}` brings it" in capsys.readouterr().out
+
+
+def test_a_folder_that_is_not_there_yet_is_made_where_its_parent_may_be_written_to(tmp_path: Path):
+    assert may_write(tmp_path / "web" / "assets")
+    assert not may_write(Path("/proc/self/assets"))
 
 
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path):

@@ -20,7 +20,7 @@ def copied(folder: Path) -> str:
 def test_every_flight_and_day_is_copied_and_read_with_what_it_names(tmp_path: Path):
     folder = tmp_path / "town"
     said = copied(folder)
-    for kind in ("flights", "days", "sites"):
+    for kind in ("flights", "days", "sites", "layouts"):
         shipped = {path.name for path in (params_dir() / kind).iterdir()}
         assert {path.name for path in (folder / kind).iterdir()} == shipped
     for path in sorted((folder / "flights").glob("*.toml")):

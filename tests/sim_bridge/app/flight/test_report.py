@@ -1,8 +1,47 @@
-"""What the terminal says of a flight that is over."""
+"""What the terminal says of a flight, while it goes on and when it is over."""
 
+import io
 from typing import Any
 
-from sim_bridge.app.flight.report import ending_words
+from rich.console import Console
+
+from companion.core.pilot.transitions import Phase
+from sim_bridge.app.flight.report import Shown, ending_words, live_view
+
+LONG = "diverting to rally-2: wind 12.9 m/s from 283 leaves 3.1 Wh less than home asks for"
+NAMED = {"LW_WINDN": -12.6, "LW_WINDE": 2.9, "LW_MARGIN": -123.4, "LW_PHOME": 0.9987}
+
+
+def live_lines(*vehicles: Shown) -> list[str]:
+    """The live view on a terminal of 80 columns."""
+    out = io.StringIO()
+    Console(width=80, file=out, color_system=None).print(live_view(vehicles, 123.4, 17.0))
+    return out.getvalue().splitlines()
+
+
+def craft(label: str, phase: str, **changes: Any) -> Shown:
+    fields = {"away_m": 12345.0, "up_m": 1234.0, "named": NAMED, "said": [(1.0, LONG)]} | changes
+    return Shown(label, phase, **fields)
+
+
+def test_the_live_view_cuts_nothing_at_80_columns_but_what_a_vehicle_said():
+    lines = live_lines(*(craft("12 ardupilot", phase.value) for phase in Phase))
+    rows, said = lines[3 : 3 + len(Phase)], lines[3 + len(Phase) :]
+    for phase, row in zip(Phase, rows, strict=True):
+        figures = ["12345", "1234", "12.9", "from", "347", "-123.4", "0.999"]
+        assert row.split() == ["12", "ardupilot", *phase.value.split(), *figures]
+    for words in said:
+        assert words.startswith("12 ardupilot says: diverting to rally-2: wind 12.9 m/s")
+        assert len(words) == 80
+        assert words.endswith("…")
+
+
+def test_columns_and_lines_stay_where_they_are_while_the_figures_change():
+    early = live_lines(craft("1 px4", "arm", away_m=0.0, up_m=0.0, named={}, said=[]))
+    later = live_lines(craft("1 px4", "wait for position"))
+    assert early[1:3] == later[1:3]
+    assert len(early) == len(later)
+    assert len(early[3]) == len(later[3])
 
 
 def row(**changes: Any) -> dict[str, Any]:

@@ -1,0 +1,50 @@
+"""What the search promises, the truck drives: it stays until what it launched has taken off."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground_station.adapters.files.day_files import read_day
+from ground_station.core.planning.day_planner import (
+    PlanParams,
+    day_problem,
+    plan_day,
+    tried_plans,
+)
+from ground_station.core.schema.day_state import first_state
+from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
+from ground_station.core.truck_drones.schedule import flights_of
+
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
+HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
+
+
+def departures_too_early(stay_s: float) -> int:
+    """Stops that the truck leaves less than the day's `ready_s` after a launch there."""
+    data = read_day(HARBOUR)
+    problem = replace(day_problem(data, first_state(data)), stay_s=stay_s)
+    plan = DynamicAssignment().plan(problem, np.random.default_rng(0))
+    stops, flights = flights_of(problem, plan)
+    leaves_s = {stop.node: stop.depart_s for stop in stops}
+    assert flights
+    ready_s = data.day.truck.ready_s
+    return sum(leaves_s[one.launch] < one.launched_s + ready_s - 1e-6 for one in flights)
+
+
+def test_the_truck_leaves_no_drone_that_has_not_taken_off():
+    assert departures_too_early(read_day(HARBOUR).day.truck.ready_s) == 0
+    assert departures_too_early(0.0) > 0, "the canary: without the stay it does"
+
+
+def test_the_plan_that_is_kept_is_no_longer_than_any_that_was_tried():
+    data, params = read_day(HARBOUR), PlanParams(trials=4000)
+    tried = list(tried_plans(data, first_state(data), params))
+    assert {one.name for one in tried} >= {
+        "homes where launched, layers free",
+        "homes anywhere, layers free",
+    }
+    kept = plan_day(data, first_state(data), params)
+    assert kept.makespan_s <= min(one.driven_s for one in tried) + 1e-6
