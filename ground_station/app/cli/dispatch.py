@@ -1,6 +1,7 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -36,8 +37,11 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
+    from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
+    from ground_station.core.fleet.door_watch import DoorWatch
 
 TURN_S = 0.2
 LEAST_SILENT_S = 5.0
@@ -116,7 +120,8 @@ def dispatch(
         by = desk_of(person)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         say = _say_open if open_network else _say
-        network = open_fleet(data.day.fleet, zenoh, identity, open_network)
+        log = None if identity is None else _door_log()
+        network = open_fleet(data.day.fleet, zenoh, identity, open_network, log)
         with closing(network) as fleet:
             if chosen is None:
                 cannot = frozenset(impossible)
@@ -131,12 +136,30 @@ def dispatch(
             if open_network:
                 typer.echo(OPEN_WORDS)
             meter = None if server is None else serve_desk(server, desk, fleet)
-            through = _run(desk, idle if until_done else None, meter)
+            through = _run(desk, idle if until_done else None, meter, _door_watch(fleet, say))
         if through:
             _end(desk)
 
 
-def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
+def _door_log() -> "DoorLog | None":
+    from ground_station.adapters.zenoh_log import read_zenoh_log
+
+    return read_zenoh_log()
+
+
+def _door_watch(fleet: "ZenohFleet", say: Callable[[str], None]) -> "DoorWatch | None":
+    """Says who calls and should not; None: without an identity nobody has a name at the door."""
+    from ground_station.core.fleet.door_watch import DoorWatch
+
+    return None if fleet.door is None else DoorWatch(fleet.door.figures, fleet.door.roster, say)
+
+
+def _run(
+    desk: "Desk",
+    idle_s: float | None,
+    meter: "DeskMeter | None",
+    door: "DoorWatch | None",
+) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     from companion.fleet.service_manager import Watchdog
 
@@ -148,6 +171,8 @@ def _run(desk: "Desk", idle_s: float | None, meter: "DeskMeter | None") -> bool:
                 watchdog.turn(monotonic_s())
                 if meter is not None:
                     meter.turn()
+                if door is not None:
+                    door.turn(monotonic_s(), epoch_us())
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)
