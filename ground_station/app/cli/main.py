@@ -18,6 +18,7 @@ from ground_station.app.cli import (
     order,
     pki,
     plan,
+    router,
     store,
     token,
     truck,
@@ -67,6 +68,7 @@ app.add_typer(estimate.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(pki.app, name="pki")
+app.add_typer(router.app)
 app.add_typer(hold.app)
 app.add_typer(audit.app)
 app.add_typer(store.app, name="store")
