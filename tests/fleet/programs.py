@@ -1,5 +1,6 @@
 """`ground-station` as a person starts it: a process, whose words are read as they come."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,26 +12,36 @@ from pathlib import Path
 
 from ground_station.adapters.clock import monotonic_s
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
+"""A desk loads for 2 s, on a machine that nobody else uses."""
+
+
+MAIN = "from ground_station.app.cli.main import main; main()"
 
 
 class Program:
-    """One process. `words`: all that it has written, both ways out."""
+    """One process at a terminal of its own. `words`: all that it has written there. `before`:
+    Python that it runs first, to take a guard out.
+    """
 
-    def __init__(self, *arguments: str | Path) -> None:
-        command = [sys.executable, "-m", "ground_station.app.cli.main", *map(str, arguments)]
+    def __init__(self, *arguments: str | Path, before: str = "") -> None:
+        command = [sys.executable, "-c", f"{before}\n{MAIN}", *map(str, arguments)]
+        self._terminal, inside = os.openpty()
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL
+            command, stdout=inside, stderr=inside, stdin=subprocess.DEVNULL
         )
+        os.close(inside)
         self.words = b""
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
-        with self.process.stdout as lines:
-            for line in lines:
-                self.words += line
+        try:
+            while part := os.read(self._terminal, 65536):
+                self.words += part
+        except OSError:  # its other end is closed
+            pass
+        os.close(self._terminal)
 
     def said(self, words: str) -> str:
         """The first line with these words, once it is there."""
@@ -51,9 +62,9 @@ class Program:
 
 
 @contextmanager
-def program(*arguments: str | Path) -> Iterator[Program]:
+def program(*arguments: str | Path, before: str = "") -> Iterator[Program]:
     """One that is killed at the end, if it still runs."""
-    started = Program(*arguments)
+    started = Program(*arguments, before=before)
     try:
         yield started
     finally:

@@ -84,7 +84,7 @@ def test_an_assignment_goes_through_and_when_one_router_is_killed_through_the_ot
         assert 364 < (router_sample(seen, "certificate_days_left") or 0.0) <= 365
         assert (router_sample(seen, "seconds_since_turn") or 0.0) < PATIENCE_S
         assert second.end(signal.SIGTERM) == 0
-        assert second.words.endswith(b"r2: stopped\n")
+        assert second.words.endswith(b"r2: stopped\r\n")
 
 
 def router_sample(seen: Scrape, name: str, **labels: str) -> float | None:
