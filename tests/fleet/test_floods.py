@@ -319,12 +319,14 @@ def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory
         desk.close()
 
 
+@pytest.mark.night
 def test_canary_a_program_that_keeps_a_kilobyte_of_each_packet_is_seen_to_grow():
     before_kb, kept = resident_kb(), [b"x" * 1024 + b"%d" % number for number in range(50_000)]
     grown_kb = (resident_kb() - before_kb) * (1_000_000 // len(kept))
     assert grown_kb > MOST_GROWN_KB
 
 
+@pytest.mark.night
 def test_canary_a_desk_that_is_gone_is_found_by_the_same_look(site, tmp_path, monkeypatch):
     monkeypatch.setattr(f"{__name__}.PATIENCE_S", KEPT_OUT_S)
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -19,7 +20,7 @@ from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.adapters.zenoh_router import ZenohRouter
 from ground_station.core.fleet.fleet_link import CommandAnswered, FleetInput, StateReceived
-from tests.fleet.programs import Program, program
+from tests.fleet.programs import Program, program, short_day
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S, believe_all, hears, limits
 from tests.fleet.zenoh_net import Vehicle, free_port
@@ -126,7 +127,8 @@ def test_a_revoked_member_and_a_viewer_command_nothing_through_it(
         answers = [answer_to(anna, "a"), answer_to(otto, "o")]
         assert {command.id for command in d1.done} == (set() if signatures else {"a", "o"})
         assert all(answer is None for answer in answers) is signatures
-        assert d1.port.link.refusals.total == (2 if signatures and not rules else 0)
+        link: Any = d1.port.link
+        assert link.refusals.total == (2 if signatures and not rules else 0)
         assert "anna" in router.door.figures().unwelcome
         assert "otto" not in router.door.figures().unwelcome
 
@@ -137,33 +139,45 @@ def open_the_router(home: Path) -> None:
     (home / "zenoh.json5").write_text(json.dumps(table))
 
 
-def test_who_calls_and_should_not_is_said_and_counted(tmp_path):
-    site, port = SecureSite(tmp_path / "pki", routers=("r1",)), free_port()
-    ended = site.pki.now - timedelta(days=35)
+def called(program: str, folder: Path) -> tuple[SecureSite, str, list[str | Path]]:
+    """A site, who is called there, and with which command it is started."""
+    if program == "router":
+        site = SecureSite(folder / "pki", routers=("r1",))
+        return site, "r1", ["router", "--identity", site.home("r1")]
+    site = SecureSite(folder / "pki")
+    store = f"sqlite:///{folder}/desk.db"
+    start = ["dispatch", short_day(folder), "--identity", site.home("desk"), "--store", store]
+    return site, "desk", start
+
+
+@pytest.mark.parametrize("kind", ["router", pytest.param("desk", marks=pytest.mark.night)])
+def test_who_calls_and_should_not_is_said_and_counted(tmp_path, kind):
+    (site, name, start), port = called(kind, tmp_path), free_port()
     site.pki.now -= timedelta(days=400)
     site.pki.renew("otto", 365)
     site.pki.now += timedelta(days=400)
     site.keep_rosters_of("anna")
     site.pki.revoke("anna")
     site.restore_rosters()
-    with router_program(site, "r1", "--metrics", str(port)) as router:
+
+    def sample(seen: Scrape, of: str, **labels: str) -> float | None:
+        return seen.values.get((f"leeway_{kind}_{of}", frozenset(labels.items())))
+
+    with program(*start, "--metrics", str(port)) as called_at:
+        called_at.said("Ctrl-C stops")
         with session_of(site, "anna"):
-            router.said("ON A LINE: anna is revoked")
-            scrape_until(port, lambda seen: router_sample(seen, "unwelcome_member", member="anna"))
-        address = site.pki.roster.by_name["r1"].address
-        with socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2]))) as line:
+            called_at.said("ON A LINE: anna is revoked")
+            scrape_until(port, lambda seen: sample(seen, "unwelcome_member", member="anna"))
+        scrape_until(port, lambda seen: not sample(seen, "unwelcome_member", member="anna"))
+        host, _, at = site.pki.roster.by_name[name].address.rpartition(":")
+        with socket.create_connection((host, int(at))) as line:
             line.sendall(b"\x16\x03\x01 who has no certificate")
-            router.said("turned away: 1 without a certificate of this fleet")
+            called_at.said("turned away: 1 without a certificate of this fleet")
         with suppress(zenoh.ZError), session_of(site, "otto"):
             pass
-        seen = scrape_until(port, lambda seen: turned_away(seen, "ended"))
-        assert turned_away(seen, "stranger") == 1
-        assert router.end(signal.SIGINT) == 0
-    assert f"otto ({ended:%Y-%m-%d})" not in router.words.decode()  # said once a minute
-
-
-def turned_away(seen: Scrape, why: str) -> float | None:
-    return router_sample(seen, "calls_turned_away_total", why=why)
+        seen = scrape_until(port, lambda seen: sample(seen, "calls_turned_away_total", why="ended"))
+        assert sample(seen, "calls_turned_away_total", why="stranger") == 1
+        assert called_at.end(signal.SIGINT) == 0
 
 
 def session_of(site: SecureSite, name: str) -> zenoh.Session:

@@ -5,12 +5,12 @@
 from contextlib import closing
 from pathlib import Path
 
-from companion.adapters.files.params import params_dir
+import pytest
+
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, EventKind
-from tests.fleet.programs import program
+from tests.fleet.programs import program, short_day
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import GUARD
 
 EVIL = "\x1b]0;owned\x07\x1b[31337mgone\x9b2J"
 RAW = (b"\x1b]0;owned", b"\x07", b"\x1b[31337m", "\x9b".encode())
@@ -23,30 +23,23 @@ safe_text.one_line = lambda text: text
 """
 
 
-DAYS = params_dir() / "days"
-
-
-def short_day(folder: Path) -> Path:
-    """Harbour's, with one order: a desk looks at each before it begins."""
-    header, first, *_ = (DAYS / "harbour_orders.csv").read_text().splitlines()
-    (folder / "harbour_orders.csv").write_text(f"{header}\n{first}\n")
-    text = (DAYS / "harbour.toml").read_text()
-    day = folder / "harbour.toml"
-    day.write_text(text.replace("../sites", str(params_dir() / "sites")))
-    return day
-
-
 def raw_in(words: bytes) -> list[bytes]:
     return [sequence for sequence in RAW if sequence in words]
 
 
-@GUARD
+DESKS = pytest.mark.parametrize(
+    "guarded", [True, pytest.param(False, marks=pytest.mark.night)], ids=["desk", "desk's canary"]
+)
+
+
+@DESKS
 def test_a_members_words_reach_no_terminal_raw(tmp_path: Path, guarded: bool):
+    """`watch` beside its canary; a desk takes longer to begin, and has its canary at night."""
     site = SecureSite(tmp_path / "pki")
-    before = "" if guarded else NO_SAFE_TEXT
     store = ("--store", f"sqlite:///{tmp_path}/desk.db")
     desk_options = (*store, "--identity", site.home("desk"), "--auto-launch")
-    watch_options = (*store, "--identity", site.home("otto"), "--fleet", "harbour")
+    watch_options = ("watch", *store, "--identity", site.home("otto"), "--fleet", "harbour")
+    before = "" if guarded else NO_SAFE_TEXT
     with (
         program("dispatch", short_day(tmp_path), *desk_options, before=before) as desk,
         closing(site.vehicle("d1", tmp_path / "d1")) as d1,
@@ -56,15 +49,17 @@ def test_a_members_words_reach_no_terminal_raw(tmp_path: Path, guarded: bool):
         d1.port.member.remark = EVIL
         d1.port.tell(EventKind.SAID, EVIL)
         desk.said("owned")
-        with program("watch", *watch_options, before=before) as watch:
-            watch.said("owned")
-            assert watch.end() == 0
+        with (
+            program(*watch_options) as watch,
+            program(*watch_options, before=NO_SAFE_TEXT) as canary,
+        ):
+            for each in (watch, canary):
+                each.said("owned")
+                assert each.end() == 0
         assert desk.end() == 0
-    found = {"desk": raw_in(desk.words), "watch": raw_in(watch.words)}
-    if guarded:
-        assert found == {"desk": [], "watch": []}
-    else:
-        assert all(found.values()), found
+    assert (raw_in(desk.words) == []) is guarded
+    assert raw_in(watch.words) == []
+    assert raw_in(canary.words) != []
 
 
 def test_what_is_looked_for_is_what_was_sent():
