@@ -14,31 +14,31 @@ from companion.fleet.network import Asked
 
 @dataclass(slots=True)
 class WaitingRoom:
-    """Thread-safe. `dropped`: how many found no room, by box."""
+    """Thread-safe. `came`: how many have been put in, with or without room."""
 
     _lock: threading.Lock = field(default_factory=threading.Lock)
-    _boxes: dict[str, deque[tuple[int, Asked]]] = field(default_factory=dict)
+    boxes: dict[str, deque[tuple[int, Asked]]] = field(default_factory=dict)
     _dropped: dict[str, int] = field(default_factory=dict)
-    _count: int = 0
+    came: int = 0
 
     def put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
         """Into this box, which holds so many: the newest, or the first. What finds no room is not
         answered, so it is asked again.
         """
         with self._lock:
-            self._count += 1
-            waiting = self._boxes.setdefault(box, deque())
+            self.came += 1
+            waiting = self.boxes.setdefault(box, deque())
             if len(waiting) >= most:
                 self._dropped[box] = self._dropped.get(box, 0) + 1
                 if keep_first:
                     return
                 waiting.popleft()
-            waiting.append((self._count, asked))
+            waiting.append((self.came, asked))
 
     def take(self) -> list[Asked]:
         """Everything that waits, in the order in which it came."""
         with self._lock:
-            boxes, self._boxes = self._boxes, {}
+            boxes, self.boxes = self.boxes, {}
         numbered = [one for box in boxes.values() for one in box]
         return [asked for _, asked in sorted(numbered, key=lambda one: one[0])]
 

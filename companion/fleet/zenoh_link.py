@@ -82,7 +82,7 @@ class ZenohLink:
         self._wake = wake
         self._is_member = is_member
         self._claimed_by = claimed_by
-        self._waiting = WaitingRoom()
+        self.waiting = WaitingRoom()
         self._asks = RateLimit(ASKS_HZ, ASKS_BURST)
         self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
         self._roster_asked_s = 0.0
@@ -101,7 +101,7 @@ class ZenohLink:
 
     def asked(self) -> list[Asked]:
         """Everything that waits."""
-        return self._waiting.take()
+        return self.waiting.take()
 
     def be_woken(self, wake: Callable[[], None]) -> None:
         """Who waits now, and is to be woken."""
@@ -180,7 +180,7 @@ class ZenohLink:
                 self._put(asked.ask.value, asked, TWINS_WAIT)
 
     def _put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
-        self._waiting.put(box, asked, most, keep_first=keep_first)
+        self.waiting.put(box, asked, most, keep_first=keep_first)
         if self._wakes.take(wall_s()):
             self._wake()
 
@@ -271,7 +271,7 @@ class ZenohLink:
 
     def _is_roster_due(self) -> bool:
         rested = wall_s() - self._roster_asked_s >= ROSTER_AGAIN_S
-        return rested and self._waiting.dropped(TOLD_ROSTERS) > 0
+        return rested and self.waiting.dropped(TOLD_ROSTERS) > 0
 
     def _ask_roster(self, session: zenoh.Session) -> None:
         """Of everybody who has one: an answer that is forged takes the place of none."""

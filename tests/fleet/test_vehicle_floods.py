@@ -83,36 +83,36 @@ def test_a_flood_behind_the_router_does_not_push_out_the_desks_command(
 ):
     if not guarded:
         one_box_for_all(monkeypatch)
-    d1, room = plain.d1, plain.d1.port.link.link._waiting
+    d1, room = plain.d1, plain.d1.port.link.link.waiting
     d1.stop()  # one turn, later: all of it has come by then
-    came = room._count
+    came = room.came
     flood(plain, HALF)
-    wait_until(lambda: room._count >= came + HALF)
+    wait_until(lambda: room.came >= came + HALF)
     plain.desk.send(limits(d1, "true"), PATIENCE_S)
-    wait_until(lambda: room._count > came + HALF)
+    wait_until(lambda: room.came > came + HALF)
     flood(plain, HALF)
-    wait_until(lambda: room._count > came + 2 * HALF)
-    d1.port.turn(d1._carry_out)
+    wait_until(lambda: room.came > came + 2 * HALF)
+    d1.port.turn(d1.carry_out)
     assert [command.id for command in d1.done] == (["true"] if guarded else [])
     told = hears(plain.desk, answered, PATIENCE_S) if guarded else None
     assert (told is not None and told.result is not None) is guarded
 
 
 def test_asks_for_events_are_taken_at_a_rate_and_the_desks_command_among_them(plain):
-    d1, room = plain.d1, plain.d1.port.link.link._waiting
+    d1, room = plain.d1, plain.d1.port.link.link.waiting
     d1.stop()
-    began_s, came = monotonic_s(), room._count
+    began_s, came = monotonic_s(), room.came
     asks(plain, HALF)
     plain.desk.send(limits(d1, "true"), PATIENCE_S)
     wait_until(lambda: any(one.ask is Ask.COMMAND for one in boxed(room)))
-    d1.port.turn(d1._carry_out)
+    d1.port.turn(d1.carry_out)
     assert [command.id for command in d1.done] == ["true"]
     most = ASKS_BURST + ASKS_HZ * (monotonic_s() - began_s) + 2  # the command, and a roster
-    assert room._count - came <= most
+    assert room.came - came <= most
 
 
 def boxed(room: WaitingRoom) -> list[Asked]:
-    return [asked for box in list(room._boxes.values()) for _, asked in tuple(box)]
+    return [asked for box in list(room.boxes.values()) for _, asked in tuple(box)]
 
 
 def wait_until(true: Callable[[], bool]) -> None:

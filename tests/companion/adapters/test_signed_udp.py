@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from companion.adapters.autopilots import codec as codec_module
 from companion.adapters.autopilots.codec import SIGNING_EPOCH_US, MavlinkCodec
 from companion.adapters.autopilots.link import UdpLink
 from companion.adapters.clock import epoch_us
@@ -96,7 +95,7 @@ def test_only_an_order_that_is_rightly_signed_is_heard_and_once(link, monkeypatc
     forge, without_guard, taken_out = ATTACKS[attack]
     key = KEY if guarded or taken_out is not None else None
     if not guarded and taken_out is not None:
-        monkeypatch.setattr(codec_module._Codec, "check_signature", taken_out)
+        monkeypatch.setattr(type(MavlinkCodec(datagrams=True).mav), "check_signature", taken_out)
     true = order(1)
     ears = MavlinkCodec(datagrams=True, signing_key=key)
     found = heard(link, ears, [true, *forge(true), order(LAST)])
