@@ -49,14 +49,21 @@ def join(
         return Membership(lambda life: ZenohLink(config, keys, life, wake))
     # cryptography takes 0.1 s to load: only a fleet with a roster pays for it
     from companion.fleet.identity import identity_of
-    from companion.fleet.signed_link import SignedLink
+    from companion.fleet.signed_link import SignedLink, claimed_by
 
     identity = identity_of(options.identity, keys.fleet, keys.vehicle)
     trust = identity.trust
     config = read_config(zenoh or identity.zenoh, open_network=options.open_network)
 
     def open_link(life: str) -> MemberLink:
-        link = ZenohLink(config, keys, life, wake, lambda name: name in trust.roster.by_name)
+        link = ZenohLink(
+            config,
+            keys,
+            life,
+            wake,
+            is_member=lambda name: name in trust.roster.by_name,
+            claimed_by=lambda raw: claimed_by(trust, raw),
+        )
         return SignedLink(link, trust, life, wall_s)
 
     return Membership(open_link, trust.trouble_until)

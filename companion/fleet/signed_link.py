@@ -6,10 +6,27 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from companion.adapters.clock import is_due
+from companion.core.base.rate_limit import RateLimit
+from companion.fleet.envelope import read_envelope
 from companion.fleet.messages import Answered, Refused, Result, encode
 from companion.fleet.network import Ask, Asked, MemberLink, Told
 from companion.fleet.refusals import Refusals
+from companion.fleet.roles import COMMANDS
 from companion.fleet.trust import DAY_S, Trust
+
+FAILED_HZ, FAILED_BURST = 250.0, 500.0
+"""Messages that were not believed and are looked at, of each name that they claim: a look costs 0.1
+ms, an answer as much. Beyond it all in this name are left out; of those that come of nobody so few
+that the flight's loop is free for the others.
+"""
+
+ROSTERS = "an authority"
+"""No member's name."""
+
+TOLD_HZ, TOLD_BURST = 400.0, 4000.0
+"""Events that are told again: signing one takes 0.1 ms, and anybody may ask for all. Twice what a
+member keeps at once, for those who come to the network together.
+"""
 
 
 @dataclass(slots=True)
@@ -23,6 +40,8 @@ class SignedLink:
     refusals: Refusals = field(default_factory=Refusals)
     _notices: list[str] = field(default_factory=list)
     _warned_s: float | None = None
+    _failed: dict[str, RateLimit] = field(default_factory=dict)
+    _told: RateLimit = field(default_factory=lambda: RateLimit(TOLD_HZ, TOLD_BURST))
 
     # --- in ------------------------------------------------------------------------------------
 
@@ -42,21 +61,38 @@ class SignedLink:
             case Ask.COMMAND:
                 return self._command(asked)
             case Ask.EVENTS:
-                return Asked(asked.ask, self._sealing("event", asked.answer), after=asked.after)
+                return Asked(asked.ask, self._telling(asked.answer), after=asked.after)
             case Ask.ROSTER:
-                self._take_roster(asked.payload)
+                if self._may_look(ROSTERS):
+                    self._take_roster(asked.payload)
                 return None
             case _:
                 return asked
 
     def _command(self, asked: Asked) -> Asked | None:
+        name = claimed_by(self.trust, asked.payload)
+        if not self._may_look(name):
+            return None
         answer = self._sealing("result", asked.answer)
         found = self.trust.commanded(asked.payload)
         if isinstance(found, Refused):
-            self.refusals.note(found.reason)
+            self._note(name, found.reason)
             answer([encode(self._refusal(found.reason))])
             return None
         return Asked(Ask.COMMAND, answer, found.raw, signer=found.signer)
+
+    def _may_look(self, name: str) -> bool:
+        """Whether a message in this name is looked at: after a flood of forged ones it may wait."""
+        limit = self._failed.get(name)
+        if limit is None or limit.take(self.clock_s(), 0.0):
+            return True
+        self.refusals.note(f"too many in the name of {name or 'nobody'} to look at")
+        return False
+
+    def _note(self, name: str, reason: str) -> None:
+        self.refusals.note(reason)
+        limit = self._failed.setdefault(name, RateLimit(FAILED_HZ, FAILED_BURST))
+        limit.spend(self.clock_s(), 1.0)
 
     def _refusal(self, reason: str) -> Result:
         """It names no command: an answer that did would be ours, signed, to a command that the
@@ -73,7 +109,7 @@ class SignedLink:
             self._notices.append(f"roster not written down: {error.strerror}")
             return
         if isinstance(taken, Refused):
-            self.refusals.note(taken.reason)
+            self._note(ROSTERS, taken.reason)
         elif taken is not None:
             self._notices.append(f"roster {taken.number} is in force")
             self._warn(self.clock_s())
@@ -116,6 +152,15 @@ class SignedLink:
         """Tell the neighbours where we are."""
         self.link.publish_track(self.trust.seal("track", raw))
 
+    def _telling(self, answer: Callable[[list[bytes]], None]) -> Callable[[list[bytes]], None]:
+        """Events in their envelopes, or none: they are asked for again."""
+
+        def tell(replies: list[bytes]) -> None:
+            free = self._told.take(self.clock_s(), len(replies))
+            answer([self.trust.seal("event", raw) for raw in replies] if free else [])
+
+        return tell
+
     def _sealing(
         self, kind: str, answer: Callable[[list[bytes]], None]
     ) -> Callable[[list[bytes]], None]:
@@ -124,6 +169,18 @@ class SignedLink:
     def close(self) -> None:
         """Say what is left to say, and leave."""
         self.link.close()
+
+
+def claimed_by(trust: Trust, raw: bytes) -> str:
+    """In whose name a command comes, of those on the roster who may command; empty: nobody's. He
+    need not have signed it.
+    """
+    envelope = read_envelope("command", raw)
+    if isinstance(envelope, Refused):
+        return ""
+    member = trust.roster.by_name.get(envelope.signer)
+    may = member is not None and not member.revoked and member.role in COMMANDS
+    return envelope.signer if may else ""
 
 
 def _notice(words: str) -> Asked:

@@ -1,4 +1,4 @@
-"""A fleet member's zenoh link: requests wait in one queue, messages leave by one thread.
+"""A fleet member's zenoh link: requests wait in boxes, messages leave by one thread.
 
 The flight never waits for zenoh. The session opens in the background, with retries. What cannot be
 sent is dropped, oldest first: states are repeated anyway, and events are kept (`event_log`) until
@@ -16,8 +16,10 @@ from typing import Any, NoReturn
 import zenoh
 
 from companion.adapters.clock import wall_s
+from companion.core.base.rate_limit import RateLimit
 from companion.fleet.network import Ask, Asked, Told
 from companion.fleet.topics import VehicleKeys, life_of, roster_key, vehicle_of
+from companion.fleet.waiting_room import WaitingRoom
 from companion.fleet.zenoh_config import mode_of
 
 OPEN_AGAIN_S = 5.0
@@ -26,7 +28,22 @@ UNASKED_S, MOST_UNASKED_S = 150.0, 2400.0
 he joined: he joins anew, after ever longer waits, since there may be a router and no desk.
 """
 
-WAITING = 256
+COMMANDS_WAIT = 256
+COMMANDS_EACH = 16
+"""Of them in one name: a desk sends a vehicle a few at once. What is dropped is sent again a second
+later.
+"""
+
+ASKS_WAIT, TWINS_WAIT, ROSTERS_WAIT = 8, 1, 4
+ASKS_HZ, ASKS_BURST = 10.0, 40.0
+"""Of events: each desk, map and watch asks when it begins, and for what it missed."""
+
+WAKES_HZ, WAKES_BURST = 50.0, 50.0
+"""A flood wakes the flight's loop no oftener; what comes meanwhile waits for its next turn."""
+
+ROSTER_AGAIN_S = 10.0
+"""Where rosters find no room the true one may be among them: it is asked for."""
+
 LEAVING = 4096
 TRACKS = 256
 """Neighbours whose newest places are kept; a flood by one takes the room of none."""
@@ -37,6 +54,7 @@ that comes behind the true one does not hide it. A look at a signature takes 0.1
 """
 
 AFTER = "after"
+TOLD_ROSTERS = "told rosters"
 ROSTER_WAIT_S = 5.0
 """As long as a desk waits for an answer. Who misses it hears the next that the desk tells."""
 
@@ -44,7 +62,8 @@ ROSTER_WAIT_S = 5.0
 class ZenohLink:
     """One life of one companion. `wake` is called from zenoh's threads: something waits.
 
-    `is_member`: whose tracks get room.
+    `is_member`: whose tracks get room. `claimed_by`: in whose name a command comes, of those who
+    may command; empty: in nobody's.
     """
 
     def __init__(
@@ -54,6 +73,7 @@ class ZenohLink:
         life: str,
         wake: Callable[[], None],
         is_member: Callable[[str], bool] = lambda name: True,
+        claimed_by: Callable[[bytes], str] | None = None,
     ) -> None:
         self._config = config
         self._calls_a_desk = mode_of(config) == "client"
@@ -61,7 +81,11 @@ class ZenohLink:
         self._life = life
         self._wake = wake
         self._is_member = is_member
-        self._asked: queue.Queue[Asked] = queue.Queue(WAITING)
+        self._claimed_by = claimed_by
+        self.waiting = WaitingRoom()
+        self._asks = RateLimit(ASKS_HZ, ASKS_BURST)
+        self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
+        self._roster_asked_s = 0.0
         self._tracks: dict[str, deque[Told]] = {}
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
@@ -77,12 +101,7 @@ class ZenohLink:
 
     def asked(self) -> list[Asked]:
         """Everything that waits."""
-        found: list[Asked] = []
-        while True:
-            try:
-                found.append(self._asked.get_nowait())
-            except queue.Empty:
-                return found
+        return self.waiting.take()
 
     def be_woken(self, wake: Callable[[], None]) -> None:
         """Who waits now, and is to be woken."""
@@ -96,6 +115,8 @@ class ZenohLink:
 
     def _hear_events_wanted(self, query: zenoh.Query) -> None:
         self._heard_s = wall_s()
+        if not self._asks.take(self._heard_s):
+            return
         after = query.parameters.get(AFTER) or "0"
         answer = self._answer(query, self._keys.event)
         self.put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
@@ -126,11 +147,14 @@ class ZenohLink:
         tracks[speaker].append(Told(speaker, sample.payload.to_bytes()))
 
     def _hear_roster(self, sample: zenoh.Sample) -> None:
-        self.put(Asked(Ask.ROSTER, lambda replies: None, sample.payload.to_bytes()))
+        asked = Asked(Ask.ROSTER, lambda replies: None, sample.payload.to_bytes())
+        self._put(TOLD_ROSTERS, asked, ROSTERS_WAIT)
 
     def _hear_roster_reply(self, reply: zenoh.Reply) -> None:
+        """What came because we asked cannot be pushed out by what is told."""
         if reply.ok is not None:
-            self._hear_roster(reply.ok)
+            asked = Asked(Ask.ROSTER, lambda replies: None, reply.ok.payload.to_bytes())
+            self._put("asked rosters", asked, ROSTERS_WAIT, keep_first=True)
 
     def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
         def answer(replies: list[bytes]) -> None:
@@ -144,12 +168,21 @@ class ZenohLink:
         return answer
 
     def put(self, asked: Asked) -> None:
-        """Queue what was asked, and wake whoever waits for it."""
-        try:
-            self._asked.put_nowait(asked)
-        except queue.Full:
-            return  # unanswered, so it is asked again
-        self._wake()
+        """Have it wait in its box, and wake whoever waits for it."""
+        match asked.ask:
+            case Ask.COMMAND if self._claimed_by is not None:
+                self._put(f"commands {self._claimed_by(asked.payload)}", asked, COMMANDS_EACH)
+            case Ask.COMMAND:
+                self._put("commands", asked, COMMANDS_WAIT)
+            case Ask.EVENTS:
+                self._put("events", asked, ASKS_WAIT)
+            case _:
+                self._put(asked.ask.value, asked, TWINS_WAIT)
+
+    def _put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
+        self.waiting.put(box, asked, most, keep_first=keep_first)
+        if self._wakes.take(wall_s()):
+            self._wake()
 
     # --- out -----------------------------------------------------------------------------------
 
@@ -219,11 +252,13 @@ class ZenohLink:
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""
-        session.get(roster_key(keys.fleet), self._hear_roster_reply, timeout=ROSTER_WAIT_S)
+        self._ask_roster(session)
         while not (self._stop.is_set() and self._leaving.empty()):
             if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and _has_line(session):
                 self.trouble = f"nobody has asked for {unasked_s:.0f} s: joining anew"
                 return
+            if self._is_roster_due():
+                self._ask_roster(session)
             try:
                 send = self._leaving.get(timeout=1.0)
             except queue.Empty:
@@ -233,6 +268,21 @@ class ZenohLink:
                     send()
             except zenoh.ZError as error:
                 self.trouble = str(error)
+
+    def _is_roster_due(self) -> bool:
+        rested = wall_s() - self._roster_asked_s >= ROSTER_AGAIN_S
+        return rested and self.waiting.dropped(TOLD_ROSTERS) > 0
+
+    def _ask_roster(self, session: zenoh.Session) -> None:
+        """Of everybody who has one: an answer that is forged takes the place of none."""
+        self._roster_asked_s = wall_s()
+        session.get(
+            roster_key(self._keys.fleet),
+            self._hear_roster_reply,
+            timeout=ROSTER_WAIT_S,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
 
 
 def _has_line(session: zenoh.Session) -> bool:

@@ -13,6 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from companion.core.base.rate_limit import RateLimit
 from companion.core.base.safe_text import LONGEST_NAME, safe_text
 from companion.fleet.envelope import OVERHEAD_BYTES
 from companion.fleet.messages import (
@@ -34,7 +35,6 @@ from ground_station.core.fleet.fleet_link import (
     MessageRejected,
     StateReceived,
 )
-from ground_station.core.fleet.rate_limit import RateLimit
 
 EVENTS_HZ = 20.0
 """A flight tells some 50 events in 20 minutes, and a handful at once when it ends."""

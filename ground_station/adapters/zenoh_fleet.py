@@ -23,14 +23,24 @@ from ground_station.core.fleet.fleet_link import FleetInput
 if TYPE_CHECKING:
     from companion.fleet.identity import Identity
     from companion.fleet.roster import Roster
+    from companion.fleet.trust import Trust
     from ground_station.adapters.roster_share import RosterShare
+    from ground_station.adapters.zenoh_door import ZenohDoor
+    from ground_station.adapters.zenoh_log import DoorLog
 
 
 class ZenohFleet:
     """The desk's end of one fleet."""
 
-    def __init__(self, fleet: str, config: Path | None, options: JoinOptions = ON_ITS_OWN) -> None:
-        """Join with this configuration file (JSON5), or as `options` say.
+    def __init__(
+        self,
+        fleet: str,
+        config: Path | None,
+        options: JoinOptions = ON_ITS_OWN,
+        door_log: "DoorLog | None" = None,
+    ) -> None:
+        """Join with this configuration file (JSON5), or as `options` say. `door_log`: who is turned
+        away.
 
         Raises LeewayError where a file is not valid, or the network refuses us.
         """
@@ -46,6 +56,7 @@ class ZenohFleet:
             self._session = zenoh.open(read_config(file, open_network=options.open_network))
         except zenoh.ZError as error:
             raise LeewayError(f"{file or 'zenoh'}: {error}") from error
+        self.door = _door_of(self._session, self._trust, door_log)
         self._roster = _share_of(self._session, identity, self._refuse_roster)
         liveliness = self._session.liveliness()
         self._held = (  # zenoh undeclares what nobody holds
@@ -212,3 +223,13 @@ def _share_of(
     from ground_station.adapters.roster_share import RosterShare
 
     return RosterShare(session, identity, refuse)
+
+
+def _door_of(
+    session: zenoh.Session, trust: "Trust | None", log: "DoorLog | None"
+) -> "ZenohDoor | None":
+    if trust is None:
+        return None
+    from ground_station.adapters.zenoh_door import ZenohDoor
+
+    return ZenohDoor(session, trust, log)

@@ -25,11 +25,17 @@ YEAR_DAYS = 365
 class SecureSite:
     """A pki folder with a desk that listens on loopback, two drones, a truck and two people."""
 
-    def __init__(self, folder: Path, days: dict[str, int] | None = None) -> None:
+    def __init__(
+        self, folder: Path, days: dict[str, int] | None = None, routers: tuple[str, ...] = ()
+    ) -> None:
+        """With `routers` nobody calls the desk: all call them."""
         self.port = free_port()
         self.away: dict[Path, bytes] = {}
         self.pki = PkiFolder.init(folder, FLEET, utc_at(epoch_us()))
-        self.pki.add("desk", Role.DESK, YEAR_DAYS, f"127.0.0.1:{self.port}")
+        for name in routers:
+            self.pki.add(name, Role.ROUTER, YEAR_DAYS, f"127.0.0.1:{free_port()}")
+        address = "" if routers else f"127.0.0.1:{self.port}"
+        self.pki.add("desk", Role.DESK, YEAR_DAYS, address)
         for name, role in MEMBERS.items():
             self.pki.add(name, role, (days or {}).get(name, YEAR_DAYS), "")
 

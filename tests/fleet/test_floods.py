@@ -3,21 +3,23 @@ door. Meanwhile the desk hears the rest and is answered. Judged by counts, never
 """
 
 import json
-import resource
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import zenoh
 
 from companion.fleet.messages import Answered, Command
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
+from ground_station.adapters.fleet_inbox import STATES_A_TURN, FleetInbox, MemberBox
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import (
     CommandAnswered,
@@ -28,6 +30,7 @@ from ground_station.core.fleet.fleet_link import (
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import (
     GUARD,
+    KEPT_OUT_S,
     PATIENCE_S,
     forged_state,
     hears,
@@ -164,6 +167,108 @@ def test_behind_a_router_of_the_attackers_a_flood_of_forged_states_does_not_hide
         hears_on_and_is_answered(plain.desk, plain.d1)
 
 
+# --- where a flood came between the desk's turns -------------------------------------------------
+
+AROUND = 300
+"""Before the true state, and as many behind it: more than all boxes together hold."""
+
+
+class Heard:
+    """Counts what zenoh has brought to a desk, whatever becomes of it there."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count = 0
+        hear = FleetInbox.hear_state
+
+        def counted(inbox: FleetInbox, key: str, raw: bytes, **how: bool) -> None:
+            hear(inbox, key, raw, **how)
+            self.count += 1
+
+        monkeypatch.setattr(FleetInbox, "hear_state", counted)
+
+    def wait_for(self, deed: Callable[[], object], count: int) -> None:
+        """Until so much more of it has come."""
+        until, limit_s = self.count + count, monotonic_s() + PATIENCE_S
+        deed()
+        while self.count < until:
+            assert monotonic_s() < limit_s
+            threading.Event().wait(0.01)
+
+
+def one_box_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guard taken out: the states of all members share the room of one."""
+    shared: deque[tuple[MemberBox, bytes]] = deque(maxlen=STATES_A_TURN)
+
+    def take(self: MemberBox, raw: bytes, *, asked: bool) -> None:
+        shared.append((self, raw))
+
+    def taken(self: MemberBox) -> list[bytes]:
+        return [raw for box, raw in shared if box is self]
+
+    monkeypatch.setattr(MemberBox, "take_state", take)
+    monkeypatch.setattr(MemberBox, "taken_states", taken)
+
+
+def many(session: zenoh.Session, key: str, raw: bytes) -> Callable[[], None]:
+    def put() -> None:
+        for _ in range(AROUND):
+            session.put(key, raw, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    return put
+
+
+def hears_once(desk: ZenohFleet, life: str) -> bool:
+    """Whether one turn of the desk finds a state of this life."""
+    return any(isinstance(h, StateReceived) and h.state.life == life for h in desk.receive(0.0))
+
+
+@GUARD
+def test_what_a_member_floods_its_own_keys_with_pushes_out_no_others_state(
+    site, tmp_path, monkeypatch, guarded
+):
+    if not guarded:
+        one_box_for_all(monkeypatch)
+    heard = Heard(monkeypatch)
+    desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    raw = trust_of(site, "d2").seal("state", forged_state().replace(b'"d1"', b'"d2"'))
+    try:
+        assert hears(desk, state_of("d1"), PATIENCE_S)
+        d1.stop()
+        with member_session(site, "d2") as d2:
+            flood_once = many(d2, f"leeway/{FLEET}/vehicle/d2/state", raw)
+            heard.wait_for(flood_once, AROUND)
+            desk.receive(0.0)
+            heard.wait_for(lambda: d1.port.publish("true", d1.situation), 1)
+            heard.wait_for(flood_once, AROUND)
+        assert hears_once(desk, d1.port.life) is guarded
+    finally:
+        d1.close()
+        desk.close()
+
+
+@GUARD
+def test_what_comes_in_a_members_name_behind_the_router_pushes_out_no_answer_of_its_own(
+    site, tmp_path, monkeypatch, guarded
+):
+    if not guarded:
+        take = MemberBox.take_state
+
+        def unasked(self: MemberBox, raw: bytes, *, asked: bool) -> None:
+            take(self, raw, asked=False)
+
+        monkeypatch.setattr(MemberBox, "take_state", unasked)
+    heard = Heard(monkeypatch)
+    forged = trust_of(site, "d2").seal("state", forged_state())
+    with plain_network(site, tmp_path) as plain:
+        plain.d1.stop()
+        flood_once = many(plain.rogue, f"leeway/{FLEET}/vehicle/d1/state", forged)
+        heard.wait_for(flood_once, AROUND)
+        plain.desk.receive(0.0)
+        heard.wait_for(lambda: plain.desk.ask_states(PATIENCE_S), 1)
+        heard.wait_for(flood_once, AROUND)
+        assert hears_once(plain.desk, plain.d1.port.life) is guarded
+
+
 # --- at the door -----------------------------------------------------------------------------
 
 
@@ -185,8 +290,8 @@ def garbage(rng: np.random.Generator) -> Iterator[bytes]:
         yield rng.bytes(int(rng.integers(1, 1400)))
 
 
-def peak_kb() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def resident_kb() -> int:
+    return psutil.Process().memory_info().rss // 1024
 
 
 @STRANGERS
@@ -198,10 +303,10 @@ def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     try:
         assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
-        before_kb = peak_kb()
+        before_kb = resident_kb()
         for _ in range(calls):
             call(site.port, garbage(rng))
-        assert peak_kb() - before_kb < MOST_GROWN_KB
+        assert resident_kb() - before_kb < MOST_GROWN_KB
         hears_on_and_is_answered(desk, d1)
         d2 = site.vehicle("d2", tmp_path / "d2")
         try:
@@ -209,6 +314,27 @@ def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory
             assert hears(desk, state_of("d2"), wait_s), "who belongs here still gets in"
         finally:
             d2.close()
+    finally:
+        d1.close()
+        desk.close()
+
+
+@pytest.mark.night
+def test_canary_a_program_that_keeps_a_kilobyte_of_each_packet_is_seen_to_grow():
+    before_kb, kept = resident_kb(), [b"x" * 1024 + b"%d" % number for number in range(50_000)]
+    grown_kb = (resident_kb() - before_kb) * (1_000_000 // len(kept))
+    assert grown_kb > MOST_GROWN_KB
+
+
+@pytest.mark.night
+def test_canary_a_desk_that_is_gone_is_found_by_the_same_look(site, tmp_path, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.PATIENCE_S", KEPT_OUT_S)
+    desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
+    try:
+        assert hears(desk, state_of("d1"), 10.0 * KEPT_OUT_S)
+        d1.stop()
+        with pytest.raises(AssertionError):
+            hears_on_and_is_answered(desk, d1)
     finally:
         d1.close()
         desk.close()

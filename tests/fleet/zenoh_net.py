@@ -75,12 +75,12 @@ class Vehicle:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self.port.turn(self._carry_out)
+            self.port.turn(self.carry_out)
             self.port.publish(self.phase, self.situation)
             self.woken.wait(0.05)
             self.woken.clear()
 
-    def _carry_out(self, command: Command) -> Verdict:
+    def carry_out(self, command: Command) -> Verdict:
         self.done.append(command)
         return self.answer
 

@@ -36,7 +36,7 @@ def test_each_unit_of_a_role_is_shipped_and_named_by_the_installer():
         if line.strip().startswith("unit leeway-")
         for word in [line.split()[1]]
     ]
-    assert len(named) == 5
+    assert len(named) == 6
     for name in named:
         assert (DEPLOY / f"{name}.service").is_file(), name
         assert name in text.split("UNIT_NAMES=", 1)[1].splitlines()[0], name
@@ -45,7 +45,7 @@ def test_each_unit_of_a_role_is_shipped_and_named_by_the_installer():
 def test_help_names_every_role_and_needs_no_root():
     done = install("--help")
     assert done.returncode == 0
-    for role in ("companion", "fleet", "desk", "map", "truck"):
+    for role in ("companion", "fleet", "desk", "map", "router", "truck"):
         assert f"\n  {role} " in done.stdout
 
 

@@ -1,26 +1,24 @@
-"""The page that Prometheus reads: the desk's figures and its process's, as text."""
+"""The page that Prometheus reads: a program's figures and its process's, as text."""
 
 import threading
-from collections.abc import Callable
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.registry import Collector
 
-from ground_station.adapters.metrics.desk_collector import DeskCollector
-from ground_station.core.fleet.desk_figures import DeskFigures
 from ground_station.core.fleet.fleet_link import Clock
 
 FRESH_S = 1.0
-"""The desk takes its figures once a second. Making the page holds up the desk's thread, some tens
+"""A program takes its figures once a second. Making the page holds up its thread, some tens
 of milliseconds with a thousand members: not more often, however many ask for it.
 """
 
 
 class MetricsPage:
-    """Thread-safe. `figures` gives the newest of the desk."""
+    """Thread-safe. `figures` collects the newest of the program."""
 
-    def __init__(self, figures: Callable[[], DeskFigures | None], clock: Clock) -> None:
+    def __init__(self, figures: Collector, clock: Clock) -> None:
         self._registry = CollectorRegistry()
-        self._registry.register(DeskCollector(figures, clock))
+        self._registry.register(figures)
         ProcessCollector(registry=self._registry)
         self._clock = clock
         self._making = threading.Lock()

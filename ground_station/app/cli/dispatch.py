@@ -1,6 +1,7 @@
 """`ground-station dispatch | watch | recall | report`: the running day."""
 
 import json
+from collections.abc import Callable
 from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
@@ -36,9 +37,12 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
+    from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
+    from ground_station.core.fleet.door_watch import DoorWatch
 
 TURN_S = 0.2
 PIPED_S = 10.0
@@ -119,7 +123,8 @@ def dispatch(
         by = desk_of(person)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         say = _say_open if open_network else _say
-        network = open_fleet(data.day.fleet, zenoh, identity, open_network)
+        log = None if identity is None else _door_log()
+        network = open_fleet(data.day.fleet, zenoh, identity, open_network, log)
         with closing(network) as fleet:
             if chosen is None:
                 cannot = frozenset(impossible)
@@ -135,9 +140,23 @@ def dispatch(
                 typer.echo(OPEN_WORDS)
             meter = None if server is None else serve_desk(server, desk, fleet)
             reminder = CertificateReminder(network, say, epoch_us)
-            through = _run(desk, idle if until_done else None, meter, reminder)
+            door = _door_watch(fleet, say)
+            through = _run(desk, idle if until_done else None, meter, reminder, door)
         if through:
             _end(desk)
+
+
+def _door_log() -> "DoorLog | None":
+    from ground_station.adapters.zenoh_log import read_zenoh_log
+
+    return read_zenoh_log()
+
+
+def _door_watch(fleet: "ZenohFleet", say: Callable[[str], None]) -> "DoorWatch | None":
+    """Says who calls and should not; None: without an identity nobody has a name at the door."""
+    from ground_station.core.fleet.door_watch import DoorWatch
+
+    return None if fleet.door is None else DoorWatch(fleet.door.figures, fleet.door.roster, say)
 
 
 def _run(
@@ -145,6 +164,7 @@ def _run(
     idle_s: float | None,
     meter: "DeskMeter | None",
     reminder: "CertificateReminder",
+    door: "DoorWatch | None",
 ) -> bool:
     """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
     from companion.fleet.service_manager import Watchdog
@@ -158,6 +178,8 @@ def _run(
                 reminder.turn(monotonic_s())
                 if meter is not None:
                     meter.turn()
+                if door is not None:
+                    door.turn(monotonic_s(), epoch_us())
                 if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
                     return True
                 desk.turn(TURN_S)

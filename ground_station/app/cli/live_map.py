@@ -128,7 +128,7 @@ def show_map(
     if name is None and replay is None:
         raise LeewayError("map: expected --day, or --fleet")
     if basemap is not None:
-        _have_basemap(basemap)
+        have_basemap(basemap)
     with ExitStack() as held:
         server = held.enter_context(closing(_server(host, port, tls)))
         to_read = not is_loopback(host)
@@ -158,7 +158,7 @@ def show_map(
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WORDS,) if open_network else ()
         ear = FleetEar(ears, clock, status)
-        view = MapView(name, data, notes, basemap is not None, _has_outline(basemap))
+        view = MapView(name, data, notes, basemap is not None, has_outline(basemap))
         feed = MapFeed(view, ear, opened, clock, ears.certificates)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
         _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
@@ -198,7 +198,7 @@ def _past_answers(
     if files.store is not None:
         with closing(Database(url_of(files.store, None), create=False)) as database:
             store = PastStore(database)
-    view = MapView(name or "the past", data, (), basemap is not None, _has_outline(basemap))
+    view = MapView(name or "the past", data, (), basemap is not None, has_outline(basemap))
     feed = ReplayFeed(view, store, files.records)
     for words in feed.troubles:
         typer.echo(words, err=True)
@@ -254,7 +254,7 @@ def _server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
     return MapServer(host, port, None if tls is None else tls_files(*tls, epoch_us()))
 
 
-def _have_basemap(basemap: Path) -> None:
+def have_basemap(basemap: Path) -> None:
     """Check the file, and fetch the scripts that draw it where they are missing."""
     from ground_station.adapters.files.basemap import check_pmtiles
     from ground_station.adapters.web.npm_assets import (
@@ -283,7 +283,7 @@ def _fetch_assets() -> None:
     typer.echo(f"here: {', '.join(f'{one.name} {one.version}' for one in ALL)}")
 
 
-def _has_outline(basemap: Path | None) -> bool:
+def has_outline(basemap: Path | None) -> bool:
     """Whether the world's outline can be drawn. A person at a terminal waits for it once; a service
     never waits for a registry, and says how to have it.
     """

@@ -19,6 +19,7 @@ from ground_station.app.cli import (
     order,
     pki,
     plan,
+    router,
     store,
     token,
     truck,
@@ -69,6 +70,7 @@ app.add_typer(ground.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
 app.add_typer(pki.app, name="pki")
+app.add_typer(router.app)
 app.add_typer(hold.app)
 app.add_typer(audit.app)
 app.add_typer(store.app, name="store")

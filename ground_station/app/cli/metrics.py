@@ -1,4 +1,4 @@
-"""`--metrics` of `ground-station dispatch`: where the desk's figures are served for Prometheus."""
+"""`--metrics` of `ground-station dispatch` and `router`: where Prometheus reads figures."""
 
 import re
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ MetricsAddress = Annotated[
     typer.Option(
         "--metrics",
         metavar="[HOST:]PORT",
-        help="Serve the desk's figures for Prometheus at http://HOST:PORT/metrics; a port alone is"
+        help="Serve its figures for Prometheus at http://HOST:PORT/metrics; a port alone is"
         " this machine's. Whoever reaches it reads the fleet's state.",
     ),
 ]
@@ -70,9 +70,11 @@ def metrics_address(address: str, open_metrics: bool) -> tuple[str, int]:
 
 def serve_desk(server: "MetricsServer", desk: "Desk", fleet: "ZenohFleet") -> "DeskMeter":
     """Begin to serve this desk's figures, which the meter takes in the desk's turns."""
+    from ground_station.adapters.metrics.desk_collector import DeskCollector
     from ground_station.adapters.metrics.metrics_page import MetricsPage
     from ground_station.app.desk.desk_meter import DeskMeter
 
     meter = DeskMeter(desk, fleet)
-    server.serve(MetricsPage(lambda: meter.figures, desk.exchange.clock).text)
+    clock = desk.exchange.clock
+    server.serve(MetricsPage(DeskCollector(lambda: meter.figures, clock), clock).text)
     return meter

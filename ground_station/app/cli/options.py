@@ -12,6 +12,7 @@ from ground_station.adapters.clock import WallClock, epoch_us, monotonic_s
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
     from ground_station.adapters.zenoh_fleet import ZenohFleet
+    from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.core.people.person import Person
     from ground_station.core.schema.day_data import DayData
 
@@ -82,13 +83,20 @@ def open_day(day: str) -> "DayData":
 
 
 def open_fleet(
-    fleet: str, zenoh: Path | None, identity: Path | None, open_network: bool
+    fleet: str,
+    zenoh: Path | None,
+    identity: Path | None,
+    open_network: bool,
+    door_log: "DoorLog | None" = None,
 ) -> "ZenohFleet":
-    """The fleet's network. LeewayError where a file is not valid, or would let strangers in."""
+    """The fleet's network. `door_log`: who is turned away there.
+
+    LeewayError where a file is not valid, or would let strangers in.
+    """
     from companion.fleet.membership import JoinOptions
     from ground_station.adapters.zenoh_fleet import ZenohFleet
 
-    ears = ZenohFleet(fleet, zenoh, JoinOptions(identity, open_network))
+    ears = ZenohFleet(fleet, zenoh, JoinOptions(identity, open_network), door_log)
     if ears.warning:
         typer.echo(ears.warning, err=True)
     return ears

@@ -93,9 +93,8 @@ def status(pki: Folder = HERE) -> None:
 
     Exit code 3: one has at most 30 days left, or none.
     """
-    from ground_station.app.views.terminal import listing, terminal
-
     from companion.fleet.roster import WARN_DAYS
+    from ground_station.app.views.terminal import listing, terminal
 
     folder = _open(pki)
     table = listing("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")

@@ -15,12 +15,21 @@ from ground_station.core.fleet.desk_figures import (
     StoreFigures,
     listed,
 )
+from ground_station.core.fleet.door import DoorFigures
 from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.schema.holds import Hold, holding
 from ground_station.core.schema.orders import AssignmentState
 
 EVERY_S = 1.0
 """The figures of a thousand members take some milliseconds, and nobody reads them more often."""
+
+
+class Door(Protocol):
+    """Where others call a desk, or a desk calls others."""
+
+    def figures(self) -> DoorFigures:
+        """Who is on its lines, and who was turned away."""
+        ...
 
 
 class MeteredNetwork(Protocol):
@@ -35,6 +44,11 @@ class MeteredNetwork(Protocol):
 
     def certificates(self) -> CertificateFigures | None:
         """When they end; None: there are none."""
+        ...
+
+    @property
+    def door(self) -> "Door | None":
+        """Where others call; None: we are here without an identity."""
         ...
 
 
@@ -87,6 +101,7 @@ class DeskMeter:
             store=self._store(),
             replans=self.desk.dispatcher.replans,
             certificates=network.certificates(),
+            door=None if network.door is None else network.door.figures(),
         )
 
     def _store_rows(self) -> _StoreRows | None:

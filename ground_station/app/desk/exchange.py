@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import groupby
 
+from companion.core.base.rate_limit import RateLimit
 from companion.fleet.messages import (
     FINAL,
     Command,
@@ -40,7 +41,6 @@ from ground_station.core.fleet.fleet_link import (
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.name_counts import NameCounts
-from ground_station.core.fleet.rate_limit import RateLimit
 from ground_station.core.schema.orders import CommandRow
 
 STATES_S = 2.0

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.fleet.roster import Roster
+from ground_station.core.fleet.door import DoorFigures
 from ground_station.core.fleet.name_counts import MOST_NAMES
 from ground_station.core.fleet.time_counts import TimesBy
 
@@ -107,6 +108,7 @@ class DeskFigures:
     store: StoreFigures
     replans: ReplanFigures | None
     certificates: CertificateFigures | None
+    door: DoorFigures | None = None
 
 
 def listed(members: list[MemberFigures]) -> tuple[MemberFigures, ...]:

@@ -16,7 +16,7 @@ from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.autopilot.mavlink.signing import Signing
+from sim_bridge.autopilot.mavlink.signing import SignatureCheck, Signing
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import WindField
 from tests.sim_bridge.autopilot.conftest import HOME, M100, PARAMS, steady_wind
@@ -116,6 +116,36 @@ def test_then_unsigned_replayed_and_re_signed_orders_reach_nobody(kind):
     assert not world.acknowledged(order(Signing(bytes(32), now + 1000))), "signed by another key"
     assert world.acknowledged(true)
     assert not world.acknowledged(true), "replayed"
+
+
+def believes_any_key(self: Signing, frame: bytes) -> SignatureCheck:
+    return SignatureCheck.ACCEPTED
+
+
+def believes_any_time(self: Signing, frame: bytes) -> SignatureCheck:
+    self._heard.clear()
+    return CHECK(self, frame)
+
+
+CHECK = Signing.check
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_canary_an_autopilot_that_looks_at_no_key_obeys_one_that_is_signed_by_another(
+    kind, monkeypatch
+):
+    world, now = provisioned(kind)
+    monkeypatch.setattr(Signing, "check", believes_any_key)
+    assert world.acknowledged(order(Signing(bytes(32), now + 1000)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_canary_an_autopilot_that_keeps_no_time_of_a_stream_obeys_a_replay(kind, monkeypatch):
+    world, now = provisioned(kind)
+    monkeypatch.setattr(Signing, "check", believes_any_time)
+    true = order(Signing(KEY, now + 1000))
+    assert world.acknowledged(true)
+    assert world.acknowledged(true)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -15,6 +15,7 @@ import pytest
 from companion.fleet.messages import FINAL, Answered, EventKind, FleetEvent, Recall, Result
 from companion.fleet.roles import Role
 from companion.fleet.roster import Roster, RosterMember
+from ground_station.adapters.metrics.desk_collector import DeskCollector
 from ground_station.adapters.metrics.metrics_page import MetricsPage
 from ground_station.adapters.metrics.metrics_server import MetricsServer
 from ground_station.adapters.store import database as database_module
@@ -29,6 +30,7 @@ from ground_station.app.desk.exchange import ANSWER_S, Exchange
 from ground_station.app.desk.replanner import InlineReplanner, NoPlan
 from ground_station.core.fleet import desk_figures
 from ground_station.core.fleet.desk_figures import CertificateFigures, certificates_of
+from ground_station.core.fleet.door import DoorFigures, TurnedAway, Unwelcome
 from ground_station.core.fleet.fleet_link import CommandAnswered
 from ground_station.core.fleet.fleet_status import SILENT_S
 from ground_station.core.fleet.name_counts import MOST_NAMES, NOBODY, OTHERS
@@ -52,14 +54,30 @@ class Network:
     open_network: bool = False
     ends: CertificateFigures | None = None
 
+    door: "Door | None" = None
+
     def certificates(self) -> CertificateFigures | None:
         return self.ends
 
 
+@dataclass
+class Door:
+    """Where others call."""
+
+    seen: DoorFigures
+
+    def figures(self) -> DoorFigures:
+        return self.seen
+
+
+def desk_page(meter: DeskMeter, clock: WorldClock) -> MetricsPage:
+    return MetricsPage(DeskCollector(lambda: meter.figures, clock), clock)
+
+
 def page_of(meter: DeskMeter) -> Scrape:
     """A new page: none that was kept."""
-    clock = meter.desk.exchange.clock
-    return Scrape(MetricsPage(lambda: meter.figures, clock).text().decode())
+    clock: Any = meter.desk.exchange.clock
+    return Scrape(desk_page(meter, clock).text().decode())
 
 
 # --- a whole day with a truck --------------------------------------------------------------------
@@ -222,7 +240,7 @@ def by_hand(tmp_path: Path) -> Iterator[ByHand]:
 def test_a_desk_that_hangs_is_seen_while_it_hangs(by_hand):
     by_hand.turn()
     with closing(MetricsServer("127.0.0.1", port := free_port())) as server:
-        server.serve(MetricsPage(lambda: by_hand.meter.figures, by_hand.clock).text)
+        server.serve(desk_page(by_hand.meter, by_hand.clock).text)
         assert scrape(port).of("seconds_since_turn") == 0.0
         by_hand.clock.t_s += 40.0  # the desk's thread does not come back
         assert scrape(port).of("seconds_since_turn") == 40.0
@@ -236,7 +254,7 @@ def test_canary_figures_that_are_taken_when_somebody_asks_know_no_hang(by_hand):
         by_hand.meter.turn()
         return by_hand.meter.figures
 
-    page = MetricsPage(taken, by_hand.clock)
+    page = MetricsPage(DeskCollector(taken, by_hand.clock), by_hand.clock)
     by_hand.clock.t_s += 40.0
     assert Scrape(page.text().decode()).of("seconds_since_turn") == 0.0
 
@@ -466,6 +484,14 @@ def test_a_desk_that_is_not_on_the_roster_has_no_day_left(by_hand):
     assert by_hand.turn().of("own_certificate_days_left") == 0
 
 
+def test_who_is_on_a_line_and_should_not_be_and_who_was_turned_away_is_counted(by_hand):
+    assert by_hand.turn().label_values("calls_turned_away_total", "why") == set()
+    by_hand.gauges.door = Door(AT_DOOR)
+    seen = by_hand.turn()
+    assert seen.label_values("unwelcome_member", "member") == {"d2"}
+    assert seen.of("calls_turned_away_total", why="stranger") == 7
+
+
 def test_figures_are_taken_once_a_second_however_often_the_desk_turns(by_hand):
     by_hand.turn()
     first = by_hand.meter.figures
@@ -479,6 +505,7 @@ def test_figures_are_taken_once_a_second_however_often_the_desk_turns(by_hand):
 # --- the page of the documents -------------------------------------------------------------------
 
 
+AT_DOOR = DoorFigures({"d1": 1, "d2": 1}, {"d2": Unwelcome.REVOKED}, {TurnedAway.STRANGER: 7})
 WATCH = Path(__file__).parents[3] / "docs" / "how-to" / "watch-the-desk.md"
 NAME = re.compile(r"\b((?:leeway_desk|process)_[a-z_]+)(?:\{([a-z]+)=)?")
 
@@ -487,6 +514,7 @@ NAME = re.compile(r"\b((?:leeway_desk|process)_[a-z_]+)(?:\{([a-z]+)=)?")
 def everything(told, by_hand) -> Scrape:
     """A scrape, over HTTP, in which nothing is absent."""
     by_hand.gauges.ends = certificates_of(roster(by_hand.clock, desk=40, d1=2), "desk")
+    by_hand.gauges.door = Door(AT_DOOR)
     by_hand.desk.dispatcher.replans = told.day.dispatcher.replans  # type: ignore[misc]
     exchange = by_hand.desk.exchange
     exchange.answer_times = told.day.desk.exchange.answer_times
@@ -496,7 +524,7 @@ def everything(told, by_hand) -> Scrape:
     by_hand.turn()
     by_hand.turn()
     with closing(MetricsServer("127.0.0.1", port := free_port())) as server:
-        server.serve(MetricsPage(lambda: by_hand.meter.figures, by_hand.clock).text)
+        server.serve(desk_page(by_hand.meter, by_hand.clock).text)
         return scrape(port)
 
 

@@ -14,6 +14,7 @@ import pytest
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.metrics import metrics_page, metrics_server
+from ground_station.adapters.metrics.desk_collector import DeskCollector
 from ground_station.adapters.metrics.metrics_page import MetricsPage
 from ground_station.adapters.metrics.metrics_server import MetricsServer
 from tests.fleet.zenoh_net import free_port
@@ -261,7 +262,7 @@ def reads_of_a_thousand_scrapes() -> int:
         nonlocal reads
         reads += 1
 
-    page = MetricsPage(figures, Clock())
+    page = MetricsPage(DeskCollector(figures, Clock()), Clock())
     for _ in range(1000):
         page.text()
     return reads

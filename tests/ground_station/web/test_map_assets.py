@@ -28,7 +28,7 @@ from ground_station.adapters.web.npm_assets import (
     missing_assets,
     unpack,
 )
-from ground_station.app.cli.live_map import _has_outline, _have_basemap
+from ground_station.app.cli.live_map import has_outline, have_basemap
 from tests.ground_station.web.browser import town_tiles
 
 
@@ -89,7 +89,7 @@ def test_a_map_goes_on_without_an_outline_that_cannot_be_had(
     monkeypatch.setattr(npm_assets, "NPM", npm)
     monkeypatch.setattr(npm_assets, "_node", lambda: nullcontext(dict(os.environ)))
     monkeypatch.setattr("sys.stdout.isatty", lambda: at_a_terminal, raising=False)
-    assert not _has_outline(None)
+    assert not has_outline(None)
     out = "".join(capsys.readouterr())
     assert said in out
     assert at_a_terminal == ("Ctrl-C goes on without it" in out)
@@ -106,8 +106,8 @@ def test_who_cannot_write_beside_the_programs_is_told_what_to_type(
     town_tiles(town)
     remedy = f"sudo {sys.prefix}/bin/ground-station map --fetch-assets"
     with pytest.raises(LeewayError, match=rf"cannot write there: once, `{remedy}`"):
-        _have_basemap(town)
-    assert not _has_outline(None)
+        have_basemap(town)
+    assert not has_outline(None)
     assert f"`{remedy}` brings it" in capsys.readouterr().out
 
 

@@ -1,4 +1,4 @@
-"""How much one member of the fleet may say: what is above that costs nobody else anything."""
+"""How much one speaker may say, or cost: what is above that costs nobody else anything."""
 
 from dataclasses import dataclass, field
 

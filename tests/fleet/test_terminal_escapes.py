@@ -1,0 +1,67 @@
+"""A member whose signature is right sends a terminal's escape sequences: to a desk's log and to a
+`watch`, both as a person starts them, over TLS, each at a terminal of its own.
+"""
+
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from companion.fleet.command_log import Verdict
+from companion.fleet.messages import Answered, EventKind
+from tests.fleet.programs import program, short_day
+from tests.fleet.secure_site import SecureSite
+
+EVIL = "\x1b]0;owned\x07\x1b[31337mgone\x9b2J"
+RAW = (b"\x1b]0;owned", b"\x07", b"\x1b[31337m", "\x9b".encode())
+"""A window's title, a bell, a colour that no program of ours uses, a control of eight bits."""
+
+NO_SAFE_TEXT = """
+from companion.core.base import safe_text
+safe_text.safe_text = lambda text: text
+safe_text.one_line = lambda text: text
+"""
+
+
+def raw_in(words: bytes) -> list[bytes]:
+    return [sequence for sequence in RAW if sequence in words]
+
+
+DESKS = pytest.mark.parametrize(
+    "guarded", [True, pytest.param(False, marks=pytest.mark.night)], ids=["desk", "desk's canary"]
+)
+
+
+@DESKS
+def test_a_members_words_reach_no_terminal_raw(tmp_path: Path, guarded: bool):
+    """`watch` beside its canary; a desk takes longer to begin, and has its canary at night."""
+    site = SecureSite(tmp_path / "pki")
+    store = ("--store", f"sqlite:///{tmp_path}/desk.db")
+    desk_options = (*store, "--identity", site.home("desk"), "--auto-launch")
+    watch_options = ("watch", *store, "--identity", site.home("otto"), "--fleet", "harbour")
+    before = "" if guarded else NO_SAFE_TEXT
+    with (
+        program("dispatch", short_day(tmp_path), *desk_options, before=before) as desk,
+        closing(site.vehicle("d1", tmp_path / "d1")) as d1,
+    ):
+        desk.said("dispatching")
+        d1.answer = Verdict(Answered.REFUSED, EVIL)
+        d1.port.member.remark = EVIL
+        d1.port.tell(EventKind.SAID, EVIL)
+        desk.said("owned")
+        with (
+            program(*watch_options) as watch,
+            program(*watch_options, before=NO_SAFE_TEXT) as canary,
+        ):
+            for each in (watch, canary):
+                each.said("owned")
+                assert each.end() == 0
+        assert desk.end() == 0
+    assert (raw_in(desk.words) == []) is guarded
+    assert raw_in(watch.words) == []
+    assert raw_in(canary.words) != []
+
+
+def test_what_is_looked_for_is_what_was_sent():
+    assert raw_in(EVIL.encode()) == list(RAW)
+    assert raw_in("\N{REPLACEMENT CHARACTER}]0;owned".encode()) == []
