@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator
 from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
 
-from companion.fleet.trust import DAY_US
 from ground_station.adapters.metrics.families import Families, door_families
+from ground_station.core.fleet.desk_figures import days_left
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.name_counts import MOST_NAMES
 from ground_station.core.fleet.router_figures import RouterFigures
@@ -32,7 +32,7 @@ class RouterCollector(Collector):
         yield ROUTER.gauges("sessions", "Programs joined to it, by zenoh's kind.", "kind", kinds)
         lines = sorted(figures.door.lines.items())[:MOST_NAMES]
         yield ROUTER.gauges("lines", "Open lines, by the caller's certificate.", "member", lines)
-        left_days = (figures.certificate_end_us - self._clock.epoch_us()) / DAY_US
+        left_days = days_left(figures.certificate_end_us, self._clock.epoch_us())
         about = "Of the certificate that it shows."
         yield ROUTER.gauge("certificate_days_left", about, left_days)
         about = "The number of the roster that it has."
