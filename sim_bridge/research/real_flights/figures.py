@@ -194,6 +194,7 @@ def _fitted(fold: FoldResult) -> dict[str, Any]:
         "trim_right_deg": fold.trim_deg[1],
         "trim_std_deg": fold.drag_stds[0],
         "drag_model_std_frac": fold.drag_stds[1],
+        "drag_gain_std_frac": fold.drag_stds[2],
         "power_flown": dict(
             zip(("climb_frac", "level_frac", "descent_frac"), fold.power_flown, strict=True)
         ),

@@ -36,11 +36,14 @@ CALIBRATED_FLIGHTS = 36
 """Drag and power are calibrated on so many of the fitting flights, spread evenly over days and
 hours: with all of 119 drag at 10 m/s moves by less than its standard deviation, in seven times the
 time."""
-DRAG_STDS = ((0.5, 0.01), (1.0, 0.03), (1.5, 0.05))
-"""Trim (degrees) and drag model error (fraction) that the estimator may be told to expect: those of
-the shipped M100, and what real vehicles leave over. Chosen on SCORED_FLIGHTS of the fitting days by
-the likelihood of the anemometer's 10 s means; the calibration does not tell them."""
-SCORED_FLIGHTS = 6
+DRAG_STDS = ((0.2, 0.03, 0.02), (0.5, 0.03, 0.05), (1.5, 0.05, 0.05))
+"""Trim (degrees), drag model error and drag gain (fractions) that the estimator may be told to
+expect: drag and trims known well, as a vehicle's own calibration leaves them, and what real
+vehicles leave over. Chosen on SCORED_FLIGHTS of the fitting days by the likelihood of the
+anemometer's 10 s means; the calibration does not tell them."""
+AXIS_SHARE = 0.5
+"""Of the gain's deviation: how far one axis may be from the other."""
+SCORED_FLIGHTS = 9
 _ODD_LOG = 0.10
 """A flight that draws so much more or less than predicted may have another payload: four times the
 scatter of flights."""
@@ -95,7 +98,7 @@ class FoldResult:
     flights: tuple[JudgedFlight, ...]
     scale: AnemometerScale
     trim_deg: tuple[float, float]
-    drag_stds: tuple[float, float]
+    drag_stds: tuple[float, float, float]
     scatter: dict[str, EnergyScatter]
     slopes: dict[str, float]
     power_flown: tuple[float, float, float]
@@ -129,7 +132,7 @@ def run_fold(fold: Fold) -> FoldResult:
         done,
         fitted.scale,
         (fitted.flying.drag.trim_forward_deg, fitted.flying.drag.trim_right_deg),
-        (fitted.flying.drag.trim_std_deg, fitted.flying.drag.model_std_frac),
+        drag_stds(fitted.flying),
         {"flown": forecast.flown, **{n: p.scatter for n, p in forecast.points.items()}},
         {n: p.slope for n, p in forecast.points.items()},
         (flown.climb_frac, flown.level_frac, flown.descent_frac),
@@ -151,11 +154,10 @@ def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
     winds = [
         seen[i] if i in seen else see_wind(f.blocks, done.airframe) for i, f in enumerate(train)
     ]
-    scale = fit_scale([train[i] for i in chosen], [seen[i] for i in chosen])
     charges = charges_of([f.ordered.date for f in train], [f.start_v for f in train])
     known = [_known(*row) for row in zip(train, winds, charges, strict=True)]
     scored = [train[i] for i in chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]]
-    flying = _likeliest(done.airframe, scored, scale)
+    flying, scale = _likeliest(done.airframe, scored)
     forecast = fit_forecast(done.airframe, known)
     return _Fitted(done, flying, scale, forecast, fit_rivals(train))
 
@@ -167,22 +169,41 @@ def as_reported(airframe: Airframe) -> Airframe:
 
 
 def _likeliest(
-    airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale
-) -> Airframe:
-    """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest."""
+    airframe: Airframe, flights: Sequence[ReadFlight]
+) -> tuple[Airframe, AnemometerScale]:
+    """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest, and
+    the anemometer as that estimator finds it."""
+    found = []
+    for stds in DRAG_STDS:
+        one = _expecting(airframe, *stds)
+        judged = [_wind(f, replay_wind(f, one), None) for f in flights]
+        scale = fit_scale([leg for wind in judged for leg in wind.legs])
+        means = [mean.as_read(scale) for wind in judged for mean in wind.windows]
+        found.append((_wind_loss(means), one, scale))
+    _, best, scale = min(found, key=lambda row: row[0])
+    return best, scale
+
+
+def _expecting(airframe: Airframe, trim_deg: float, model: float, gain: float) -> Airframe:
     changed = msgspec.structs.replace
-    tried = [
-        changed(airframe, drag=changed(airframe.drag, trim_std_deg=trim, model_std_frac=model))
-        for trim, model in DRAG_STDS
-    ]
-    losses = [_wind_loss(one, flights, scale) for one in tried]
-    return tried[int(np.argmin(losses))]
+    drag = changed(
+        airframe.drag,
+        trim_std_deg=trim_deg,
+        model_std_frac=model,
+        gain_std_frac=gain,
+        axis_gain_std_frac=AXIS_SHARE * gain,
+    )
+    return changed(airframe, drag=drag)
 
 
-def _wind_loss(airframe: Airframe, flights: Sequence[ReadFlight], scale: AnemometerScale) -> float:
+def drag_stds(airframe: Airframe) -> tuple[float, float, float]:
+    """What the estimator is told to expect, in the order of DRAG_STDS."""
+    drag = airframe.drag
+    return drag.trim_std_deg, drag.model_std_frac, drag.gain_std_frac
+
+
+def _wind_loss(means: Sequence[AirspeedMean]) -> float:
     """Minus twice the log-likelihood of the 10 s means, normal errors of the stated std."""
-    judged = [_wind(f, replay_wind(f, airframe), scale) for f in flights]
-    means = [mean for wind in judged for mean in wind.windows]
     return sum(
         ((m.believed_mps - m.read_mps) / m.std_mps) ** 2 + 2.0 * math.log(m.std_mps) for m in means
     )
@@ -267,8 +288,14 @@ def _wind(flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None) -
     legs = flown_legs(flight.track, flight.ordered.speed_mps)
     spans = stretches(flight.track, [(leg.first, leg.last) for leg in legs], STEP_S)
     parts = [part for span in spans for part in windows(span, STEP_S)]
-    by_leg = (airspeed_mean(flight, wind, scale, span) for span in spans)
-    by_window = (airspeed_mean(flight, wind, scale, span) for span in parts)
     return JudgedWind(
-        tuple(m for m in by_leg if m is not None), tuple(m for m in by_window if m is not None)
+        _means(flight, wind, scale, spans),
+        _means(flight, wind, scale, parts),
     )
+
+
+def _means(
+    flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None, spans: Sequence[slice]
+) -> tuple[AirspeedMean, ...]:
+    known = (airspeed_mean(flight, wind, span) for span in spans)
+    return tuple(m if scale is None else m.as_read(scale) for m in known if m is not None)

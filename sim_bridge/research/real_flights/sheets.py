@@ -135,6 +135,7 @@ def fitted_sheet(found: RealFlights) -> Sheet:
         ("trim_right_deg", "mean trim right, degrees"),
         ("trim_std_deg", "trim beside it that the estimator expects, degrees"),
         ("drag_model_std_frac", "drag error that it expects"),
+        ("drag_gain_std_frac", "drag gain's deviation that it expects"),
     ):
         rows.append([name, _range(f[key] for f in found.fitted)])
     for what in ("day", "charge", "flight"):

@@ -1,19 +1,18 @@
 """The wind estimator over a recorded flight, and its airspeed against the anemometer's.
 
 The anemometer's direction errs with heading, so that its magnitude alone is the truth. It sits in
-the rotors' flow and reads `scale * airspeed + bias`: both are learned on the flights that the
-airframe is calibrated on, from the airspeed that the calibration itself sees.
+the rotors' flow and reads `scale * airspeed + bias`: both are learned on fitting flights, from what
+the very estimator that is judged believes there, leg by leg.
 """
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.calibration.drag import WindSeen
-from companion.core.calibration.power import air_speeds
+from companion.core.base.errors import LeewayError
 from companion.core.measured_energy.flown_track import FlownTrack
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
@@ -25,6 +24,8 @@ WINDOW_S = 10.0
 _SETTLED_S = 2.0
 """Of a leg's ends: the anemometer's own filter has not caught up."""
 _LEAST_SHARE = 0.8
+_LEAST_LEGS = 6
+_LEAST_SPREAD_MPS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class WindReplay:
 
 @dataclass(frozen=True, slots=True)
 class AnemometerScale:
-    """What the anemometer makes of an airspeed; `std_mps` is left over in a 2 s mean."""
+    """What the anemometer makes of an airspeed; `std_mps` is left over in a leg's mean."""
 
     scale: float
     bias_mps: float
@@ -52,6 +53,11 @@ class AirspeedMean:
     believed_mps: float
     std_mps: float
     ground_mps: float
+
+    def as_read(self, anemometer: AnemometerScale) -> "AirspeedMean":
+        """The belief as the anemometer would read it."""
+        believed_mps = anemometer.scale * self.believed_mps + anemometer.bias_mps
+        return replace(self, believed_mps=believed_mps, std_mps=anemometer.scale * self.std_mps)
 
 
 def observations(
@@ -102,22 +108,20 @@ def replay_wind(
     return WindReplay(np.array(means)[at], np.array(covs)[at])
 
 
-def fit_scale(flights: Sequence[ReadFlight], winds: Sequence[WindSeen]) -> AnemometerScale:
-    """Least squares of the reading over the airspeed that the calibration saw, in 2 s blocks."""
-    parts = [_readings(f, w) for f, w in zip(flights, winds, strict=True)]
-    air, read = np.concatenate(parts, axis=1)
+def fit_scale(legs: Sequence[AirspeedMean]) -> AnemometerScale:
+    """Least squares of the reading over the airspeed believed, a leg counting once.
+
+    LeewayError where no leg has a reading, or all have one airspeed.
+    """
+    air = np.array([leg.believed_mps for leg in legs])
+    read = np.array([leg.read_mps for leg in legs])
+    if len(air) < _LEAST_LEGS or float(np.ptp(air)) < _LEAST_SPREAD_MPS:
+        raise LeewayError(
+            f"anemometer: {len(air)} legs with a reading to fit its scale to, {_LEAST_LEGS} or more"
+            f" expected that differ by {_LEAST_SPREAD_MPS:g} m/s of airspeed"
+        )
     scale, bias = np.polyfit(air, read, 1)
-    left = read - scale * air - bias
-    return AnemometerScale(float(scale), float(bias), float(np.std(left)))
-
-
-def _readings(flight: ReadFlight, wind: WindSeen) -> Floats:
-    """(2, n): airspeed seen and read in each airborne block."""
-    air, _ = air_speeds(flight.blocks, wind)
-    t_s = flight.blocks.t_s[flight.blocks.airborne]
-    read = np.interp(t_s, flight.track.t_s, anemometer_mps(flight), left=np.nan, right=np.nan)
-    known = np.isfinite(read)
-    return np.stack([air[known], read[known]])
+    return AnemometerScale(float(scale), float(bias), float(np.std(read - scale * air - bias)))
 
 
 def anemometer_mps(flight: ReadFlight) -> Floats:
@@ -144,10 +148,8 @@ def windows(span: slice, step_s: float) -> list[slice]:
     return [slice(a, a + width) for a in starts]
 
 
-def airspeed_mean(
-    flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None, span: slice
-) -> AirspeedMean | None:
-    """Means over a stretch, the belief as the anemometer would read it; `None` in its gaps."""
+def airspeed_mean(flight: ReadFlight, wind: WindReplay, span: slice) -> AirspeedMean | None:
+    """Means over a stretch; `None` in the anemometer's gaps."""
     read = anemometer_mps(flight)[span]
     if np.isfinite(read).mean() < _LEAST_SHARE:
         return None
@@ -157,10 +159,9 @@ def airspeed_mean(
     speed = np.hypot(air[:, 0], air[:, 1])
     unit = air.mean(axis=0) / max(float(np.hypot(*air.mean(axis=0))), 1e-9)
     variance = float(unit @ wind.cov_ne_m2ps2[span].mean(axis=0) @ unit)
-    gain, bias = (1.0, 0.0) if scale is None else (scale.scale, scale.bias_mps)
     return AirspeedMean(
         float(np.nanmean(read)),
-        gain * float(speed.mean()) + bias,
-        gain * math.sqrt(variance),
+        float(speed.mean()),
+        math.sqrt(variance),
         float(np.hypot(ground[:, 0], ground[:, 1]).mean()),
     )

@@ -16,7 +16,7 @@ from sim_bridge.research.cli.main import app
 from sim_bridge.research.real_flights.figures import energy_figures, wind_figures
 from sim_bridge.research.real_flights.fold import JudgedEnergy, JudgedFlight, JudgedWind
 from sim_bridge.research.real_flights.folder import normal_temperature_c, read_folder
-from sim_bridge.research.real_flights.wind_replay import AirspeedMean
+from sim_bridge.research.real_flights.wind_replay import AirspeedMean, fit_scale
 
 G, MASS_KG, DT_S = 9.80665, 3.65, 0.2
 REAL = Path(__file__).parents[5] / "shared" / "data" / "m100_flights"
@@ -278,3 +278,21 @@ def test_real_flights_are_read_with_their_wind_and_their_legs():
     for flight in flights:
         predicted = rivals.predicted_wh(flight)
         assert predicted[CONSTANT] == pytest.approx(flight.track.energy_wh, rel=0.25)
+
+
+def test_an_anemometer_in_the_rotors_flow_is_read_as_it_was_made():
+    # Made by hand: it reads 0.9 of the airspeed and 1.3 m/s; the belief is then as it would read.
+    legs = [
+        AirspeedMean(0.9 * air + 1.3, air, 0.5, 0.0) for air in (3.0, 5.0, 7.0, 9.0, 11.0, 13.0)
+    ]
+    found = fit_scale(legs)
+    assert (found.scale, found.bias_mps) == pytest.approx((0.9, 1.3))
+    assert found.std_mps == pytest.approx(0.0, abs=1e-9)
+    assert all(leg.as_read(found).believed_mps == pytest.approx(leg.read_mps) for leg in legs)
+    assert legs[0].as_read(found).std_mps == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("air", [(), (8.0,) * 9], ids=["no reading", "one airspeed"])
+def test_an_anemometer_that_tells_no_scale_is_refused_in_words(air):
+    with pytest.raises(LeewayError, match=r"anemometer: .* expected"):
+        fit_scale([AirspeedMean(8.0, one, 0.5, 0.0) for one in air])
