@@ -76,7 +76,7 @@ def test_the_campaigns_help_names_every_planner() -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("fly", "arducopter_sitl, default, faults, px4_sih, recorded, truck_stop"),
+        ("fly", "arducopter_sitl, default, faults, hills, px4_sih, recorded, truck_stop"),
         ("day", "faults, harbour, town, villages"),
     ],
 )

@@ -29,7 +29,7 @@ from ground_station.app.map.fleet_ear import FleetEar
 from ground_station.app.map.map_feed import MapFeed
 from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.fleet_status import FleetStatus
-from sim_bridge.research.benchmarks.map_bench_day import BenchDay, BenchLink
+from sim_bridge.research.benchmarks.map_bench_day import MapBenchDay, BenchLink
 from sim_bridge.research.map_pages.chromium import page
 from sim_bridge.research.map_pages.frame_rate import FrameRate, Motion, median_rate
 
@@ -81,7 +81,7 @@ def bench(
     with ExitStack() as held:
         folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="leeway-map-")))
         rng = np.random.default_rng(seed)
-        day = BenchDay(folder, drones, orders, rng)
+        day = MapBenchDay(folder, drones, orders, rng)
         held.callback(day.store.close)
         clock, load_before = WallClock(), os.getloadavg()[0]
         ear = FleetEar(BenchLink(day, rng), clock, FleetStatus(day.data.airframes))

@@ -41,7 +41,7 @@ LAPS_S = 600
 """After so many states a drone is at its customer."""
 
 
-class BenchDay:
+class MapBenchDay:
     """The day's data, the ways of its drones, and its store."""
 
     def __init__(self, folder: Path, drones: int, orders: int, rng: np.random.Generator) -> None:
@@ -116,7 +116,7 @@ class BenchDay:
 class BenchLink:
     """Every drone, and the truck, says its state once a second, all of them evenly over it."""
 
-    def __init__(self, day: BenchDay, rng: np.random.Generator) -> None:
+    def __init__(self, day: MapBenchDay, rng: np.random.Generator) -> None:
         self._day, self._rng = day, rng
         self._members = [*day.names, TRUCK]
         self._began_s, self._said = wall_s(), 0

@@ -56,7 +56,7 @@ def test_a_path_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_an_unknown_name_is_answered_with_the_names() -> None:
     with pytest.raises(
-        LeewayError, match=r"^defualt: .*default, faults, px4_sih, recorded, .*path$"
+        LeewayError, match=r"^defualt: .*default, faults, hills, px4_sih, recorded, .*path$"
     ):
         flight_path("defualt")
 
@@ -66,7 +66,7 @@ def test_an_unknown_flight_is_one_line_and_exit_code_2(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--link", "tcp:127.0.0.1:9", "--mission", "nowhere"])
     assert done.exit_code == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "default, faults, px4_sih, recorded, truck_stop" in done.stderr
+    assert "default, faults, hills, px4_sih, recorded, truck_stop" in done.stderr
 
 
 @contextmanager

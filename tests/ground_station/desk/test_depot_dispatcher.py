@@ -32,7 +32,7 @@ class Obedient(Vehicle):
     flies = True
     outcome = "SUC"
 
-    def _carry_out(self, command: Command) -> Verdict:
+    def carry_out(self, command: Command) -> Verdict:
         self.done.append(command)
         match command.deed:
             case Assign():

@@ -220,7 +220,7 @@ def test_of_a_flight_without_a_desk_route_and_diversion_are_the_records_own(tmp_
     began_us = past.span()["from_us"]
     out = past.moment(began_us + 10_000_000)["drones"][folder.name]
     assert out["way"] == {"out": lat_lon(ROUND_IT), "home": lat_lon(HOME)}
-    (feed,) = past._flights
+    (feed,) = past.flights
     feed.record.rows["phase"].append(
         {"t_s": TOOK_OFF_S + 31, "before": "outbound", "now": "divert", "why": "wind"}
     )

@@ -39,7 +39,7 @@ class ReplayFeed:
         events = defaultdict[str | None, list[PastEvent]](list)
         for heard in () if store is None else store.events:
             events[heard.event.assignment].append(heard)
-        self._flights = [PastFlight(one, events[one.assignment]) for one in files]
+        self.flights = [PastFlight(one, events[one.assignment]) for one in files]
         self._decisions = self._all_decisions()
         self._span_us = self._whole_span()
 
@@ -48,7 +48,7 @@ class ReplayFeed:
         heard = [] if self._store is None else self._store.events
         found = [one for one in heard if one.event.kind is EventKind.DECISION]
         known = {one.event.assignment for one in found}
-        for flight in self._flights:
+        for flight in self.flights:
             if flight.assignment not in known:
                 found += flight.decisions()
         return sorted(found, key=lambda one: one.heard_us)
@@ -56,7 +56,7 @@ class ReplayFeed:
     def _whole_span(self) -> tuple[int, int]:
         spans = [] if self._store is None else [self._store.span_us]
         if not any(spans):
-            spans = [flight.span_us for flight in self._flights]
+            spans = [flight.span_us for flight in self.flights]
         there = [span for span in spans if span is not None]
         if not there:
             return NO_SPAN
@@ -65,12 +65,12 @@ class ReplayFeed:
     @cached_property
     def troubles(self) -> tuple[str, ...]:
         """What is wrong with the records, and which are missing; reads them all."""
-        found = [words for flight in self._flights if (words := flight.trouble) is not None]
+        found = [words for flight in self.flights if (words := flight.trouble) is not None]
         return (*found, *self._missing())
 
     def _missing(self) -> list[str]:
         flown = [] if self._store is None else self._store.assignments
-        known = {flight.assignment for flight in self._flights}
+        known = {flight.assignment for flight in self.flights}
         rows = [one.row for one in flown if one.flew_us is not None]
         missing = [row for row in rows if row.id not in known and row.vehicle != TRUCK]
         if missing and not known:
@@ -146,7 +146,7 @@ class ReplayFeed:
     def _states(self, rows: WatchRows, t_us: int) -> list[tuple[State, VehicleTrack]]:
         truck = [] if rows.day is None else [(self._truck(t_us), VehicleTrack(heard_us=t_us))]
         held = {row.vehicle: row for row in rows.assignments}
-        names = {flight.vehicle for flight in self._flights} | held.keys() - {TRUCK}
+        names = {flight.vehicle for flight in self.flights} | held.keys() - {TRUCK}
         found = (self._drone(name, held.get(name), rows, t_us) for name in sorted(names))
         return truck + [one for one in found if one is not None]
 
@@ -166,13 +166,13 @@ class ReplayFeed:
         return self._at_rest(name, t_us)
 
     def _flight(self, vehicle: str, t_us: int) -> PastFlight | None:
-        mine = (one for one in self._flights if one.vehicle == vehicle and one.covers(t_us))
+        mine = (one for one in self.flights if one.vehicle == vehicle and one.covers(t_us))
         return next(mine, None)
 
     def _at_rest(self, name: str, t_us: int) -> tuple[State, VehicleTrack] | None:
         """A drone that stands where its last flight ended."""
         before = [
-            f for f in self._flights if f.vehicle == name and (f.span_us or (t_us,))[-1] < t_us
+            f for f in self.flights if f.vehicle == name and (f.span_us or (t_us,))[-1] < t_us
         ]
         if not before:
             return None
