@@ -4,6 +4,7 @@ import pytest
 
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE
 from sim_bridge.app.fault_suite.suite import fly_fault, tasks
+from sim_bridge.app.faults import runner
 from sim_bridge.app.faults.case import BOTH, PHASES
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.flight import companion_process
@@ -32,5 +33,6 @@ def test_a_fault_costs_no_vehicle(tmp_path, fault, autopilot, phase):
 @pytest.mark.parametrize("fault", GUARDS)
 def test_without_its_guard_the_row_breaks(tmp_path, monkeypatch, fault):
     phase, patch, autopilot = GUARDS[fault]
+    monkeypatch.setattr(runner, "suite_forks", lambda: None)  # patched before its imports
     monkeypatch.setattr(companion_process, "ENTRY", f"{patch}\n{companion_process.ENTRY}")
     assert not flown(tmp_path, fault, autopilot, phase).held

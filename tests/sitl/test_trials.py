@@ -71,6 +71,7 @@ def test_an_autopilot_that_lies_never_makes_us_break_a_rule(tmp_path, number):
 @pytest.mark.parametrize("guard", GUARDS)
 def test_without_its_guard_a_flight_under_lies_breaks(tmp_path, monkeypatch, guard):
     entry = f"{GUARDS[guard]} {companion_process.ENTRY}"
+    monkeypatch.setattr(fuzz, "suite_forks", lambda: None)  # patched before its imports
     monkeypatch.setattr(companion_process, "ENTRY", entry)
     assert guard in fuzz.attempt(CALM, tmp_path).why
 
