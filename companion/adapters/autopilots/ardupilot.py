@@ -267,8 +267,8 @@ def _rtl_height(facts: RouteFacts) -> Requirement:
 
     return Requirement(
         ("RTL_ALT", "RTL_ALT_M"),
-        f"an RTL above every obstacle and the ground ({need_m:.0f} m)",
-        lambda v: None if (h := height(v)) is None else h >= need_m,
+        facts.rtl_words,
+        lambda v: None if (h := height(v)) is None else facts.is_rtl_height(h),
         lambda v: {"RTL_ALT": math.ceil(need_m) * 100.0, "RTL_ALT_M": float(math.ceil(need_m))},
         True,
     )

@@ -156,11 +156,11 @@ class Px4:
                 lambda v: {"NAV_DLL_ACT": 0.0},
                 True,
             ),
-            _at_least(
-                "RTL_RETURN_ALT",
-                facts.rtl_height_m,
-                math.ceil(facts.rtl_height_m),
-                f"an RTL above every obstacle and the ground ({facts.rtl_height_m:.0f} m)",
+            Requirement(
+                ("RTL_RETURN_ALT",),
+                facts.rtl_words,
+                lambda v: known(v, "RTL_RETURN_ALT", lambda x: facts.is_rtl_height(x + 1e-6)),
+                lambda v: {"RTL_RETURN_ALT": math.ceil(facts.rtl_height_m)},
                 True,
             ),
             Requirement(

@@ -90,12 +90,13 @@ class LocalFrame:
 class Obstacle:
     """A prism from the ground to `height_m` above the depot; ring as (north, east) metres.
 
-    Infinitely high: a no-fly area.
+    Infinitely high: a no-fly area. `floor_m`: where a geo-zone begins, above the depot.
     """
 
     name: str
     ring_ne_m: tuple[tuple[float, float], ...]
     height_m: float
+    floor_m: float = -math.inf
 
 
 def place_ned(frame: LocalFrame, place: Place) -> Ned:
@@ -120,11 +121,12 @@ def obstacles_from_geojson(frame: LocalFrame, document: dict[str, Any]) -> tuple
         raise LeewayError("obstacles: expected a GeoJSON FeatureCollection with features")
     found: list[Obstacle] = []
     for index, feature in enumerate(document["features"]):
-        found.extend(_feature_obstacles(frame, index, feature))
+        found.extend(feature_obstacles(frame, index, feature))
     return tuple(found)
 
 
-def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obstacle]:
+def feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obstacle]:
+    """The polygons of one feature, by its number. Raises LeewayError naming it."""
     where = f"obstacles.features[{index}]"
     try:
         geometry, properties = feature["geometry"], feature["properties"]
@@ -158,11 +160,17 @@ def _feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obst
 class ObstacleMap:
     """Answers whether a straight line at a height keeps clear of every obstacle.
 
-    Clearance is `clearance_m` sideways and `clearance_up_m` above.
+    Clearance is `clearance_m` sideways and `clearance_up_m` above, and below what begins higher
+    than that over `flown_up_to_m`, the greatest height of the flight. What begins lower counts from
+    the ground up: a flight climbs and descends at many places.
     """
 
     def __init__(
-        self, obstacles: tuple[Obstacle, ...], clearance_m: float, clearance_up_m: float
+        self,
+        obstacles: tuple[Obstacle, ...],
+        clearance_m: float,
+        clearance_up_m: float,
+        flown_up_to_m: float = math.inf,
     ) -> None:
         self.obstacles = obstacles
         self.clearance_m = clearance_m
@@ -177,6 +185,10 @@ class ObstacleMap:
             shapely.prepare(grown)
         self._tree = shapely.STRtree(self._grown)
         self._tops_m = np.array([o.height_m for o in obstacles])
+        least_m = flown_up_to_m + clearance_up_m
+        self._floors_m = np.array(
+            [o.floor_m if o.floor_m >= least_m else -np.inf for o in obstacles]
+        )
 
     def blocking(self, a_ned_m: Ned, b_ned_m: Ned) -> Obstacle | None:
         """The first obstacle within clearance of the segment a-b, or None.
@@ -187,10 +199,19 @@ class ObstacleMap:
         length = line.length
         for index in np.sort(self._tree.query(line, predicate="intersects")):
             obstacle, grown = self.obstacles[index], self._grown[index]
+            if self._is_under(index, max(-a_ned_m[2], -b_ned_m[2])):
+                continue
             lowest = _lowest_up_m(a_ned_m, b_ned_m, line, length, grown)
             if lowest < obstacle.height_m + self.clearance_up_m:
                 return obstacle
         return None
+
+    def _is_under(self, index: int, height_m: float) -> bool:
+        return height_m <= self._floors_m[index] - self.clearance_up_m
+
+    def flown_under(self, obstacle: Obstacle) -> bool:
+        """Tell whether the whole flight stays below this one."""
+        return bool(np.isfinite(self._floors_m[self.obstacles.index(obstacle)]))
 
     def first_hits(self, points_ned_m: Floats) -> Ints:
         """Of n lines through k points each, (n, k, 3), the first obstacle that each comes near.
@@ -206,24 +227,40 @@ class ObstacleMap:
         segments = shapely.linestrings(steps.reshape(-1, 2, 2))
         at, obstacle = self._tree.query(segments, predicate="intersects")
         lowest_m = -np.maximum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
+        highest_m = -np.minimum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
         low = lowest_m[at] < self._tops_m[obstacle] + self.clearance_up_m
+        low &= highest_m[at] > self._floors_m[obstacle] - self.clearance_up_m
         at, obstacle = at[low], obstacle[low]
         order = np.lexsort((obstacle, at))[::-1]  # the earliest is written last
         hit[at[order] // (points - 1)] = obstacle[order]
         return hit
 
     def highest_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
-        """Height above the depot of the tallest obstacle within clearance of a-b (0 if none)."""
+        """Height above the depot of the tallest obstacle within clearance of a-b (0 if none), of
+        those that are not flown under.
+        """
+        near = self._near(a_ned_m, b_ned_m)
+        return float(self._tops_m[near[np.isneginf(self._floors_m[near])]].max(initial=0.0))
+
+    def room_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
+        """The greatest height above the depot at which a-b is below what is flown under."""
+        floors_m = self._floors_m[self._near(a_ned_m, b_ned_m)]
+        least_m = floors_m[np.isfinite(floors_m)].min(initial=np.inf)
+        return float(least_m) - self.clearance_up_m
+
+    def _near(self, a_ned_m: Ned, b_ned_m: Ned) -> Ints:
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
-        return float(self._tops_m[self._tree.query(line, predicate="intersects")].max(initial=0.0))
+        return self._tree.query(line, predicate="intersects")
 
     def clearance_at(self, points_ned_m: Floats) -> Floats:
         """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
         points = points_ned_m.reshape(-1, 3)
         found = np.full(len(points), np.inf)
         places = np.asarray(shapely.points(points[:, :2]))
-        for outline, top_m in zip(self._outlines, self._tops_m, strict=True):
+        spans_m = zip(self._outlines, self._tops_m, self._floors_m, strict=True)
+        for outline, top_m, floor_m in spans_m:
             low = -points[:, 2] < top_m + self.clearance_up_m
+            low &= -points[:, 2] > floor_m - self.clearance_up_m
             away = shapely.distance(places[low], outline)
             found[low] = np.minimum(found[low], away)
         return found.reshape(points_ned_m.shape[:-1])
@@ -234,21 +271,25 @@ class ObstacleMap:
 
     def grown_at(self, height_m: float) -> list[shapely.Polygon]:
         """Outlines with clearance, north and east, of what blocks level flight at this height."""
+        return [self._grown[index] for index in self._at(height_m)]
+
+    def _at(self, height_m: float) -> list[int]:
+        """Which block level flight at this height."""
         return [
-            grown
-            for obstacle, grown in zip(self.obstacles, self._grown, strict=True)
+            index
+            for index, obstacle in enumerate(self.obstacles)
             if obstacle.height_m + self.clearance_up_m > height_m
+            and not self._is_under(index, height_m)
         ]
 
     def outlines_ne_m(self, height_m: float, beyond_m: float) -> list[list[tuple[float, float]]]:
         """Corner rings to fly around at this height: outlines grown by clearance + `beyond_m`."""
         rings: list[list[tuple[float, float]]] = []
-        for obstacle in self.obstacles:
-            if obstacle.height_m + self.clearance_up_m > height_m:
-                outline = shapely.Polygon(obstacle.ring_ne_m).convex_hull.buffer(
-                    self.clearance_m + beyond_m, join_style="mitre", mitre_limit=1.5
-                )
-                rings.append([(float(n), float(e)) for n, e in outline.exterior.coords[:-1]])
+        for index in self._at(height_m):
+            outline = shapely.Polygon(self.obstacles[index].ring_ne_m).convex_hull.buffer(
+                self.clearance_m + beyond_m, join_style="mitre", mitre_limit=1.5
+            )
+            rings.append([(float(n), float(e)) for n, e in outline.exterior.coords[:-1]])
         return rings
 
 

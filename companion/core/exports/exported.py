@@ -34,12 +34,14 @@ class Area:
 
     `height_m` is its top above the depot; None: a no-fly area, which no height clears. `in_fence`:
     it stands as high as the mission flies, so that a geofence may exclude it at all heights.
+    `floor_m`: where a geo-zone begins above the depot; None: on the ground.
     """
 
     name: str
     ring_deg: tuple[tuple[float, float], ...]
     height_m: float | None
     in_fence: bool
+    floor_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,9 @@ def _areas(frame: LocalFrame, obstacles: ObstacleMap, highest_m: float) -> tuple
                 obstacle.name,
                 tuple((point.lat_deg, point.lon_deg) for point in ring),
                 None if math.isinf(obstacle.height_m) else obstacle.height_m,
-                obstacle.height_m + obstacles.clearance_up_m > highest_m,
+                obstacle.height_m + obstacles.clearance_up_m > highest_m
+                and not obstacles.flown_under(obstacle),
+                None if math.isinf(obstacle.floor_m) else obstacle.floor_m,
             )
         )
     return tuple(found)

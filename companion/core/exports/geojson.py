@@ -63,6 +63,8 @@ def _area(area: Area) -> Feature:
         properties["no_fly"] = True
     else:
         properties["height_m"] = area.height_m
+    if area.floor_m is not None:
+        properties["floor_m"] = area.floor_m
     return _feature("Polygon", [[*ring, ring[0]]], **properties)
 
 

@@ -37,8 +37,8 @@ def plan_document(
 def mission_plan(mission: MissionExport, autopilot: str) -> dict[str, Any]:
     """A mission for one autopilot, with a geofence and the rally points of its site.
 
-    The fence excludes the areas that the mission may not fly over. Lower obstacles are left out of
-    it: a fence of an autopilot has no upper end.
+    The fence excludes the areas that the mission may not fly over. Lower obstacles, and geo-zones
+    that it flies under, are left out of it: a fence has neither upper nor lower end.
     """
     return _document(
         [_command_item(number, item) for number, item in enumerate(mission.items, 1)],

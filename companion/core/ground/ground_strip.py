@@ -118,6 +118,14 @@ class GroundStrip:
         up_m = self._up_m[rows, columns]
         return float(np.nanmax(up_m)) if np.isfinite(up_m).any() else -math.inf
 
+    def span_m(self, ring_ne_m: Floats) -> tuple[float, float] | None:
+        """At most the lowest and at least the highest ground in a ring (n, 2); None where some of
+        it is unknown. It is that of the whole strip.
+        """
+        if np.isnan(self._up_m).any() or np.isnan(self.up_m(ring_ne_m)).any():
+            return None
+        return float(self._up_m.min()), float(self._up_m.max())
+
     def sees(self, a: Ned, b: Ned) -> bool | None:
         """Whether the straight line from a to b passes over the ground everywhere between.
 

@@ -9,8 +9,10 @@ from typing import Any, Literal
 import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
+from companion.core.base.geo_zones import ZoneTerms
 from companion.core.base.place import Place
 from companion.core.base.safe_text import check_name
+from companion.core.base.zone_times import UtcSpan, utc_s
 from companion.core.ground.ground_table import GroundTable
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C
 from companion.core.vehicle.speed_to_fly import SpeedRule
@@ -63,7 +65,9 @@ class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     rally: list[Place] = []
     """Other places where it may land."""
     obstacles: str | None = None
-    """GeoJSON file of polygons with a `height_m` property, above the depot."""
+    """GeoJSON file of polygons with a `height_m` property, above the depot; or geo-zones as ED-269
+    or ED-318 (`docs/how-to/geo-zones.md`).
+    """
     terrain: Terrain = Terrain()
     """Ground height around the depot."""
     stops: list[Place] = []
@@ -172,6 +176,16 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """How wind changes at the site: a file of params/wind, or a path."""
     corner_tolerance_m: float | None = None
     """How far the way home may cut corners where that costs less. Absent: never."""
+    authorised_zones: list[str] = []
+    """Identifiers of the geo-zones that the operator may enter: of those that ask for leave, never
+    of prohibited ones.
+    """
+    from_utc: str | None = None
+    """The flight takes off no earlier, as "2026-05-01T10:00:00Z"; with `until_utc`."""
+    until_utc: str | None = None
+    """The flight is over by then. Geo-zones that are not in force between the two are flown
+    through. Absent: every zone is in force.
+    """
 
     def __post_init__(self) -> None:
         check_range("mission.max_loss", self.max_loss, LEAST_LOSS, 0.5)
@@ -190,6 +204,24 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             check_range("mission.cruise_airspeed_mps", self.cruise_airspeed_mps, 1.0, 60.0)
         if self.corner_tolerance_m is not None:
             check_range("mission.corner_tolerance_m", self.corner_tolerance_m, 0.5, 200.0)
+        hours = self.hours
+        if hours is not None and hours.from_s >= hours.until_s:
+            words = f"expected a time after from_utc, {self.from_utc}"
+            raise LeewayError(f"mission.until_utc = {self.until_utc!r}: {words}")
+
+    @property
+    def hours(self) -> UtcSpan | None:
+        """When the flight may be in the air, where the file states it."""
+        if self.from_utc is None and self.until_utc is None:
+            return None
+        return UtcSpan(
+            utc_s("mission.from_utc", self.from_utc), utc_s("mission.until_utc", self.until_utc)
+        )
+
+    @property
+    def zone_terms(self) -> ZoneTerms:
+        """On which terms geo-zones are judged."""
+        return ZoneTerms(frozenset(self.authorised_zones), self.hours)
 
     @property
     def speed_rule(self) -> SpeedRule:

@@ -12,10 +12,11 @@ from companion.core.base.geo import (
     Ned,
     ObstacleMap,
     horizontal_m,
-    obstacles_from_geojson,
     over,
     place_ned,
 )
+from companion.core.base.geo_zones import GroundSpan
+from companion.core.base.obstacle_document import obstacles_of
 from companion.core.base.place import Place
 from companion.core.ground.clearance import GroundClearance
 from companion.core.ground.ground_strip import GroundStrip, NoGround
@@ -176,13 +177,17 @@ def frame_of(flight: Flight, home: Position, *, here: bool = False) -> LocalFram
 def site_map(
     flight: Flight, frame: LocalFrame, obstacles: dict[str, Any] | None, *, here: bool = False
 ) -> SiteMap:
-    """The site in a frame; `obstacles` is the GeoJSON document that the flight file names.
+    """The site in a frame; `obstacles` is the document that the flight file names: GeoJSON, ED-269
+    or ED-318.
 
     `here`: everything lies about the frame's origin as the file has it about its depot.
     """
     depot = flight.site.depot
     drawn = frame_at(depot) if here and depot is not None else frame
-    found = obstacles_from_geojson(drawn, obstacles) if obstacles is not None else ()
+    ground = _ground(flight)
+    terms = flight.mission.zone_terms
+    spans = None if ground is None else _spans(ground)
+    found = () if obstacles is None else obstacles_of(drawn, obstacles, terms, spans)
     rally = tuple(
         (place.name or f"rally {number}", place_ned(drawn, place))
         for number, place in enumerate(flight.site.rally)
@@ -192,11 +197,25 @@ def site_map(
         (0.0, 0.0, 0.0),
         place_ned(drawn, flight.site.customer),
         rally,
-        ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M),
+        ObstacleMap(found, CLEARANCE_M, CLEARANCE_UP_M, _flown_up_to_m(flight, ground)),
         flight.site.home,
         _stops(flight, drawn),
-        _ground(flight),
+        ground,
     )
+
+
+def _spans(ground: GroundClearance) -> GroundSpan:
+    """Lowest and highest ground in a ring, where all of it is known."""
+    return lambda ring: ground.strip.span_m(np.array(ring))
+
+
+def _flown_up_to_m(flight: Flight, ground: GroundClearance | None) -> float:
+    """No waypoint is higher, nor any dodge of a neighbour."""
+    mission = flight.mission
+    level_m = max(mission.cruise_height_m, mission.return_height_m or 0.0)
+    if ground is not None:
+        level_m = max(level_m, ground.least_about_m((0.0, 0.0, 0.0), math.inf))
+    return level_m + max(DODGES) * DODGE_M
 
 
 def _ground(flight: Flight) -> GroundClearance | None:
@@ -393,6 +412,9 @@ def route_facts(
     mean_cell_v = float(
         np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
     )
+    room_m = min(
+        (flown.site.obstacles.room_m(p, plan.depot_ned_m) for p in points), default=math.inf
+    )
     speeds = airframe.speeds
     top_m = max(-p[2] for p in (*plan.outbound_ned_m, *plan.return_ned_m))
     over_ground_m = return_over_ground_m(flown.site, plan)
@@ -400,6 +422,7 @@ def route_facts(
     return RouteFacts(
         highest_obstacle_m=highest_m,
         over_ground_m=over_ground_m,
+        room_m=room_m,
         cruise_height_m=top_m + (max(DODGES) * DODGE_M if keep_apart else 0.0),
         farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
         first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),

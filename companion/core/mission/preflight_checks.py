@@ -3,6 +3,7 @@
 Each autopilot's list of requirements is in its adapter; how they are judged is here.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -32,12 +33,26 @@ class RouteFacts:
     set_points: bool = False
     over_ground_m: float = 0.0
     """Clear of known ground, with the clearance; 0 where none is known."""
+    room_m: float = math.inf
+    """Above it begin geo-zones that the flight passes under, with the clearance."""
 
     @property
     def rtl_height_m(self) -> float:
         """The least height at which a straight line home is clear of everything on the site."""
         built_m = self.highest_obstacle_m + 10.0 if self.highest_obstacle_m > 0.0 else 0.0
         return max(built_m, self.over_ground_m)
+
+    @property
+    def rtl_words(self) -> str:
+        """What is asked of the height of an RTL."""
+        words = f"an RTL above every obstacle and the ground ({self.rtl_height_m:.0f} m)"
+        if math.isinf(self.room_m):
+            return words
+        return f"{words} and under geo-zones ({self.room_m:.0f} m)"
+
+    def is_rtl_height(self, height_m: float) -> bool:
+        """Tell whether an RTL at this height is clear of everything on the site."""
+        return self.rtl_height_m <= height_m <= self.room_m
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.obstacle_document import zones_passed
 from companion.core.mission.actions import (
     Answer,
     Arm,
@@ -27,6 +28,7 @@ from companion.core.mission.events import (
     AutopilotKind,
     AutopilotParameters,
     Event,
+    GnssTime,
     MissionReadBack,
     MissionUploaded,
     Mode,
@@ -86,6 +88,8 @@ CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
 PACK_WAIT_S = 5.0
 PLAN_SAID_S = 10.0
+HOURS_FACTOR = 2.0
+"""So many times its planned time a flight may last: no wind is known yet."""
 PLAN_LIMIT_S = 180.0
 """Ten times what the hardest site takes that was tried, among towers: who plans has hung."""
 
@@ -156,6 +160,8 @@ class GroundWork:
     """What was said last to be waited for."""
     plans_asked: int = 0
     plan_asked_s: float | None = None
+    utc_ahead_s: float | None = None
+    """UTC less the core's time, by the autopilot's last word on it."""
     plan_wanted: bool = False
     """The plan of number `plans_asked` is being worked on."""
 
@@ -293,6 +299,8 @@ class GroundSequence:
         """Take the autopilot's answers, and an operator's authorisation."""
         state = self._state
         match event:
+            case GnssTime():
+                state.utc_ahead_s = event.unix_s - event.t_s
             case Authorised():
                 context.do(Answer(self._authorise(context, event.by)))
             case OrderRefused() if context.phase is Phase.ARM:
@@ -419,9 +427,30 @@ class GroundSequence:
         if context.estimates.energy is None:
             words = "nothing known about the battery's energy"
             found.append(Finding("energy", words, blocks=True, waits=True))
+        found += self._out_of_hours(context)
         if telemetry.failing:
             found.append(Finding("failsafe", "the autopilot reports a failsafe", True, waits=True))
         return tuple(found)
+
+    def _out_of_hours(self, context: FlightContext) -> list[Finding]:
+        """The flight would be in the air outside its stated hours: other geo-zones are in force."""
+        hours, planned = context.flight.mission.hours, context.flight_plan
+        if hours is None or planned is None:
+            return []
+        ahead_s = self._state.utc_ahead_s
+        if ahead_s is None:
+            words = "the autopilot tells no time of day, and mission.from_utc is stated"
+            return [Finding("hours", words, blocks=True, waits=True)]
+        now_s = context.t_s + ahead_s
+        if now_s < hours.from_s:
+            words = f"mission.from_utc = {context.flight.mission.from_utc}: not yet"
+            return [Finding("hours", words, blocks=True, waits=True)]
+        if now_s + HOURS_FACTOR * planned.plan.time_s > hours.until_s:
+            needed_s = HOURS_FACTOR * planned.plan.time_s
+            words = f"expected {needed_s:.0f} s more before it for this flight"
+            until = context.flight.mission.until_utc
+            return [Finding("hours", f"mission.until_utc = {until}: {words}", blocks=True)]
+        return []
 
     def _give_up(self, context: FlightContext, reason: str) -> None:
         """End before take-off, once the autopilot has its own settings back."""
@@ -579,6 +608,8 @@ class GroundSequence:
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
+        for words in zones_passed(self._obstacles, context.flight.mission.zone_terms):
+            context.do(Note(words))
         _accept_rate(context, plan.time_s)
         state.asked_s = context.t_s
         self.ask_parameters(context)

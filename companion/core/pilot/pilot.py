@@ -287,7 +287,7 @@ class Pilot:
             Home: (self._home_watch,),
             HomeMoved: (self._landing_site,),
             ReleaseFeedback: (self._release,),
-            GnssTime: (self._traffic,),
+            GnssTime: (self._traffic, self._ground),
             NeighbourHeard: (self._traffic,),
         }
 

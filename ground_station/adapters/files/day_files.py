@@ -11,7 +11,7 @@ import msgspec
 
 from companion.core.base.documents import expect_kind
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import obstacles_from_geojson
+from companion.core.base.obstacle_document import features_of, obstacles_of
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.elevation import read_elevation
@@ -164,17 +164,18 @@ def _read_no_fly(path: Path, day: Day, problems: list[FileProblem]) -> dict[str,
     except LeewayError as error:
         problems.append(FileProblem(str(path), None, None, _said(error, path)))
         return None
-    features = document.get("features")
-    if not isinstance(features, list):
-        features, document = [document], {"type": "FeatureCollection", "features": None}
+    features, collection = features_of(document), document
+    if features is None:
+        features, collection = [document], {"type": "FeatureCollection"}
     frame = frame_at(day.depot.place)
     for row, feature in enumerate(
         features, start=1
     ):  # one at a time, so that every mistake is named
         try:
-            obstacles_from_geojson(frame, document | {"features": [feature]})
+            obstacles_of(frame, {"type": collection.get("type"), "features": [feature]})
         except LeewayError as error:
             words = str(error).replace("obstacles.features[0]: ", "")
+            words = words.replace("features[0].", "")
             problems.append(FileProblem(str(path), row, "geometry", words))
     return document
 

@@ -2,7 +2,7 @@
 
 import math
 
-from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
+from companion.core.base.geo import LocalFrame, place_ned
 from companion.core.base.place import Place
 from ground_station.app.map.picture import AreaShown, Point, SiteShown, WindShown
 from ground_station.core.schema.day import Day, Forecast
@@ -12,7 +12,6 @@ from ground_station.core.schema.day_data import DayData
 def site_shown(data: DayData) -> SiteShown:
     """Depot, areas and rally points."""
     frame = frame_of(data.day)
-    areas = [] if data.no_fly is None else obstacles_from_geojson(frame, data.no_fly)
     return SiteShown(
         depot=(data.day.depot.lat_deg, data.day.depot.lon_deg),
         areas=[
@@ -21,7 +20,7 @@ def site_shown(data: DayData) -> SiteShown:
                 ring=[geodetic(frame, north, east) for north, east in area.ring_ne_m],
                 height_m=None if math.isinf(area.height_m) else area.height_m,
             )
-            for area in areas
+            for area in data.obstacles(frame)
         ],
         rally={place.name: _place(frame, place) for place in data.day.rally},
     )

@@ -17,7 +17,6 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.geo import (
     LocalFrame,
     moved_deg,
-    obstacles_from_geojson,
     offsets_m,
     place_ned,
 )
@@ -89,10 +88,8 @@ def draw_day_plan(data: DayData, plan: DayPlan, out: Path, basemap: Path | None 
 
 
 def _draw_obstacles(axes: Axes, frame: LocalFrame, data: DayData) -> None:
-    if data.no_fly is None:
-        return
     named: set[str] = set()
-    for obstacle in obstacles_from_geojson(frame, data.no_fly):
+    for obstacle in data.obstacles(frame):
         never = obstacle.height_m >= NO_FLY_FROM_M
         label = "no-fly area" if never else "obstacle"
         ring = np.array(obstacle.ring_ne_m)[:, ::-1]

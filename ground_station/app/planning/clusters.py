@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.base.geo import Ned, ObstacleMap, obstacles_from_geojson
+from companion.core.base.geo import Ned, ObstacleMap
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from ground_station.adapters.llm import LlmParams, NoAnswer, ask
 from ground_station.core.clustering.energies import energy_matrix
@@ -109,7 +109,7 @@ def _blocked(data: DayData, places: list[Ned]) -> Any:
     found = np.zeros((len(places), len(places)), dtype=bool)
     if data.no_fly is None:
         return found
-    prisms = obstacles_from_geojson(frame_at(data.day.depot.place), data.no_fly)
+    prisms = data.obstacles(frame_at(data.day.depot.place))
     obstacles = ObstacleMap(prisms, CLEARANCE_M, CLEARANCE_UP_M)
     up = -data.day.mission.cruise_height_m
     for i, a in enumerate(places):

@@ -124,8 +124,12 @@ def _terrain(
 
 
 def _mission(mission: Mission, elevation: SiteElevation | None) -> dict[str, Any]:
-    """Without a clearance where no ground is told: older vehicles do not know the key."""
+    """Without a clearance where no ground is told, and leave for no geo-zone: older vehicles do not
+    know the keys.
+    """
     table = _plain(mission)
+    if not mission.authorised_zones:
+        del table["authorised_zones"]
     if elevation is None:
         del table["clearance_m"]
     return table

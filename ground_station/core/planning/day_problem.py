@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, ShortInts
-from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, obstacles_from_geojson, place_ned
+from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
@@ -60,11 +60,10 @@ class DayProblem:
 
 
 def obstacle_map(data: DayData) -> ObstacleMap:
-    """The day's obstacles, with the companion's own clearances."""
-    if data.no_fly is None:
-        return ObstacleMap((), CLEARANCE_M, CLEARANCE_UP_M)
-    prisms = obstacles_from_geojson(frame_at(data.day.depot.place), data.no_fly)
-    return ObstacleMap(prisms, CLEARANCE_M, CLEARANCE_UP_M)
+    """The day's obstacles, with the companion's own clearances. Geo-zones count from the ground up:
+    a sortie is planned before its layer is known.
+    """
+    return ObstacleMap(data.obstacles(frame_at(data.day.depot.place)), CLEARANCE_M, CLEARANCE_UP_M)
 
 
 def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneClass, ...]:

@@ -163,7 +163,9 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     orders: list[str] = []
     """Files of orders, CSV or GeoJSON."""
     no_fly: str | None = None
-    """GeoJSON file of polygons with `height_m`."""
+    """GeoJSON file of polygons with `height_m`; or geo-zones as ED-269 or ED-318
+    (`docs/how-to/geo-zones.md`).
+    """
     elevation: list[str] = []
     """GeoTIFF tiles of the ground (needs the extra `terrain`): heights of orders that state none,
     and each flight's strip of ground.

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+from companion.core.base.geo import LocalFrame, Obstacle
+from companion.core.base.obstacle_document import obstacles_of
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.elevation import SiteElevation
@@ -14,7 +16,7 @@ DEPOT = "depot"
 
 @dataclass(frozen=True, slots=True)
 class DayData:
-    """The day and its files. `no_fly` is the GeoJSON document.
+    """The day and its files. `no_fly` is the document: GeoJSON, ED-269 or ED-318.
 
     `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
     speed. `elevation`: of the ground about the depot, where the day names tiles.
@@ -26,3 +28,9 @@ class DayData:
     airframes: dict[str, Airframe]
     roads_s: dict[tuple[str, str], float] | None
     elevation: SiteElevation | None = None
+
+    def obstacles(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
+        """What the day's flights must keep out of, on the day's terms."""
+        if self.no_fly is None:
+            return ()
+        return obstacles_of(frame, self.no_fly, self.day.mission.zone_terms)

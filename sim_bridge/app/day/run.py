@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from companion.adapters.clock import cpu_s
-from companion.core.base.geo import LocalFrame, obstacles_from_geojson, place_ned
+from companion.core.base.geo import LocalFrame, place_ned
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.adapters.wall_clock import wall_s
@@ -271,8 +271,7 @@ def _time(t_s: float) -> float | None:
 def _draw(
     options: DayOptions, built: BuiltDay, world: DayWorld, judged: DayFacts, verdict: DayVerdict
 ) -> None:
-    no_fly = built.data.no_fly
-    rings = [] if no_fly is None else obstacles_from_geojson(built.frame, no_fly)
+    rings = built.data.obstacles(built.frame)
     brought, orders = len(verdict.delivered), len(built.customers)
     flights = len(verdict.flights)
     nearest = verdict.nearest
