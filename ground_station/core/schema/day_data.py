@@ -5,6 +5,7 @@ from typing import Any
 
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
+from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import Order
 
@@ -17,7 +18,8 @@ class DayData:
     """The day and its files. `no_fly` is the GeoJSON document.
 
     `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
-    speed. `elevation`: of the ground about the depot, where the day names tiles.
+    speed. `elevation`: of the ground about the depot, where the day names tiles. `forecast`: of a
+    file; `day.forecast` is its wind at the day's beginning.
     """
 
     day: Day
@@ -26,3 +28,4 @@ class DayData:
     airframes: dict[str, Airframe]
     roads_s: dict[tuple[str, str], float] | None
     elevation: SiteElevation | None = None
+    forecast: DayForecast | None = None
