@@ -15,17 +15,27 @@ from companion.core.base.obstacle_document import features_of, obstacles_of
 from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.elevation import read_elevation
+from ground_station.adapters.files.forecast_files import (
+    NOTHING_WANTED,
+    ForecastWanted,
+    both_kinds,
+    day_with_forecast,
+)
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
 from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
+from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
 from ground_station.core.schema.orders import Order
 from ground_station.core.schema.table_errors import table_errors
 
 
-def read_day(path: Path) -> DayData:
-    """Read a day and all its files. Raises DayFilesError with everything that is wrong in them."""
+def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
+    """Read a day and all its files. Raises DayFilesError with everything that is wrong in them.
+
+    `wanted`: of a forecast in a file; without a time there, its wind now.
+    """
     try:
         table = read_toml(path)
         expect_kind(table, "day", str(path))
@@ -38,6 +48,7 @@ def read_day(path: Path) -> DayData:
         raise DayFilesError([FileProblem(str(path), None, None, one) for one in words]) from error
     problems: list[FileProblem] = []
     rows: list[tuple[str, int, Order]] = []
+    day, forecast = _read_forecast(table, day, path, wanted, problems)
     elevation = _read_elevation(day, path, problems)
     if not problems:
         for name in day.orders:
@@ -50,7 +61,24 @@ def read_day(path: Path) -> DayData:
     roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
         raise DayFilesError(problems)
-    return DayData(day, orders, no_fly, airframes, roads, elevation)
+    return DayData(day, orders, no_fly, airframes, roads, elevation, forecast)
+
+
+def _read_forecast(
+    table: dict[str, Any],
+    day: Day,
+    path: Path,
+    wanted: ForecastWanted,
+    problems: list[FileProblem],
+) -> tuple[Day, DayForecast | None]:
+    if words := both_kinds(table):
+        problems.append(FileProblem(str(path), None, None, words))
+        return day, None
+    try:
+        return day_with_forecast(day, path.parent, wanted)
+    except LeewayError as error:
+        problems.append(FileProblem(str(path), None, None, f"forecast: {error}"))
+        return day, None
 
 
 def _read_elevation(day: Day, path: Path, problems: list[FileProblem]) -> SiteElevation | None:

@@ -1,11 +1,15 @@
 """`ground-station estimate`: the energy and the promise of one delivery, before it flies."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from companion.core.base.errors import LeewayError
+from ground_station.app.cli.options import ForecastFile
+
 if TYPE_CHECKING:
-    from ground_station.app.planning.flight_estimate import FlightEstimate
+    from ground_station.app.planning.flight_estimate import FlightEstimate, StatedWind
 
 NO_GO = 3
 
@@ -18,17 +22,25 @@ def estimate(
         str, typer.Argument(help="A flight/1 TOML file, or the name of a bundled flight (default).")
     ],
     wind_speed: Annotated[
-        float, typer.Option(min=0.0, max=40.0, help="Wind speed at cruise height, m/s.")
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, max=40.0, help="Wind speed at cruise height, m/s. Default: 0."),
+    ] = None,
     wind_from: Annotated[
-        float, typer.Option(help="Where it blows from, degrees clockwise from north.")
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Where it blows from, degrees clockwise from north. Default: 0."),
+    ] = None,
     wind_std: Annotated[
-        float, typer.Option(min=0.1, max=10.0, help="Its standard deviation, m/s.")
-    ] = 1.5,
+        float | None,
+        typer.Option(min=0.1, max=10.0, help="Its standard deviation, m/s. Default: 1.5."),
+    ] = None,
     charge: Annotated[
         float | None,
         typer.Option(min=0.05, max=1.0, help="Charge at the start, as a fraction. Default: full."),
+    ] = None,
+    forecast: ForecastFile = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="With --forecast: the launch, as 2026-07-01T15:10Z."),
     ] = None,
 ) -> None:
     """Energy and probabilities of one delivery. Exit code 3: no go, the return budget is short.
@@ -38,9 +50,32 @@ def estimate(
     from ground_station.adapters.files.params import flight_file
     from ground_station.app.planning.flight_estimate import StatedWind, estimate_flight
 
-    made = estimate_flight(flight_file(flight), StatedWind(wind_speed, wind_from, wind_std), charge)
+    path, stated = flight_file(flight), (wind_speed, wind_from, wind_std)
+    if forecast is not None or at is not None:
+        wind = _forecast_wind(path, forecast, at, stated)
+    else:
+        speed, from_deg, std = stated
+        wind = StatedWind(speed or 0.0, from_deg or 0.0, 1.5 if std is None else std)
+    made = estimate_flight(path, wind, charge)
+    if forecast is not None:
+        typer.echo(
+            f"forecast for {at}: {wind.speed_mps:.1f} m/s from {wind.from_deg:.0f},"
+            f" one sigma {wind.std_mps:.1f} m/s"
+        )
     _print(made)
     raise typer.Exit(NO_GO if made.assessment.turn_back else 0)
+
+
+def _forecast_wind(
+    path: Path, forecast: Path | None, at: str | None, stated: tuple[float | None, ...]
+) -> "StatedWind":
+    from ground_station.app.planning.forecast_wind import forecast_wind
+
+    if forecast is None or at is None:
+        raise LeewayError("--forecast FILE and --at TIME: expected both")
+    if any(figure is not None for figure in stated):
+        raise LeewayError("--forecast: beside --wind-..., expected one of both")
+    return forecast_wind(path, forecast, at)
 
 
 def _print(made: "FlightEstimate") -> None:

@@ -74,6 +74,16 @@ OpenNetwork = Annotated[
 FleetName = Annotated[str, typer.Option("--fleet", help="The fleet's name, as in the day file.")]
 
 
+ForecastFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--forecast",
+        metavar="FILE",
+        help="The wind of this forecast: GRIB2, or Open-Meteo's JSON (docs/how-to/forecasts.md).",
+    ),
+]
+
+
 def open_day(day: str) -> "DayData":
     """The day and all its files. DayFilesError lists everything that is wrong in them."""
     from ground_station.adapters.files.day_files import read_day

@@ -8,7 +8,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
-from ground_station.app.cli.options import DayArgument, open_day
+from ground_station.app.cli.options import DayArgument, ForecastFile
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,6 +62,15 @@ def plan(
         int | None, typer.Option(min=1, help="Trials of the search. Default: by the day's size.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    forecast: ForecastFile = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="With a forecast: when the truck leaves, as 2026-07-01T15:10Z. Each sortie is"
+            " priced in the wind of its own time, and launch windows are printed.",
+        ),
+    ] = None,
 ) -> None:
     """Plan a day with a truck: its route, its stops, and the drones' sorties. Nothing flies.
 
@@ -76,17 +85,20 @@ def plan(
     from ground_station.adapters.files.compiled_code import keep_compiled_code
     from ground_station.adapters.files.plan_files import write_day_plan
     from ground_station.app.views.plan_view import show_plan
+    from ground_station.app.views.windows_view import show_windows
 
     if basemap is not None:
         if picture is None:
             raise LeewayError("--basemap: expected --picture beside it")
         check_pmtiles(basemap)  # before the search, which takes its time
-    data = open_day(day)
+    data = _day_in_forecast(day, forecast, at)
     console = Console()
     if not keep_compiled_code():
         console.print("first run: compiling the planner, some 20 s", highlight=False)
     made = _planned(console, data, policy, trials, seed)
     show_plan(console, data, made)
+    if data.forecast is not None:
+        show_windows(console, data, made, data.forecast)
     if out is not None:
         write_day_plan(out, made)
         console.print(f"{out}: day-plan/1", highlight=False)
@@ -101,6 +113,17 @@ def plan(
         with console.status("missions as the companions would upload them"):
             count = write_missions(data, made, missions, export)
         console.print(f"{missions}: {count} missions ({export.suffix})", highlight=False)
+
+
+def _day_in_forecast(day: str, forecast: Path | None, at: str | None) -> "DayData":
+    """A plan with a forecast needs to know when it begins: it must be made again the same."""
+    from ground_station.adapters.files.day_files import read_day
+    from ground_station.adapters.files.forecast_files import ForecastWanted, time_of
+    from ground_station.adapters.files.params import day_file
+
+    if forecast is not None and at is None:
+        raise LeewayError("--forecast: expected --at TIME beside it, when the truck leaves")
+    return read_day(day_file(day), ForecastWanted(forecast, None if at is None else time_of(at)))
 
 
 def _planned(

@@ -5,6 +5,7 @@ This is the desk's filter, not the promise: a straight line each way in the fore
 return budget in flight are the companion's: it may still refuse, and then says why.
 """
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -81,6 +82,13 @@ class Reach:
         self.wind_cov_ne_m2ps2 = forecast.std_mps**2 * np.eye(2)
         self.energy = route_energy
         self.sigmas = float(ndtri(1.0 - mission.max_loss))
+
+    def in_wind(self, forecast: Forecast) -> "Reach":
+        """The same drone in another wind."""
+        other = copy.copy(self)
+        other.wind_to_ne_mps = np.array(forecast.to_ne_mps)
+        other.wind_cov_ne_m2ps2 = forecast.std_mps**2 * np.eye(2)
+        return other
 
     def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
         """Usable energy above the reserve, and its standard deviation."""

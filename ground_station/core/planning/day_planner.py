@@ -13,6 +13,7 @@ from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
+from ground_station.core.planning.forecast_check import Priced, forbidden, grounded, slot_priced
 from ground_station.core.planning.forward_pass import (
     ForwardPass,
     ForwardSchedule,
@@ -104,6 +105,10 @@ class _DayPlanner:
         nodes = self.nodes()
         while True:
             driven = self._driven(nodes)
+            if held := forbidden(nodes, driven.slots, self._data, self._t0_s):
+                nodes, left = grounded(nodes, held)
+                self._unplanned += left
+                continue
             if not driven.lost:
                 return self._day_plan(nodes, driven)
             order = nodes.orders[driven.lost[0] - 1]
@@ -354,19 +359,11 @@ class _DayPlanner:
         self, nodes: DayProblem, driven: ForwardSchedule, slot: LaunchSlot, ids: dict[int, str]
     ) -> PlannedSortie:
         wish = slot.wish
-        order = nodes.orders[wish.customer - 1]
-        reach = nodes.classes[wish.kind].reach
-        height_m = slot.volume.high_m
-        out = nodes.ways.via(wish.launch, wish.customer)
-        back = nodes.ways.via(wish.customer, wish.meet)
-        here, there = slot.from_pad_ned_m, slot.to_pad_ned_m
-        customer = nodes.ned(wish.customer)
-        need = reach.need(order.mass_kg, here, customer, there, height_m, out, back)
-        usable_wh, battery_std_wh = reach.budget_wh(order.mass_kg)
-        sure_wh = need.mean_wh + reach.sigmas * math.hypot(need.std_wh, battery_std_wh)
-        above_pad_m = round(height_m + here[2], 2)
+        priced = slot_priced(nodes, slot, self._data, self._t0_s)
+        assert isinstance(priced, Priced)  # others are held
+        above_pad_m = round(slot.volume.high_m + slot.from_pad_ned_m[2], 2)
         return PlannedSortie(
-            order=order.id,
+            order=nodes.orders[wish.customer - 1].id,
             vehicle=slot.drone,
             launch=ids[wish.launch],
             home=ids[wish.meet],
@@ -374,9 +371,9 @@ class _DayPlanner:
             land_s=self._t0_s + slot.landed_s,
             outbound_height_m=above_pad_m,
             return_height_m=above_pad_m,
-            energy_wh=need.mean_wh,
-            sure_wh=sure_wh,
-            usable_wh=usable_wh,
+            energy_wh=priced.need.mean_wh,
+            sure_wh=priced.sure_wh,
+            usable_wh=priced.usable_wh,
             others=self._others(nodes, driven, slot, ids),
         )
 

@@ -92,8 +92,12 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wind at cruise height that the desk plans with."""
+    """The wind at cruise height that the desk plans with: of a file, or else constant."""
 
+    file: str | None = None
+    """A forecast: GRIB2 (needs the extra `weather`), or Open-Meteo's JSON. Not beside `speed_mps`,
+    `from_deg` and `std_mps`.
+    """
     speed_mps: float = 0.0
     """Mean wind at cruise height."""
     from_deg: float = 0.0
@@ -192,6 +196,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def air(self) -> Air:
         """The air that the desk prices flights in: nobody at the depot has measured it."""
         return standard_air(self.depot.alt_amsl_m, self.forecast.air_temperature_c)
+
+    def with_forecast(self, wind: Forecast) -> "Day":
+        """The same in another wind."""
+        return msgspec.structs.replace(self, forecast=wind)
 
     def drone(self, id_: str) -> Drone | None:
         """The drone of this name."""

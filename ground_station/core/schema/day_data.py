@@ -7,6 +7,7 @@ from companion.core.base.geo import LocalFrame, Obstacle
 from companion.core.base.obstacle_document import obstacles_of
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
+from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import Order
 
@@ -19,7 +20,8 @@ class DayData:
     """The day and its files. `no_fly` is the document: GeoJSON, ED-269 or ED-318.
 
     `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
-    speed. `elevation`: of the ground about the depot, where the day names tiles.
+    speed. `elevation`: of the ground about the depot, where the day names tiles. `forecast`: of a
+    file; `day.forecast` is its wind at the day's beginning.
     """
 
     day: Day
@@ -28,6 +30,7 @@ class DayData:
     airframes: dict[str, Airframe]
     roads_s: dict[tuple[str, str], float] | None
     elevation: SiteElevation | None = None
+    forecast: DayForecast | None = None
 
     def obstacles(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """What the day's flights must keep out of, on the day's terms."""

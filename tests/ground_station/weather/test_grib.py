@@ -1,0 +1,168 @@
+"""GRIB2 as ecCodes itself writes it, from its samples."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.forecast_files import read_forecast
+from ground_station.core.weather.forecast_field import OutsideForecast, WindAt, spread_of
+
+eccodes = pytest.importorskip("eccodes")
+
+LAT, LON = 55.47, 8.45
+START_S = 1_782_907_200.0  # 2026-07-01 12:00 UTC
+U, V, GUST, HEIGHT = (2, 2), (2, 3), (2, 22), (3, 5)
+LATS = np.arange(56.5, 54.4, -0.25)  # from the north, as most files have it
+LONS = np.arange(7.5, 9.6, 0.25)
+
+
+def plane(lat, lon, hour: float) -> np.ndarray:
+    """Bilinear interpolation gives a plane back exactly."""
+    return 5.0 + 2.0 * (lat - 55.0) + 1.0 * (lon - 8.0) + 0.5 * hour
+
+
+def message(
+    quantity, level: int, hour: int, values, kind="heightAboveGround", member=None, west=7.5
+) -> bytes:
+    handle = eccodes.codes_grib_new_from_samples("regular_ll_sfc_grib2")
+    keys = {
+        "Ni": LONS.size, "Nj": LATS.size,
+        "latitudeOfFirstGridPointInDegrees": 56.5, "latitudeOfLastGridPointInDegrees": 54.5,
+        "longitudeOfFirstGridPointInDegrees": west,
+        "longitudeOfLastGridPointInDegrees": (west + 2.0) % 360.0,
+        "iDirectionIncrementInDegrees": 0.25, "jDirectionIncrementInDegrees": 0.25,
+        "dataDate": 20260701, "dataTime": 1200,
+    }  # fmt: skip
+    if member is not None:
+        keys |= {"productDefinitionTemplateNumber": 1, "perturbationNumber": member}
+    category, number = quantity
+    keys |= {"discipline": 0, "parameterCategory": category, "parameterNumber": number}
+    keys |= {"typeOfLevel": kind, "level": level, "indicatorOfUnitOfTimeRange": 1}
+    keys |= {"forecastTime": hour, "bitsPerValue": 24}
+    if kind == "surface":
+        del keys["level"]
+    for key, value in keys.items():
+        eccodes.codes_set(handle, key, value)
+    eccodes.codes_set_values(handle, np.broadcast_to(values, (LATS.size, LONS.size)).ravel())
+    raw = eccodes.codes_get_message(handle)
+    eccodes.codes_release(handle)
+    return raw
+
+
+def file_of(path: Path, messages: list[bytes]) -> Path:
+    path.write_bytes(b"".join(messages))
+    return path
+
+
+def winds(hours=(0, 3), heights=(10, 100)) -> list[bytes]:
+    """A plane to the east, nothing to the north."""
+    found = []
+    for hour in hours:
+        east = plane(LATS[:, None], LONS[None, :], hour)
+        for height in heights:
+            found += [message(U, height, hour, east), message(V, height, hour, 0.0)]
+    return found
+
+
+def at(field, hours: float, height_m: float, lat=LAT, lon=LON) -> WindAt:
+    found = field.at(START_S + 3600.0 * hours, height_m, lat, lon)
+    assert isinstance(found, WindAt), found
+    return found
+
+
+def test_a_plane_comes_back_between_points_and_times(tmp_path):
+    field = read_forecast(file_of(tmp_path / "w.grib2", winds()), LAT, LON)
+    wind = at(field, 1.0, 40.0)
+    assert wind.to_ne_mps == pytest.approx((0.0, plane(LAT, LON, 1.0)), abs=1e-4)
+    assert wind.from_deg == pytest.approx(270.0, abs=0.01)
+    assert wind.std_mps == pytest.approx(2.0)
+    assert at(field, 1.0, 40.0, LAT, LON + 360.0).to_ne_mps == pytest.approx(wind.to_ne_mps)
+
+
+def test_a_grid_over_the_meridian_of_greenwich_is_one_grid(tmp_path):
+    east = 3.0 + (LONS - 7.5)  # 3 m/s at its western edge, one more by the degree
+    made = [
+        message(quantity, height, hour, values, west=359.0)
+        for hour in (0, 3)
+        for height in (10, 100)
+        for quantity, values in ((U, east[None, :]), (V, 0.0))
+    ]
+    field = read_forecast(file_of(tmp_path / "w.grib2", made), 55.1, -0.1)
+    assert at(field, 0.0, 40.0, 55.1, -0.1).to_ne_mps[1] == pytest.approx(3.9, abs=1e-4)
+    assert at(field, 0.0, 40.0, 55.1, 0.1).to_ne_mps[1] == pytest.approx(4.1, abs=1e-4)
+
+
+def test_members_give_mean_and_spread(tmp_path):
+    rng = np.random.default_rng(5)
+    speeds = rng.normal(8.0, 2.0, (10, 2))
+    made = [
+        message(quantity, height, hour, speeds[member][axis], member=member)
+        for hour in (0, 3)
+        for height in (10, 100)
+        for member in range(10)
+        for axis, quantity in enumerate((V, U))
+    ]
+    field = read_forecast(file_of(tmp_path / "w.grib2", made), LAT, LON)
+    mean, std = spread_of(speeds[:, None, :])
+    wind = at(field, 2.0, 30.0)
+    assert field.spread == "10 members"
+    assert wind.to_ne_mps == pytest.approx(tuple(mean[0]), abs=1e-4)
+    assert wind.std_mps == pytest.approx(float(std[0]), abs=1e-4)
+    assert wind.std_mps == pytest.approx(np.sqrt(speeds.var(axis=0, ddof=1).mean()), abs=1e-4)
+
+
+def test_pressure_levels_lie_over_the_models_ground_and_gusts_widen(tmp_path):
+    made = [message(HEIGHT, 0, 0, 60.0, kind="surface")]
+    for hour in (0, 3):
+        made += [
+            message(U, 10, hour, 6.0), message(V, 10, hour, 0.0),
+            message(GUST, 10, hour, 6.0 + 9.0),
+            message(U, 1000, hour, 0.0, kind="isobaricInhPa"),
+            message(V, 1000, hour, 9.0, kind="isobaricInhPa"),
+            message(HEIGHT, 1000, hour, 160.0, kind="isobaricInhPa"),
+        ]  # fmt: skip
+    field = read_forecast(file_of(tmp_path / "w.grib2", made), LAT, LON)
+    assert at(field, 0.0, 100.0).to_ne_mps == pytest.approx((9.0, 0.0), abs=1e-3)
+    assert at(field, 0.0, 100.0).std_mps == pytest.approx(3.0, abs=1e-3)
+    outside = field.at(START_S, 101.0, LAT, LON)
+    assert isinstance(outside, OutsideForecast)
+    assert "10 to 100 m above ground" in outside.why
+
+
+MISTAKES = {
+    "torn, expected whole GRIB2": lambda: [b"".join(winds())[:-40]],
+    "no GRIB message, expected GRIB2": lambda: [b"hello" * 50],
+    "no wind at any height": lambda: [message((0, 0), 2, hour, 280.0) for hour in (0, 3)],
+    "u at 100 m, 2026-07-01 15:00 UTC: missing, expected u and v": lambda: [
+        *winds(hours=(0,)), *winds(hours=(3,), heights=(10,)), message(V, 100, 3, 0.0),
+    ],
+    "u at 10 m, 2026-07-01 12:00 UTC: twice": lambda: [*winds(), winds()[0]],
+    "wind at 1000 hPa without the height of the surface": lambda: [
+        *winds(hours=(0, 3)),
+        *(message(q, 1000, h, 9.0, kind="isobaricInhPa") for q in (U, V, HEIGHT) for h in (0, 3)),
+    ],
+    "1 times, expected 2": lambda: winds(hours=(0,)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", MISTAKES)
+def test_a_mistake_is_one_line_with_the_file(tmp_path, words):
+    path = file_of(tmp_path / "w.grib2", MISTAKES[words]())
+    with pytest.raises(LeewayError) as caught:
+        read_forecast(path, LAT, LON)
+    said = str(caught.value)
+    assert said.startswith(str(path))
+    assert words in said
+    assert "\n" not in said
+
+
+def test_a_place_outside_the_grid_is_named(tmp_path):
+    path = file_of(tmp_path / "w.grib2", winds())
+    with pytest.raises(
+        LeewayError, match=r"latitude 57.00000 is outside the grid's 54.500 to 56.5"
+    ):
+        read_forecast(path, 57.0, LON)
+    with pytest.raises(LeewayError, match=r"longitude 12.00000 is outside the grid's 7.500 to 9.5"):
+        read_forecast(path, LAT, 12.0)
