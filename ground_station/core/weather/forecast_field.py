@@ -74,7 +74,7 @@ class ForecastField:
             raise LeewayError(f"{self.t_s.size} times, expected 2 or more")
         late = np.flatnonzero(np.diff(self.t_s) <= 0.0)
         if late.size:
-            before, after = self.t_s[late[0]], self.t_s[late[0] + 1]
+            before, after = (float(t_s) for t_s in self.t_s[late[0] : late[0] + 2])
             raise LeewayError(
                 f"{utc_words(after)} comes after {utc_words(before)}, expected times that ascend"
             )
