@@ -29,7 +29,7 @@ from ground_station.app.map.fleet_ear import FleetEar
 from ground_station.app.map.map_feed import MapFeed
 from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.fleet_status import FleetStatus
-from sim_bridge.research.benchmarks.map_bench_day import MapBenchDay, BenchLink
+from sim_bridge.research.benchmarks.map_bench_day import BenchLink, MapBenchDay
 from sim_bridge.research.map_pages.chromium import page
 from sim_bridge.research.map_pages.frame_rate import FrameRate, Motion, median_rate
 
