@@ -205,7 +205,8 @@ class Px4:
         self._radio.say(Severity.INFO, "Disarmed")
 
     def home_changed(self) -> None:
-        """HOME_POSITION where it is streamed."""
+        """The leg under way moves with it (flown); HOME_POSITION where it is streamed."""
+        self.mission.executor.follow_home()
         fields = self.streams["HOME_POSITION"]()
         if fields is None:
             return
