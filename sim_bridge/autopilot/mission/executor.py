@@ -202,8 +202,9 @@ class MissionExecutor:
         return True
 
     def follow_home(self) -> None:
-        """Fly on to where the item is now, after home has moved: at its height at once, not along the
-        leg (flown on PX4: 16.6 m of 20 within 12 s).
+        """Fly on to where the item is now, after home has moved: at its height at once.
+
+        Not along the leg (flown on PX4: 16.6 m of 20 within 12 s).
         """
         leg = self.leg
         if leg is None or leg.phase not in (Phase.MOVE, Phase.STAY):
