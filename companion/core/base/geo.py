@@ -197,9 +197,10 @@ class ObstacleMap:
         """
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         length = line.length
+        top_m = max(-a_ned_m[2], -b_ned_m[2])
         for index in np.sort(self._tree.query(line, predicate="intersects")):
             obstacle, grown = self.obstacles[index], self._grown[index]
-            if self._is_under(index, max(-a_ned_m[2], -b_ned_m[2])):
+            if self._is_under(index, top_m):
                 continue
             lowest = _lowest_up_m(a_ned_m, b_ned_m, line, length, grown)
             if lowest < obstacle.height_m + self.clearance_up_m:

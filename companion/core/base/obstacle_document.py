@@ -51,6 +51,6 @@ def obstacles_of(
 
 def zones_passed(document: dict[str, Any] | None, terms: ZoneTerms) -> list[str]:
     """Which zones the flight need not keep out of, and why: a line for each."""
-    features = (features_of(document) or []) if document is not None else []
+    features = features_of(document or {}) or []
     zones = [zone_of(i, feature) for i, feature in enumerate(features) if is_zone(feature)]
     return [f"{zone.where}: {why}" for zone in zones if (why := zone.passed(terms))]

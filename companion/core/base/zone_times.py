@@ -107,18 +107,16 @@ def _weekly(key: str, value: Any) -> tuple[tuple[float, float], ...]:
 
 def _daily(key: str, value: Any) -> list[tuple[float, float]]:
     """A schedule's times after Monday 0:00 UTC, for each of its days. An end that is no later than
-    the start is of the next day.
+    the start, both in UTC, is of the next day.
     """
     if not isinstance(value, dict):
         raise LeewayError(f"{key}: expected day, startTime and endTime")
-    start_s, start_off_s = _bound(key, value, "start", -EVENT_S)
-    end_s, end_off_s = _bound(key, value, "end", DAY_S + EVENT_S)
-    if end_s <= start_s:
+    start_s = _bound(key, value, "start", -EVENT_S)
+    end_s = _bound(key, value, "end", DAY_S + EVENT_S)
+    while end_s <= start_s:
         end_s += DAY_S
-    return [
-        (day * DAY_S + start_s - start_off_s, day * DAY_S + end_s - end_off_s)
-        for day in _days(f"{key}.day", value.get("day"))
-    ]
+    days = _days(f"{key}.day", value.get("day"))
+    return [(day * DAY_S + start_s, day * DAY_S + end_s) for day in days]
 
 
 def _days(key: str, value: Any) -> tuple[int, ...]:
@@ -128,16 +126,16 @@ def _days(key: str, value: Any) -> tuple[int, ...]:
     return tuple(range(7)) if "ANY" in names else tuple(DAYS.index(name) for name in names)
 
 
-def _bound(key: str, table: dict[str, Any], which: str, by_event_s: float) -> tuple[float, float]:
-    """Seconds after midnight as stated, and how far that clock is ahead of UTC."""
+def _bound(key: str, table: dict[str, Any], which: str, by_event_s: float) -> float:
+    """Seconds after that day's midnight, in UTC."""
     text = table.get(f"{which}Time")
     if text is None and table.get(f"{which}Event") is not None:
-        return by_event_s, 0.0
+        return by_event_s
     match = _CLOCK.fullmatch(text) if isinstance(text, str) else None
     if match is not None:
         hours, minutes, seconds = (int(match[i] or 0) for i in (1, 2, 3))
         clock_s = 3600.0 * hours + 60.0 * minutes + seconds
         off_s = 3600.0 * int(match[5] or 0) + 60.0 * int(match[6] or 0)
         if minutes < 60 and seconds < 60 and clock_s <= DAY_S and off_s <= DAY_S:
-            return clock_s, -off_s if match[4] == "-" else off_s
+            return clock_s + off_s if match[4] == "-" else clock_s - off_s
     raise LeewayError(f"{key}.{which}Time = {text!r}: expected hh:mm:ss with Z or +hh:mm")

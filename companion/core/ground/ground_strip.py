@@ -56,13 +56,9 @@ class GroundStrip:
         course_rad = math.radians(table.course_deg)
         self._cos, self._sin = math.cos(course_rad), math.sin(course_rad)
         spacings = np.diff(self._along_m), np.diff(self._across_m)
-        self._cell_m = math.hypot(*(float(steps.max()) for steps in spacings))
-        self._step_m = min(float(steps.min()) for steps in spacings) / _SIGHT_STEPS
-
-    @property
-    def cell_m(self) -> float:
+        self.cell_m = math.hypot(*(float(steps.max()) for steps in spacings))
         """The longest diagonal of the lattice's cells."""
-        return self._cell_m
+        self._step_m = min(float(steps.min()) for steps in spacings) / _SIGHT_STEPS
 
     def up_m(self, ne_m: Floats) -> Floats:
         """Height above the depot's ground at places (n, 2); NaN where nobody knows it."""
@@ -94,7 +90,7 @@ class GroundStrip:
         for end, place in zip(ends, (a, b), strict=True):
             if not self._has_about(end, aside_m):
                 return NoGround(place[0], place[1])
-        reach_m = aside_m + self._cell_m
+        reach_m = aside_m + self.cell_m
         rows = _near(self._along_m, ends[:, 0], reach_m)
         columns = _near(self._across_m, ends[:, 1], reach_m)
         along, across = np.meshgrid(self._along_m[rows], self._across_m[columns], indexing="ij")
@@ -111,10 +107,11 @@ class GroundStrip:
         return Peak(north_m, east_m, float(up_m.flat[at]))
 
     def highest_known_m(self, place: Ned, within_m: float) -> float:
-        """The highest known of the lattice's points so near; -infinity where none is known."""
+        """At least the highest known ground so near; -infinity where none is known."""
         at = np.array(self._turned(place))
-        rows = _near(self._along_m, at[:1], within_m)
-        columns = _near(self._across_m, at[1:], within_m)
+        reach_m = within_m + self.cell_m
+        rows = _near(self._along_m, at[:1], reach_m)
+        columns = _near(self._across_m, at[1:], reach_m)
         up_m = self._up_m[rows, columns]
         return float(np.nanmax(up_m)) if np.isfinite(up_m).any() else -math.inf
 

@@ -281,16 +281,20 @@ def return_over_ground_m(site: SiteMap, plan: Plan) -> float | NoGround:
     ground = site.ground
     if ground is None:
         return 0.0
-    ways = (plan.outbound_ned_m, (plan.over_customer_ned_m, *plan.return_ned_m), plan.away_ned_m)
-    sites = tuple(rally.ground_ned_m for rally in plan.sites)
-    starts = [p for way in ways for p in cut_into_legs(list(way), RTL_EVERY_M)]
     least_m = 0.0
-    for start in (*starts, *sites):
+    for start in _return_starts(plan):
         peak = ground.highest(start, plan.depot_ned_m)
         if isinstance(peak, NoGround):
             return peak
         least_m = max(least_m, ground.planned_over_m(peak))
     return least_m
+
+
+def _return_starts(plan: Plan) -> list[Ned]:
+    """From where an autopilot's own return may begin: all along the route, and landing sites."""
+    ways = (plan.outbound_ned_m, (plan.over_customer_ned_m, *plan.return_ned_m), plan.away_ned_m)
+    along = [p for way in ways for p in cut_into_legs(list(way), RTL_EVERY_M)]
+    return [*along, *(site.ground_ned_m for site in plan.sites)]
 
 
 def _other_ground(site: SiteMap) -> str:
@@ -403,8 +407,9 @@ def route_facts(
     plan = flown.plan
     points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.sites)]
     # RTL flies straight from anywhere on the route: what stands on any of those lines counts.
+    starts = _return_starts(plan)
     highest_m = max(
-        (flown.site.obstacles.highest_m(p, plan.depot_ned_m) for p in points), default=0.0
+        (flown.site.obstacles.highest_m(p, plan.depot_ned_m) for p in starts), default=0.0
     )
     battery = airframe.battery
     cutoff_v = battery.cells * battery.cutoff_cell_v
@@ -413,7 +418,7 @@ def route_facts(
         np.interp(np.linspace(0.0, 1.0, 101), battery.ocv_charge_frac, battery.ocv_cell_v).mean()
     )
     room_m = min(
-        (flown.site.obstacles.room_m(p, plan.depot_ned_m) for p in points), default=math.inf
+        (flown.site.obstacles.room_m(p, plan.depot_ned_m) for p in starts), default=math.inf
     )
     speeds = airframe.speeds
     top_m = max(-p[2] for p in (*plan.outbound_ned_m, *plan.return_ned_m))

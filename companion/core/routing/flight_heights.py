@@ -53,43 +53,37 @@ def lifted_over(
     height of the next: the vehicle climbs there straight up. From `outbound[i + 1]` the way home
     enters at `homeward[entry[i] + 1]`, and so it does from anywhere on the leg after that waypoint.
     """
-    lift = _Lift(ground)
     out, back = [-p[2] for p in outbound], [-p[2] for p in homeward]
     aside = [-p[2] for p in away]
     try:
         for points, heights in ((outbound, out), (homeward, back), (away, aside)):
             for i, (a, b) in enumerate(pairwise(points)):
-                lift.ends(a, b, (heights, i), (heights, i + 1))
+                _lift(ground, a, b, (heights, i), (heights, i + 1))
         if away:
-            lift.ends(away[-1], homeward[-1], (aside, len(away) - 1), (back, len(back) - 1))
+            _lift(ground, away[-1], homeward[-1], (aside, len(away) - 1), (back, len(back) - 1))
         for i, joined in enumerate(entry):
             there = homeward[joined + 1], (back, joined + 1)
-            lift.ends(outbound[i + 1], there[0], (out, i + 1), there[1])
+            _lift(ground, outbound[i + 1], there[0], (out, i + 1), there[1])
             ahead = min(i + 2, len(outbound) - 1)
             for here in _along(outbound[i + 1], outbound[ahead]):
-                lift.ends(here, there[0], (out, i + 1), (out, ahead), there[1])
+                _lift(ground, here, there[0], (out, i + 1), (out, ahead), there[1])
         for here in _along(outbound[0], outbound[1]):
             into = entry[0] + 1
-            lift.ends(here, homeward[into], (out, 1), (back, into))
+            _lift(ground, here, homeward[into], (out, 1), (back, into))
     except _Unliftable as error:
         return NoHeight(str(error))
     out[0], back[0] = out[1], back[1]
     return LiftedWays(_at(outbound, out), _at(homeward, back), _at(away, aside))
 
 
-class _Lift:
-    """Lifts the ends of lines."""
-
-    def __init__(self, ground: GroundClearance) -> None:
-        self._ground = ground
-
-    def ends(self, a: Ned, b: Ned, *heights: tuple[list[float], int]) -> None:
-        least_m = least_height_m(self._ground, a, b)
-        for up_m, i in heights:
-            up_m[i] = max(up_m[i], least_m)
+def _lift(ground: GroundClearance, a: Ned, b: Ned, *heights: tuple[list[float], int]) -> None:
+    """Lift these heights to what the line asks."""
+    least_m = _least_height_m(ground, a, b)
+    for up_m, i in heights:
+        up_m[i] = max(up_m[i], least_m)
 
 
-def least_height_m(ground: GroundClearance, a: Ned, b: Ned) -> float:
+def _least_height_m(ground: GroundClearance, a: Ned, b: Ned) -> float:
     """Height above the depot at which this line may be planned; raises where there is none."""
     peak = ground.highest(a, b)
     if isinstance(peak, NoGround):
@@ -114,7 +108,7 @@ def seen_over(
     seen: list[int] = []
     for i, point in enumerate(points):
         try:
-            least_m = least_height_m(ground, point, site_ground)
+            least_m = _least_height_m(ground, point, site_ground)
         except _Unliftable:
             continue
         if least_m <= -point[2] + 1e-6:

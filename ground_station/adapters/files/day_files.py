@@ -50,7 +50,7 @@ def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
     rows: list[tuple[str, int, Order]] = []
     day, forecast = _read_forecast(table, day, path, wanted, problems)
     elevation = _read_elevation(day, path, problems)
-    if not problems:
+    if elevation is not None or not day.elevation:  # else heights would be missed wrongly
         for name in day.orders:
             rows += _read_orders(path.parent / name, day.depot, problems, elevation)
     problems += duplicates(rows)
@@ -192,15 +192,17 @@ def _read_no_fly(path: Path, day: Day, problems: list[FileProblem]) -> dict[str,
     except LeewayError as error:
         problems.append(FileProblem(str(path), None, None, _said(error, path)))
         return None
-    features, collection = features_of(document), document
+    features = features_of(document)
     if features is None:
-        features, collection = [document], {"type": "FeatureCollection"}
+        words = "expected a GeoJSON FeatureCollection with features, or zones of ED-269 or ED-318"
+        problems.append(FileProblem(str(path), None, None, words))
+        return None
     frame = frame_at(day.depot.place)
     for row, feature in enumerate(
         features, start=1
     ):  # one at a time, so that every mistake is named
         try:
-            obstacles_of(frame, {"type": collection.get("type"), "features": [feature]})
+            obstacles_of(frame, {"type": document.get("type"), "features": [feature]})
         except LeewayError as error:
             words = str(error).replace("obstacles.features[0]: ", "")
             words = words.replace("features[0].", "")

@@ -70,8 +70,8 @@ def read_grib(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     number = 0
     try:
         for message in _messages(eccodes, path):
-            number += 1
             _take(eccodes, message, read)
+            number += 1
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     except eccodes.CodesInternalError as error:
@@ -79,7 +79,7 @@ def read_grib(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
             f"{path}: message {number + 1}: torn, expected whole GRIB2 ({error})"
         ) from error
     except LeewayError as error:
-        raise LeewayError(f"{path}: message {number}: {error}") from error
+        raise LeewayError(f"{path}: message {number + 1}: {error}") from error
     if not number:
         raise LeewayError(f"{path}: no GRIB message, expected GRIB2")
     try:
@@ -188,7 +188,10 @@ def _field(read: _Read) -> ForecastField:
     times = sorted({key[2] for key in read.values if key[0] in (TO_EAST, TO_NORTH)})
     members = sorted({key[3] for key in read.values if key[0] in (TO_EAST, TO_NORTH)})
     surface_m = _surface_m(read)
-    columns = [[_level(read, level, t_s, members, surface_m) for level in levels] for t_s in times]
+    columns = []
+    for t_s in times:
+        over = None if len(members) > 1 else _gust_over_mean_mps(read, t_s, members[0])
+        columns.append([_level(read, level, t_s, members, surface_m, over) for level in levels])
     has_gusts = any(key[0] == GUST for key in read.values)
     single = "gusts, at least the default" if has_gusts else "the default"
     return ForecastField(
@@ -202,20 +205,29 @@ def _field(read: _Read) -> ForecastField:
     )
 
 
+def _gust_over_mean_mps(read: _Read, t_s: float, member: int) -> Floats | None:
+    """How far the gusts are above the lowest wind; None where the file does not tell."""
+    gust = read.values.get((GUST, SURFACE, t_s, member))
+    near = [key[1] for key in read.values if key[0] == TO_EAST and key[1][0] == "height"]
+    if gust is None or not near:
+        return None
+    return gust - np.hypot(*np.moveaxis(_wind(read, min(near), t_s, member), -1, 0))
+
+
 def _level(
-    read: _Read, level: _Level, t_s: float, members: list[int], surface_m: Floats | None
+    read: _Read,
+    level: _Level,
+    t_s: float,
+    members: list[int],
+    surface_m: Floats | None,
+    gust_over_mean_mps: Floats | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Height above ground, wind and spread on the grid, at one level and time."""
     winds = np.stack([_wind(read, level, t_s, member) for member in members])
     height_m = _height_m(read, level, t_s, members, surface_m)
     if len(members) > 1:
         return height_m, *spread_of(winds)
-    gust = read.values.get((GUST, SURFACE, t_s, members[0]))
-    near = [key[1] for key in read.values if key[0] == TO_EAST and key[1][0] == "height"]
-    over = None
-    if gust is not None and near:
-        over = gust - np.hypot(*np.moveaxis(_wind(read, min(near), t_s, members[0]), -1, 0))
-    return height_m, winds[0], single_std_mps(height_m, over)
+    return height_m, winds[0], single_std_mps(height_m, gust_over_mean_mps)
 
 
 def _wind(read: _Read, level: _Level, t_s: float, member: int) -> Floats:

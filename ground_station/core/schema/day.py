@@ -197,10 +197,6 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         """The air that the desk prices flights in: nobody at the depot has measured it."""
         return standard_air(self.depot.alt_amsl_m, self.forecast.air_temperature_c)
 
-    def with_forecast(self, wind: Forecast) -> "Day":
-        """The same in another wind."""
-        return msgspec.structs.replace(self, forecast=wind)
-
     def drone(self, id_: str) -> Drone | None:
         """The drone of this name."""
         return next((drone for drone in self.drones if drone.id == id_), None)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import msgspec
+
 from companion.core.base.errors import LeewayError
 from ground_station.core.schema.day import Day, Forecast
 from ground_station.core.weather.forecast_field import (
@@ -69,4 +71,4 @@ def forecast_of(day: Day, field: ForecastField, at_s: float) -> tuple[Day, DayFo
     wind = forecast.constant(0.0, day.mission.cruise_height_m)
     if isinstance(wind, OutsideForecast):
         raise LeewayError(wind.why)
-    return day.with_forecast(wind), forecast
+    return msgspec.structs.replace(day, forecast=wind), forecast

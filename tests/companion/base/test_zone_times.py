@@ -76,6 +76,22 @@ def test_an_offset_moves_a_schedule_to_utc() -> None:
     assert not period.touches(span("2026-05-01T00:30:00Z", "2026-05-01T00:40:00Z"))
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "noon"),
+    [
+        ("00:30:00Z", "01:00:00+02:00", True),  # ends at 23:00 UTC
+        ("23:00:00-05:00", "01:00:00Z", False),  # Saturday 4:00 UTC until Sunday 1:00
+        ("23:00:00-05:00", "05:00:00Z", False),  # an hour of Saturday
+    ],
+)
+def test_a_start_and_an_end_may_have_offsets_of_their_own(start: str, end: str, noon: bool) -> None:
+    table = {"day": ["FRI"], "startTime": start, "endTime": end}
+    (period,) = periods_of("applicability", [{"schedule": [table]}])
+    for hours, is_in_force in ((12.0, noon), (28.5, not noon)):
+        at_s = (FRIDAY + timedelta(hours=hours)).timestamp()
+        assert period.touches(UtcSpan(at_s, at_s)) == is_in_force
+
+
 def test_sunrise_and_sunset_are_not_known_and_count_as_all_that_day() -> None:
     table = {"day": ["FRI"], "startEvent": "SR", "endEvent": "SS"}
     (period,) = periods_of("limitedApplicability", [{"schedule": [table]}])

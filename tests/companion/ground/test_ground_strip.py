@@ -76,6 +76,13 @@ def test_heights_between_the_lattices_points_are_scipys(seed, course_deg):
     np.testing.assert_allclose(found, look(turned(table, places)), atol=1e-9)
 
 
+def test_the_highest_ground_near_a_place_counts_the_cell_that_it_lies_in():
+    """On a lattice of 1 km the place is far from each of its points."""
+    axis = [-1000.0, 0.0, 1000.0]
+    strip = GroundStrip(GroundTable(along_m=axis, across_m=axis, up_m=[[100.0] * 3] * 3))
+    assert strip.highest_known_m((500.0, 500.0, 0.0), 200.0) == 100.0
+
+
 def test_what_nobody_knows_is_unknown_and_never_a_height():
     strip = GroundStrip(made_table(3, 30.0, hole=True))
     assert math.isnan(strip.up_m(np.array([[900.0, 0.0]]))[0])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from companion.adapters.files.params import read_airframe, read_grounded_flight
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import Ned, horizontal_m
+from companion.core.base.geo import Ned, Obstacle, ObstacleMap, horizontal_m
 from companion.core.exports.ground_plan import plan_on_the_ground
 from companion.core.ground.ground_table import GroundTable
 from companion.core.mission.flight_file import Flight, Terrain, with_heights
@@ -145,6 +145,18 @@ def test_an_autopilots_own_return_is_over_the_highest_ground_on_any_straight_way
     facts = route_facts(HILLS, M100, planned())
     assert facts.rtl_height_m == pytest.approx(HIGHEST_M + 20.0 + CLEARANCE_UP_M)
     assert route_facts(level(), M100, planned(level())).rtl_height_m == 0.0
+
+
+def test_what_stands_on_a_straight_way_home_from_amid_a_leg_counts_for_an_autopilots_own_return():
+    """Round a corner by legs of 800 m; no straight line home from a waypoint meets the shed."""
+    flown = planned(level())
+    out = ((0.0, 0.0, -40.0), (800.0, 0.0, -40.0), (800.0, 800.0, -40.0))
+    shed = Obstacle("shed", ((595.0, 295.0), (605.0, 295.0), (605.0, 305.0), (595.0, 305.0)), 75.0)
+    site = replace(flown.site, obstacles=ObstacleMap((shed,), 15.0, CLEARANCE_UP_M))
+    plan = replace(flown.plan, outbound_ned_m=out, return_ned_m=out[::-1], away_ned_m=(), rally=())
+    assert all(site.obstacles.highest_m(p, plan.depot_ned_m) == 0.0 for p in out)
+    facts = route_facts(level(), M100, replace(flown, site=site, plan=plan))
+    assert facts.highest_obstacle_m == 75.0
 
 
 def test_without_known_ground_a_plan_is_level_as_ever():

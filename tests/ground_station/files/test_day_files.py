@@ -210,6 +210,19 @@ def test_a_road_matrix_names_what_stands_in_it_twice_and_what_is_missing(tmp_pat
     ]
 
 
+def test_one_feature_alone_is_no_list_of_no_fly_areas(tmp_path):
+    ring = [[8.4, 55.4], [8.5, 55.4], [8.5, 55.5], [8.4, 55.4]]
+    alone = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    (tmp_path / "alone.geojson").write_text(json.dumps(alone | {"properties": {"height_m": 9}}))
+    text = HARBOUR.read_text().replace("no_fly =", "no_fly = 'alone.geojson' #")
+    (tmp_path / "day.toml").write_text(text)
+    with pytest.raises(DayFilesError) as told:
+        read_day(tmp_path / "day.toml")
+    assert any(
+        "alone.geojson: expected a GeoJSON FeatureCollection" in str(p) for p in told.value.problems
+    )
+
+
 def test_no_fly_areas_name_every_feature_that_is_wrong(tmp_path):
     ring = [[8.0, 55.0], [8.1, 55.0], [8.1, 55.1], [8.0, 55.0]]
     features = [
