@@ -6,7 +6,7 @@ from enum import Enum
 from typing import Protocol
 
 OPEN_MARK = "[OPEN NETWORK]"
-"""Stands before each line of a program that lets strangers in."""
+"""Stands before log lines, and before where a truck is, on a network that lets strangers in."""
 
 OPEN_WORDS = "OPEN NETWORK: strangers may listen and command"
 

@@ -55,7 +55,7 @@ def _numbers(text: str) -> Iterator[int]:
     value, shift = 0, 0
     for letter in text:
         part = ord(letter) - FIRST
-        if not 0 <= part < 2 * MORE or shift > MOST_BITS:
+        if not 0 <= part < 2 * MORE or shift >= MOST_BITS:
             raise LeewayError(f"a polyline: {letter!r} does not belong there")
         value |= (part & (MORE - 1)) << shift
         shift += BITS

@@ -131,9 +131,15 @@ class Trust:
         """When we can join no more: the roster's end or our certificate's, which comes first.
         None: the roster does not list us.
         """
-        if self.me is None:
-            return None
-        return min(self.me.not_after_us, self.own_end_us or self.me.not_after_us)
+        return None if self.me is None else self._end_us(self.me)
+
+    def _end_us(self, me: RosterMember) -> int:
+        return min(me.not_after_us, self.own_end_us or me.not_after_us)
+
+    def look_if_near(self) -> None:
+        """Look at our certificate where its end is near: a newer one may have been carried here."""
+        if self.me is not None and self._left_s(self.me) <= WARN_DAYS * DAY_S:
+            self.look_at_certificate()
 
     def look_at_certificate(self) -> None:
         """Take up a certificate that was carried here; the old one counts while it is not whole.
@@ -150,11 +156,11 @@ class Trust:
         return self.me is not None and self.me.role in LISTENS and bool(self.me.address)
 
     def _left_s(self, me: RosterMember) -> float:
-        return ((self.end_us or me.not_after_us) - self.epoch_us()) / 1e6
+        return (self._end_us(me) - self.epoch_us()) / 1e6
 
     def _remedy(self, me: RosterMember) -> str:
         """What a person does about an end that is near."""
-        if (self.end_us or 0) < me.not_after_us:
+        if self._end_us(me) < me.not_after_us:
             anew = ", start it anew" if self._is_called else ""
             return f"renewed until {me.not_after:%Y-%m-%d}: carry tls.pem to {self.name}{anew}"
         return "ground-station pki renew"
@@ -172,8 +178,7 @@ class Trust:
         me = self.me
         if me is None or self._trouble(me):
             return self._trouble(me)
-        if self._left_s(me) <= WARN_DAYS * DAY_S:
-            self.look_at_certificate()  # a newer one may have been carried here since
+        self.look_if_near()
         days = self._left_s(me) / DAY_S
         if days > WARN_DAYS:
             return ""

@@ -85,6 +85,7 @@ class ZenohFleet:
         """When they end, by the roster in force; None: we are here without an identity."""
         if self._trust is None:
             return None
+        self._trust.look_if_near()
         roster, end_us = self._trust.roster, self._trust.end_us
         if self._ends is None or self._ends[0] is not roster or self._ends[1] != end_us:
             self._ends = roster, end_us, certificates_of(roster, self._trust.name, end_us)

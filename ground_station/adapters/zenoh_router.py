@@ -12,11 +12,10 @@ from pathlib import Path
 import zenoh
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.identity import Identity, read_bytes, read_identity
+from companion.fleet.identity import Identity, read_identity
 from companion.fleet.roles import Role
 from companion.fleet.zenoh_config import mode_of, read_config
 from ground_station.adapters.pki.access_rules import TLS_CERTIFICATE
-from ground_station.adapters.pki.certificates import end_us_of
 from ground_station.adapters.roster_share import RosterShare
 from ground_station.adapters.zenoh_door import ZenohDoor
 from ground_station.adapters.zenoh_log import DoorLog
@@ -44,8 +43,9 @@ class ZenohRouter:
         """
         identity = read_identity(folder)
         _check_role(identity)
-        certificate = folder / TLS_CERTIFICATE
-        end_us = end_us_of(read_bytes(certificate), str(certificate))
+        end_us = identity.trust.own_end_us
+        if end_us is None:
+            raise LeewayError(f"{folder / TLS_CERTIFICATE}: No such file or directory")
         session = _session(identity.zenoh)
         share = RosterShare(session, identity, refuse)
         return cls(identity, session, share, ZenohDoor(session, identity.trust, log), end_us)

@@ -4,6 +4,7 @@ For suites of many short flights, where imports were half of what a companion co
 runs as if it were started anew: its own session, streams, arguments, environment and exit code.
 """
 
+import contextlib
 import gc
 import json
 import math
@@ -47,7 +48,8 @@ class ForkedProcess:
     def send_signal(self, sig: int) -> None:
         """Send a signal, unless it has ended."""
         if self.poll() is None:
-            os.kill(self.pid, sig)
+            with contextlib.suppress(ProcessLookupError):  # it ends just now
+                os.kill(self.pid, sig)
 
     def terminate(self) -> None:
         """SIGTERM."""
@@ -72,6 +74,8 @@ class ForkServer:
         self._line: socket.socket | None = None
         self._server: subprocess.Popen[bytes] | None = None
         self._started: list[int] = []
+        self.cpu_s = 0.0
+        """Of its processes that have ended."""
         self._codes: dict[int, int] = {}
 
     def start(self, arguments: Sequence[str], output: IO[bytes]) -> ForkedProcess:
@@ -123,12 +127,13 @@ class ForkServer:
             said = self._line.recv(LARGEST_MESSAGE)
             if not said:
                 raise ChildProcessError("the fork server ended before those who use it")
-            pid, code = json.loads(said)
+            pid, code, used_s = json.loads(said)
             if code is None:
                 self._started.append(pid)
                 self._codes.pop(pid, None)  # of an earlier process with that number
             else:
                 self._codes[pid] = code
+                self.cpu_s += used_s
             limit_s = 0.0
 
 
@@ -161,18 +166,19 @@ def serve(descriptor: int) -> None:
             _become(json.loads(words), files[0], server)
             return
         os.close(files[0])
-        line.send(json.dumps([pid, None]).encode())
+        line.send(json.dumps([pid, None, 0.0]).encode())
 
 
 def _tell_ended(line: socket.socket) -> None:
     while True:
         try:
-            pid, status = os.waitpid(-1, os.WNOHANG)
+            pid, status, used = os.wait4(-1, os.WNOHANG)
         except ChildProcessError:
             return
         if pid == 0:
             return
-        line.send(json.dumps([pid, os.waitstatus_to_exitcode(status)]).encode())
+        code, used_s = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+        line.send(json.dumps([pid, code, used_s]).encode())
 
 
 def _become(asked: dict[str, Any], output: int, server: int) -> None:

@@ -327,7 +327,7 @@ def test_canary_a_program_that_keeps_a_kilobyte_of_each_packet_is_seen_to_grow()
 
 
 @pytest.mark.night
-def test_canary_a_desk_that_is_gone_is_found_by_the_same_look(site, tmp_path, monkeypatch):
+def test_canary_a_vehicle_that_has_stopped_is_found_by_the_same_look(site, tmp_path, monkeypatch):
     monkeypatch.setattr(f"{__name__}.PATIENCE_S", KEPT_OUT_S)
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     try:

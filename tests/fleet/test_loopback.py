@@ -16,6 +16,7 @@ from companion.app.cli import flying
 from companion.app.flight import fleet_run
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.loaded_flight import RunOptions
+from companion.app.flight.run import NO_LINK
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Decision
 from companion.fleet import zenoh_config
@@ -143,7 +144,7 @@ def test_every_status_of_an_open_network_says_so(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("told", [False, True], ids=["canary: closed", "open"])
-def test_each_line_of_a_driver_of_an_open_network_says_so(tmp_path, monkeypatch, told):
+def test_where_a_driver_stands_is_marked_on_an_open_network(tmp_path, monkeypatch, told):
     monkeypatch.chdir(tmp_path)
     config = str(config_file(tmp_path / "a.json5", listen=free_port()))
     words = ["truck", "harbour", "--zenoh", config, *(["--open-network"] if told else [])]
@@ -159,14 +160,15 @@ def test_each_line_of_a_companion_on_an_open_network_says_so(tmp_path, monkeypat
     zenoh_file = config_file(tmp_path / "a.json5", connect=free_port())
     said: list[str] = []
 
-    def one_decision(port: FleetPort, *flight: Any) -> bool:
-        shown = flying.show_open if told else flying.show_action
-        shown(Decision(1.0, "gate", "open: going"))
+    def one_flight(port: FleetPort, *flight: Any) -> int:
+        *_, on_action = flight
+        on_action(Decision(1.0, "gate", "open: going"))
         port.member.settle()
         said.extend([port.member.remark, *(event.text for event in port.log.after(0))])
-        return False
+        return NO_LINK  # the fleet's loop ends by it
 
-    monkeypatch.setattr(fleet_run, "_stand_by", one_decision)
+    monkeypatch.setattr(fleet_run, "_stand_by", lambda *given: True)
+    monkeypatch.setattr(fleet_run, "_fly_assignment", one_flight)
     line = flying.FleetLine(FLEET, "d1", zenoh_file, None, told)
     flying.fly_in_fleet(line, RunOptions("memory", "m100", Path(), tmp_path), one_mission=False)
     printed = capsys.readouterr().out.splitlines()

@@ -1,7 +1,6 @@
 """The desk's figures as Prometheus families of samples.
 
-docs/how-to/watch-the-desk.md says what each means. Names of members and deeds come from messages
-that were checked, so no label needs an escape.
+docs/how-to/watch-the-desk.md says what each means.
 """
 
 from collections.abc import Callable, Iterable, Iterator

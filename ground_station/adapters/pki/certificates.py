@@ -103,15 +103,6 @@ def public_key_in(pem: bytes, where: str) -> ec.EllipticCurvePublicKey:
     return key
 
 
-def end_us_of(pem: bytes, where: str) -> int:
-    """When a certificate ends, in microseconds since 1970; LeewayError where it is none."""
-    try:
-        end = x509.load_pem_x509_certificate(pem).not_valid_after_utc
-    except ValueError as error:
-        raise LeewayError(f"{where}: {error}") from error
-    return round(end.timestamp() * 1e6)
-
-
 def authority_from_pem(key: bytes, certificate: bytes, where: str) -> TlsAuthority:
     """The authority of a folder; LeewayError where its files are none."""
     try:

@@ -26,6 +26,7 @@ def ground(
     from companion.core.ground.ground_csv import ground_csv
     from ground_station.adapters.files.elevation import read_elevation
     from ground_station.adapters.files.params import flight_file, read_flight
+    from ground_station.adapters.files.plan_files import write_text
     from ground_station.core.schema.elevation import grounds_of
 
     path = flight_file(flight)
@@ -36,10 +37,7 @@ def ground(
     elevation = read_elevation(tiles, depot.lat_deg, depot.lon_deg)
     places = [site.customer, *site.rally, *site.stops]
     table = elevation.table(depot, places)
-    try:
-        out.write_text(ground_csv(table))
-    except OSError as error:
-        raise LeewayError(f"{out}: {error.strerror}") from error
+    write_text(out, ground_csv(table))
     typer.echo(f"{out}: {len(table.along_m)} by {len(table.across_m)} heights")
     typer.echo(f"above mean sea level by {elevation.datum}")
     for name, stated_m, known_m in grounds_of(elevation, depot, places):

@@ -3,7 +3,6 @@
 Made for 80 columns: names are never cut off, since `depot` and `depot-end` would look alike.
 """
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -53,6 +52,6 @@ def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
 
 
 def _table(title: str | None) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.show_edge = table.pad_edge = False
+    table = listing(title=title)
+    table.padding = (0, 1, 0, 0)
     return table

@@ -10,12 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from ground_station.app.views.attention import expected_silence, stuck_orders, vehicle_alarms
+from ground_station.app.views.terminal import listing
 from ground_station.app.views.watched_rows import NEXT, DayShown, WatchRows, minutes
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
@@ -54,8 +54,8 @@ def watch_view(
 
 def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
     """Columns as wide as their content; the last one gives way."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.show_edge = table.pad_edge = False
+    table = listing(title=title)
+    table.padding = (0, 1, 0, 0)
     table.expand = True  # and the last column takes what room the others leave
     rows = _folded([cells[:-1] for cells, _ in lines])
     for k, (name, widest) in enumerate(zip(COLUMNS, _widths(rows), strict=True)):
@@ -71,13 +71,14 @@ def _folded(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """The rows, with cells in as many lines as it takes for all columns to fit."""
     folded = rows
     for width in range(40, 5, -1):
-        folded = [
-            tuple("\n".join(wrap(cell, width, break_on_hyphens=False)) for cell in row)
-            for row in rows
-        ]
+        folded = [tuple(_lines(cell, width) for cell in row) for row in rows]
         if sum(_widths(folded)) <= ROOM:
             break
     return folded
+
+
+def _lines(cell: str, width: int) -> str:
+    return cell if len(cell) <= width else "\n".join(wrap(cell, width, break_on_hyphens=False))
 
 
 def _widths(rows: list[tuple[str, ...]]) -> list[int]:

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, field
 
-Point = tuple[float, float]
-"""Latitude and longitude, degrees."""
+from companion.fleet.polyline import Point
 
 
 @dataclass(frozen=True, slots=True)

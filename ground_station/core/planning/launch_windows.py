@@ -1,11 +1,13 @@
 """Launch windows: until when the forecast lets a plan's sorties fly as they are planned."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.base.geo import Ned, place_ned
+from companion.core.base.geo import Ned, ObstacleMap, place_ned
 from companion.core.mission.flight_plan import frame_at
+from companion.core.routing.leg_energy import RouteEnergy
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.planning.day_problem import obstacle_map
@@ -39,7 +41,13 @@ class LaunchWindow:
 def launch_windows(data: DayData, plan: DayPlan, forecast: DayForecast) -> list[LaunchWindow]:
     """The window of each sortie of a plan, its way and height as planned."""
     orders = {order.id: order for order in data.orders}
-    return [_Sortie(data, plan, s, orders[s.order], forecast).window() for s in plan.sorties]
+    obstacles = obstacle_map(data)
+    energies = {name: day_energy(data.day, one) for name, one in data.airframes.items()}
+    found: list[LaunchWindow] = []
+    for sortie in plan.sorties:
+        flown = _flown(data, plan, sortie, orders[sortie.order], obstacles)
+        found.append(_Sortie(data, sortie, flown, energies, forecast).window())
+    return found
 
 
 class _Sortie:
@@ -48,18 +56,16 @@ class _Sortie:
     def __init__(
         self,
         data: DayData,
-        plan: DayPlan,
         sortie: PlannedSortie,
-        order: Order,
+        flown: Flown,
+        energies: Mapping[str, RouteEnergy],
         forecast: DayForecast,
     ) -> None:
         drone = data.day.drone(sortie.vehicle)
         assert drone is not None
-        airframe = data.airframes[drone.airframe]
-        energy = day_energy(data.day, airframe)
+        airframe, energy = data.airframes[drone.airframe], energies[drone.airframe]
         self._reach = Reach(drone, airframe, data.day.mission, data.day.forecast, energy)
-        self._flown = _flown(data, plan, sortie, order)
-        self._sortie, self._forecast = sortie, forecast
+        self._sortie, self._flown, self._forecast = sortie, flown, forecast
         self._takes_s = sortie.land_s - sortie.launch_s
 
     def window(self) -> LaunchWindow:
@@ -92,14 +98,14 @@ class _Sortie:
         return last_s
 
 
-def _flown(data: DayData, plan: DayPlan, sortie: PlannedSortie, order: Order) -> Flown:
+def _flown(
+    data: DayData, plan: DayPlan, sortie: PlannedSortie, order: Order, obstacles: ObstacleMap
+) -> Flown:
     frame = frame_at(data.day.depot.place)
     start = place_ned(frame, plan.stop(sortie.launch).pads[sortie.vehicle])
     end = place_ned(frame, plan.stop(sortie.home).pads[sortie.vehicle])
     customer = place_ned(frame, place_of(order))
     points: list[Ned] = [start, customer, end]
     height_m = sortie.outbound_height_m - start[2]
-    ways = ObstacleRoutes(
-        obstacle_map(data), np.array(points)[:, :2], data.day.mission.cruise_height_m
-    )
+    ways = ObstacleRoutes(obstacles, np.array(points)[:, :2], data.day.mission.cruise_height_m)
     return Flown(order.mass_kg, start, customer, end, height_m, ways.via(0, 1), ways.via(1, 2))

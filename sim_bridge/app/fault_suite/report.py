@@ -85,7 +85,7 @@ def spent(rows: Sequence[FaultRow]) -> str:
     used = cpu_s(rows)
     if used is None:
         return ""
-    longest = max((row for row in rows if row.cpu_s is not None), key=lambda row: row.cpu_s or 0.0)
+    longest = max(rows, key=lambda row: row.cpu_s or 0.0)
     return (
         f"CPU a flight: {used['median']:.1f} s (median), at most {used['most']:.1f} s"
         f" ({longest.fault} {longest.autopilot} {longest.phase})"

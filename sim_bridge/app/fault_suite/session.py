@@ -30,11 +30,11 @@ class Session:
     bounds: Bounds
     json_out: Path | None
     console: Console = field(default_factory=Console)
+    journal: Journal[FaultRow] | None = field(init=False)
+    """What has been flown of it."""
 
-    @property
-    def journal(self) -> Journal[FaultRow] | None:
-        """What has been flown of it."""
-        return None if self.json_out is None else journal_of(self.json_out, self.todo)
+    def __post_init__(self) -> None:
+        self.journal = None if self.json_out is None else journal_of(self.json_out, self.todo)
 
     def run(self) -> list[FaultRow]:
         """Fly, and sum up; in the order of `todo` all that have been flown, earlier ones too."""

@@ -1,5 +1,6 @@
 """Flies the rows of the suite, side by side, in pieces where that is asked."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from sim_bridge.app.faults.case import FaultCase
 from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
 from sim_bridge.app.faults.runner import fly_flight_fault
 from sim_bridge.app.fleet_faults.fleet_runner import fly_fleet_fault
+from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.trials.trial import Bounds, tried
 
 
@@ -46,7 +48,8 @@ def run_all(
     """
     rows = dict(done)
     left = [(index, todo[index]) for index in _order(todo, bounds) if index not in done]
-    for index, row in tried(left, _fly_numbered, bounds):
+    needed = dataclasses.replace(bounds, jobs=max(1, min(bounds.jobs, len(left))))
+    for index, row in tried(left, _fly_numbered, needed):
         rows[index] = row
         flown(index, row)
     return [rows[index] for index in sorted(rows)]
@@ -66,9 +69,14 @@ def _fly_numbered(numbered: tuple[int, FaultTask]) -> list[tuple[int, FaultRow]]
 
 def fly_fault(task: FaultTask) -> FaultRow:
     """Fly one row and judge it: one vehicle's flight, or a fleet's small day."""
-    before_s = cpu_with_children_s()
+    before_s = _spent_s()
     row = _flown(case_of(task.fault), task)
-    return msgspec.structs.replace(row, cpu_s=round(cpu_with_children_s() - before_s, 2))
+    return msgspec.structs.replace(row, cpu_s=round(_spent_s() - before_s, 2))
+
+
+def _spent_s() -> float:
+    """CPU of this process and its children; companions are the fork server's."""
+    return cpu_with_children_s() + suite_forks().cpu_s
 
 
 def _flown(case: Case, task: FaultTask) -> FaultRow:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, FaultCase, Play
 from sim_bridge.app.faults.computers import (
-    USAGE,
     SecondCompanion,
     beat,
     copied,
@@ -14,6 +13,7 @@ from sim_bridge.app.faults.computers import (
 from sim_bridge.app.faults.people import Station
 from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import (
+    USAGE,
     comes_home,
     delivers,
     hands_off,
@@ -331,7 +331,7 @@ CASES = (
         9,
         "kill-switch",
         GROUP,
-        "the motors are stopped in the air: told within 2.5 s, and nothing is commanded",
+        "the motors are stopped: told within 2.5 s, and nothing is commanded",
         kill_switch,
         (hands_off, tells("hands off", "disarm", within_s=2.5)),
         ("ready", *IN_THE_AIR),

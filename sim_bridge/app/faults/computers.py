@@ -18,8 +18,6 @@ ANSWER_LIMIT_S = 20.0
 PAYLOAD_COMPONENT = 192
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
 AUTO_ENABLED = 4
-USAGE = 2
-"""Exit code of a companion that was started wrongly."""
 
 
 def payload_computer(stage: Stage) -> Station:

@@ -115,11 +115,6 @@ def draw_rises(times: float) -> Play:
     return play
 
 
-def tells_small_draw(flown: FlownFault) -> str | None:
-    """The operator hears of a rise by four tenths before the flight is over."""
-    return tells("draw", within_s=SMALL_TOLD_S)(flown)
-
-
 def tells_draw(flown: FlownFault) -> str | None:
     """The operator hears that the draw has changed, in time."""
     limit_s = LEVEL_TOLD_S if flown.stage.phase == "outbound" else TOLD_S
@@ -150,7 +145,7 @@ CASES = (
         GROUP,
         "the draw rises to 1.4 times: told within a minute",
         draw_rises(1.4),
-        (*SAFE, tells_small_draw),
+        (*SAFE, tells("draw", within_s=SMALL_TOLD_S)),
         ("outbound",),
     ),
     FaultCase(

@@ -151,9 +151,9 @@ GROUPS = {
     "battery": "energy",
 }
 MUST_TELL = {
-    ("attitude", "off"): "no fresh attitude",
-    ("position", "off"): "position lost",
-    ("battery", "off"): "no fresh battery reading",
+    ("attitude", "off"): ("no fresh attitude",),
+    ("position", "off"): ("position lost",),
+    ("battery", "off"): ("no fresh battery reading",),
 }
 """What is told no more has to be missed, and the operator to hear it."""
 
@@ -164,7 +164,7 @@ CASES = tuple(
         GROUPS[what],
         f"{what} {words}, for good",
         fails(what, kind),
-        (*SAFE, *(tells(words) for key, words in MUST_TELL.items() if key == (what, kind))),
+        (*SAFE, *map(tells, MUST_TELL.get((what, kind), ()))),
         ("outbound",),
     )
     for what in TOLD

@@ -114,8 +114,9 @@ class CompanionProcess:
 
     def _limit_files(self, size_bytes: int) -> None:
         if self.pid is not None:
-            _, most = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
-            resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, most))
+            with contextlib.suppress(ProcessLookupError):  # it ends just now
+                _, most = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
+                resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, most))
 
     def _signal(self, number: signal.Signals) -> None:
         if self._process is not None and self.running:

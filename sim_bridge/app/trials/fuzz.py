@@ -18,7 +18,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.app.faults.authority import TOLD_PILOT_S
 from sim_bridge.app.faults.runner import printed_and_logged, write_flight
-from sim_bridge.app.faults.verdict import TRACEBACK
+from sim_bridge.app.faults.verdict import BROKEN, TRACEBACK, USAGE
 from sim_bridge.app.flight.companion_process import suite_forks
 from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.record import COLUMNS
@@ -63,7 +63,6 @@ GIVEN_UP = "record given up"
 ROUNDING_WH = 2e-5
 PROMISES = ("p_home", "p_home_now", "p_success")
 TOLD_PROMISES = ("LW_PHOME", "LW_PHNOW", "LW_PSUCC")
-BROKEN, USAGE = 1, 2
 AIRBORNE = COLUMNS.index("airborne")
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.optimize import root_scalar
 
 from companion.core.vehicle.power_bias import PowerScale
 from sim_bridge.app.faults.runner import write_flight
@@ -170,11 +171,8 @@ def bound_s(rise: float, noise_s: float, false_alarm_h: float = FALSE_ALARM_H) -
     """
     unit_s = 2.0 * noise_s / math.log(rise) ** 2
     wanted = 3600.0 * false_alarm_h / unit_s
-    low, high = 0.0, 60.0
-    for _ in range(80):
-        h = 0.5 * (low + high)
-        low, high = (h, high) if math.exp(h) - h - 1.0 < wanted else (low, h)
-    return unit_s * (low - 1.0 + math.exp(-low))
+    h = root_scalar(lambda h: math.exp(h) - h - 1.0 - wanted, bracket=(0.0, 60.0)).root
+    return unit_s * (h - 1.0 + math.exp(-h))
 
 
 def fly_one(task: tuple[str, str, int]) -> list[HeardRow]:

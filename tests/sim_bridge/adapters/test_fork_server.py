@@ -16,6 +16,8 @@ MAIN = """
 import json, os, sys, time
 print(json.dumps([sys.argv, os.getcwd(), os.getsid(0), os.environ["A"], os.environ.get("B")]))
 if "raise" in sys.argv: raise ValueError("broken")
+if "busy" in sys.argv:
+    while time.process_time() < 1.0: pass
 if "wait" in sys.argv: sys.stdout.flush(); time.sleep(60.0)
 sys.exit(int(sys.argv[1]))
 """
@@ -54,10 +56,17 @@ def test_each_has_its_arguments_folder_environment_session_and_exit_code(
         assert (added, ours) == ("added", value)
 
 
+def test_the_cpu_of_what_has_ended_is_counted(server: ForkServer, tmp_path: Path) -> None:
+    assert started(server, tmp_path / "idle", "0").wait(LIMIT_S) == 0
+    idle_s = server.cpu_s
+    assert started(server, tmp_path / "busy", "0", "busy").wait(LIMIT_S) == 0
+    assert server.cpu_s - idle_s > 0.5
+
+
 def test_an_exception_is_printed_and_ends_it_with_1(server: ForkServer, tmp_path: Path) -> None:
     process = started(server, tmp_path / "out", "raise")
     assert process.wait(LIMIT_S) == 1
-    assert said(tmp_path / "out").splitlines()[-1] == "ValueError: broken"
+    assert "ValueError: broken" in said(tmp_path / "out").splitlines()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

@@ -36,7 +36,7 @@ def flown(task: FaultTask) -> FaultRow:
 
 @pytest.fixture
 def flights(monkeypatch):
-    """Tasks in the order in which they were flown; one named by `stops_at` is Ctrl-C."""
+    """Tasks in the order in which they were flown, and how many before Ctrl-C (-1: none)."""
     done: list[FaultTask] = []
 
     def fly(task: FaultTask) -> FaultRow:
