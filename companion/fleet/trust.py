@@ -144,10 +144,13 @@ class Trust:
     def look_at_certificate(self) -> None:
         """Take up a certificate that was carried here; the old one counts while it is not whole.
 
-        It is read at each joining, but by who is called by the others only at its start.
+        It is read at each joining, but by who is called by the others when its session opens.
         """
-        if self._is_called:
-            return
+        if not self._is_called:
+            self.show_certificate()
+
+    def show_certificate(self) -> None:
+        """From now on the one that lies here is shown to callers; not whole, the one before."""
         with contextlib.suppress(LeewayError):
             self.own_end_us = self.read_end_us() or self.own_end_us
 
@@ -161,8 +164,7 @@ class Trust:
     def _remedy(self, me: RosterMember) -> str:
         """What a person does about an end that is near."""
         if self._end_us(me) < me.not_after_us:
-            anew = ", start it anew" if self._is_called else ""
-            return f"renewed until {me.not_after:%Y-%m-%d}: carry tls.pem to {self.name}{anew}"
+            return f"renewed until {me.not_after:%Y-%m-%d}: carry tls.pem to {self.name}"
         return "ground-station pki renew"
 
     def _trouble(self, me: RosterMember | None) -> str:

@@ -12,9 +12,12 @@ from ground_station.adapters.zenoh_log import DoorLog
 from ground_station.core.fleet.door import DoorFigures, unwelcome_on
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ZenohDoor:
-    """One session's, judged by the roster in force. `log`: who was turned away; None: not read."""
+    """One session's, judged by the roster in force. `log`: who was turned away; None: not read.
+
+    Who opens the session anew puts it here.
+    """
 
     session: zenoh.Session
     trust: Trust

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from companion.fleet.identity import Identity
     from companion.fleet.roster import Roster
     from companion.fleet.trust import Trust
+    from ground_station.adapters.called_session import CalledSession
     from ground_station.adapters.roster_share import RosterShare
     from ground_station.adapters.zenoh_door import ZenohDoor
     from ground_station.adapters.zenoh_log import DoorLog
@@ -38,26 +39,37 @@ class ZenohFleet:
         config: Path | None,
         options: JoinOptions = ON_ITS_OWN,
         door_log: "DoorLog | None" = None,
+        say: Callable[[str], None] = lambda words: None,
     ) -> None:
         """Join with this configuration file (JSON5), or as `options` say. `door_log`: who is turned
-        away.
+        away. `say`: that the session has opened anew.
 
         Raises LeewayError where a file is not valid, or the network refuses us.
         """
+        self._say = say
         self.open_network = options.open_network
         self._keys = VehicleKeys(fleet, "*")
         self._fleet = fleet
         identity = _identity(fleet, options)
+        self._identity = identity
         self._trust = identity.trust if identity is not None else None
         self._ends: tuple[Roster, int | None, CertificateFigures] | None = None
         self.inbox = FleetInbox(self._opened, is_member=self._is_member)
-        file = config or (identity.zenoh if identity is not None else None)
-        try:
-            self._session = zenoh.open(read_config(file, open_network=options.open_network))
-        except zenoh.ZError as error:
-            raise LeewayError(f"{file or 'zenoh'}: {error}") from error
-        self.door = _door_of(self._session, self._trust, door_log)
-        self._roster = _share_of(self._session, identity, self._refuse_roster)
+        self._called: CalledSession | None = None
+        if config is None and identity is not None:
+            self._called = _called(identity, open_network=options.open_network)
+            session = self._called.open()
+        else:
+            session = _opened_once(config, open_network=options.open_network)
+        self.door = _door_of(session, self._trust, door_log)
+        self._use(session)
+
+    def _use(self, session: zenoh.Session) -> None:
+        """Listen and speak by this session from now on."""
+        self._session = session
+        if self.door is not None:
+            self.door.session = session
+        self._roster = _share_of(session, self._identity, self._refuse_roster)
         liveliness = self._session.liveliness()
         self._held = (  # zenoh undeclares what nobody holds
             self._session.declare_subscriber(self._keys.state, self._on_state),
@@ -69,7 +81,18 @@ class ZenohFleet:
         """Everything that has come; waits this long for the first."""
         if self._roster is not None:
             self._roster.turn(monotonic_s())
+        if self._called is not None and self._called.is_old(monotonic_s()):
+            self._open_again(self._called)
         return self.inbox.receive(wait_s)
+
+    def _open_again(self, called: "CalledSession") -> None:
+        """Take up what is new of rules and certificates. What was asked counts as unanswered, and
+        what members tell meanwhile is asked for again.
+        """
+        from ground_station.adapters.called_session import anew_words
+
+        self._use(called.open_again(self._session, monotonic_s()))
+        self._say(anew_words(called.identity.trust.roster))
 
     @property
     def warning(self) -> str:
@@ -214,6 +237,19 @@ def _identity(fleet: str, options: JoinOptions) -> "Identity | None":
     from companion.fleet.identity import identity_of
 
     return identity_of(options.identity, fleet)
+
+
+def _called(identity: "Identity", *, open_network: bool) -> "CalledSession":
+    from ground_station.adapters.called_session import CalledSession
+
+    return CalledSession(identity, open_network)
+
+
+def _opened_once(file: Path | None, *, open_network: bool) -> zenoh.Session:
+    try:
+        return zenoh.open(read_config(file, open_network=open_network))
+    except zenoh.ZError as error:
+        raise LeewayError(f"{file or 'zenoh'}: {error}") from error
 
 
 def _share_of(

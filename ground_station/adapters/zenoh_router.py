@@ -12,10 +12,10 @@ from pathlib import Path
 import zenoh
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.identity import Identity, read_identity
+from companion.fleet.identity import TLS_CERTIFICATE, Identity, read_identity
 from companion.fleet.roles import Role
 from companion.fleet.zenoh_config import mode_of, read_config
-from ground_station.adapters.pki.access_rules import TLS_CERTIFICATE
+from ground_station.adapters.called_session import CalledSession, anew_words
 from ground_station.adapters.roster_share import RosterShare
 from ground_station.adapters.zenoh_door import ZenohDoor
 from ground_station.adapters.zenoh_log import DoorLog
@@ -24,31 +24,41 @@ from ground_station.core.fleet.router_figures import RouterFigures
 
 @dataclass(slots=True)
 class ZenohRouter:
-    """One router, until it is closed. `certificate_end_us`: of the one that it shows to callers."""
+    """One router, until it is closed. `refuse` is told why a roster was not taken."""
 
     identity: Identity
+    called: CalledSession
     session: zenoh.Session
     share: RosterShare
     door: ZenohDoor
-    certificate_end_us: int
+    refuse: Callable[[str], None]
+    say: Callable[[str], None]
 
     @classmethod
     def open(
-        cls, folder: Path, refuse: Callable[[str], None], log: DoorLog | None = None
+        cls,
+        folder: Path,
+        refuse: Callable[[str], None],
+        log: DoorLog | None = None,
+        say: Callable[[str], None] = lambda words: None,
     ) -> "ZenohRouter":
         """The router of an identity. `refuse` is told why a roster was not taken; `log`: who was
-        turned away.
+        turned away; `say`: that it has opened anew.
 
         Raises LeewayError where the folder is no router's, or the address cannot be had.
         """
         identity = read_identity(folder)
         _check_role(identity)
-        end_us = identity.trust.own_end_us
-        if end_us is None:
+        if identity.trust.own_end_us is None:
             raise LeewayError(f"{folder / TLS_CERTIFICATE}: No such file or directory")
-        session = _session(identity.zenoh)
-        share = RosterShare(session, identity, refuse)
-        return cls(identity, session, share, ZenohDoor(session, identity.trust, log), end_us)
+        _check_mode(identity.zenoh)
+        called = CalledSession(identity)
+        session = called.open()
+        share, door = (
+            RosterShare(session, identity, refuse),
+            ZenohDoor(session, identity.trust, log),
+        )
+        return cls(identity, called, session, share, door, refuse, say)
 
     @property
     def name(self) -> str:
@@ -62,14 +72,19 @@ class ZenohRouter:
         return me.address if me is not None else ""
 
     def turn(self, now_s: float) -> None:
-        """Take up a newer roster, when it is time to look."""
+        """Take up a newer roster, and what else is new in the folder, when it is time to look."""
         self.share.turn(now_s)
+        if self.called.is_old(now_s):
+            self.session = self.door.session = self.called.open_again(self.session, now_s)
+            self.share = RosterShare(self.session, self.identity, self.refuse)
+            self.say(anew_words(self.door.roster()))
 
     def figures(self, now_s: float) -> RouterFigures:
         """Everything, as it is now."""
         kinds = Counter(str(one.whatami) for one in self.session.info.transports())
         number = self.door.roster().number
-        return RouterFigures(now_s, kinds, self.certificate_end_us, number, self.door.figures())
+        end_us = self.identity.trust.own_end_us or 0
+        return RouterFigures(now_s, kinds, end_us, number, self.door.figures())
 
     def close(self) -> None:
         """Leave: who was joined here calls another router."""
@@ -85,11 +100,7 @@ def _check_role(identity: Identity) -> None:
         raise LeewayError(f"{identity.folder}: {trust.name} is a {role}, expected a router's")
 
 
-def _session(file: Path) -> zenoh.Session:
-    config = read_config(file)
-    if mode_of(config) != "router":
-        raise LeewayError(f"{file}: mode {mode_of(config)}, expected router")
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise LeewayError(f"{file}: {error}") from error
+def _check_mode(file: Path) -> None:
+    mode = mode_of(read_config(file))
+    if mode != "router":
+        raise LeewayError(f"{file}: mode {mode}, expected router")

@@ -13,6 +13,7 @@ from companion.fleet.messages import encode
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.trust import Trust
 from companion.fleet.zenoh_config import read_config
+from ground_station.adapters.called_session import CalledSession
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import FleetInput, MessageRejected, StateReceived
@@ -100,12 +101,13 @@ TRACK: dict[str, Any] = {
 
 
 @GUARD
-def test_a_revoked_member_stays_connected_and_is_heard_by_nobody(
+def test_a_revoked_member_whose_line_is_open_is_heard_by_nobody(
     site, tmp_path, monkeypatch, guarded
 ):
-    """Neither by the desk nor by its neighbours, though the router does not cut its line."""
+    """Neither by the desk nor by its neighbours, before the desk's session is opened anew."""
     import zenoh
 
+    monkeypatch.setattr(CalledSession, "is_old", lambda self, now_s: False)
     if not guarded:
         monkeypatch.setattr(Trust, "take_roster", lambda self, raw: None)
     author, key = trust_of(site, "d2"), VehicleKeys(FLEET, "d2")

@@ -53,7 +53,7 @@ def _listener(roster: Roster, member: RosterMember) -> dict[str, Any]:
         "mode": "router",
         "listen": {"endpoints": [f"tls/{_bind(member.address)}"], "exit_on_failure": True},
         "connect": _calls(others[: others.index(member)]),
-        "access_control": _access(roster),
+        "access_control": access_control(roster),
     }
 
 
@@ -99,7 +99,8 @@ def _tls(*, listens: bool) -> dict[str, Any]:
 # --- rules -----------------------------------------------------------------------------------
 
 
-def _access(roster: Roster) -> dict[str, Any]:
+def access_control(roster: Roster) -> dict[str, Any]:
+    """zenoh's rules for all of a roster, as a desk or router that others call holds them."""
     rules = {rule["id"]: rule for m in roster.members for rule in _rules_of(roster, m)}
     return {
         "enabled": True,

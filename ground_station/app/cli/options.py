@@ -98,15 +98,16 @@ def open_fleet(
     identity: Path | None,
     open_network: bool,
     door_log: "DoorLog | None" = None,
+    say: Callable[[str], None] = lambda words: None,
 ) -> "ZenohFleet":
-    """The fleet's network. `door_log`: who is turned away there.
+    """The fleet's network. `door_log`: who is turned away there. `say`: that it has opened anew.
 
     LeewayError where a file is not valid, or would let strangers in.
     """
     from companion.fleet.membership import JoinOptions
     from ground_station.adapters.zenoh_fleet import ZenohFleet
 
-    ears = ZenohFleet(fleet, zenoh, JoinOptions(identity, open_network), door_log)
+    ears = ZenohFleet(fleet, zenoh, JoinOptions(identity, open_network), door_log, say)
     if ears.warning:
         typer.echo(ears.warning, err=True)
     return ears

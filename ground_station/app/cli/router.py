@@ -42,8 +42,9 @@ def router(
     gone. Nobody believes a router: what counts is signed, from end to end. It lets in who has a
     certificate of the fleet, passes on what that member may say, and says who calls and should not.
 
-    Ctrl-C ends it: members call the next router, or this one when it is back. After `pki add` or
-    `pki revoke` carry its folder again, and start it anew. Exit code 2: a mistake in the settings.
+    Ctrl-C ends it: members call the next router, or this one when it is back. A roster of `pki add`
+    or `pki revoke` comes to it from the desk: it opens anew, and members call again within seconds.
+    Exit code 2: a mistake in the settings.
 
     ground-station pki add r1 --role router --address r1.harbour.example:7447
     ground-station router --identity /var/lib/leeway-router/identity --metrics 9465
@@ -53,7 +54,7 @@ def router(
 
     log = read_zenoh_log()
     with hold_port(metrics, open_metrics) as server:
-        opened = ZenohRouter.open(identity, _say, log)
+        opened = ZenohRouter.open(identity, _say, log, _say)
         with closing(opened):
             fleet = opened.door.roster().fleet
             typer.echo(f"{opened.name}: router of {fleet} at {opened.address}; Ctrl-C stops")

@@ -1,7 +1,7 @@
 """Who calls a desk or router over TLS: who is on a line that should not be, who was turned away.
 
-A line bears the name in its caller's certificate. Lines that are open stay open when a member is
-revoked or its certificate ends; who calls anew with an ended certificate is turned away.
+A line bears the name in its caller's certificate. A revoked member gets a line, and has no rights on
+it; a line that is open stays open when its certificate ends, but no new one is had with it.
 """
 
 from collections import Counter
