@@ -3,11 +3,12 @@
 What does not hold is written out as a case that can be tried again.
 """
 
-from collections import deque
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing.pool import AsyncResult, Pool
+from multiprocessing.pool import Pool
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import msgspec
@@ -42,7 +43,11 @@ class Bounds:
 def tried(
     todo: Iterable[Work], attempt: Callable[[Work], list[Row]], bounds: Bounds
 ) -> Iterator[Row]:
-    """Try cases side by side, in their order, until all are tried or the time is up."""
+    """Try cases side by side, begun in their order, until all are tried or the time is up.
+
+    Rows come as their cases end: a long case holds up nobody, and after Ctrl-C nothing is missing
+    that was done.
+    """
     left = in_time(todo, bounds)
     if bounds.jobs == 1:
         for case in left:
@@ -64,13 +69,22 @@ def in_time(todo: Iterable[Work], bounds: Bounds) -> Iterator[Work]:
 def _side_by_side(
     pool: Pool, left: Iterator[Work], attempt: Callable[[Work], list[Row]], jobs: int
 ) -> Iterator[Row]:
-    under_way: deque[AsyncResult[list[Row]]] = deque()
+    ended: SimpleQueue[list[Row] | BaseException] = SimpleQueue()
+    under_way = 0
     for case in left:
-        under_way.append(pool.apply_async(attempt, (case,)))
-        if len(under_way) > jobs:  # one more than workers, so that none waits for us
-            yield from under_way.popleft().get()
-    while under_way:
-        yield from under_way.popleft().get()
+        pool.apply_async(attempt, (case,), callback=ended.put, error_callback=ended.put)
+        under_way += 1
+        if under_way > jobs:  # one more than workers, so that none waits for us
+            yield from _rows(ended.get())
+            under_way -= 1
+    for _ in range(under_way):
+        yield from _rows(ended.get())
+
+
+def _rows(ended: list[Row] | BaseException) -> list[Row]:
+    if isinstance(ended, BaseException):
+        raise ended
+    return ended
 
 
 def write_case(folder: Path, row: TrialRow) -> Path:
@@ -95,9 +109,15 @@ def read_case(path: Path, kind: type[Case]) -> Case:
 
 
 def result(trial: str, seed: int, rows: Sequence[TrialRow]) -> dict[str, Any]:
-    """What `--json` writes."""
-    held = sum(row.held for row in rows)
-    return {"trial": trial, "seed": seed, "rows": list(rows), "held": held, "of": len(rows)}
+    """What `--json` writes: the same whatever the number of workers."""
+    held, ordered = sum(row.held for row in rows), sorted(rows, key=_natural)
+    return {"trial": trial, "seed": seed, "rows": ordered, "held": held, "of": len(rows)}
+
+
+def _natural(row: TrialRow) -> list[tuple[int, str]]:
+    """By name, numbers in it by their size."""
+    parts = re.split(r"(\d+)", row.name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
 
 def write_result(path: Path, trial: str, seed: int, rows: Sequence[TrialRow]) -> None:

@@ -1,5 +1,9 @@
 """A trial's bounds and its cases: nothing new after the time is up, a case reads back as it was."""
 
+import functools
+import time
+from pathlib import Path
+
 import pytest
 
 from companion.core.base.errors import LeewayError
@@ -7,7 +11,15 @@ from sim_bridge.app.trials import day_case, fuzz, logs, stall
 from sim_bridge.app.trials.damage import DEEDS, Edit, damaged
 from sim_bridge.app.trials.logs import SUFFIX, write_samples
 from sim_bridge.app.trials.soak import SoakSample, wrong
-from sim_bridge.app.trials.trial import Bounds, TrialRow, in_time, read_case, tried, write_case
+from sim_bridge.app.trials.trial import (
+    Bounds,
+    TrialRow,
+    in_time,
+    read_case,
+    result,
+    tried,
+    write_case,
+)
 
 
 def row(case) -> TrialRow:
@@ -39,6 +51,28 @@ def test_nothing_begins_after_the_time_is_up():
     assert len(list(in_time(cases, Bounds(jobs=1, minutes=None)))) == 5
     assert not list(in_time(cases, Bounds(jobs=1, minutes=0.0)))
     assert len(list(tried(cases, lambda case: [row(case)], Bounds(1, None)))) == 5
+
+
+def wait_for(first: Path, number: int) -> list[TrialRow]:
+    """The first case ends when the last has; each is a row by its number."""
+    limit_s = time.monotonic() + 60.0
+    while number == 0 and not first.exists():
+        assert time.monotonic() < limit_s
+        time.sleep(0.01)
+    if number == LAST:
+        first.touch()
+    return [TrialRow(name=f"case-{number}", held=True, why="", told={}, case=None)]
+
+
+LAST = 11
+
+
+def test_a_case_that_takes_long_holds_up_no_other_and_the_result_is_in_order(tmp_path):
+    attempt = functools.partial(wait_for, tmp_path / "last")
+    rows = list(tried(range(LAST + 1), attempt, Bounds(jobs=2, minutes=None)))
+    assert [row.name for row in rows[-2:]] != ["case-10", "case-11"], "the first came late"
+    told = result("fuzz", 1, rows)
+    assert [row.name for row in told["rows"]] == [f"case-{number}" for number in range(LAST + 1)]
 
 
 def test_stalls_of_one_vehicle_share_flights_in_the_order_of_their_instants():
