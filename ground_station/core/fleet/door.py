@@ -1,6 +1,6 @@
 """Who calls a desk or router over TLS: who is on a line that should not be, who was turned away.
 
-A line bears the name in its caller's certificate. A revoked member gets a line, and has no rights on
+A line bears the name in its caller's certificate. A revoked member gets a line, and no rights on
 it; a line that is open stays open when its certificate ends, but no new one is had with it.
 """
 

@@ -153,6 +153,14 @@ def bench_fleet(
         bool,
         typer.Option("--kill-desk", help="Kill each desk half way; another begins on its store."),
     ] = False,
+    faults: Annotated[
+        bool,
+        typer.Option(
+            "--faults",
+            help="A quarter through a router is killed and begins anew; half way each desk dies;"
+            " then the members of a router are cut off for 30 s. Needs --routers.",
+        ),
+    ] = False,
     store: Annotated[
         str | None,
         typer.Option(
@@ -175,7 +183,7 @@ def bench_fleet(
         from sim_bridge.research.benchmarks.fleet_bench.bench import bench as bench_now
     except ImportError as error:
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
-    asked = Asked(vehicles, minutes, routers, desks, store, seed, order_every, kill_desk)
+    asked = Asked(vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults)
     figures = json.dumps(bench_now(asked), indent=1)
     typer.echo(figures)
     if json_file is not None:

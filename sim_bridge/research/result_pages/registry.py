@@ -415,6 +415,17 @@ PAGES = (
         50.0,
     ),
     Page(
+        "fleet-faults",
+        "A thousand vehicles under faults",
+        "A quarter through the first router is killed and begins anew; half way both desks die;"
+        " then the members of the second router are cut off for 30 s.",
+        (
+            _fleet("Two desks and two routers", "--minutes", "5", "--desks", "2", "--routers", "2",
+                   "--faults"),
+        ),
+        8.0,
+    ),
+    Page(
         "speed-and-size",
         "Speed and size of vehicles and companions",
         "One vehicle on one core, a fleet, and a companion at real time.",

@@ -115,6 +115,7 @@ FLEET_ROWS = (
     ("commands", "commands", "", ""),
     ("of them unanswered", "unanswered", "", "0"),
     ("members falsely gone", "false_gone", "", "0"),
+    ("members told as gone, the cut off among them", "gone_under_faults", "", ""),
     ("a desk's share of a core", "desk_cpu_frac", "", "0.30"),
     ("a desk's memory, the most seen", "desk_rss_mb", "MB", "300"),
     ("store grows", "store_mb_per_hour", "MB/h", ""),
@@ -135,7 +136,7 @@ def fleet(done: CommandOutput) -> str:
     load = ", ".join(map(str, figures["load_of_machine"]))
     lines = ["| what | value | goal |", "| --- | --- | --- |"]
     for what, key, unit, goal in FLEET_ROWS:
-        value = figures[key]
+        value = figures.get(key)
         if value is not None:
             lines.append(f"| {what} | {f'{value:,} {unit}'.strip()} | {goal} |")
     never = "" if figures["joined_s"] is not None else " Not all members had joined in time."

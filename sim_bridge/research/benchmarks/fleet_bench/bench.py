@@ -28,9 +28,9 @@ from sim_bridge.adapters.postgres_server import postgres_server
 from sim_bridge.research.benchmarks.fleet_bench.desk_process import SETTLE_S
 from sim_bridge.research.benchmarks.fleet_bench.processes import (
     BenchProcess,
+    BenchRouter,
     desk_config,
     member_config,
-    start_router,
 )
 from sim_bridge.research.benchmarks.fleet_bench.region import Region
 
@@ -40,6 +40,7 @@ LOAD_LIMIT_S = 180.0
 
 JOIN_LIMIT_S = 180.0
 LOOK_S = 2.0
+CUT_S = 30.0
 POSTGRESQL = "postgresql"
 """As a store: a server of its own, from this machine's programs."""
 
@@ -49,7 +50,8 @@ Figures = dict[str, Any]
 @dataclass(frozen=True, slots=True)
 class Asked:
     """One run. `order_every_s`: so often each vehicle gets an order. `kill_desk`: each desk is
-    killed half way, and another begins on its store at once. `flight_s`: shortest and longest time
+    killed half way, and another begins on its store at once. `faults`: that, a router killed
+    before, and another's members cut off for a time behind. `flight_s`: shortest and longest time
     of a member in the air.
     """
 
@@ -61,6 +63,7 @@ class Asked:
     seed: int = 1
     order_every_s: float = 300.0
     kill_desk: bool = False
+    faults: bool = False
     flight_s: tuple[float, float] = (50.0, 70.0)
 
 
@@ -70,13 +73,20 @@ def bench(asked: Asked) -> Figures:
         raise LeewayError("--desks: each desk has a store of its own; leave out --store")
     if asked.desks > asked.vehicles:
         raise LeewayError(f"--desks {asked.desks}: expected at most one for each vehicle")
+    if asked.faults and not asked.routers:
+        raise LeewayError("--faults: expected --routers 1 or more, to kill one and to cut one off")
     load_before = os.getloadavg()[0]
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="leeway-bench-")))
         urls = stack.enter_context(_stores(asked, folder))
         workers = stack.enter_context(_killed_at_the_end())
-        run = _Run(asked, _regions(asked, folder, urls, workers), urls)
-        figures = run.figures(workers)
+        routers = [BenchRouter(folder, free_tcp_port()) for _ in range(asked.routers)]
+        try:
+            regions = _regions(asked, folder, urls, [router.port for router in routers], workers)
+            figures = _Run(asked, regions, urls, routers).figures(workers)
+        finally:
+            for router in routers:
+                router.process.kill()
     return {
         "vehicles": asked.vehicles,
         "desks": asked.desks,
@@ -95,6 +105,7 @@ class _Run:
     asked: Asked
     regions: list[Region]
     urls: list[str]
+    routers: list[BenchRouter]
 
     def figures(self, workers: list[BenchProcess]) -> Figures:
         """Let them join and fly, and count."""
@@ -116,7 +127,9 @@ class _Run:
         backs = [r.back_s for r in self.regions if r.back_s is not None]
         return {
             **self._acknowledged(),
-            "false_gone": sum(region.gone for region in self.regions),
+            ("gone_under_faults" if self.asked.faults else "false_gone"): sum(
+                region.gone for region in self.regions
+            ),
             "desk_cpu_frac": round(busy, 3),
             "desk_rss_mb": round(max(region.rss_mb for region in self.regions), 1),
             "store_mb_per_hour": round(grown_mb / hours, 1),
@@ -151,17 +164,27 @@ class _Run:
         return here, round(max(one.wall_s for one in told if one is not None) - begun_s, 1)
 
     def _fly(self, since_s: float, workers: list[BenchProcess]) -> None:
-        ends_s = since_s + 60.0 * self.asked.minutes
-        dies_s = since_s + 30.0 * self.asked.minutes if self.asked.kill_desk else ends_s
-        self._watch(dies_s)
-        if self.asked.kill_desk:
-            killed_s = wall_s()
-            for region in self.regions:
-                region.kill(since_s)
-                workers.append(region.desk)
-            for region in self.regions:
-                region.wait_back(killed_s, killed_s + JOIN_LIMIT_S)
-        self._watch(ends_s)
+        long_s = 60.0 * self.asked.minutes
+        if self.asked.faults:
+            self._watch(since_s + 0.25 * long_s)
+            self.routers[0].die()
+        if self.asked.faults or self.asked.kill_desk:
+            self._watch(since_s + 0.5 * long_s)
+            self._kill_desks(since_s, workers)
+        if self.asked.faults:
+            self._watch(since_s + 0.7 * long_s)
+            self.routers[-1].freeze()
+            self._watch(wall_s() + min(CUT_S, 0.15 * long_s))
+            self.routers[-1].thaw()
+        self._watch(since_s + long_s)
+
+    def _kill_desks(self, since_s: float, workers: list[BenchProcess]) -> None:
+        killed_s = wall_s()
+        for region in self.regions:
+            region.kill(since_s)
+            workers.append(region.desk)
+        for region in self.regions:
+            region.wait_back(killed_s, killed_s + JOIN_LIMIT_S)
 
     def _watch(self, until_s: float) -> None:
         """How much memory the desks take, until then."""
@@ -220,11 +243,15 @@ def _size_of(url: str) -> int:
 
 
 def _regions(
-    asked: Asked, folder: Path, urls: list[str], workers: list[BenchProcess]
+    asked: Asked,
+    folder: Path,
+    urls: list[str],
+    routers: list[int],
+    workers: list[BenchProcess],
 ) -> list[Region]:
-    """Routers, and of each region a desk and its members; all of them are noted in `workers`."""
-    routers = [free_tcp_port() for _ in range(asked.routers)]
-    workers += [start_router(folder, port) for port in routers]
+    """Of each region a desk and its members; all of them are noted in `workers`. `routers`: their
+    ports.
+    """
     regions: list[Region] = []
     for number, (url, share) in enumerate(zip(urls, _shares(asked), strict=True)):
         ports = routers or [free_tcp_port()]

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -11,12 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from companion.fleet.zenoh_config import CALL_AGAIN_MS
+from companion.fleet.zenoh_config import CALL_AGAIN_MS, LEASE_MS
 from ground_station.adapters.pki.access_rules import MANY_CALLERS
 from sim_bridge.adapters.lifeline import entry
 
 MAIN = "from sim_bridge.research.benchmarks.fleet_bench.worker import main"
 QUIET = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
+LEASE = {"link": {"tx": {"lease": LEASE_MS}}}
+"""As in the network files that `pki` makes."""
+
 STOP_S = 120.0
 """A process that was told to end and has not by then is killed."""
 
@@ -90,7 +94,8 @@ class BenchProcess:
 
 def write_config(path: Path, table: dict[str, Any]) -> Path:
     """A zenoh configuration without scouting."""
-    path.write_text(json.dumps(QUIET | table))
+    transport = LEASE | table.get("transport", {})
+    path.write_text(json.dumps(QUIET | table | {"transport": transport}))
     return path
 
 
@@ -110,8 +115,32 @@ def desk_config(folder: Path, desk: int, ports: list[int], *, calls: bool) -> Pa
     return write_config(folder / f"desk-{desk}.json5", {"mode": "peer", **how, **many})
 
 
-def start_router(folder: Path, port: int) -> BenchProcess:
-    """The binding's router."""
-    listens = {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
-    table = {"mode": "router", **listens, "transport": {"unicast": MANY_CALLERS}}
-    return BenchProcess.start("router", str(write_config(folder / f"router-{port}.json5", table)))
+@dataclass(slots=True)
+class BenchRouter:
+    """The binding's router, and what may happen to one."""
+
+    folder: Path
+    port: int
+    process: BenchProcess = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._start()
+
+    def _start(self) -> None:
+        listens = {"listen": {"endpoints": [f"tcp/127.0.0.1:{self.port}"]}}
+        table = {"mode": "router", **listens, "transport": {"unicast": MANY_CALLERS}}
+        config = write_config(self.folder / f"router-{self.port}.json5", table)
+        self.process = BenchProcess.start("router", str(config))
+
+    def die(self) -> None:
+        """As by a power cut; another begins at its address."""
+        self.process.kill()
+        self._start()
+
+    def freeze(self) -> None:
+        """Its members are cut off: lines stand, and nothing comes."""
+        self.process.process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """The cut is over."""
+        self.process.process.send_signal(signal.SIGCONT)
