@@ -407,12 +407,12 @@ PAGES = (
         " own network end, without a flight behind them.",
         (
             _fleet("One desk, SQLite", "--minutes", "3"),
-            _fleet("One desk, killed half way", "--minutes", "3", "--kill-desk"),
-            _fleet("5,000 orders", "--minutes", "13", "--order-every", "156"),
-            _fleet("One desk, PostgreSQL", "--minutes", "3", "--store", "postgresql"),
-            _fleet("Two desks and two routers", "--minutes", "3", "--desks", "2", "--routers", "2"),
+            _fleet("One desk, killed half way", "--minutes", "2", "--kill-desk"),
+            _fleet("5,000 orders", "--minutes", "10", "--order-every", "120"),
+            _fleet("One desk, PostgreSQL", "--minutes", "2", "--store", "postgresql"),
+            _fleet("Two desks and two routers", "--minutes", "2", "--desks", "2", "--routers", "2"),
         ),
-        50.0,
+        35.0,
     ),
     Page(
         "fleet-faults",
