@@ -7,6 +7,7 @@ PKI/members/NAME/          what NAME gets, whole; its private keys may be delete
 """
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -93,11 +94,25 @@ class PkiFolder:
 
     def add(self, name: str, role: Role, days: int, address: str) -> None:
         """A new member with fresh keys. One that is revoked may come again so."""
-        checked_name("member", name)
-        known = self.roster.by_name.get(name)
-        if known is not None and not known.revoked:
-            raise LeewayError(f"{name}: on the roster already, as {known.role.value}")
+        self.add_all([name], role, days, address)
+
+    def add_all(self, names: Sequence[str], role: Role, days: int, address: str = "") -> None:
+        """New members of one role, all by one roster; LeewayError before anything is made."""
         self._check_address(role, address)
+        if address and len(names) > 1:
+            raise LeewayError(f"--address {address}: expected one member at an address")
+        for at, name in enumerate(names):
+            checked_name("member", name)
+            known = self.roster.by_name.get(name)
+            if known is not None and not known.revoked:
+                raise LeewayError(f"{name}: on the roster already, as {known.role.value}")
+            if name in names[:at]:
+                raise LeewayError(f"{name}: named twice")
+        made = [self._made(name, role, days, address) for name in names]
+        self._put([m for m in self.roster.members if m.name not in names] + made)
+
+    def _made(self, name: str, role: Role, days: int, address: str) -> RosterMember:
+        """A member's keys and certificate, in its folder."""
         home = self.folder / MEMBERS / name
         _private_folder(home)
         signing, tls = new_private_key(), TlsKey.new()
@@ -111,20 +126,31 @@ class PkiFolder:
         _write(home / SIGNING_KEY, f"{signing.hex()}\n".encode(), PRIVATE)
         _write(home / TLS_KEY, tls.pem, PRIVATE)
         self._certify(member, tls.private.public_key())
-        self._put([m for m in self.roster.members if m.name != name] + [member])
+        return member
 
     def renew(self, name: str, days: int) -> None:
         """The same keys for longer: what flies with them is not cut."""
-        old = self._member(name)
-        member = msgspec.structs.replace(old, not_after=self._until(days))
-        path = self.folder / MEMBERS / name / TLS_CERTIFICATE
-        self._certify(member, public_key_in(read_bytes(path), str(path)))
-        self._put([member if m.name == name else m for m in self.roster.members])
+        self.renew_all([name], days)
 
-    def revoke(self, name: str) -> None:
-        """Nobody believes it from the moment that they have the new roster."""
-        member = msgspec.structs.replace(self._member(name), revoked=True)
-        self._put([member if m.name == name else m for m in self.roster.members])
+    def renew_all(self, names: Sequence[str], days: int) -> None:
+        """Several members' certificates for longer, by one roster."""
+        new: dict[str, RosterMember] = {}
+        for old in [self._member(name) for name in names]:
+            member = msgspec.structs.replace(old, not_after=self._until(days))
+            path = self.folder / MEMBERS / old.name / TLS_CERTIFICATE
+            self._certify(member, public_key_in(read_bytes(path), str(path)))
+            new[old.name] = member
+        self._put([new.get(m.name, m) for m in self.roster.members])
+
+    def ending_within(self, days: int) -> list[str]:
+        """Members whose certificates end within so many days, or have ended."""
+        until = self.now + timedelta(days=days)
+        return [m.name for m in self.roster.members if not m.revoked and m.not_after <= until]
+
+    def revoke(self, *names: str) -> None:
+        """Nobody believes them from the moment that they have the new roster."""
+        gone = {name: msgspec.structs.replace(self._member(name), revoked=True) for name in names}
+        self._put([gone.get(m.name, m) for m in self.roster.members])
 
     def rotate(self) -> None:
         """A second authority beside the first: both count until `retire`."""

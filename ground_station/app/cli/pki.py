@@ -26,6 +26,10 @@ app = typer.Typer(
 
 Folder = Annotated[Path, typer.Option("--pki", help="The folder of authority, roster and members.")]
 HERE = Path("fleet-pki")
+Names = Annotated[list[str], typer.Argument(help="One member or several.", metavar="NAME...")]
+MaybeNames = Annotated[
+    list[str] | None, typer.Argument(help="One member or several.", metavar="NAME...")
+]
 Days = Annotated[int, typer.Option(min=1, max=3650, help="How long the certificate is valid.")]
 
 
@@ -40,7 +44,7 @@ def init(fleet: str, pki: Folder = HERE) -> None:
 
 @app.command()
 def add(
-    name: str,
+    names: Names,
     role: Annotated[Role, typer.Option(help="What it may do.")],
     address: Annotated[
         str, typer.Option(help="HOST:PORT at which the others find a desk or router.")
@@ -48,26 +52,52 @@ def add(
     days: Days = DAYS,
     pki: Folder = HERE,
 ) -> None:
-    """Make a member: its keys, certificate and network file, in a folder to carry to it."""
+    """Make members: keys, certificate and network file of each, in a folder to carry to it.
+
+    ground-station pki add desk --role desk --address desk.harbour.example:7447
+    ground-station pki add d1 d2 d3 --role vehicle
+    """
     folder = _open(pki)
-    folder.add(name, role, days, address)
-    typer.echo(f"{pki / 'members' / name}: for {name} only; roster {folder.roster.number}")
+    folder.add_all(names, role, days, address)
+    for name in names:
+        typer.echo(f"{pki / 'members' / name}: for {name} only; roster {folder.roster.number}")
 
 
 @app.command()
-def renew(name: str, days: Days = DAYS, pki: Folder = HERE) -> None:
-    """Make a member's certificate valid for longer; its keys stay."""
+def renew(
+    names: MaybeNames = None,
+    ending: Annotated[
+        int | None,
+        typer.Option(min=0, help="Renew all whose certificates end within so many days, instead."),
+    ] = None,
+    days: Days = DAYS,
+    pki: Folder = HERE,
+) -> None:
+    """Make members' certificates valid for longer; their keys stay.
+
+    ground-station pki renew d1 d2
+    ground-station pki renew --ending 30
+    """
+    if bool(names) == (ending is not None):
+        raise LeewayError("renew: expected names, or --ending DAYS")
     folder = _open(pki)
-    folder.renew(name, days)
-    typer.echo(f"{pki / 'members' / name}: carry tls.pem to {name}; roster {folder.roster.number}")
+    whom = names or folder.ending_within(ending or 0)
+    if not whom:
+        typer.echo(f"nobody's certificate ends within {ending} days")
+        return
+    folder.renew_all(whom, days)
+    for name in whom:
+        at = pki / "members" / name
+        typer.echo(f"{at}: carry tls.pem to {name}; roster {folder.roster.number}")
 
 
 @app.command()
-def revoke(name: str, pki: Folder = HERE) -> None:
-    """End a member: nobody believes it any more once the new roster is with them."""
+def revoke(names: Names, pki: Folder = HERE) -> None:
+    """End members: nobody believes them any more once the new roster is with everybody."""
     folder = _open(pki)
-    folder.revoke(name)
-    words = f"roster {folder.roster.number}: {name} is revoked; a desk tells it"
+    folder.revoke(*names)
+    are = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} revoked"
+    words = f"roster {folder.roster.number}: {are}; a desk tells it"
     typer.echo(f"{words} once {pki / 'roster.json'} lies in its folder")
 
 

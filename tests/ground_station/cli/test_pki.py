@@ -9,7 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.identity import read_identity
 from companion.fleet.messages import Answered, Command, Recall
+from companion.fleet.roster import Roster
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
 from ground_station.adapters.store.database import Database
@@ -118,6 +120,30 @@ def test_who_is_revoked_is_not_asked_to_be_renewed_and_may_come_again_with_new_k
     assert not after.revoked
 
 
+def test_several_are_added_renewed_and_revoked_by_one_roster_each(fleet):
+    def roster() -> Roster:
+        return PkiFolder.read(fleet, utc_at(epoch_us())).roster
+
+    number = roster().number
+    pki("add", "d2", "d3", "d4", "--role", "vehicle", "--days", "20")
+    assert roster().number == number + 1
+    keys = {name: roster().by_name[name].key for name in ("d2", "d3", "d4")}
+    assert len(set(keys.values())) == 3
+    assert "nobody's certificate ends within 10 days" in pki("renew", "--ending", "10")
+    said = pki("renew", "--ending", "30")
+    assert [f"carry tls.pem to {name};" in said for name in ("d1", "d2", "d3", "d4")] == [
+        *(False, True, True, True)
+    ]
+    assert roster().number == number + 2
+    left = {m.name: (m.not_after - utc_at(epoch_us())).days for m in roster().members}
+    assert min(left.values()) >= 363
+    for name, key in keys.items():
+        assert roster().by_name[name].key == key
+        assert read_identity(fleet / "members" / name).trust.roster.number == number + 2
+    assert "d3, d4 are revoked" in pki("revoke", "d3", "d4")
+    assert [m.name for m in roster().members if m.revoked] == ["d3", "d4"]
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
@@ -127,8 +153,15 @@ def test_who_is_revoked_is_not_asked_to_be_renewed_and_may_come_again_with_new_k
         ("add r1 --role router", "expected HOST:PORT"),
         ("add desk --role desk --address nowhere", "desk: "),
         ("add D2 --role vehicle", "expected 1 to 32 small letters"),
+        ("add d2 d3 d1 --role vehicle", "on the roster already, as vehicle"),
+        ("add d2 d2 --role vehicle", "d2: named twice"),
+        ("add r1 r2 --role router --address a:1", "expected one member at an address"),
         ("renew d9", "not on the roster"),
+        ("renew d1 d9", "d9: not on the roster"),
+        ("renew", "expected names, or --ending DAYS"),
+        ("renew d1 --ending 30", "expected names, or --ending DAYS"),
         ("revoke d9", "not on the roster"),
+        ("revoke d1 d9", "d9: not on the roster"),
         ("status --pki elsewhere", "no such folder"),
     ],
 )
