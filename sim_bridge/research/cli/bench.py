@@ -161,6 +161,12 @@ def bench_fleet(
             " then the members of a router are cut off for 30 s. Needs --routers.",
         ),
     ] = False,
+    tls: Annotated[
+        bool,
+        typer.Option(
+            "--tls", help="With identities, TLS and signatures, as `ground-station pki` makes them."
+        ),
+    ] = False,
     store: Annotated[
         str | None,
         typer.Option(
@@ -183,7 +189,9 @@ def bench_fleet(
         from sim_bridge.research.benchmarks.fleet_bench.bench import bench as bench_now
     except ImportError as error:
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
-    asked = Asked(vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults)
+    asked = Asked(
+        vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults, tls
+    )
     figures = json.dumps(bench_now(asked), indent=1)
     typer.echo(figures)
     if json_file is not None:

@@ -19,6 +19,7 @@ import sqlalchemy as sa
 
 from companion.adapters.clock import epoch_us, wall_s
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.pki.pki_folder import MEMBERS
 from ground_station.adapters.store import tables
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
@@ -27,9 +28,11 @@ from sim_bridge.adapters.endpoint import free_tcp_port
 from sim_bridge.adapters.postgres_server import postgres_server
 from sim_bridge.research.benchmarks.fleet_bench.desk_process import SETTLE_S
 from sim_bridge.research.benchmarks.fleet_bench.processes import (
+    DESK,
     BenchProcess,
     BenchRouter,
     desk_config,
+    make_identities,
     member_config,
 )
 from sim_bridge.research.benchmarks.fleet_bench.region import Region
@@ -51,7 +54,8 @@ Figures = dict[str, Any]
 class Asked:
     """One run. `order_every_s`: so often each vehicle gets an order. `kill_desk`: each desk is
     killed half way, and another begins on its store at once. `faults`: that, a router killed
-    before, and another's members cut off for a time behind. `flight_s`: shortest and longest time
+    before, and another's members cut off for a time behind. `tls`: with identities, TLS and
+    signatures, as `ground-station pki` makes them. `flight_s`: shortest and longest time
     of a member in the air.
     """
 
@@ -64,6 +68,7 @@ class Asked:
     order_every_s: float = 300.0
     kill_desk: bool = False
     faults: bool = False
+    tls: bool = False
     flight_s: tuple[float, float] = (50.0, 70.0)
 
 
@@ -73,6 +78,8 @@ def bench(asked: Asked) -> Figures:
         raise LeewayError("--desks: each desk has a store of its own; leave out --store")
     if asked.desks > asked.vehicles:
         raise LeewayError(f"--desks {asked.desks}: expected at most one for each vehicle")
+    if asked.tls and asked.routers:
+        raise LeewayError("--tls: each desk is called itself; leave out --routers")
     if asked.faults and not asked.routers:
         raise LeewayError("--faults: expected --routers 1 or more, to kill one and to cut one off")
     load_before = os.getloadavg()[0]
@@ -91,6 +98,7 @@ def bench(asked: Asked) -> Figures:
         "vehicles": asked.vehicles,
         "desks": asked.desks,
         "routers": asked.routers,
+        "tls": asked.tls,
         "store": sa.make_url(urls[0]).get_backend_name(),
         "order_every_s": asked.order_every_s,
         **figures,
@@ -255,14 +263,19 @@ def _regions(
     regions: list[Region] = []
     for number, (url, share) in enumerate(zip(urls, _shares(asked), strict=True)):
         ports = routers or [free_tcp_port()]
-        config = desk_config(folder, number, ports, calls=bool(routers))
-        fleet = f"bench{number}"
+        fleet, homes = f"bench{number}", folder / f"pki{number}"
+        if asked.tls:
+            make_identities(homes, fleet, [f"v{k}" for k in share], ports[0])
+            config = homes / MEMBERS / DESK
+        else:
+            config = desk_config(folder, number, ports, calls=bool(routers))
         desk = ("desk", fleet, str(len(share)), str(asked.order_every_s), str(config), url)
         regions.append(Region(fleet, len(share), desk, BenchProcess.start(*desk), []))
         workers.append(regions[-1].desk)
         for k, first in enumerate(range(share.start, share.stop, A_PROCESS)):
             count = min(A_PROCESS, share.stop - first)
-            calls = member_config(folder, ports[k % len(ports)])
+            port = ports[k % len(ports)]
+            calls = homes / MEMBERS if asked.tls else member_config(folder, port)
             flown = (str(asked.seed), *map(str, asked.flight_s))
             member = BenchProcess.start(
                 "members", fleet, str(first), str(count), str(calls), str(folder), *flown

@@ -12,6 +12,7 @@ from typing import Any
 
 from companion.adapters.clock import epoch_us, wall_s
 from companion.app.flight.fleet_port import STANDBY
+from companion.fleet.membership import JoinOptions
 from companion.fleet.messages import State
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
@@ -113,13 +114,18 @@ def _here(desk: Desk) -> int:
 
 
 def serve(fleet: str, vehicles: int, order_every_s: float, config: Path, url: str) -> None:
-    """Until it is told to stop. Words on standard input: `fly T` (orders come in from this moment
-    of the monotonic clock), `stop`, after which what flies lands.
+    """Until it is told to stop. `config`: a network file, or the folder of an identity.
+
+    Words on standard input: `fly T` (orders come in from this moment of the monotonic clock),
+    `stop`, after which what flies lands.
     """
     asked: list[list[str]] = []
     threading.Thread(target=lambda: asked.extend(x.split() for x in sys.stdin), daemon=True).start()
     store = Store(Database(url), epoch_us)
-    link = ZenohFleet(fleet, config)
+    if config.is_dir():
+        link = ZenohFleet(fleet, None, JoinOptions(config))
+    else:
+        link = ZenohFleet(fleet, config)
     dispatcher = GiveAll(store)
     teller = Teller()
     desk = Desk(Exchange(store, link, teller.hear), dispatcher)

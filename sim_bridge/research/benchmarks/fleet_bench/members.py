@@ -18,10 +18,9 @@ from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
 from companion.core.mission.events import Position
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.fleet.command_log import Verdict
+from companion.fleet.membership import JoinOptions, Membership, join
 from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_config import read_config
-from companion.fleet.zenoh_link import ZenohLink
 
 TURN_S = 0.1
 
@@ -77,6 +76,12 @@ class Member:
         self.phase = STANDBY
 
 
+def _membership(keys: VehicleKeys, config: Path) -> Membership:
+    if config.is_dir():
+        return join(keys, None, JoinOptions(config / keys.vehicle))
+    return join(keys, config)
+
+
 def read_stands(file: str | None) -> list[tuple[float, float]]:
     """Where each member stands, by its number, degrees; none are told without a file."""
     return [] if file is None else json.loads(Path(file).read_text())
@@ -99,22 +104,18 @@ def serve(
     stands: list[tuple[float, float]],
 ) -> None:
     """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
-    flown.
+    flown. `config_file`: a network file, or a folder with the identities of all.
     """
+    joins = [_membership(VehicleKeys(fleet, f"v{number}"), config_file) for number in numbers]
     print("loaded", flush=True)
     sys.stdin.readline()
-    config, airframe = read_config(config_file), read_airframe("m100")
+    airframe = read_airframe("m100")
     stop = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
     members: list[Member] = []
-    for number in numbers:
+    for number, membership in zip(numbers, joins, strict=True):
         name = f"v{number}"
-        keys = VehicleKeys(fleet, name)
-
-        def link_of(life: str, keys: VehicleKeys = keys) -> ZenohLink:
-            return ZenohLink(config, keys, life, lambda: None)
-
-        port = FleetPort.open(name, "m100", airframe, folder / name, link_of)
+        port = FleetPort.open(name, "m100", airframe, folder / name, membership.open_link)
         rng = np.random.default_rng([flights.seed, number])
         members.append(Member(port, flights, rng, _telemetry(stands, number)))
     while not stop.is_set():

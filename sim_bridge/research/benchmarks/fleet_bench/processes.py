@@ -12,8 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from companion.adapters.clock import epoch_us
+from companion.fleet.roles import Role
 from companion.fleet.zenoh_config import CALL_AGAIN_MS, LEASE_MS
 from ground_station.adapters.pki.access_rules import MANY_CALLERS
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
 from sim_bridge.adapters.lifeline import entry
 
 MAIN = "from sim_bridge.research.benchmarks.fleet_bench.worker import main"
@@ -97,6 +100,17 @@ def write_config(path: Path, table: dict[str, Any]) -> Path:
     transport = LEASE | table.get("transport", {})
     path.write_text(json.dumps(QUIET | table | {"transport": transport}))
     return path
+
+
+DESK = "desk"
+VALID_DAYS = 365
+
+
+def make_identities(folder: Path, fleet: str, vehicles: list[str], port: int) -> None:
+    """A desk that is called on loopback, and its vehicles, as `ground-station pki` makes them."""
+    pki = PkiFolder.init(folder, fleet, utc_at(epoch_us()))
+    pki.add(DESK, Role.DESK, VALID_DAYS, f"127.0.0.1:{port}")
+    pki.add_all(vehicles, Role.VEHICLE, VALID_DAYS)
 
 
 def member_config(folder: Path, port: int) -> Path:

@@ -11,9 +11,9 @@ SHORT = {"minutes": 0.15, "order_every_s": 6.0, "flight_s": (0.5, 1.0)}
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize(("desks", "routers"), [(1, 0), (2, 1)])
-def test_every_order_of_a_small_fleet_is_delivered_once_though_each_desk_dies(desks, routers):
-    found = bench(Asked(4, desks=desks, routers=routers, kill_desk=True, **SHORT))
+@pytest.mark.parametrize(("desks", "routers", "tls"), [(1, 0, False), (2, 1, False), (2, 0, True)])
+def test_every_order_of_a_small_fleet_is_delivered_once_though_each_desk_dies(desks, routers, tls):
+    found = bench(Asked(4, desks=desks, routers=routers, kill_desk=True, tls=tls, **SHORT))
     assert (found["desks"], found["routers"], found["store"]) == (desks, routers, "sqlite")
     assert found["orders"] >= 6  # 4 members, 9 s, one in 6 s each; what came while nobody listened
     assert found["delivered"] >= 4  # a desk that dies on a busy machine is away for long
@@ -45,6 +45,8 @@ def test_desks_do_not_share_a_store_and_a_store_is_empty(tmp_path):
         bench(Asked(4, desks=2, store=f"sqlite:///{tmp_path / 'x.db'}", **SHORT))
     with pytest.raises(LeewayError, match="at most one for each vehicle"):
         bench(Asked(1, desks=2, **SHORT))
+    with pytest.raises(LeewayError, match="leave out --routers"):
+        bench(Asked(4, routers=1, tls=True, **SHORT))
     with pytest.raises(LeewayError, match="expected --routers"):
         bench(Asked(4, faults=True, **SHORT))
 
