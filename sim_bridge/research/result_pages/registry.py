@@ -407,23 +407,23 @@ PAGES = (
         " own network end, without a flight behind them.",
         (
             _fleet("One desk, SQLite", "--minutes", "3"),
-            _fleet("One desk, killed half way", "--minutes", "2", "--kill-desk"),
+            _fleet("With identities, TLS and signatures", "--minutes", "2", "--tls"),
             _fleet("5,000 orders", "--minutes", "10", "--order-every", "120"),
             _fleet("One desk, PostgreSQL", "--minutes", "2", "--store", "postgresql"),
-            _fleet("Two desks and two routers", "--minutes", "2", "--desks", "2", "--routers", "2"),
         ),
-        35.0,
+        30.0,
     ),
     Page(
         "fleet-faults",
         "A thousand vehicles under faults",
-        "A quarter through the first router is killed and begins anew; half way both desks die;"
-        " then the members of the second router are cut off for 30 s.",
+        "A desk that is killed; and a router that is killed and begins anew a quarter through, both"
+        " desks killed half way, the members of the other router cut off for 30 s behind.",
         (
+            _fleet("One desk, killed half way", "--minutes", "2", "--kill-desk"),
             _fleet("Two desks and two routers", "--minutes", "5", "--desks", "2", "--routers", "2",
                    "--faults"),
         ),
-        8.0,
+        14.0,
     ),
     Page(
         "speed-and-size",
