@@ -415,6 +415,27 @@ PAGES = (
         50.0,
     ),
     Page(
+        "install",
+        "What an install takes",
+        "What each install adds to an empty environment, and whether all of it comes as wheels for"
+        " 64 bit ARM, so that nothing is compiled on a Raspberry Pi.",
+        (
+            PageCommand(
+                ("deploy/measure-sizes", "--json", f"{OUT}/sizes.json"),
+                NOTHING_DRAWN,
+                tables.sizes,
+                "On disk",
+            ),
+            PageCommand(
+                ("deploy/check-arm-wheels", "--json", f"{OUT}/wheels.json"),
+                NOTHING_DRAWN,
+                tables.arm_wheels,
+                "Wheels for 64 bit ARM",
+            ),
+        ),
+        10.0,
+    ),
+    Page(
         "speed-and-size",
         "Speed and size of vehicles and companions",
         "One vehicle on one core, a fleet, and a companion at real time.",

@@ -155,6 +155,32 @@ def start_of_a_day(done: CommandOutput) -> str:
     return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])
 
 
+def sizes(done: CommandOutput) -> str:
+    """Of `deploy/measure-sizes --json {out}/sizes.json`."""
+    figures = done.json("sizes.json")
+    lines = ["| install | GB | what draws the map, of it, MB |", "| --- | --- | --- |"]
+    for row in figures["sizes"]:
+        assets = f"{row['map_assets_mb']:.1f}" if row["map_assets_mb"] else "not fetched"
+        lines.append(f"| `{row['install']}` | {row['held_gb']:.2f} | {assets} |")
+    return "\n".join([*lines, "", f"{figures['python']}. GB: 1,000,000,000 bytes."])
+
+
+def arm_wheels(done: CommandOutput) -> str:
+    """Of `deploy/check-arm-wheels --json {out}/wheels.json`: wheels by install and Python."""
+    rows = done.json("wheels.json")["rows"]
+    pythons = list(dict.fromkeys(row["python"] for row in rows))
+    lines = [f"| install | {' | '.join(f'Python {python}' for python in pythons)} |"]
+    lines.append(f"| --- |{' --- |' * len(pythons)}")
+    for install in dict.fromkeys(row["install"] for row in rows):
+        cells = [_wheels(row) for row in rows if row["install"] == install]
+        lines.append(f"| `{install}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _wheels(row: dict[str, str | int | None]) -> str:
+    return plain(str(row["why"])) if row["wheels"] is None else f"{row['wheels']} wheels"
+
+
 MAP_GOAL = "> 20"
 """Frames a second of the live map's page, in software rendering."""
 
