@@ -19,9 +19,11 @@ from ground_station.core.planning.day_planner import (
     PlanParams,
     day_problem,
     plan_day,
+    road_searched_plans,
     tried_plans,
 )
 from ground_station.core.planning.forward_pass import TriedPlan
+from ground_station.core.planning.plan_bound import PlanBound, plan_bound
 from ground_station.core.schema.day import Day, Depot, Drone, Forecast, Truck
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -123,26 +125,57 @@ def bench_day(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class DayPromises:
+    """Each plan that the search found with what became of it, the plan that is kept, what a long
+    search on driven plans found, and what no plan can beat.
+    """
+
+    tried: list[TriedPlan]
+    kept: DayPlan
+    driven_anew: list[TriedPlan]
+    bound: PlanBound
+
+
 def bench_promises(
-    data: DayData, params: PlanParams, tell: Callable[[float, float], None]
-) -> tuple[list[TriedPlan], DayPlan]:
-    """Each plan that the search found with what became of it, and the plan that is kept."""
+    data: DayData, params: PlanParams, drives: int, tell: Callable[[float, float], None]
+) -> DayPromises:
+    """Plan the day; `drives`: of the long search, from each plan that was found; 0: none."""
     start = first_state(data)
-    return list(tried_plans(data, start, params, tell)), plan_day(data, start, params)
+    tried = list(tried_plans(data, start, params, tell))
+    kept = plan_day(data, start, params)
+    anew = list(road_searched_plans(data, start, params, drives, tell)) if drives else []
+    return DayPromises(tried, kept, anew, plan_bound(day_problem(data, start)))
 
 
-def print_promises(console: Console, tried: list[TriedPlan], kept: DayPlan) -> None:
-    """Promised and driven makespans; the last row is the plan that is kept, after its polish."""
+def print_promises(console: Console, found: DayPromises) -> None:
+    """Promised and driven makespans; then the plan that is kept, after its polish."""
+    kept = found.kept
     table = Table(title=f"{kept.day}, seed {kept.seed}: makespan, s", title_justify="left")
     for name in ("plan", "promised", "driven", "launch stops", "elsewhere", "moved"):
         table.add_column(name, justify="left" if name == "plan" else "right")
-    for one in tried:
-        figures = (f"{one.promised_s:.0f}", f"{one.driven_s:.0f}")
-        table.add_row(one.name, *figures, *map(str, (one.launch_stops, one.elsewhere, one.moved)))
+    for one in found.tried:
+        table.add_row(*_cells(one))
     stops = len({sortie.launch for sortie in kept.sorties})
     elsewhere = sum(sortie.launch != sortie.home for sortie in kept.sorties)
     table.add_row("kept, polished", "", f"{kept.makespan_s:.0f}", str(stops), str(elsewhere), "")
+    for one in found.driven_anew:
+        table.add_row(*_cells(one))
     console.print(table)
+    bound = found.bound
+    console.print(
+        f"no plan takes less than {bound.makespan_s:.0f} s: the driver's work"
+        f" {bound.driver_work_s:.0f} s, the way past {bound.forced_stops} places only for the"
+        f" truck {bound.way_s:.0f} s (the drones alone: {bound.fleet_s:.0f} s)",
+        highlight=False,
+    )
+
+
+def _cells(one: TriedPlan) -> list[str]:
+    promised = "" if one.promised_s is None else f"{one.promised_s:.0f}"
+    lost = f", {one.lost} lost" if one.lost else ""
+    counts = map(str, (one.launch_stops, one.elsewhere, one.moved))
+    return [one.name, promised, f"{one.driven_s:.0f}{lost}", *counts]
 
 
 def print_day(console: Console, params: DayParams, found: DayResult) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ground_station.app.benchmarks.mfstsp_bench import BenchParams, BenchRow, Row, RowJournal
+    from ground_station.core.planning.day_planner import PlanParams
 
 benchmark = typer.Typer(no_args_is_help=True, help="The planner against published results.")
 POLICIES = ("search", "dynamic-assignment")
@@ -270,7 +271,8 @@ def day_plan(
         str | None,
         typer.Option(
             help="A day instead of a random one (a day/1 TOML file, or a bundled day's name): for"
-            " each plan that the search found, its promised and its driven makespan."
+            " each plan that the search found, its promised and its driven makespan, and a time"
+            " that no plan can beat."
         ),
     ] = None,
     customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
@@ -278,6 +280,14 @@ def day_plan(
     trials: Annotated[
         int | None, typer.Option(min=1, help="Trials of the search. Default: by the day's size.")
     ] = None,
+    drives: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="With --day: a long search on driven plans with any stops, so many drives from"
+            " each plan that the search found.",
+        ),
+    ] = 0,
     wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
     seed: Annotated[int, typer.Option(help="Seed of the day.")] = 0,
     picture: Annotated[
@@ -288,6 +298,7 @@ def day_plan(
 
     ground-station benchmark day-plan --customers 1000
     ground-station benchmark day-plan --day town
+    ground-station benchmark day-plan --day town --drives 4000
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -299,9 +310,10 @@ def day_plan(
         console.print("first run: compiling the planner, some 20 s", highlight=False)
     from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day, print_day
     from ground_station.app.pictures.day_picture import draw_day_plan
+    from ground_station.core.planning.day_planner import PlanParams
 
     if day is not None:
-        _print_promises(console, day, trials, seed)
+        _print_promises(console, day, PlanParams(trials=trials, seed=seed), drives)
         return
     params = DayParams(customers, drones, wind_mps, seed)
     with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
@@ -319,14 +331,15 @@ def day_plan(
         console.print(f"{picture}: the default policy's plan", highlight=False)
 
 
-def _print_promises(console: "Console", day: str, trials: int | None, seed: int) -> None:
+def _print_promises(console: "Console", day: str, params: "PlanParams", drives: int) -> None:
     from ground_station.app.benchmarks.day_bench import bench_promises, print_promises
     from ground_station.app.cli.options import open_day
-    from ground_station.core.planning.day_planner import PlanParams
 
-    params = PlanParams(trials=trials, seed=seed)
     with console.status("planning") as status:
         found = bench_promises(
-            open_day(day), params, lambda frac, best_s: status.update(f"best {best_s:.0f} s")
+            open_day(day),
+            params,
+            drives,
+            lambda frac, best_s: status.update(f"best {best_s:.0f} s"),
         )
-    print_promises(console, *found)
+    print_promises(console, found)
