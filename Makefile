@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check newcomer-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -72,6 +72,9 @@ wheel-check:  ## build the wheel and run it outside the checkout, on every Pytho
 
 install-check:  ## deploy/install in a clean Debian root (needs root, debootstrap, a package index)
 	@deploy/check-install
+
+image-check:  ## build and run deploy/Containerfile on a clean Debian root (root, buildah, debootstrap)
+	@deploy/check-containers
 
 newcomer-check: $(VENV)/.test  ## README's commands in a fresh clone, the map looked at, timed
 	@$(BIN)/python deploy/check-newcomer
