@@ -127,13 +127,13 @@ def bench_day(
 
 @dataclass(frozen=True, slots=True)
 class DayPromises:
-    """Each plan that the search found with what became of it, the plan that is kept, what a long
-    search on driven plans found, and what no plan can beat.
+    """Each plan that the search found with what became of it, the one that is kept, what a long
+    search on driven plans found; and what no plan can beat.
     """
 
-    tried: list[TriedPlan]
-    kept: DayPlan
-    driven_anew: list[TriedPlan]
+    day: str
+    seed: int
+    plans: list[TriedPlan]
     bound: PlanBound
 
 
@@ -142,25 +142,32 @@ def bench_promises(
 ) -> DayPromises:
     """Plan the day; `drives`: of the long search, from each plan that was found; 0: none."""
     start = first_state(data)
-    tried = list(tried_plans(data, start, params, tell))
-    kept = plan_day(data, start, params)
-    anew = list(road_searched_plans(data, start, params, drives, tell)) if drives else []
-    return DayPromises(tried, kept, anew, plan_bound(day_problem(data, start)))
+    plans = [*tried_plans(data, start, params, tell), _kept(plan_day(data, start, params))]
+    if drives:
+        plans += road_searched_plans(data, start, params, drives, tell)
+    return DayPromises(data.day.name, params.seed, plans, plan_bound(day_problem(data, start)))
+
+
+def _kept(plan: DayPlan) -> TriedPlan:
+    """The plan that is kept, after its polish."""
+    stops = len({sortie.launch for sortie in plan.sorties})
+    elsewhere = sum(sortie.launch != sortie.home for sortie in plan.sorties)
+    lost = len(plan.unplanned)
+    return TriedPlan("kept, polished", None, plan.makespan_s, stops, elsewhere, None, lost)
 
 
 def print_promises(console: Console, found: DayPromises) -> None:
-    """Promised and driven makespans; then the plan that is kept, after its polish."""
-    kept = found.kept
-    table = Table(title=f"{kept.day}, seed {kept.seed}: makespan, s", title_justify="left")
+    """Promised and driven makespans, and the bound."""
+    title = f"{found.day}, seed {found.seed}: makespan, s"
+    table = Table(title=title, title_justify="left")
     for name in ("plan", "promised", "driven", "launch stops", "elsewhere", "moved"):
         table.add_column(name, justify="left" if name == "plan" else "right")
-    for one in found.tried:
-        table.add_row(*_cells(one))
-    stops = len({sortie.launch for sortie in kept.sorties})
-    elsewhere = sum(sortie.launch != sortie.home for sortie in kept.sorties)
-    table.add_row("kept, polished", "", f"{kept.makespan_s:.0f}", str(stops), str(elsewhere), "")
-    for one in found.driven_anew:
-        table.add_row(*_cells(one))
+    for one in found.plans:
+        promised = "" if one.promised_s is None else f"{one.promised_s:.0f}"
+        lost = f", {one.lost} lost" if one.lost else ""
+        moved = "" if one.moved is None else str(one.moved)
+        counts = (str(one.launch_stops), str(one.elsewhere), moved)
+        table.add_row(one.name, promised, f"{one.driven_s:.0f}{lost}", *counts)
     console.print(table)
     bound = found.bound
     console.print(
@@ -169,13 +176,6 @@ def print_promises(console: Console, found: DayPromises) -> None:
         f" truck {bound.way_s:.0f} s (the drones alone: {bound.fleet_s:.0f} s)",
         highlight=False,
     )
-
-
-def _cells(one: TriedPlan) -> list[str]:
-    promised = "" if one.promised_s is None else f"{one.promised_s:.0f}"
-    lost = f", {one.lost} lost" if one.lost else ""
-    counts = map(str, (one.launch_stops, one.elsewhere, one.moved))
-    return [one.name, promised, f"{one.driven_s:.0f}{lost}", *counts]
 
 
 def print_day(console: Console, params: DayParams, found: DayResult) -> None:

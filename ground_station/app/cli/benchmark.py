@@ -1,6 +1,7 @@
 """`ground-station benchmark`: the planner against published results, and its speed."""
 
 import json
+from dataclasses import asdict
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -288,6 +289,9 @@ def day_plan(
             " each plan that the search found.",
         ),
     ] = 0,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="With --day: write what is found here as JSON.")
+    ] = None,
     wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
     seed: Annotated[int, typer.Option(help="Seed of the day.")] = 0,
     picture: Annotated[
@@ -313,25 +317,28 @@ def day_plan(
     from ground_station.core.planning.day_planner import PlanParams
 
     if day is not None:
-        _print_promises(console, day, PlanParams(trials=trials, seed=seed), drives)
+        params = PlanParams(trials=trials, seed=seed)
+        _print_promises(console, day, params, drives, json_out)
         return
-    params = DayParams(customers, drones, wind_mps, seed)
+    drawn = DayParams(customers, drones, wind_mps, seed)
     with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
         bar = progress.add_task("planning", total=1.0)
         found = bench_day(
-            params,
+            drawn,
             trials,
             lambda frac, best_s: progress.update(
                 bar, completed=frac, description=f"best {best_s:.0f} s"
             ),
         )
-    print_day(console, params, found)
+    print_day(console, drawn, found)
     if picture is not None:
-        draw_day_plan(drawn_day(params), found.search, picture)
+        draw_day_plan(drawn_day(drawn), found.search, picture)
         console.print(f"{picture}: the default policy's plan", highlight=False)
 
 
-def _print_promises(console: "Console", day: str, params: "PlanParams", drives: int) -> None:
+def _print_promises(
+    console: "Console", day: str, params: "PlanParams", drives: int, json_out: Path | None
+) -> None:
     from ground_station.app.benchmarks.day_bench import bench_promises, print_promises
     from ground_station.app.cli.options import open_day
 
@@ -343,3 +350,5 @@ def _print_promises(console: "Console", day: str, params: "PlanParams", drives: 
             lambda frac, best_s: status.update(f"best {best_s:.0f} s"),
         )
     print_promises(console, found)
+    if json_out is not None:
+        json_out.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")

@@ -52,7 +52,7 @@ class TriedPlan:
     driven_s: float
     launch_stops: int
     elsewhere: int
-    moved: int
+    moved: int | None
     lost: int
 
 

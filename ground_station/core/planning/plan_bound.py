@@ -77,7 +77,9 @@ def _flights_s(problem: TruckAndDrones, customer: int) -> list[tuple[float, floa
 
 
 def shortest_way_s(travel_s: Floats, places: list[int]) -> float:
-    """From the first node to the last past all of these, in any order, through any others."""
+    """From the first node to the last past all of these, in any order, through any others and
+    more than once where that is shorter.
+    """
     between_s = travel_s.copy()
     for via in range(len(between_s)):  # Floyd and Warshall: a road matrix may have detours
         between_s = np.minimum(between_s, between_s[:, via, None] + between_s[via])

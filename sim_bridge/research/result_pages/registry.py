@@ -325,6 +325,27 @@ PAGES = (
         needs=("mfstsp",),
     ),
     Page(
+        "stops",
+        "One stop or several",
+        "Where the drones of a day are launched and met: the plans that the search found, the one"
+        " that is kept, a long search on driven plans with any stops, and a bound.",
+        (
+            PageCommand(
+                ("ground-station", "benchmark", "day-plan", "--day", "town", "--seed", "0",
+                 "--drives", "800", "--json", f"{OUT}/town.json"),
+                show=tables.stops_of_the_town,
+                title="The town",
+            ),
+            PageCommand(
+                ("ground-station", "benchmark", "day-plan", "--day", "villages", "--seed", "0",
+                 "--drives", "400", "--json", f"{OUT}/villages.json"),
+                show=tables.stops_of_the_villages,
+                title="Villages",
+            ),
+        ),
+        8.0,
+    ),
+    Page(
         "tspd",
         "One truck, one drone",
         "Costs on instances of Agatz, Bouman and Schmidt against proven optima, and against means"

@@ -2,6 +2,8 @@
 
 import json
 
+import msgspec
+
 from sim_bridge.research.result_pages.markdown import MarkdownConsole, plain, table_markdown
 from sim_bridge.research.result_pages.page import DATA, CommandOutput
 
@@ -153,6 +155,24 @@ def start_of_a_day(done: CommandOutput) -> str:
     lines = ["| what | s |", "| --- | --- |", *(f"| {what} | {s:.1f} |" for what, s in rows)]
     words = f"{figures['assigned']} of {figures['drones']} drones had an order"
     return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])
+
+
+def stops_of_the_town(done: CommandOutput) -> str:
+    """Of `ground-station benchmark day-plan --day town --json {out}/town.json`."""
+    return _stops(done, "town.json")
+
+
+def stops_of_the_villages(done: CommandOutput) -> str:
+    """Of `ground-station benchmark day-plan --day villages --json {out}/villages.json`."""
+    return _stops(done, "villages.json")
+
+
+def _stops(done: CommandOutput, name: str) -> str:
+    from ground_station.app.benchmarks.day_bench import DayPromises, print_promises
+
+    console = MarkdownConsole()
+    print_promises(console, msgspec.convert(done.json(name), DayPromises))
+    return console.markdown
 
 
 def sizes(done: CommandOutput) -> str:
