@@ -332,13 +332,13 @@ PAGES = (
         (
             PageCommand(
                 ("ground-station", "benchmark", "day-plan", "--day", "town", "--seed", "0",
-                 "--drives", "800", "--json", f"{OUT}/town.json"),
+                 "--drives", "250", "--json", f"{OUT}/town.json"),
                 show=tables.stops_of_the_town,
                 title="The town",
             ),
             PageCommand(
                 ("ground-station", "benchmark", "day-plan", "--day", "villages", "--seed", "0",
-                 "--drives", "400", "--json", f"{OUT}/villages.json"),
+                 "--drives", "100", "--json", f"{OUT}/villages.json"),
                 show=tables.stops_of_the_villages,
                 title="Villages",
             ),
