@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -30,9 +30,10 @@ sample: $(VENV)/.test
 
 # Coverage doubles the tests' CPU time on Python 3.11 (measured: 22 to 25 s, 52 s with it), so it is
 # a report of the night. A test that fails keeps no trial from its night.
-night: $(VENV)/.night lint  ## all tests with a coverage report, then the long trials: some hours
+night: $(VENV)/.night lint  ## all tests with coverage, a newcomer's clone, long trials: hours
 	@failed=0; \
 	$(BIN)/python -m pytest $(WORKERS) --cov --cov-report=term $(PYTEST_ARGS) || failed=1; \
+	$(BIN)/python deploy/check-newcomer || failed=1; \
 	$(MAKE) --no-print-directory trials || failed=1; \
 	exit $$failed
 	@echo "longer still, by hand, each with --help: sim-bridge series, day, cross;"
@@ -71,6 +72,12 @@ wheel-check:  ## build the wheel and run it outside the checkout, on every Pytho
 
 install-check:  ## deploy/install in a clean Debian root (needs root, debootstrap, a package index)
 	@deploy/check-install
+
+image-check:  ## build and run deploy/Containerfile on a clean Debian root (root, buildah, debootstrap)
+	@deploy/check-containers
+
+newcomer-check: $(VENV)/.test  ## README's commands in a fresh clone, the map looked at, timed
+	@$(BIN)/python deploy/check-newcomer
 
 docs: $(VENV)/.docs  ## the site, offline, every warning an error: build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

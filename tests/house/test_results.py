@@ -22,6 +22,7 @@ from sim_bridge.research.result_pages.page import DATA, OUT, CommandOutput, Page
 from sim_bridge.research.result_pages.registry import PAGES
 
 COMMANDS = [(page.name, command) for page in PAGES for command in page.commands]
+ROOT = Path(__file__).parents[2]
 PRINTS = "print('# A sheet\\n\\n| a | b |\\n| --- | --- |\\n| 1 | 2 |\\n\\nA note.')"
 DRAWS = "import pathlib, sys; pathlib.Path(sys.argv[1], 'p.png').write_bytes(b'PNG')"
 
@@ -52,10 +53,21 @@ def parsed(words: list[str]) -> None:
     command.make_context(words[-1], left)
 
 
+def taken_by_a_script(argv: tuple[str, ...]) -> None:
+    """Let a script of the checkout say what it would do with these words."""
+    words = [sys.executable, str(ROOT / argv[0]), *argv[1:], "--list"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
 def test_the_program_takes_each_command_of_the_registry(page: str, command: PageCommand) -> None:
-    assert command.argv[0] in PROGRAMS
     assert command.draws, f"{page}: says nothing of its seed"
+    if command.argv[0].startswith("deploy/"):
+        taken_by_a_script(command.argv)
+        return
+    assert command.argv[0] in PROGRAMS
     parsed([word.replace(OUT, "out").replace(DATA, "data") for word in command.argv])
 
 
@@ -64,6 +76,8 @@ def test_a_command_that_is_spelt_wrong_is_noticed() -> None:
         parsed(["sim-bridge", "flie"])
     with pytest.raises(Exception, match=r"(?i)no such option.*--sead"):
         parsed(["sim-bridge", "fly", "--sead", "1"])
+    with pytest.raises(AssertionError, match="unrecognized arguments: --jason"):
+        taken_by_a_script(("deploy/measure-sizes", "--jason", "out.json"))
 
 
 def test_pages_have_names_of_their_own_and_say_what_they_need() -> None:
@@ -190,17 +204,24 @@ def test_what_commands_write_as_json_becomes_markdown(tmp_path: Path) -> None:
     near = {"who": ["d1", "d2"], "separations": 1.5, "horizontal_m": 9.0, "vertical_m": 0.5}
     row = {"seed": 3, "kept": True, "nearest": near | {"t_s": 50.0}, "flights": [flight, flight]}
     time = {"p50": 1.0, "p99": 2.0, "max": 3.0}
+    size = {"install": "pip install .", "held_gb": 0.456, "map_assets_mb": 1.71}
+    wheels = {"install": "pip install .", "python": "3.11", "wheels": 30, "why": "No matching x"}
     speed = {"what": "px4", "values": [28.9], "unit": "x", "goal": ">= 20"}
     for name, content in (
         ("cross.json", {"crossings": [row, row | {"kept": False}]}),
         ("dispatch.json", {"vehicles": 100, "of it on the network": time}),
         ("bench.json", {"rows": [speed]}),
+        ("sizes.json", {"python": "Python 3.11", "sizes": [size, size | {"map_assets_mb": 0.0}]}),
+        ("wheels.json", {"rows": [wheels, wheels | {"python": "3.12", "wheels": None}]}),
     ):
         (tmp_path / name).write_text(json.dumps(content))
     assert "separation broken, seeds 3" in tables.crossings(done)
     assert "- seed 3: BROKEN, 1.50 separations: d1 and d2" in tables.crossings(done)
     assert "| of it on the network | 1.0 | 2.0 | 3.0 |" in tables.dispatch(done)
     assert "| px4 | 28.9 x | >= 20 |" in tables.speeds(done)
+    assert "| `pip install .` | 0.46 | 1.7 |" in tables.sizes(done)
+    assert "| `pip install .` | 0.46 | not fetched |" in tables.sizes(done)
+    assert "| `pip install .` | 30 wheels | No matching x |" in tables.arm_wheels(done)
 
 
 def test_a_sheet_goes_one_level_down() -> None:

@@ -19,9 +19,11 @@ from ground_station.core.planning.day_planner import (
     PlanParams,
     day_problem,
     plan_day,
+    road_searched_plans,
     tried_plans,
 )
 from ground_station.core.planning.forward_pass import TriedPlan
+from ground_station.core.planning.plan_bound import PlanBound, plan_bound
 from ground_station.core.schema.day import Day, Depot, Drone, Forecast, Truck
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -123,26 +125,57 @@ def bench_day(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class DayPromises:
+    """Each plan that the search found with what became of it, the one that is kept, what a long
+    search on driven plans found; and what no plan can beat.
+    """
+
+    day: str
+    seed: int
+    plans: list[TriedPlan]
+    bound: PlanBound
+
+
 def bench_promises(
-    data: DayData, params: PlanParams, tell: Callable[[float, float], None]
-) -> tuple[list[TriedPlan], DayPlan]:
-    """Each plan that the search found with what became of it, and the plan that is kept."""
+    data: DayData, params: PlanParams, drives: int, tell: Callable[[float, float], None]
+) -> DayPromises:
+    """Plan the day; `drives`: of the long search, from each plan that was found; 0: none."""
     start = first_state(data)
-    return list(tried_plans(data, start, params, tell)), plan_day(data, start, params)
+    plans = [*tried_plans(data, start, params, tell), _kept(plan_day(data, start, params))]
+    if drives:
+        plans += road_searched_plans(data, start, params, drives, tell)
+    return DayPromises(data.day.name, params.seed, plans, plan_bound(day_problem(data, start)))
 
 
-def print_promises(console: Console, tried: list[TriedPlan], kept: DayPlan) -> None:
-    """Promised and driven makespans; the last row is the plan that is kept, after its polish."""
-    table = Table(title=f"{kept.day}, seed {kept.seed}: makespan, s", title_justify="left")
+def _kept(plan: DayPlan) -> TriedPlan:
+    """The plan that is kept, after its polish."""
+    stops = len({sortie.launch for sortie in plan.sorties})
+    elsewhere = sum(sortie.launch != sortie.home for sortie in plan.sorties)
+    lost = len(plan.unplanned)
+    return TriedPlan("kept, polished", None, plan.makespan_s, stops, elsewhere, None, lost)
+
+
+def print_promises(console: Console, found: DayPromises) -> None:
+    """Promised and driven makespans, and the bound."""
+    title = f"{found.day}, seed {found.seed}: makespan, s"
+    table = Table(title=title, title_justify="left")
     for name in ("plan", "promised", "driven", "launch stops", "elsewhere", "moved"):
         table.add_column(name, justify="left" if name == "plan" else "right")
-    for one in tried:
-        figures = (f"{one.promised_s:.0f}", f"{one.driven_s:.0f}")
-        table.add_row(one.name, *figures, *map(str, (one.launch_stops, one.elsewhere, one.moved)))
-    stops = len({sortie.launch for sortie in kept.sorties})
-    elsewhere = sum(sortie.launch != sortie.home for sortie in kept.sorties)
-    table.add_row("kept, polished", "", f"{kept.makespan_s:.0f}", str(stops), str(elsewhere), "")
+    for one in found.plans:
+        promised = "" if one.promised_s is None else f"{one.promised_s:.0f}"
+        lost = f", {one.lost} lost" if one.lost else ""
+        moved = "" if one.moved is None else str(one.moved)
+        counts = (str(one.launch_stops), str(one.elsewhere), moved)
+        table.add_row(one.name, promised, f"{one.driven_s:.0f}{lost}", *counts)
     console.print(table)
+    bound = found.bound
+    console.print(
+        f"no plan takes less than {bound.makespan_s:.0f} s: the driver's work"
+        f" {bound.driver_work_s:.0f} s, the way past {bound.forced_stops} places only for the"
+        f" truck {bound.way_s:.0f} s (the drones alone: {bound.fleet_s:.0f} s)",
+        highlight=False,
+    )
 
 
 def print_day(console: Console, params: DayParams, found: DayResult) -> None:

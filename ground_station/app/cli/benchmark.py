@@ -1,6 +1,7 @@
 """`ground-station benchmark`: the planner against published results, and its speed."""
 
 import json
+from dataclasses import asdict
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ground_station.app.benchmarks.mfstsp_bench import BenchParams, BenchRow, Row, RowJournal
+    from ground_station.core.planning.day_planner import PlanParams
 
 benchmark = typer.Typer(no_args_is_help=True, help="The planner against published results.")
 POLICIES = ("search", "dynamic-assignment")
@@ -270,13 +272,25 @@ def day_plan(
         str | None,
         typer.Option(
             help="A day instead of a random one (a day/1 TOML file, or a bundled day's name): for"
-            " each plan that the search found, its promised and its driven makespan."
+            " each plan that the search found, its promised and its driven makespan, and a time"
+            " that no plan can beat."
         ),
     ] = None,
     customers: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 200,
     drones: Annotated[int, typer.Option(min=1, help="Drones on the truck.")] = 8,
     trials: Annotated[
         int | None, typer.Option(min=1, help="Trials of the search. Default: by the day's size.")
+    ] = None,
+    drives: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="With --day: a long search on driven plans with any stops, so many drives from"
+            " each plan that the search found.",
+        ),
+    ] = 0,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="With --day: write what is found here as JSON.")
     ] = None,
     wind_mps: Annotated[float, typer.Option(min=0.0, help="Wind, m/s, from the west.")] = 5.0,
     seed: Annotated[int, typer.Option(help="Seed of the day.")] = 0,
@@ -288,6 +302,7 @@ def day_plan(
 
     ground-station benchmark day-plan --customers 1000
     ground-station benchmark day-plan --day town
+    ground-station benchmark day-plan --day town --drives 4000
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -299,34 +314,41 @@ def day_plan(
         console.print("first run: compiling the planner, some 20 s", highlight=False)
     from ground_station.app.benchmarks.day_bench import DayParams, bench_day, drawn_day, print_day
     from ground_station.app.pictures.day_picture import draw_day_plan
+    from ground_station.core.planning.day_planner import PlanParams
 
     if day is not None:
-        _print_promises(console, day, trials, seed)
+        params = PlanParams(trials=trials, seed=seed)
+        _print_promises(console, day, params, drives, json_out)
         return
-    params = DayParams(customers, drones, wind_mps, seed)
+    drawn = DayParams(customers, drones, wind_mps, seed)
     with Progress(TextColumn("{task.description}"), BarColumn(), console=console) as progress:
         bar = progress.add_task("planning", total=1.0)
         found = bench_day(
-            params,
+            drawn,
             trials,
             lambda frac, best_s: progress.update(
                 bar, completed=frac, description=f"best {best_s:.0f} s"
             ),
         )
-    print_day(console, params, found)
+    print_day(console, drawn, found)
     if picture is not None:
-        draw_day_plan(drawn_day(params), found.search, picture)
+        draw_day_plan(drawn_day(drawn), found.search, picture)
         console.print(f"{picture}: the default policy's plan", highlight=False)
 
 
-def _print_promises(console: "Console", day: str, trials: int | None, seed: int) -> None:
+def _print_promises(
+    console: "Console", day: str, params: "PlanParams", drives: int, json_out: Path | None
+) -> None:
     from ground_station.app.benchmarks.day_bench import bench_promises, print_promises
     from ground_station.app.cli.options import open_day
-    from ground_station.core.planning.day_planner import PlanParams
 
-    params = PlanParams(trials=trials, seed=seed)
     with console.status("planning") as status:
         found = bench_promises(
-            open_day(day), params, lambda frac, best_s: status.update(f"best {best_s:.0f} s")
+            open_day(day),
+            params,
+            drives,
+            lambda frac, best_s: status.update(f"best {best_s:.0f} s"),
         )
-    print_promises(console, *found)
+    print_promises(console, found)
+    if json_out is not None:
+        json_out.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")

@@ -13,12 +13,14 @@ from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
+from ground_station.core.planning.driven_search import RoadPlan, searched_on_the_road
 from ground_station.core.planning.forecast_check import Priced, forbidden, grounded, slot_priced
 from ground_station.core.planning.forward_pass import (
     ForwardPass,
     ForwardSchedule,
     TriedPlan,
     polished,
+    tried_plan,
 )
 from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder, SortieRequest
 from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
@@ -84,6 +86,13 @@ def tried_plans(
     yield from _DayPlanner(data, start, params, tell).tried()
 
 
+def road_searched_plans(
+    data: DayData, start: DayState, params: PlanParams, drives: int, tell: Tell
+) -> Iterator[TriedPlan]:
+    """A long search on the driven plan, from each plan that the planner chooses from."""
+    yield from _DayPlanner(data, start, params, tell).on_the_road(drives)
+
+
 def day_problem(data: DayData, start: DayState) -> TruckAndDrones:
     """The truck-and-drones problem of the policies, without layers."""
     planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
@@ -119,19 +128,22 @@ class _DayPlanner:
         nodes = self.nodes()
         drive = self._drive(nodes)
         for problem, plan in self._plans(nodes):
-            planned = {wish.customer: wish.launch for wish in drive.wished(problem, plan)[1]}
-            _, _, driven = self._repaired(nodes, drive, problem, plan)
-            wishes = [slot.wish for slot in driven.slots]
-            homes = "where launched" if problem.loops_only else "anywhere"
-            layers = "free" if problem.air is None else "priced"
-            yield TriedPlan(
-                f"homes {homes}, layers {layers}",
-                schedule_of(problem, plan).makespan_s,
-                driven.makespan_s,
-                len({wish.launch for wish in wishes}),
-                sum(wish.launch != wish.meet for wish in wishes),
-                sum(planned[wish.customer] != wish.launch for wish in wishes),
+            wished = drive.wished(problem, plan)[1]
+            driven = self._repaired(nodes, drive, problem, plan)[2]
+            promised_s = schedule_of(problem, plan).makespan_s
+            yield tried_plan(_plan_name(problem), promised_s, wished, driven)
+
+    def on_the_road(self, drives: int) -> Iterator[TriedPlan]:
+        nodes = self.nodes()
+        drive = self._drive(nodes)
+        for number, (problem, plan) in enumerate(list(self._plans(nodes))):
+            route, wishes, _ = self._repaired(nodes, drive, problem, plan)
+            rng = np.random.default_rng([self._params.seed, number])
+            start = RoadPlan(tuple(route), tuple(wishes))
+            best, driven = searched_on_the_road(
+                drive, nodes.problem, start, rng, drives, self._tell
             )
+            yield tried_plan(f"driven anew: {_plan_name(problem)}", None, best.wishes, driven)
 
     def _driven(self, nodes: DayProblem) -> ForwardSchedule:
         """The best of the policy's plans, after the forward pass."""
@@ -376,6 +388,11 @@ class _DayPlanner:
             usable_wh=priced.usable_wh,
             others=self._others(nodes, driven, slot, ids),
         )
+
+
+def _plan_name(problem: TruckAndDrones) -> str:
+    homes = "where launched" if problem.loops_only else "anywhere"
+    return f"homes {homes}, layers {'free' if problem.air is None else 'priced'}"
 
 
 def _worth(driven: ForwardSchedule) -> tuple[int, float]:

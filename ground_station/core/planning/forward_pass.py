@@ -7,6 +7,7 @@ is blocked by a drone on its way to a later stop goes to the next stop itself: t
 for that drone here.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -39,18 +40,37 @@ class ForwardSchedule:
 
 @dataclass(frozen=True, slots=True)
 class TriedPlan:
-    """One of the search's plans: the makespan that its prices promise, and as it is driven.
+    """One of the search's plans: the makespan that its prices promise (None: they made no plan of
+    it), and as it is driven.
 
     `elsewhere`: sorties that land at another stop than they took off from. `moved`: launches that
-    the forward pass put off to another stop than was planned.
+    the forward pass put off to another stop than was planned. `lost`: orders without a launch.
     """
 
     name: str
-    promised_s: float
+    promised_s: float | None
     driven_s: float
     launch_stops: int
     elsewhere: int
-    moved: int
+    moved: int | None
+    lost: int
+
+
+def tried_plan(
+    name: str, promised_s: float | None, wished: Iterable[SortieRequest], driven: ForwardSchedule
+) -> TriedPlan:
+    """What became of these sorties on the road."""
+    planned = {wish.customer: wish.launch for wish in wished}
+    wishes = [slot.wish for slot in driven.slots]
+    return TriedPlan(
+        name,
+        promised_s,
+        driven.makespan_s,
+        len({wish.launch for wish in wishes}),
+        sum(wish.launch != wish.meet for wish in wishes),
+        sum(planned[wish.customer] != wish.launch for wish in wishes),
+        len(driven.lost),
+    )
 
 
 POLISH_DRIVES = 50

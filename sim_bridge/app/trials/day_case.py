@@ -13,6 +13,9 @@ from ground_station.core.schema.order_states import Service
 from sim_bridge.app.day.faults import AUTOPILOTS, CUT_S, MEMBER_CUT_S, DayWish
 
 SITES = ("harbour", "town")
+FAR_SITE, FAR_SHARE = "villages", 0.25
+"""No stop reaches all of its orders, and no drone from the depot: days with a truck only."""
+
 SQLITE, POSTGRESQL = STORES = ("sqlite", "postgresql")
 MOST_VEHICLES = 6
 MOST_ORDERS_EACH = 4
@@ -89,10 +92,12 @@ def drawn(
     most_vehicles: int = MOST_VEHICLES,
     most_orders_each: int = MOST_ORDERS_EACH,
     least_orders: int = 1,
+    truck: bool | None = None,
 ) -> DayCase:
     """The case of this number, of a trial with this seed; smaller days where bounds say so.
 
-    What is new is drawn last, so that the same number stays the same day in all else.
+    `truck`: with one or without; None: drawn too. What is new is drawn last, so that the same
+    number stays the same day in all else.
     """
     rng = np.random.default_rng([seed, number])
     site = str(rng.choice(SITES))
@@ -100,7 +105,7 @@ def drawn(
     known = [order.id for order in read_day(path_of(site)).orders]
     most = min(most_orders_each * vehicles, len(known))
     count = int(rng.integers(min(least_orders, most), most + 1))
-    return DayCase(
+    case = DayCase(
         seed=1000 * seed + number,
         site=site,
         autopilots=tuple(map(str, rng.choice(AUTOPILOTS, vehicles))),
@@ -122,6 +127,17 @@ def drawn(
         store_outages=int(rng.integers(0, 3)),
         member_cuts=int(rng.integers(0, 3)),
     )
+    if truck is not None:
+        case = msgspec.structs.replace(case, truck=truck)
+    return _at_the_far_site(case, rng) if case.truck and rng.random() < FAR_SHARE else case
+
+
+def _at_the_far_site(case: DayCase, rng: np.random.Generator) -> DayCase:
+    """As many of the orders of that site."""
+    known = [order.id for order in read_day(path_of(FAR_SITE)).orders]
+    chosen = rng.choice(known, min(len(case.orders), len(known)), replace=False)
+    orders = tuple(sorted(map(str, chosen)))
+    return msgspec.structs.replace(case, site=FAR_SITE, orders=orders)
 
 
 def with_all_faults(case: DayCase) -> DayCase:

@@ -154,9 +154,8 @@ class DayDraw:
 
     def _drawn(self, number: int) -> DayCase:
         least = LEAST_ORDERS_FOR_ALL if self.all_faults else 1
-        case = drawn(self.seed, number, self.most_vehicles, self.most_orders_each, least)
-        if self.truck is not None:
-            case = msgspec.structs.replace(case, truck=self.truck)
+        bounds = (self.most_vehicles, self.most_orders_each, least)
+        case = drawn(self.seed, number, *bounds, truck=self.truck)
         return with_all_faults(case) if self.all_faults else case
 
 

@@ -325,6 +325,27 @@ PAGES = (
         needs=("mfstsp",),
     ),
     Page(
+        "stops",
+        "One stop or several",
+        "Where the drones of a day are launched and met: the plans that the search found, the one"
+        " that is kept, a long search on driven plans with any stops, and a bound.",
+        (
+            PageCommand(
+                ("ground-station", "benchmark", "day-plan", "--day", "town", "--seed", "0",
+                 "--drives", "250", "--json", f"{OUT}/town.json"),
+                show=tables.stops_of_the_town,
+                title="The town",
+            ),
+            PageCommand(
+                ("ground-station", "benchmark", "day-plan", "--day", "villages", "--seed", "0",
+                 "--drives", "100", "--json", f"{OUT}/villages.json"),
+                show=tables.stops_of_the_villages,
+                title="Villages",
+            ),
+        ),
+        8.0,
+    ),
+    Page(
         "tspd",
         "One truck, one drone",
         "Costs on instances of Agatz, Bouman and Schmidt against proven optima, and against means"
@@ -424,6 +445,27 @@ PAGES = (
                    "--faults"),
         ),
         14.0,
+    ),
+    Page(
+        "install",
+        "What an install takes",
+        "What each install adds to an empty environment, and whether all of it comes as wheels for"
+        " 64 bit ARM, so that nothing is compiled on a Raspberry Pi.",
+        (
+            PageCommand(
+                ("deploy/measure-sizes", "--json", f"{OUT}/sizes.json"),
+                NOTHING_DRAWN,
+                tables.sizes,
+                "On disk",
+            ),
+            PageCommand(
+                ("deploy/check-arm-wheels", "--json", f"{OUT}/wheels.json"),
+                NOTHING_DRAWN,
+                tables.arm_wheels,
+                "Wheels for 64 bit ARM",
+            ),
+        ),
+        10.0,
     ),
     Page(
         "speed-and-size",

@@ -2,6 +2,8 @@
 
 import json
 
+import msgspec
+
 from sim_bridge.research.result_pages.markdown import MarkdownConsole, plain, table_markdown
 from sim_bridge.research.result_pages.page import DATA, CommandOutput
 
@@ -154,6 +156,50 @@ def start_of_a_day(done: CommandOutput) -> str:
     lines = ["| what | s |", "| --- | --- |", *(f"| {what} | {s:.1f} |" for what, s in rows)]
     words = f"{figures['assigned']} of {figures['drones']} drones had an order"
     return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])
+
+
+def stops_of_the_town(done: CommandOutput) -> str:
+    """Of `ground-station benchmark day-plan --day town --json {out}/town.json`."""
+    return _stops(done, "town.json")
+
+
+def stops_of_the_villages(done: CommandOutput) -> str:
+    """Of `ground-station benchmark day-plan --day villages --json {out}/villages.json`."""
+    return _stops(done, "villages.json")
+
+
+def _stops(done: CommandOutput, name: str) -> str:
+    from ground_station.app.benchmarks.day_bench import DayPromises, print_promises
+
+    console = MarkdownConsole()
+    print_promises(console, msgspec.convert(done.json(name), DayPromises))
+    return console.markdown
+
+
+def sizes(done: CommandOutput) -> str:
+    """Of `deploy/measure-sizes --json {out}/sizes.json`."""
+    figures = done.json("sizes.json")
+    lines = ["| install | GB | what draws the map, of it, MB |", "| --- | --- | --- |"]
+    for row in figures["sizes"]:
+        assets = f"{row['map_assets_mb']:.1f}" if row["map_assets_mb"] else "not fetched"
+        lines.append(f"| `{row['install']}` | {row['held_gb']:.2f} | {assets} |")
+    return "\n".join([*lines, "", f"{figures['python']}. GB: 1,000,000,000 bytes."])
+
+
+def arm_wheels(done: CommandOutput) -> str:
+    """Of `deploy/check-arm-wheels --json {out}/wheels.json`: wheels by install and Python."""
+    rows = done.json("wheels.json")["rows"]
+    pythons = list(dict.fromkeys(row["python"] for row in rows))
+    lines = [f"| install | {' | '.join(f'Python {python}' for python in pythons)} |"]
+    lines.append(f"| --- |{' --- |' * len(pythons)}")
+    for install in dict.fromkeys(row["install"] for row in rows):
+        cells = [_wheels(row) for row in rows if row["install"] == install]
+        lines.append(f"| `{install}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _wheels(row: dict[str, str | int | None]) -> str:
+    return plain(str(row["why"])) if row["wheels"] is None else f"{row['wheels']} wheels"
 
 
 MAP_GOAL = "> 20"

@@ -143,6 +143,18 @@ def test_each_day_is_flown_on_each_store_and_with_all_faults_none_is_missing():
         assert case.least_cut_s > 60.0
 
 
+def test_days_of_villages_are_drawn_with_a_truck_and_change_no_other_day():
+    cases = [day_case.drawn(5, number) for number in range(40)]
+    far = [case for case in cases if case.site == day_case.FAR_SITE]
+    assert 2 <= len(far) <= 12
+    assert all(case.truck for case in far)
+    forced = [day_case.drawn(5, number, truck=False) for number in range(40)]
+    assert day_case.FAR_SITE not in {case.site for case in forced}
+    for case, depot in zip(cases, forced, strict=True):
+        assert case.autopilots == depot.autopilots
+        assert case.member_cuts == depot.member_cuts
+
+
 def test_both_days_with_a_truck_and_days_without_are_drawn():
     assert {case.truck for case in itertools.islice(days.DayDraw(1).cases(), 9)} == {True, False}
 

@@ -1,0 +1,127 @@
+"""A day's sorties as files, each opened by a reader of the tool that it is for: pads and customer
+are those of plan and orders.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import gpxpy
+import msgspec
+import pytest
+import shapely
+from fastkml import KML
+
+from companion.core.exports.export_format import ExportFormat
+from ground_station.adapters.files.day_files import read_day
+from ground_station.app.planning.sortie_missions import write_missions
+from ground_station.core.planning.day_planner import PlanParams, plan_day
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.day_state import first_state
+
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
+VILLAGES = Path(__file__).parents[3] / "params" / "days" / "villages.toml"
+EXACT_DEG = 2e-6
+"""A fifth of a metre: what coordinates of seven digits and a pad's survey come to."""
+
+LatLon = tuple[float, float]
+READ_WPL = """
+import json, sys
+from pymavlink import mavwp
+loader = mavwp.MAVWPLoader()
+loader.load(sys.argv[1])
+print(json.dumps([[loader.wp(k).command, loader.wp(k).x, loader.wp(k).y]
+                  for k in range(loader.count())]))
+"""
+WAYPOINT, LAND = 16, 21
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a reader finds: where the mission starts, whom it passes, and where it may land."""
+
+    start: LatLon
+    passed: list[LatLon]
+    landings: list[LatLon]
+
+
+@pytest.fixture(scope="module")
+def planned() -> tuple[DayData, DayPlan]:
+    data = read_day(VILLAGES)
+    plan = plan_day(data, first_state(data), PlanParams(trials=600))
+    elsewhere_first = sorted(plan.sorties, key=lambda sortie: sortie.launch == sortie.home)
+    assert elsewhere_first[0].launch != elsewhere_first[0].home
+    return data, msgspec.structs.replace(plan, sorties=elsewhere_first[:3])
+
+
+def by_gpxpy(path: Path) -> Read:
+    document = gpxpy.parse(path.read_text())
+    out, home = document.routes
+    customers = [mark for mark in document.waypoints if mark.type == "customer"]
+    start, *passed, end = (
+        (at.latitude, at.longitude) for at in (out.points[0], *customers, home.points[-1])
+    )
+    return Read(start, passed, [end])
+
+
+def by_fastkml(path: Path) -> Read:
+    (document,) = KML.parse(BytesIO(path.read_bytes())).features
+    shapes = {mark.name: mark.geometry for mark in document.features}
+    start, end = shapes["outbound"].coords[0], shapes["homeward"].coords[-1]
+    points = [(shape.y, shape.x) for shape in shapes.values() if shape.geom_type == "Point"]
+    return Read((start[1], start[0]), points, [(end[1], end[0])])
+
+
+def by_shapely(path: Path) -> Read:
+    found: dict[str, shapely.Geometry] = {}
+    for feature in json.loads(path.read_text())["features"]:
+        shape = shapely.geometry.shape(feature["geometry"])
+        kind = feature["properties"]["kind"]
+        found["customer" if kind == "customer" else feature["properties"]["name"]] = shape
+        if shape.geom_type == "Polygon":
+            assert shape.exterior.is_ccw, "RFC 7946, 3.1.6: outlines run counterclockwise"
+    ends = (found["outbound"].coords[0], found["customer"].coords[0], found["homeward"].coords[-1])
+    start, customer, end = ((at[1], at[0]) for at in ends)
+    return Read(start, [customer], [end])
+
+
+def by_mavproxys_loader(path: Path) -> Read:
+    words = [sys.executable, "-c", READ_WPL, str(path)]
+    done = subprocess.run(words, env=os.environ | {"MAVLINK20": "1"}, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    (_, *home), *items = json.loads(done.stdout)
+    passed = [(x, y) for command, x, y in items if command == WAYPOINT]
+    landings = [(x, y) for command, x, y in items if command == LAND]
+    return Read((home[0], home[1]), passed, landings)
+
+
+READERS = {
+    ExportFormat.GPX: by_gpxpy,
+    ExportFormat.KML: by_fastkml,
+    ExportFormat.GEOJSON: by_shapely,
+    ExportFormat.WPL: by_mavproxys_loader,
+}
+
+
+@pytest.mark.parametrize("file_format", READERS)
+def test_each_sorties_file_begins_at_its_pad_and_ends_at_the_pad_of_its_home(
+    planned: tuple[DayData, DayPlan], tmp_path: Path, file_format: ExportFormat
+) -> None:
+    data, plan = planned
+    assert write_missions(data, plan, tmp_path, file_format) == len(plan.sorties)
+    orders = {order.id: (order.lat_deg, order.lon_deg) for order in data.orders}
+    for sortie in plan.sorties:
+        found = READERS[file_format](tmp_path / f"{sortie.order}{file_format.suffix}")
+        pad, home = (
+            pytest.approx((at.lat_deg, at.lon_deg), abs=EXACT_DEG)
+            for at in (plan.stop(id_).pads[sortie.vehicle] for id_ in (sortie.launch, sortie.home))
+        )
+        assert found.start == pad, sortie.order
+        assert home in found.landings, sortie.order
+        assert pytest.approx(orders[sortie.order], abs=EXACT_DEG) in found.passed, sortie.order
