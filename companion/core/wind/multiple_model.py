@@ -55,6 +55,13 @@ class Airs:
         """Before anything is seen."""
         return cls(WindState(airframe, params), WindState(airframe, params))
 
+    def copy(self) -> "Airs":
+        """An independent copy: the same airs for filters that hear more."""
+        calm = None if self.calm is None else self.calm.copy()
+        other = Airs(self.usual.copy(), calm, self.chance_calm)
+        other._noise = self._noise
+        return other
+
     @property
     def states(self) -> tuple[WindState, ...]:
         """The filters there are: the usual one, and the calm one where it may be calm."""
