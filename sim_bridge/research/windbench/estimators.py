@@ -28,11 +28,16 @@ from sim_bridge.research.wind.rival_filters import (
     replayed,
     tuned,
 )
+from sim_bridge.research.windbench.ablation import ABLATIONS, without
 from sim_bridge.research.windbench.flights import BenchFlight
 
 OURS = "Leeway"
 CONSTANT = "best constant wind of each flight (hindsight)"
 STILL = "still air (ground speed as airspeed)"
+
+
+BOARD, STATES, COLD_STARTS = "board", "states", "cold-starts"
+STUDIES = (BOARD, STATES, COLD_STARTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +67,19 @@ def estimators(own: tuple[str, ...] = ()) -> dict[str, Estimate]:
             raise LeewayError(f"--estimator {words}: stands there twice")
         found[words] = _replayed(_class_of(words))
     return found
+
+
+def in_study(study: str, own: tuple[str, ...] = ()) -> dict[str, Estimate]:
+    """Who takes part in one of STUDIES; `own` as in `estimators`. LeewayError: no such study."""
+    if study == STATES:
+        found = {OURS: _replayed(WindEstimator)}
+        return found | {name: _replayed(without(name)) for name in ABLATIONS}
+    if study == COLD_STARTS:
+        everybody = estimators(own)
+        return {name: everybody[name] for name in (OURS, REFERENCE, PX4_DEFAULT, *own)}
+    if study == BOARD:
+        return estimators(own)
+    raise LeewayError(f"--study {study}: expected one of {', '.join(STUDIES)}")
 
 
 def _class_of(words: str) -> Callable[[Airframe], WindFilter]:
