@@ -86,8 +86,9 @@ def standing(name: str, rows: Sequence[Scored]) -> Standing:
 
 @dataclass(frozen=True, slots=True)
 class ScoreDifference:
-    """Score of one estimator less another's, m/s, and its 95 % interval by days."""
+    """Score of one estimator less another's, m/s, and its 95 % interval over so many days."""
 
+    days: int
     mean_mps: float
     low_mps: float
     high_mps: float
@@ -104,6 +105,7 @@ def difference(rows: Sequence[Scored], than: Sequence[Scored]) -> ScoreDifferenc
     drawn = rng.integers(0, len(keys), (DRAWS, len(keys)))
     apart = np.sqrt(ours[drawn].mean(axis=1)) - np.sqrt(theirs[drawn].mean(axis=1))
     return ScoreDifference(
+        len(keys),
         math.sqrt(float(ours.mean())) - math.sqrt(float(theirs.mean())),
         float(np.percentile(apart, 2.5)),
         float(np.percentile(apart, 97.5)),

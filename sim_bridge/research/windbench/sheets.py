@@ -6,7 +6,9 @@ import numpy as np
 
 from sim_bridge.research.results.sheet import Sheet
 from sim_bridge.research.windbench.score import (
+    LEAST_DAYS,
     Scored,
+    ScoreDifference,
     Standing,
     difference,
     flight_errors_mps,
@@ -54,7 +56,7 @@ def states_sheet(rows: Mapping[str, Sequence[Scored]], whole: str) -> Sheet:
                 "" if one.vector_mps is None else f"{one.vector_mps:.2f}",
                 "" if name == whole else f"{apart.mean_mps:+.3f}",
                 "" if name == whole else f"{apart.low_mps:+.3f} to {apart.high_mps:+.3f}",
-                "" if name == whole else _verdict(apart.low_mps, apart.high_mps),
+                "" if name == whole else _verdict(apart),
             ]
         )
     return Sheet(
@@ -67,10 +69,12 @@ def states_sheet(rows: Mapping[str, Sequence[Scored]], whole: str) -> Sheet:
     )  # fmt: skip
 
 
-def _verdict(low_mps: float, high_mps: float) -> str:
-    if low_mps > 0.0:
+def _verdict(apart: ScoreDifference) -> str:
+    if apart.days < LEAST_DAYS:
+        return "1 day tells nothing" if apart.days == 1 else f"{apart.days} days tell nothing"
+    if apart.low_mps > 0.0:
         return "earns its place"
-    return "harms" if high_mps < 0.0 else "makes no difference that shows"
+    return "harms" if apart.high_mps < 0.0 else "makes no difference that shows"
 
 
 def cold_starts_sheet(rows: Mapping[str, Sequence[Scored]]) -> Sheet:
