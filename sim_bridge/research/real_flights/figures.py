@@ -10,6 +10,7 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from sim_bridge.research.real_flights.comparison import Comparison, compared
 from sim_bridge.research.real_flights.fold import FoldResult, JudgedEnergy, JudgedFlight
+from sim_bridge.research.real_flights.leg_errors import LegErrors, leg_errors
 from sim_bridge.research.real_flights.wind_replay import AirspeedMean
 from sim_bridge.research.real_flights.wind_rivals import WIND_RIVALS
 
@@ -79,6 +80,7 @@ class RealFlights(msgspec.Struct, frozen=True):
     rivals: dict[str, float]
     energy_rivals: list[Comparison]
     wind_rivals: list[Comparison]
+    leg_errors: list[LegErrors]
     fitted: list[dict[str, Any]]
     flights: list[dict[str, Any]]
     words: list[str]
@@ -97,6 +99,7 @@ def figures(folds: Sequence[FoldResult], words: Sequence[str]) -> RealFlights:
         rivals=rival_errors(flights),
         energy_rivals=energy_comparisons(flights),
         wind_rivals=wind_comparisons(flights),
+        leg_errors=leg_errors(flights),
         fitted=[_fitted(fold) for fold in folds],
         flights=[_row(flight) for flight in flights],
         words=[*words, *said],

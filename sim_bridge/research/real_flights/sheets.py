@@ -23,6 +23,7 @@ def sheets_of(found: RealFlights) -> list[tuple[str, Sheet]]:
         ("rivals", rivals_sheet(found)),
         ("wind", wind_sheet(found)),
         ("wind_rivals", wind_rivals_sheet(found)),
+        ("leg_errors", leg_errors_sheet(found)),
         ("days", days_sheet(found)),
         ("fitted", fitted_sheet(found)),
     ]
@@ -114,6 +115,18 @@ def wind_rivals_sheet(found: RealFlights) -> Sheet:
         " anemometer's scale is learned from its own beliefs on the fitting days. Below nought ours"
         f" errs less. {_behind(found.wind_rivals)}",
     )  # fmt: skip
+
+
+def leg_errors_sheet(found: RealFlights) -> Sheet:
+    """Where the error on legs comes from, and what hindsight would leave."""
+    return Sheet(
+        "What the error on legs is made of",
+        ("legs", "number", "m/s RMS"),
+        [[one.of, str(one.legs), f"{one.rmse_mps:.2f}"] for one in found.leg_errors],
+        "By velocity and levelled attitude. The last two rows are known in hindsight only: they are"
+        " what is left to an estimator that knows every constant of the day, or of the flight (its"
+        " drag, its trims, the anemometer's scale and bias), by the degrees of freedom left over.",
+    )
 
 
 def _interval(one: Comparison) -> str:

@@ -22,6 +22,7 @@ from sim_bridge.research.real_flights.figures import (
 )
 from sim_bridge.research.real_flights.fold import JudgedEnergy, JudgedFlight, JudgedWind
 from sim_bridge.research.real_flights.folder import normal_temperature_c, read_folder
+from sim_bridge.research.real_flights.leg_errors import leg_errors
 from sim_bridge.research.real_flights.wind_replay import AirspeedMean, fit_scale
 from sim_bridge.research.real_flights.wind_rivals import STILL, WIND_RIVALS
 
@@ -295,6 +296,30 @@ def test_figures_are_those_by_hand():
     assert set(winds) == set(WIND_RIVALS)
     assert (winds[STILL].ours, winds[STILL].theirs) == (1.0, 3.0)
     assert (winds[STILL].low, winds[STILL].high) == pytest.approx((-2.0, -2.0))
+
+
+def test_leg_errors_fall_apart_into_days_flights_and_fast_air():
+    def flight(date, name, errors, read=8.0):
+        legs = tuple(AirspeedMean(read, read + e, 0.5, 6.0) for e in errors)
+        return replace(
+            judged_flight(date, 1.0, 110.0), name=name, winds={"tilt": JudgedWind(legs, ())}
+        )
+
+    flights = [
+        flight("a", "1", (1.2, 0.8)),
+        flight("a", "2", (0.2, -0.2)),
+        flight("b", "3", (-1.2, -0.8), read=14.0),
+    ]
+    found = {one.of: one for one in leg_errors(flights)}
+    rms = {of: one.rmse_mps for of, one in found.items()}
+    assert rms["all"] == pytest.approx(math.sqrt((2 * 2.08 + 0.08) / 6))
+    assert rms["read over 12 m/s"] == pytest.approx(math.sqrt(1.04))
+    assert found["read at most 12 m/s"].legs == 4
+    # By hand: about each flight's mean every leg is off by 0.2; six legs less three means.
+    assert rms["without the mean error of each flight"] == pytest.approx(math.sqrt(6 * 0.04 / 3))
+    assert rms["without the mean error of each day"] == pytest.approx(
+        math.sqrt((0.7**2 + 0.3**2 + 0.3**2 + 0.7**2 + 2 * 0.04) / 4)
+    )
 
 
 def test_a_rival_is_ahead_only_beyond_what_days_scatter():
