@@ -42,6 +42,14 @@ def calibrate_command(
         bool,
         typer.Option("--allow-priors", help="Write the file even where numbers stay as believed."),
     ] = False,
+    symmetric: Annotated[
+        bool,
+        typer.Option(
+            "--symmetric",
+            help="The airframe looks alike from ahead and from the side: drag to the right is held"
+            " to 5 % of what drag ahead makes of it, instead of 25 %.",
+        ),
+    ] = False,
     json_out: Annotated[Path | None, typer.Option("--json", help="Every figure as JSON.")] = None,
     plots: Annotated[
         Path | None, typer.Option(help="A folder for residual plots (needs matplotlib).")
@@ -63,6 +71,7 @@ def calibrate_command(
             tuple(holdout or ()),
             temperature_c,
             allow_priors,
+            symmetric,
             json_out,
             plots,
         )

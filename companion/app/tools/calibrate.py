@@ -21,7 +21,7 @@ from companion.adapters.logs.flight_table import payload_in_table_kg
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.calibration.airframe_fit import Calibration, HeldOutFlight, calibrate, predict
-from companion.core.calibration.drag import DRAG_KEYS
+from companion.core.calibration.drag import DRAG_KEYS, DragPriors
 from companion.core.calibration.flight import (
     DISCHARGE_CHARGE_FRAC,
     DISCHARGE_HEIGHT_M,
@@ -63,6 +63,7 @@ class CalibrateOptions:
     holdouts: tuple[str, ...]
     temperature_c: float
     allow_priors: bool
+    symmetric: bool
     json_out: Path | None
     plots: Path | None
 
@@ -83,7 +84,10 @@ def run_calibration(o: CalibrateOptions) -> None:
                 for path, load in map(_log_and_load, o.holdouts)
             ]
             flights = [log.blocks for log in read]
-            done = calibrate(flights, start, lambda words: status.update(f"fitting: {words}"))
+            priors = DragPriors.symmetric() if o.symmetric else None
+            done = calibrate(
+                flights, start, lambda words: status.update(f"fitting: {words}"), priors=priors
+            )
             done = _with_phases(done, read)
             unseen = [predict(blocks, done.airframe) for blocks in kept]
         _show(console, done, unseen)

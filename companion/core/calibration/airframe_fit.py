@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from companion.core.calibration.battery import BatteryFit, fit_battery
-from companion.core.calibration.drag import DragFit, fit_drag, see_wind
+from companion.core.calibration.drag import DragFit, DragPriors, fit_drag, see_wind
 from companion.core.calibration.power import (
     VERTICAL_KEY,
     PowerFit,
@@ -83,8 +83,10 @@ def calibrate(
     told: Callable[[str], None] = lambda doing: None,
     *,
     leave_out: bool = True,
+    priors: DragPriors | None = None,
 ) -> Calibration:
     """Fit an airframe to flights; `start` is what is believed before, `told` hears of progress.
+    `priors` of the drag where the usual ones are not meant.
 
     `leave_out`: fit again without each flight, to say how well it is predicted unseen. Without it
     the start's `power_rotor.model_std_frac` stays. The start's `power_flown` does not: tracks tell
@@ -92,7 +94,7 @@ def calibrate(
     """
     start = msgspec.structs.replace(start, power_flown=None)  # it belongs to the start's own power
     told("drag and wind")
-    drag = fit_drag(flights, start)
+    drag = fit_drag(flights, start, priors)
     dragged = with_values(start, drag.values, power_values(start))
     told("power")
     power = fit_power(flights, list(drag.winds), dragged)
@@ -100,7 +102,7 @@ def calibrate(
     battery = fit_battery(flights, start.battery)
     quantities = quantities_of(flights, start, drag, power, battery)
     quantities += trim_quantities(flights, start, drag)
-    holdouts = tuple(_leave_out(flights, start, told)) if leave_out else ()
+    holdouts = tuple(_leave_out(flights, start, told, priors)) if leave_out else ()
     airframe, notes = _assembled(start, drag, power, battery, quantities, holdouts)
     notes = (*notes, *_extrapolated(flights, drag, airframe), *_bladeless(airframe, start.name))
     return Calibration(airframe, drag, power, battery, quantities, holdouts, notes)
@@ -153,7 +155,10 @@ def predict(blocks: Blocks, airframe: Airframe) -> HeldOutFlight:
 
 
 def _leave_out(
-    flights: list[Blocks], start: Airframe, told: Callable[[str], None]
+    flights: list[Blocks],
+    start: Airframe,
+    told: Callable[[str], None],
+    priors: DragPriors | None,
 ) -> list[HeldOutFlight]:
     """Each flight predicted from the others; of a single one, its last third from the rest."""
     if len(flights) == 1:
@@ -162,17 +167,17 @@ def _leave_out(
         split = flights[0].t_s[whole[2 * len(whole) // 3]]
         early = flights[0].pick(flights[0].t_s < split)
         late = flights[0].pick(flights[0].t_s >= split)
-        return [predict(late, _fitted([early], start))]
+        return [predict(late, _fitted([early], start, priors))]
     found = []
     for number, blocks in enumerate(flights):
         told(f"holdout: {blocks.name}")
         others = flights[:number] + flights[number + 1 :]
-        found.append(predict(blocks, _fitted(others, start)))
+        found.append(predict(blocks, _fitted(others, start, priors)))
     return found
 
 
-def _fitted(flights: list[Blocks], start: Airframe) -> Airframe:
-    drag = fit_drag(flights, start)
+def _fitted(flights: list[Blocks], start: Airframe, priors: DragPriors | None) -> Airframe:
+    drag = fit_drag(flights, start, priors)
     dragged = with_values(start, drag.values, power_values(start))
     power = fit_power(flights, list(drag.winds), dragged)
     return with_values(start, drag.values, power.values)

@@ -106,6 +106,8 @@ class WindEstimatorParams:
     sound_sigmas: float = 2.0
     sound_after_s: float = 10.0
     floor_std_mps: float = 0.05  # [est] unmodelled errors
+    weighs_calm: bool = True  # a second filter in light wind, for calm air
+    learns_turbulence: bool = True  # and sees fronts
     settle_s: float = 5.0
     stale_after_s: float = 15.0
 
@@ -159,6 +161,11 @@ class WindState:
             raise LeewayError(f"checkpoint: expected {STATES} finite states and their covariance")
         self.x, self.cov = x, 0.5 * (cov + cov.T)
         self.airspeed_mps, self.turbulence.ratio = airspeed_mps, turbulence
+
+    @property
+    def weighs_calm(self) -> bool:
+        """Whether calm air is a hypothesis at all."""
+        return self._params.weighs_calm
 
     @property
     def wind_is_known(self) -> bool:
@@ -225,7 +232,7 @@ class WindState:
         Skipped if the turbulence is given. No fronts are detected then either: in calm air, the
         residue of a turn was taken for a front.
         """
-        if self.turbulence.is_held:
+        if self.turbulence.is_held or not self._params.learns_turbulence:
             return
         self.turbulence.corrected(step_ne_mps, expected_m2ps2, surprise, dt_s)
         missed_m2ps2 = self.front.corrected(step_ne_mps, expected_m2ps2, dt_s)

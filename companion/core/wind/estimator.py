@@ -10,8 +10,8 @@
   back on the opposite heading shows it.
 - In light wind two filters, one for calm and one for turbulent air, are weighed against each other
   (`multiple_model`); in wind there is the second alone.
-- While an airspeed is used, another filter runs without it. The airspeed is checked against it,
-  and when the airspeed proves false that filter takes over at once.
+- While an airspeed is used, both filters run once more without it. The airspeed is checked against
+  these, and when it proves false they take over at once.
 - A released parcel changes the drag by more than its mass tells, so the gains are opened again.
 - The filter is plain numpy. filterpy is the oracle in the tests and the reference in replay
   (`companion.core.replay.reference_estimator`); it never flies.
@@ -66,7 +66,7 @@ class WindEstimator:
         self._mean_trim_rad = math.radians(drag.trim_forward_deg), math.radians(drag.trim_right_deg)
         self._params = params or params_for(airframe)
         self._alone = Airs.unseen(airframe, self._params)  # without any airspeed
-        self._with_airspeed: WindState | None = None
+        self._with_airspeed: Airs | None = None
         self._t_s: float | None = None
         self._entered_s: dict[str, float] = {}
         self._tilt_s = 0.0
@@ -76,8 +76,12 @@ class WindEstimator:
         self._mass_kg: float | None = None
 
     @property
+    def _believed_airs(self) -> Airs:
+        return self._with_airspeed or self._alone
+
+    @property
     def _believed(self) -> WindState:
-        return self._with_airspeed or self._alone.likelier
+        return self._believed_airs.likelier
 
     @property
     def trim_rad(self) -> tuple[float, float]:
@@ -139,23 +143,20 @@ class WindEstimator:
         """The wind at `t_s` >= the last update; waiting only makes it less certain."""
         p = self._params
         waited_s = 0.0 if self._t_s is None else max(t_s - self._t_s, 0.0)
-        mean, cov = (self._with_airspeed or self._alone).ten_second_mean(waited_s)
+        mean, cov = self._believed_airs.ten_second_mean(waited_s)
         fresh = [n for n, at in self._entered_s.items() if t_s - at <= p.stale_after_s]
         settled = self._tilt_s >= p.settle_s or "autopilot" in fresh
         return WindBelief(t_s, mean, cov, tuple(sorted(fresh)), settled and bool(fresh))
 
     def snapshot(self) -> dict[str, object]:
         """What a checkpoint keeps: trims and gains are worth more than the wind of then."""
-        second = self._with_airspeed
-        usual, calm = self._alone.usual, self._alone.calm
-        if second is not None:
-            usual, calm = second, None if calm is None else second
+        airs = self._believed_airs
         return {
             "format": SNAPSHOT_FORMAT,
             "t_s": self._t_s,
-            "usual": usual.snapshot(),
-            "calm": None if calm is None else calm.snapshot(),
-            "chance_calm": self._alone.chance_calm,
+            "usual": airs.usual.snapshot(),
+            "calm": None if airs.calm is None else airs.calm.snapshot(),
+            "chance_calm": airs.chance_calm,
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
@@ -181,9 +182,12 @@ class WindEstimator:
 
     # -- what enters -----------------------------------------------------------------------------
 
-    def _states(self) -> list[WindState]:
+    def _banks(self) -> list[Airs]:
         second = self._with_airspeed
-        return [*self._alone.states] if second is None else [*self._alone.states, second]
+        return [self._alone] if second is None else [self._alone, second]
+
+    def _states(self) -> list[WindState]:
+        return [state for airs in self._banks() for state in airs.states]
 
     def _notice_mass(self, mass_kg: float) -> None:
         """The parcel went: what was learned of the drag with it holds less without it."""
@@ -201,13 +205,17 @@ class WindEstimator:
         if motion.since_s is None:
             return []
         believed = self._believed
-        states = self._states()
-        told = [tilt_told(state, self._airframe, p, seen, motion) for state in states]
-        if all(state.wind_std_mps < p.scalar_wind_std_mps for state in self._alone.states):
-            self._alone.weigh(told, p.gate_sigmas, motion.since_s)
-        rejected = [_told_tilt(*each, p, motion.since_s) for each in zip(states, told, strict=True)]
-        self._alone.mind_wind()
-        if rejected[states.index(believed)]:
+        rejected = False
+        for airs in self._banks():
+            states = airs.states
+            told = [tilt_told(state, self._airframe, p, seen, motion) for state in states]
+            if all(state.wind_std_mps < p.scalar_wind_std_mps for state in states):
+                airs.weigh(told, p.gate_sigmas, motion.since_s)
+            for state, one in zip(states, told, strict=True):
+                left_out = _told_tilt(state, one, p, motion.since_s)
+                rejected = rejected or (left_out and state is believed)
+            airs.mind_wind()
+        if rejected:
             return self._doubt_tilt(seen.t_s)
         self._rejected_since_s = None
         self._entered_s["tilt"] = seen.t_s
@@ -244,15 +252,17 @@ class WindEstimator:
             self._with_airspeed = None
             return ["pitot disagrees with tilt for long: left out"]
         if self._with_airspeed is None:
-            self._with_airspeed = alone.copy()
-        state = self._with_airspeed
-        told = pitot_seen(state, p, seen, fresh_s)
+            self._with_airspeed = self._alone.copy()
+        airs = self._with_airspeed
+        told = pitot_seen(airs.likelier, p, seen, fresh_s)
         if told is None:
             return []
-        if abs(told.surprise(state)) > p.gate_sigmas:
+        if abs(told.surprise(airs.likelier)) > p.gate_sigmas:
             reads, expected = told.measured_mps, told.expected_mps
             return [f"pitot reads {reads:.1f} m/s, {expected:.1f} expected: left out"]
-        self._enter(state, told, seen.t_s)
+        for state in airs.states:
+            if (one := pitot_seen(state, p, seen, fresh_s)) is not None:
+                self._enter(state, one, seen.t_s)
         return []
 
     def _take_vector(self, seen: WindObservation, dt_s: float) -> list[str]:
@@ -260,13 +270,14 @@ class WindEstimator:
         if seen.airspeed_fr_mps is None:
             return []
         if self._with_airspeed is None:
-            self._with_airspeed = self._alone.likelier.copy()
-        state = self._with_airspeed
+            self._with_airspeed = self._alone.copy()
+        state = self._with_airspeed.likelier
         told = vector_seen(state, p, seen, dt_s)
         if state.wind_is_known and any(abs(t.surprise(state)) > p.gate_sigmas for t in told):
             return ["airspeed vector disagrees with the wind estimate: left out"]
-        for axis in range(len(told)):  # the second is expected from what the first left
-            self._enter(state, vector_seen(state, p, seen, dt_s)[axis], seen.t_s)
+        for each in self._with_airspeed.states:
+            for axis in range(len(told)):  # the second is expected from what the first left
+                self._enter(each, vector_seen(each, p, seen, dt_s)[axis], seen.t_s)
         return []
 
     def _enter(self, state: WindState, told: AirspeedSeen, t_s: float) -> None:

@@ -53,7 +53,15 @@ class Airs:
     @classmethod
     def unseen(cls, airframe: Airframe, params: WindEstimatorParams) -> "Airs":
         """Before anything is seen."""
-        return cls(WindState(airframe, params), WindState(airframe, params))
+        calm = WindState(airframe, params) if params.weighs_calm else None
+        return cls(WindState(airframe, params), calm)
+
+    def copy(self) -> "Airs":
+        """An independent copy: the same airs for filters that hear more."""
+        calm = None if self.calm is None else self.calm.copy()
+        other = Airs(self.usual.copy(), calm, self.chance_calm)
+        other._noise = self._noise
+        return other
 
     @property
     def states(self) -> tuple[WindState, ...]:
@@ -73,7 +81,7 @@ class Airs:
             return
         if usual.least_wind_speed_mps > CALM_MOST_WIND_MPS:
             self.calm, self.chance_calm = None, 0.0
-        elif self.calm is None:
+        elif self.calm is None and usual.weighs_calm:
             self.calm, self.chance_calm = _held_calm(usual.copy()), CHANCE_AFTER_WIND
 
     def weigh(self, told: Sequence[TiltTold], sigmas: float, dt_s: float) -> None:

@@ -33,6 +33,20 @@ def windbench(
             " folder's other days where there are three or more."
         ),
     ] = "m100",
+    study: Annotated[
+        str,
+        typer.Option(
+            help="board: everybody. states: ours without each of its states. cold-starts: begun at"
+            " each full minute in the air."
+        ),
+    ] = "board",
+    symmetric: Annotated[
+        bool,
+        typer.Option(
+            "--symmetric",
+            help="The airframes look alike from ahead and from the side (companion calibrate).",
+        ),
+    ] = False,
     json: Annotated[Path | None, typer.Option(help="Standings and all windows as JSON.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("logs/windbench"),
     jobs: Jobs = 0,
@@ -48,13 +62,13 @@ def windbench(
 
     from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.windbench.contest import BenchDay, DayResult, run_day
-    from sim_bridge.research.windbench.estimators import estimators
+    from sim_bridge.research.windbench.estimators import COLD_STARTS, OURS, STATES, in_study
     from sim_bridge.research.windbench.flights import read_bench_folder
     from sim_bridge.research.windbench.score import standing
-    from sim_bridge.research.windbench.sheets import leader_board
+    from sim_bridge.research.windbench.sheets import cold_starts_sheet, leader_board, states_sheet
 
     own = tuple(estimator or ())
-    names = list(estimators(own))
+    names = list(in_study(study, own))
     asked = [(Path(words.partition("=")[0]), words.partition("=")[2]) for words in folders]
     if len({one.name for one, _ in asked}) < len(asked):
         raise LeewayError("DIR: two folders of one name; expected names of their own")
@@ -63,14 +77,22 @@ def windbench(
         read = read_bench_folder(one, known or airframe)
         for words in read.left_out:
             typer.echo(f"{read.name}: {words}", err=True)
-        work += [BenchDay(one.resolve(), day, known or airframe, own) for day in read.days]
+        work += [
+            BenchDay(one.resolve(), day, known or airframe, own, study, symmetric)
+            for day in read.days
+        ]
     out.mkdir(parents=True, exist_ok=True)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DayResult)
     done = run_journaled("days", work, run_day, jobs, kept)
-    rows = {name: [row for day in done for row in day.rows[name]] for name in names}
+    rows = {name: [row for day in done for row in day.rows.get(name, [])] for name in names}
     standings = [standing(name, rows[name]) for name in names]
-    sheet = leader_board(standings, len(rows[names[0]]), len(work))
-    written = sheet.write(out, "windbench")
+    if study == STATES:
+        sheet = states_sheet(rows, OURS)
+    elif study == COLD_STARTS:
+        sheet = cold_starts_sheet(rows)
+    else:
+        sheet = leader_board(standings, len(rows[names[0]]), len(work))
+    written = sheet.write(out, "windbench" if study == "board" else study.replace("-", "_"))
     typer.echo(sheet.markdown())
     if json is not None:
         content = {"format": "windbench/1", "standings": standings, "windows": rows}

@@ -19,15 +19,19 @@ THRESHOLDS = {"threshold_25": 0.25, "threshold_35": 0.35}
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """How each mission ended; `margin_wh` is the energy left at the end, negative if it ran out."""
+    """How each mission ended; `margin_wh` is the energy left at the end, negative if it ran out.
+    `air_h`: hours in the air, to where a pack that ran out was empty."""
 
     go: Bools
     delivered: Bools
     margin_wh: Floats
+    air_h: Floats
 
     def of(self, numbers: NDArray[np.int64]) -> "Ends":
         """A subset of the missions."""
-        return Ends(self.go[numbers], self.delivered[numbers], self.margin_wh[numbers])
+        return Ends(
+            self.go[numbers], self.delivered[numbers], self.margin_wh[numbers], self.air_h[numbers]
+        )
 
     @property
     def home(self) -> Bools:
@@ -53,14 +57,20 @@ def ends_of(flown: TrueMissions, turn_s: Floats, go: Bools | None = None) -> End
     arrived_wh = flown.power.loaded_w * flown.arrival_s / 3600.0
     at_drop_wh = arrived_wh + flown.power.deliver_wh(np.zeros(1))[0]
     delivered = ~turned & (at_drop_wh <= budget_wh)
-    return Ends(np.ones(turned.size, np.bool_) if go is None else go, delivered, budget_wh - spent)
+    going = np.ones(turned.size, np.bool_) if go is None else go
+    # Power hardly depends on what is flown, so that the energy spent tells the time.
+    mean_w = np.where(
+        turned, flown.power.loaded_w, 0.5 * (flown.power.loaded_w + flown.power.empty_w)
+    )
+    air_h = np.fmin(spent, budget_wh) / mean_w  # NaN: it never arrives
+    return Ends(going, delivered, budget_wh - spent, air_h)
 
 
 def clairvoyant(flown: TrueMissions) -> Ends:
     """Departs only where the whole trip will succeed."""
     going = flown.delivering_wh() <= flown.power.budget_wh + flown.pack_wh
     ends = ends_of(flown, np.full(going.size, math.inf), going)
-    return Ends(going, ends.delivered & going, ends.margin_wh)
+    return Ends(going, ends.delivered & going, ends.margin_wh, ends.air_h)
 
 
 def px4_time(flown: TrueMissions) -> Ends:

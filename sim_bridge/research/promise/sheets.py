@@ -11,11 +11,13 @@ from sim_bridge.research.promise.bound import most_success
 from sim_bridge.research.promise.flying import Fitted, GateFlight
 from sim_bridge.research.promise.rules import Ends, ends_of
 from sim_bridge.research.promise.verdict import (
+    HourlyLoss,
     PromiseVerdict,
     RuleRow,
     Statements,
     bins_of,
     go_of,
+    hourly_loss,
     rule_row,
     said_by_phase,
     said_in,
@@ -37,6 +39,8 @@ class PromiseResult:
     statements: Statements
     matched: dict[str, RuleRow]
     """The gate at the loss of each fixed rule, by that rule's name."""
+    hourly: dict[str, HourlyLoss]
+    matched_hourly: dict[str, HourlyLoss]
     phases: list[tuple[str, int, float, float]]
     fitted: list[Fitted]
     most_SUC: float | None
@@ -56,13 +60,23 @@ def result_of(
     unit = world.unit_of_mission[numbers]
     rng = np.random.default_rng([world.setting.seed, _BOOTSTRAP_SEED])
     statements = statements_of(said, gate, unit)
-    fixed = {name: rule_row(world.rules[name].of(numbers)) for name in RULES}
+    by_rule = {name: world.rules[name].of(numbers) for name in RULES}
+    fixed = {name: rule_row(each) for name, each in by_rule.items()}
     rules = {"gate": rule_row(gate), **fixed}
     verdict = PromiseVerdict(rules, bins_of(statements, rng), go_of(gate, unit, rng))
     matched = {name: rule_row(each) for name, each in ends.items() if name != "gate"}
     best = np.array([f.p_bound for f in flown if f.p_bound is not None])
     most = most_success(best, world.setting.max_loss * float(gate.go.sum())) if best.size else None
-    return PromiseResult(verdict, statements, matched, said_by_phase(said, gate), fitted, most)
+    return PromiseResult(
+        verdict,
+        statements,
+        matched,
+        {name: hourly_loss(each) for name, each in {"gate": gate, **by_rule}.items()},
+        {name: hourly_loss(ends[name]) for name in matched},
+        said_by_phase(said, gate),
+        fitted,
+        most,
+    )
 
 
 def _ends(world: PromiseWorld, flown: list[GateFlight], numbers: Ints, policy: int) -> Ends:
@@ -91,9 +105,14 @@ def rules_sheet(world: PromiseWorld, result: PromiseResult) -> Sheet:
     """The rules side by side, and the gate at each fixed rule's own loss."""
     rules = result.verdict.rules
     best = rules["clairvoyant"].SUC
-    rows = [_cells(name, row, best) for name, row in rules.items()]
+    rows = [_cells(name, row, result.hourly[name], best) for name, row in rules.items()]
     rows += [
-        _cells(f"gate, accepting {world.accepted_losses[name]:.3f} ({name}'s own)", row, best)
+        _cells(
+            f"gate, accepting {world.accepted_losses[name]:.3f} ({name}'s own)",
+            row,
+            result.matched_hourly[name],
+            best,
+        )
         for name, row in result.matched.items()
     ]
     if result.most_SUC is not None:
@@ -106,6 +125,7 @@ def rules_sheet(world: PromiseWorld, result: PromiseResult) -> Sheet:
                 "-",
                 "-",
                 f"{100.0 * world.setting.max_loss:.2f}",
+                "-",
                 f"{share:.2f}",
                 f"{below:.2f}",
                 "-",
@@ -129,19 +149,22 @@ def rules_sheet(world: PromiseWorld, result: PromiseResult) -> Sheet:
         f" Go decisions that came home: {100.0 * share:.2f} %"
         f" (lower bound {100.0 * go.lower95:.2f} %). {phases}."
         f" Fitted on the other blocks: memories and tails {memories}; spread {spreads};"
-        f" a single decision may risk {accepted}."
+        f" a single decision may risk {accepted}. The limits per hour take losses as independent;"
+        f" the gate flew {result.hourly['gate'].air_h:.0f} hours."
     )
-    head = ("rule", "go %", "home % of go", "loss %", "SUC %", "below clairvoyant", "margin Wh")
+    head = ("rule", "go %", "home % of go", "loss %", "lost per flight hour (at most, 95 %)",
+            "SUC %", "below clairvoyant", "margin Wh")  # fmt: skip
     return Sheet(title_of(world, rules["gate"].missions), head, rows, note)
 
 
-def _cells(name: str, row: RuleRow, best: int) -> tuple[str, ...]:
+def _cells(name: str, row: RuleRow, hourly: HourlyLoss, best: int) -> tuple[str, ...]:
     margin = "-" if row.margin_wh_mean is None else f"{row.margin_wh_mean:.1f}"
     return (
         name,
         f"{100.0 * row.go / row.missions:.1f}",
         f"{100.0 * row.home / max(row.go, 1):.2f}",
         f"{100.0 * row.loss:.2f}",
+        f"{hourly.per_hour:.2g} ({hourly.most_per_hour:.2g})" if row.go else "-",
         f"{100.0 * row.SUC / row.missions:.2f}",
         f"{100.0 * (best - row.SUC) / row.missions:.2f}",
         margin,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from companion.core.base.arrays import Bools, Floats, Ints
 from sim_bridge.research.promise.planner import PHASES
@@ -35,6 +35,25 @@ class RuleRow(msgspec.Struct, frozen=True):
     def loss(self) -> float:
         """Share of the departed vehicles that did not come home."""
         return (self.go - self.home) / max(self.go, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class HourlyLoss:
+    """Lost vehicles over the hours that the departed were in the air."""
+
+    lost: int
+    air_h: float
+
+    @property
+    def per_hour(self) -> float:
+        """Lost per flight hour."""
+        return self.lost / max(self.air_h, 1e-9)
+
+    @property
+    def most_per_hour(self) -> float:
+        """One-sided 95 % limit, losses being independent (Garwood, Biometrika 28, 1936): without a
+        loss 3 over the hours."""
+        return 0.5 * float(chi2.ppf(0.95, 2 * (self.lost + 1))) / max(self.air_h, 1e-9)
 
 
 class Bin(msgspec.Struct, frozen=True):
@@ -85,6 +104,11 @@ def rule_row(ends: Ends) -> RuleRow:
         SUC=int(ends.success.sum()),
         margin_wh_mean=float(ends.margin_wh[home].mean()) if home.any() else None,
     )
+
+
+def hourly_loss(ends: Ends) -> HourlyLoss:
+    """Of one rule."""
+    return HourlyLoss(int(ends.lost.sum()), float(ends.air_h[ends.go].sum()))
 
 
 def statements_of(said: Floats, ends: Ends, unit: Ints) -> Statements:

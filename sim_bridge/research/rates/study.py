@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from scipy.stats import binomtest
 
 from sim_bridge.research.rates.mission import DeliveryOutcome, DeliveryWorld
-from sim_bridge.research.rates.subset import subset_simulation
+from sim_bridge.research.rates.subset import ONE_SIDED_95, subset_simulation
 
 CHECKED_RATE = 5.0
 """Losses per flight hour accepted in the check: so loose that losses can be counted."""
@@ -27,12 +29,14 @@ class RateWork(msgspec.Struct, frozen=True):
 
 class RateRun(msgspec.Struct, frozen=True):
     """What a run found, per delivery that was asked for; of the first `samples` also what they
-    flew. `variation` is the coefficient of variation of `chance`."""
+    flew. `variation` is the coefficient of variation of `chance`, `upper95` its one-sided limit;
+    where the run has no estimate `variation` is `None`, and the limit is all that it says."""
 
     rate: float
     method: str
     chance: float
-    variation: float
+    variation: float | None
+    upper95: float
     levels: int
     evaluations: int
     samples: int
@@ -42,12 +46,15 @@ class RateRun(msgspec.Struct, frozen=True):
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """A rate's runs together. `std_per_hour` is the standard error of `lost_per_hour`."""
+    """A rate's runs together. `std_per_hour` is the standard error of `lost_per_hour`; both are
+    `None` where no run has an estimate. `most_per_hour` is the one-sided 95 % limit. All are `None`
+    where nothing flew."""
 
     accepted_per_hour: float
     method: str
-    lost_per_hour: float
-    std_per_hour: float
+    lost_per_hour: float | None
+    std_per_hour: float | None
+    most_per_hour: float | None
     went: float
     delivered: float
     minutes: float
@@ -83,18 +90,22 @@ def run_work(work: RateWork) -> RateRun:
 
     if work.method == SUBSET:
         found = subset_simulation(shortfall, world.dimensions, work.samples, rng)
-        chance, variation = found.chance, found.variation
+        chance, upper = found.chance, found.upper95
+        variation = found.variation if chance else None
         levels, evaluations = len(found.levels) + 1, found.evaluations
     else:
-        lost = [shortfall(rng.standard_normal(world.dimensions)) > 0.0 for _ in range(work.samples)]
-        chance = float(np.mean(lost))
-        variation = math.sqrt((1.0 - chance) / (chance * work.samples)) if chance else math.inf
+        lost = sum(
+            shortfall(rng.standard_normal(world.dimensions)) > 0.0 for _ in range(work.samples)
+        )
+        chance, upper = lost / work.samples, counted_upper95(lost, work.samples)
+        variation = math.sqrt((1.0 - chance) / lost) if lost else None
         levels, evaluations = 1, work.samples
     return RateRun(
         work.rate,
         work.method,
         chance,
-        variation if math.isfinite(variation) else -1.0,
+        variation,
+        upper,
         levels,
         evaluations,
         work.samples,
@@ -104,26 +115,38 @@ def run_work(work: RateWork) -> RateRun:
     )
 
 
+def counted_upper95(lost: int, count: int) -> float:
+    """One-sided 95 % limit of a chance that was counted (Clopper and Pearson)."""
+    return float(
+        binomtest(lost, count, alternative="less").proportion_ci(confidence_level=0.95).high
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Chance:
+    """Of a loss, per delivery asked for: estimate and standard error where there are, and limit."""
+
+    estimate: float | None
+    std: float | None
+    upper95: float
+
+
 def row_of(rate: float, method: str, runs: Sequence[RateRun]) -> RateRow:
-    """The mean over runs. Its error: the scatter of the runs, or what each states, if that is more;
-    of plain Monte Carlo the binomial's."""
+    """A rate's runs by one method, per hour flown."""
     own = [run for run in runs if (run.rate, run.method) == (rate, method)]
     samples, hours = sum(r.samples for r in own), sum(r.flown_h for r in own)
-    chance = float(np.mean([r.chance for r in own]))
-    per_hour = chance * samples / hours if hours else 0.0
-    if method == PLAIN:
-        error = math.sqrt(chance * (1.0 - chance) / samples)
-    else:
-        stated = [r.chance * max(r.variation, 0.0) for r in own]
-        error = math.sqrt(float(np.mean(np.square(stated))) / len(own))
-        if len(own) > 1:
-            error = max(error, float(np.std([r.chance for r in own], ddof=1)) / math.sqrt(len(own)))
+    chance = _counted(own) if method == PLAIN else _together(own)
     went = sum(r.went for r in own)
+
+    def hourly(value: float | None) -> float | None:
+        return value * samples / hours if hours and value is not None else None
+
     return RateRow(
         rate,
         method,
-        per_hour,
-        error * samples / hours if hours else 0.0,
+        hourly(chance.estimate),
+        hourly(chance.std),
+        hourly(chance.upper95),
         went / samples,
         sum(r.delivered for r in own) / samples,
         60.0 * hours / max(went, 1),
@@ -132,7 +155,39 @@ def row_of(rate: float, method: str, runs: Sequence[RateRun]) -> RateRow:
     )
 
 
+def _counted(runs: Sequence[RateRun]) -> _Chance:
+    """Plain Monte Carlo: the binomial's error and limit; no loss among them is no estimate."""
+    samples = sum(r.samples for r in runs)
+    lost = round(sum(r.chance * r.samples for r in runs))
+    upper = counted_upper95(lost, samples)
+    if lost == 0:
+        return _Chance(None, None, upper)
+    chance = lost / samples
+    return _Chance(chance, math.sqrt(chance * (1.0 - chance) / samples), upper)
+
+
+def _together(runs: Sequence[RateRun]) -> _Chance:
+    """The mean over runs; its error is the scatter of the runs, or what each states, if more.
+
+    For the limit a run without an estimate counts as much as it cannot exclude.
+    """
+    if len(runs) == 1 or all(r.variation is None for r in runs):
+        upper = float(np.mean([r.upper95 for r in runs]))
+        if runs[0].variation is None:
+            return _Chance(None, None, upper)
+        return _Chance(runs[0].chance, runs[0].chance * runs[0].variation, upper)
+    chances = [r.chance for r in runs]
+    stated = [r.chance * (r.variation or 0.0) for r in runs]
+    error = math.sqrt(float(np.mean(np.square(stated))) / len(runs))
+    error = max(error, float(np.std(chances, ddof=1)) / math.sqrt(len(runs)))
+    most = float(np.mean([r.upper95 if r.variation is None else r.chance for r in runs]))
+    return _Chance(float(np.mean(chances)), error, min(most + ONE_SIDED_95 * error, 1.0))
+
+
 def agreement(plain: RateRow, subset: RateRow) -> float:
-    """Difference of the two methods in standard errors of the difference."""
-    error = math.hypot(plain.std_per_hour, subset.std_per_hour)
+    """Difference of the two methods in standard errors of the difference; NaN where one of them has
+    no estimate."""
+    if plain.lost_per_hour is None or subset.lost_per_hour is None:
+        return math.nan
+    error = math.hypot(plain.std_per_hour or 0.0, subset.std_per_hour or 0.0)
     return (subset.lost_per_hour - plain.lost_per_hour) / error if error else math.nan

@@ -17,6 +17,7 @@ from companion.core.base.arrays import Bools, Floats
 
 LEVEL_SHARE = 0.1
 WANTED_ACCEPTANCE = 0.44
+ONE_SIDED_95 = 1.645
 LEAST_ACCEPTANCE = 0.05
 """Chains that accept less stand still: what they count is no estimate."""
 
@@ -27,10 +28,12 @@ Performance = Callable[[Floats], float]
 @dataclass(frozen=True, slots=True)
 class SubsetEstimate:
     """`chance` of failure with its coefficient of variation, chains' correlation counted;
-    `first` the performance of the first level's samples, which are plain Monte Carlo."""
+    `upper95` its one-sided 95 % limit; `first` the performance of the first level's samples, which
+    are plain Monte Carlo."""
 
     chance: float
     variation: float
+    upper95: float
     levels: tuple[float, ...]
     evaluations: int
     first: Floats
@@ -46,7 +49,8 @@ def subset_simulation(
     """Chance that `performance` is above 0; `samples` a level, a multiple of ten.
 
     A chance under LEVEL_SHARE ** most_levels comes back as 0 with infinite variation, and so does
-    one whose chains stood still.
+    one whose chains stood still: then only `upper95` says something. It is the limit of the chance
+    to pass the last level that was counted, which failing implies.
     """
     states = rng.standard_normal((samples, dimensions))
     values = np.array([performance(state) for state in states])
@@ -63,14 +67,15 @@ def subset_simulation(
         share = float(passed.mean())
         chains = None if level == 0 else passed.reshape(shape)
         squares += _variance(share, samples, chains)
+        if share == 0.0:
+            none_of = samples if level == 0 else seeds
+            upper = min(_upper95(chance, squares) * none_seen_upper95(none_of), 1.0)
+            return SubsetEstimate(0.0, math.inf, upper, tuple(levels), evaluations, first)
         chance *= share
-        if last or share == 0.0:
+        if last:
+            upper = _upper95(chance, squares)
             return SubsetEstimate(
-                chance,
-                math.sqrt(squares) if chance > 0.0 else math.inf,
-                tuple(levels),
-                evaluations,
-                first,
+                chance, math.sqrt(squares), upper, tuple(levels), evaluations, first
             )
         levels.append(bound)
         states, values, accepted = _grown(
@@ -79,7 +84,20 @@ def subset_simulation(
         evaluations += samples - seeds
         if accepted < LEAST_ACCEPTANCE:
             break
-    return SubsetEstimate(0.0, math.inf, tuple(levels), evaluations, first)
+    upper = _upper95(chance, squares)
+    return SubsetEstimate(0.0, math.inf, upper, tuple(levels), evaluations, first)
+
+
+def none_seen_upper95(count: int) -> float:
+    """One-sided 95 % limit of a chance of which `count` independent trials saw nothing: about 3
+    over the count (Clopper and Pearson, Biometrika 26, 1934)."""
+    return 1.0 - 0.05 ** (1.0 / count)
+
+
+def _upper95(chance: float, relative_variance: float) -> float:
+    """One-sided 95 % limit of a product of estimated shares, taken as log-normal."""
+    spread = math.sqrt(math.log1p(relative_variance))
+    return min(chance * math.exp(ONE_SIDED_95 * spread), 1.0)
 
 
 @dataclass(slots=True)

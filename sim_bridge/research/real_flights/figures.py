@@ -1,15 +1,18 @@
 """The figures of all judged flights: errors, coverage, margins, by point, by day and pooled."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from sim_bridge.research.real_flights.comparison import Comparison, compared
 from sim_bridge.research.real_flights.fold import FoldResult, JudgedEnergy, JudgedFlight
+from sim_bridge.research.real_flights.leg_errors import LegErrors, leg_errors
 from sim_bridge.research.real_flights.wind_replay import AirspeedMean
+from sim_bridge.research.real_flights.wind_rivals import WIND_RIVALS
 
 MANY_FLIGHTS = 10
 """A day with fewer says nothing of its own coverage."""
@@ -75,6 +78,9 @@ class RealFlights(msgspec.Struct, frozen=True):
     days: list[DayFigures]
     winds: dict[str, WindFigures]
     rivals: dict[str, float]
+    energy_rivals: list[Comparison]
+    wind_rivals: list[Comparison]
+    leg_errors: list[LegErrors]
     fitted: list[dict[str, Any]]
     flights: list[dict[str, Any]]
     words: list[str]
@@ -83,7 +89,7 @@ class RealFlights(msgspec.Struct, frozen=True):
 def figures(folds: Sequence[FoldResult], words: Sequence[str]) -> RealFlights:
     """All figures of all folds."""
     flights = [flight for fold in folds for flight in fold.flights]
-    winds = {name: wind_figures(flights, name) for name in SENSORS}
+    winds = {name: wind_figures(flights, name) for name in (*SENSORS, *WIND_RIVALS)}
     said = [f"flight {f.name}: {one}" for f in flights for one in f.words]
     return RealFlights(
         energy=energy_figures(flights),
@@ -91,6 +97,9 @@ def figures(folds: Sequence[FoldResult], words: Sequence[str]) -> RealFlights:
         days=[_day(date, flights) for date in sorted({f.date for f in flights})],
         winds=winds,
         rivals=rival_errors(flights),
+        energy_rivals=energy_comparisons(flights),
+        wind_rivals=wind_comparisons(flights),
+        leg_errors=leg_errors(flights),
         fitted=[_fitted(fold) for fold in folds],
         flights=[_row(flight) for flight in flights],
         words=[*words, *said],
@@ -174,6 +183,42 @@ def rival_errors(flights: Sequence[JudgedFlight]) -> dict[str, float]:
         for name, predicted in flight.rivals_wh.items() if measured else ():
             sums.setdefault(name, []).append(abs(predicted / measured[0] - 1.0))
     return {name: 100.0 * _mean(errors) for name, errors in sums.items()}
+
+
+def energy_comparisons(flights: Sequence[JudgedFlight]) -> list[Comparison]:
+    """Ours against each plainer model: MAPE of the flown energy, per cent."""
+    names = dict.fromkeys(name for f in flights for name in f.rivals_wh)
+    rows = [
+        (f, e.measured_wh, 100.0 * abs(e.predicted_wh / e.measured_wh - 1.0))
+        for f in flights
+        for e in f.energies
+        if e.at == "flown"
+    ]
+    found = [
+        compared(
+            name,
+            (
+                (f.date, ours, 100.0 * abs(f.rivals_wh[name] / measured - 1.0))
+                for f, measured, ours in rows
+            ),
+        )
+        for name in names
+    ]
+    return [one for one in found if one is not None]
+
+
+def wind_comparisons(flights: Sequence[JudgedFlight]) -> list[Comparison]:
+    """Ours from tilt against each rival: RMS of the airspeed on legs, m/s."""
+    found = [compared(name, _leg_squares(flights, name), np.sqrt) for name in WIND_RIVALS]
+    return [one for one in found if one is not None]
+
+
+def _leg_squares(flights: Iterable[JudgedFlight], rival: str) -> Iterator[tuple[str, float, float]]:
+    for flight in flights:
+        legs = zip(flight.winds["tilt"].legs, flight.winds[rival].legs, strict=True)
+        for ours, theirs in legs:
+            squares = [(m.believed_mps - m.read_mps) ** 2 for m in (ours, theirs)]
+            yield flight.date, squares[0], squares[1]
 
 
 def _day(date: str, flights: Sequence[JudgedFlight]) -> DayFigures:

@@ -11,7 +11,14 @@ from companion.core.measured_energy.flown_track import STEP_S
 from companion.core.measured_energy.track_power import PHASES, phases
 from sim_bridge.research.real_flights.folder import ReadFlight
 
-CONSTANT, BY_PAYLOAD, INDUCED = "constant power", "power by payload", "induced power by phase"
+CONSTANT, BY_PAYLOAD = "constant power", "power by payload"
+INDUCED = "induced power by phase, fitted"
+PUBLISHED = "induced power by phase, as published"
+
+PUBLISHED_W: tuple[tuple[float, ...], ...] = ((80.4, 68.9, 71.5), (13.8, 16.8, -24.3))
+"""Of climb, level and descent: watts per `kg^1.5 / sqrt(kg/m3)`, and watts. Rodrigues et al.,
+Patterns 3, 100569, 2022: take-off, cruise and landing of this very aircraft and campaign, the days
+that are judged here among them."""
 
 EMPTY_KG = 3.68
 """The aircraft with pack and sensors (Rodrigues et al. 2021)."""
@@ -39,6 +46,7 @@ class Rivals:
             CONSTANT: self.constant_w * hours,
             BY_PAYLOAD: (self.empty_w + self.payload_w_per_kg * payload_kg) * hours,
             INDUCED: float(_by_phase(flight) @ self.induced_w.ravel()) / 3600.0,
+            PUBLISHED: float(_by_phase(flight) @ np.ravel(PUBLISHED_W)) / 3600.0,
         }
 
 

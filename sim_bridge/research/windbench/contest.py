@@ -11,13 +11,15 @@ import numpy as np
 from companion.adapters.files.params import read_airframe
 from companion.core.base.arrays import Floats
 from companion.core.calibration.airframe_fit import calibrate
+from companion.core.calibration.drag import DragPriors
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.research.real_flights.fold import as_reported
-from sim_bridge.research.windbench.estimators import Believed, estimators
+from sim_bridge.research.windbench.estimators import BOARD, COLD_STARTS, Believed, in_study
 from sim_bridge.research.windbench.flights import (
     BenchFlight,
     BenchFolder,
     Window,
+    cold_starts,
     levelled,
     read_bench_folder,
 )
@@ -29,12 +31,17 @@ CALIBRATED_FLIGHTS = 12
 
 @dataclass(frozen=True, slots=True)
 class BenchDay:
-    """What is judged: a day of a folder, by these estimators."""
+    """What is judged: a day of a folder, by these estimators (those of the study, and `own`).
+
+    `symmetric`: the folder's airframe looks alike from ahead and from the side.
+    """
 
     folder: Path
     day: str
     airframe: str
     own: tuple[str, ...]
+    study: str = BOARD
+    symmetric: bool = False
 
 
 class DayResult(msgspec.Struct, frozen=True):
@@ -49,25 +56,31 @@ _read = lru_cache(maxsize=4)(read_bench_folder)
 def run_day(asked: BenchDay) -> DayResult:
     """Judge one day; nothing of it is fitted to."""
     folder = _read(asked.folder, asked.airframe)
-    airframe = calibrated(folder, asked.day, read_airframe(asked.airframe))
+    priors = DragPriors.symmetric() if asked.symmetric else None
+    airframe = calibrated(folder, asked.day, read_airframe(asked.airframe), priors)
     found: dict[str, list[Scored]] = {}
+    contestants = in_study(asked.study, asked.own)
     for flight in (f for f in folder.flights if f.day == asked.day):
         level, plain = levelled(flight, airframe), as_reported(airframe)
-        for name, estimate in estimators(asked.own).items():
-            believed = estimate(level, plain)
-            rows = [_scored(folder.name, level, w, believed) for w in level.windows]
-            found.setdefault(name, []).extend(rows)
+        for piece in cold_starts(level) if asked.study == COLD_STARTS else (level,):
+            for name, estimate in contestants.items():
+                believed = estimate(piece, plain)
+                rows = [_scored(folder.name, piece, w, believed) for w in piece.windows]
+                found.setdefault(name, []).extend(rows)
     return DayResult(found)
 
 
-def calibrated(folder: BenchFolder, day: str, start: Airframe) -> Airframe:
+def calibrated(
+    folder: BenchFolder, day: str, start: Airframe, priors: DragPriors | None = None
+) -> Airframe:
     """The start airframe fitted to the folder's other days; as it is where they are too few."""
     others = [f for f in folder.flights if f.day != day and f.blocks is not None]
     if len({f.day for f in others}) < LEAST_DAYS - 1:
         return start
     chosen = sorted({round(i) for i in np.linspace(0, len(others) - 1, CALIBRATED_FLIGHTS)})
     blocks = [others[i].blocks for i in chosen]
-    return calibrate([b for b in blocks if b is not None], start, leave_out=False).airframe
+    known = [b for b in blocks if b is not None]
+    return calibrate(known, start, leave_out=False, priors=priors).airframe
 
 
 def _scored(folder: str, flight: BenchFlight, window: Window, believed: Believed) -> Scored:

@@ -22,6 +22,8 @@ from sim_bridge.research.real_flights.folder import read_folder
 SAMPLED_EVERY_S = 0.1
 WINDOW_S = 10.0
 WARM_UP_S = 30.0
+EVERY_S = 60.0
+"""Between cold starts."""
 _LEAST_HEIGHT_M = 2.0
 _LEAST_SHARE = 0.8
 _FRESH_S = 1.0
@@ -195,6 +197,33 @@ def _cut(
             continue
         mean = None if wind is None else np.nanmean(wind[rows], axis=0)
         found.append(Window(rows, float(np.nanmean(read_mps[rows])), mean))
+    return found
+
+
+def cold_starts(flight: BenchFlight) -> list[BenchFlight]:
+    """The flight begun anew at each full minute in the air: heard from there on, and judged for the
+    minute that begins half a minute later."""
+    t_s = flight.t_s
+    aloft = np.array([seen.airborne for seen in flight.heard])
+    found = []
+    begin_s = float(t_s[np.argmax(aloft)])
+    for minute in range(int((float(t_s[-1]) - begin_s) / EVERY_S) + 1):
+        first = int(np.searchsorted(t_s, begin_s + EVERY_S * minute))
+        last = int(np.searchsorted(t_s, t_s[first] + WARM_UP_S + EVERY_S + 1e-6))
+        windows = tuple(
+            replace(w, rows=slice(w.rows.start - first, w.rows.stop - first))
+            for w in flight.windows
+            if t_s[w.rows.start] >= t_s[first] + WARM_UP_S - 1e-6 and w.rows.stop <= last
+        )
+        if windows:
+            piece = replace(
+                flight,
+                name=f"{flight.name}, begun {minute} min after take-off",
+                heard=flight.heard[first:last],
+                velocity_ne_mps=flight.velocity_ne_mps[first:last],
+                windows=windows,
+            )
+            found.append(piece)
     return found
 
 

@@ -84,6 +84,46 @@ def standing(name: str, rows: Sequence[Scored]) -> Standing:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class ScoreDifference:
+    """Score of one estimator less another's, m/s, and its 95 % interval over so many days."""
+
+    days: int
+    mean_mps: float
+    low_mps: float
+    high_mps: float
+
+
+def difference(rows: Sequence[Scored], than: Sequence[Scored]) -> ScoreDifference:
+    """Of the same windows by two estimators; days drawn together."""
+    keys = sorted({(r.folder, r.day) for r in rows})
+    ours, theirs = (
+        np.array([float(np.mean(_of_day(one, key).error_mps ** 2)) for key in keys])
+        for one in (rows, than)
+    )
+    rng = np.random.default_rng(SEED)
+    drawn = rng.integers(0, len(keys), (DRAWS, len(keys)))
+    apart = np.sqrt(ours[drawn].mean(axis=1)) - np.sqrt(theirs[drawn].mean(axis=1))
+    return ScoreDifference(
+        len(keys),
+        math.sqrt(float(ours.mean())) - math.sqrt(float(theirs.mean())),
+        float(np.percentile(apart, 2.5)),
+        float(np.percentile(apart, 97.5)),
+    )
+
+
+def flight_errors_mps(rows: Sequence[Scored]) -> dict[tuple[str, str, str], float]:
+    """RMS error of each flight, by folder, day and name."""
+    found: dict[tuple[str, str, str], float] = {}
+    for key in sorted({(r.folder, r.day) for r in rows}):
+        own = [r for r in rows if (r.folder, r.day) == key]
+        squares = _of_day(rows, key).error_mps ** 2
+        for name in sorted({r.flight for r in own}):
+            at = [i for i, r in enumerate(own) if r.flight == name]
+            found[*key, name] = math.sqrt(float(squares[at].mean()))
+    return found
+
+
 def _of_day(rows: Sequence[Scored], key: tuple[str, str]) -> _Errors:
     folder, day = key
     own = [r for r in rows if (r.folder, r.day) == key]

@@ -14,7 +14,13 @@ from companion.adapters.files.params import params_dir, read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.calibration.airframe_fit import calibrate, predict
 from companion.core.calibration.battery import fit_battery
-from companion.core.calibration.drag import DRAG_KEYS, WindSeen, fit_drag
+from companion.core.calibration.drag import (
+    DRAG_KEYS,
+    DragPriors,
+    WindSeen,
+    drag_values,
+    fit_drag,
+)
 from companion.core.calibration.flight import (
     CHANGE_SPEED,
     WAYPOINT,
@@ -321,6 +327,22 @@ def test_what_never_flew_sideways_keeps_the_right_axis_uncertain(squares):
     better = next(q for q in held.quantities if q.name == "drag right at 14 m/s")
     assert right.std > 1.3 * better.std
     assert "MPC_YAW_MODE" in right.flight
+
+
+def test_an_airframe_told_to_be_symmetric_has_to_the_right_the_drag_that_its_front_shows(squares):
+    calm = [blocks(fly([*HOVER, *square((12.6, 4.9, 8.4))], wind_ne=(0.0, 0.0), seed=4))]
+    start = wrong_start()
+    free = calibrate(calm, start, leave_out=False)
+    held = calibrate(calm, start, leave_out=False, priors=DragPriors.symmetric())
+    name = "drag right at 14 m/s"
+    stds = [next(q.std for q in one.quantities if q.name == name) for one in (free, held)]
+    assert stds[1] < 0.5 * stds[0]
+    # Drag of the two axes at 14 m/s, in the start's ratio within the 5 % that was told.
+    of_start, found = (
+        np.dot((14.0, 14.0**2), one[1:4:2]) / np.dot((14.0, 14.0**2), one[0:4:2])
+        for one in (drag_values(start), held.drag.values)
+    )
+    assert found == pytest.approx(of_start, rel=0.1)
 
 
 ORDINARY = fly([*HOVER, *square((12.0, 5.0), legs=6)])

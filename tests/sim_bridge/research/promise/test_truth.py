@@ -140,6 +140,19 @@ def test_the_clairvoyant_stays_where_the_trip_fails() -> None:
     assert not blind.success[0]
 
 
+def test_hours_in_the_air_are_those_of_the_way_and_a_pack_that_ran_out_ends_them() -> None:
+    mission = flown((0.0, 0.0), 1000.0)
+    p = mission.profile
+    there_and_back_s = 2.0 * 1000.0 / p.airspeed_mps + p.sinking_s + p.hover_s + p.climbing_s
+    there_and_back_s += p.landing_s + 4.0 * p.stop_s
+    air_h = ends_of(mission, np.array([math.inf])).air_h[0]
+    assert air_h * 3600.0 == pytest.approx(there_and_back_s, rel=0.1)
+    far = flown((0.0, 0.0), 8000.0)
+    lost = ends_of(far, np.array([math.inf]))
+    assert lost.lost[0]
+    assert lost.air_h[0] < far.power.endurance_s / 3600.0
+
+
 def test_a_pack_that_gives_less_loses_what_a_good_one_brings_home() -> None:
     mission = flown((0.0, 0.0), 1000.0)
     margin = ends_of(mission, np.array([math.inf])).margin_wh[0]

@@ -10,10 +10,12 @@ from sim_bridge.research.promise.rules import Ends
 from sim_bridge.research.promise.verdict import (
     LEAST_MISSIONS,
     Go,
+    HourlyLoss,
     PromiseVerdict,
     Statements,
     bins_of,
     go_of,
+    hourly_loss,
     interval95,
     rule_row,
     said_in,
@@ -97,6 +99,7 @@ def ends() -> Ends:
         go=np.array([True, True, True, False]),
         delivered=np.array([True, True, False, False]),
         margin_wh=np.array([5.0, -1.0, 3.0, 9.0]),
+        air_h=np.array([0.1, 0.2, 0.1, 0.3]),
     )
 
 
@@ -105,6 +108,14 @@ def test_a_rules_counts_tell_its_outcomes() -> None:
     assert (row.missions, row.go, row.home, row.delivered, row.SUC) == (4, 3, 2, 2, 1)
     assert row.margin_wh_mean == 4.0
     assert row.loss == pytest.approx(1.0 / 3.0)
+
+
+def test_losses_per_flight_hour_count_those_that_departed_and_say_their_limit() -> None:
+    found = hourly_loss(ends())
+    assert (found.lost, found.per_hour) == (1, pytest.approx(1.0 / 0.4))
+    # Garwood's table: with 1 event the 95 % one-sided limit is 4.74, with none 3.00.
+    assert found.most_per_hour == pytest.approx(4.74 / 0.4, rel=1e-3)
+    assert HourlyLoss(0, 3000.0).most_per_hour == pytest.approx(1e-3, rel=2e-3)
 
 
 def test_only_missions_that_went_and_phases_that_came_are_statements() -> None:

@@ -7,16 +7,18 @@ import pytest
 from scipy.special import ndtr
 
 from sim_bridge.research.rates.mission import DeliveryWorld, wind_on_day
+from sim_bridge.research.rates.sheets import check_sheet, choice_sheet
 from sim_bridge.research.rates.study import (
     PLAIN,
     SUBSET,
     RateRow,
     RateRun,
     agreement,
+    counted_upper95,
     row_of,
     works,
 )
-from sim_bridge.research.rates.subset import subset_simulation
+from sim_bridge.research.rates.subset import none_seen_upper95, subset_simulation
 
 
 @pytest.mark.parametrize(("sigmas", "dimensions"), [(2.0, 5), (4.0, 200)])
@@ -46,6 +48,42 @@ def test_what_never_fails_has_no_chance_and_says_so():
         lambda normal: -1.0 - float(normal @ normal), 3, 100, np.random.default_rng(1), 3
     )
     assert (found.chance, found.variation) == (0.0, math.inf)
+    # Its levels were counted down to a chance of 1e-3: more than that is excluded, less is not.
+    assert 1e-3 < found.upper95 < 6e-3
+
+
+def test_chains_that_stand_still_say_a_limit_and_no_estimate():
+    # Islands everywhere: a step of any length is as good as a new draw, so that beyond the second
+    # level one in a hundred is accepted. The true chance is 1e-4.
+    def performance(normal):
+        return math.fmod(1e6 * abs(float(normal.sum())), 1.0) - (1.0 - 1e-4)
+
+    found = subset_simulation(performance, 5, 400, np.random.default_rng(5))
+    assert (found.chance, found.variation) == (0.0, math.inf)
+    assert 1e-4 < found.upper95 < 0.03
+
+
+def test_the_limit_holds_in_19_runs_of_20_however_the_run_ended():
+    # True chances: 3.2e-5 of a mean over 4 sigma; runs of two levels only have no estimate.
+    def performance(normal):
+        return float(normal.sum()) / math.sqrt(normal.size) - 4.0
+
+    true = float(ndtr(-4.0))
+    for levels in (2, 8):
+        runs = [
+            subset_simulation(performance, 20, 200, np.random.default_rng([9, k]), levels)
+            for k in range(20)
+        ]
+        assert sum(run.upper95 >= true for run in runs) >= 17
+        assert all((run.chance == 0.0) is (levels == 2) for run in runs)
+    assert np.median([run.upper95 for run in runs]) < 10.0 * true
+
+
+def test_nothing_seen_of_independent_trials_is_the_rule_of_three():
+    assert none_seen_upper95(300) == pytest.approx(3.0 / 300, rel=0.01)
+    assert counted_upper95(0, 300) == pytest.approx(none_seen_upper95(300))
+    # Clopper and Pearson, tables of 1934: 5 of 50, upper 95 % one-sided (97.5 of 90 %) 0.199.
+    assert counted_upper95(5, 50) == pytest.approx(0.199, abs=0.001)
 
 
 def test_what_fails_often_is_counted_in_one_level():
@@ -84,22 +122,41 @@ def test_a_pack_that_holds_nothing_is_a_loss_and_one_of_twice_the_energy_is_none
         assert (loose.shortfall(drawn) > 0.0) is lost
 
 
-def run(method, chance, variation=0.2, hours=20.0):
-    return RateRun(0.1, method, chance, variation, 3, 840, 300, 240, 200, hours)
+def run(method, chance, variation=0.2, upper=0.05, hours=20.0):
+    return RateRun(0.1, method, chance, variation, upper, 3, 840, 300, 240, 200, hours)
 
 
 def test_rates_are_per_hour_flown_and_their_error_is_the_larger_of_scatter_and_stated():
     row = row_of(0.1, SUBSET, [run(SUBSET, 0.01), run(SUBSET, 0.03)])
     assert row.lost_per_hour == pytest.approx(0.02 * 600 / 40.0)
     assert row.std_per_hour == pytest.approx(0.01 * 600 / 40.0)
+    assert row.most_per_hour == pytest.approx((0.02 + 1.645 * 0.01) * 600 / 40.0)
     assert row.minutes == pytest.approx(60.0 * 40.0 / 480)
     plain = row_of(0.1, PLAIN, [run(PLAIN, 0.02)])
     assert plain.std_per_hour == pytest.approx(math.sqrt(0.02 * 0.98 / 300) * 300 / 20.0)
 
 
+def test_a_row_without_an_estimate_says_its_limit_and_never_nought_with_no_error():
+    stood = run(SUBSET, 0.0, None, 0.001)
+    row = row_of(0.1, SUBSET, [stood, run(SUBSET, 0.0, None, 0.003)])
+    assert (row.lost_per_hour, row.std_per_hour) == (None, None)
+    assert row.most_per_hour == pytest.approx(0.002 * 600 / 40.0)
+    mixed = row_of(0.1, SUBSET, [stood, run(SUBSET, 0.002)])
+    assert mixed.most_per_hour > row.most_per_hour
+    counted = row_of(0.1, PLAIN, [run(PLAIN, 0.0, None, 0.01)] * 10)
+    assert counted.lost_per_hour is None
+    assert counted.most_per_hour == pytest.approx(3.0 / 200.0, rel=0.01)  # of 200 hours
+    sheet = choice_sheet([row, mixed, counted]).markdown()
+    assert "| none seen |  | 3.0e-02 |" in sheet
+    assert "0.0e+00" not in sheet
+    assert "no estimate" in check_sheet(counted, row).note
+    nothing = row_of(0.1, SUBSET, [run(SUBSET, 0.0, None, 1.0, 0.0)])
+    assert "none flew" in choice_sheet([nothing]).markdown()
+
+
 def test_agreement_is_in_standard_errors_of_the_difference():
     def row(lost, std):
-        return RateRow(0.1, PLAIN, lost, std, 1.0, 1.0, 5.0, 100, 100)
+        return RateRow(0.1, PLAIN, lost, std, 1.0, 1.0, 1.0, 5.0, 100, 100)
 
     assert agreement(row(0.10, 0.03), row(0.15, 0.04)) == pytest.approx(1.0)
 

@@ -13,10 +13,18 @@ from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.cli.main import app
-from sim_bridge.research.real_flights.figures import energy_figures, wind_figures
+from sim_bridge.research.real_flights.comparison import compared
+from sim_bridge.research.real_flights.figures import (
+    energy_comparisons,
+    energy_figures,
+    wind_comparisons,
+    wind_figures,
+)
 from sim_bridge.research.real_flights.fold import JudgedEnergy, JudgedFlight, JudgedWind
 from sim_bridge.research.real_flights.folder import normal_temperature_c, read_folder
+from sim_bridge.research.real_flights.leg_errors import leg_errors
 from sim_bridge.research.real_flights.wind_replay import AirspeedMean, fit_scale
+from sim_bridge.research.real_flights.wind_rivals import STILL, WIND_RIVALS
 
 G, MASS_KG, DT_S = 9.80665, 3.65, 0.2
 REAL = Path(__file__).parents[5] / "shared" / "data" / "m100_flights"
@@ -198,6 +206,45 @@ def test_the_judged_day_is_not_fitted_to(made, judged, tmp_path):
         assert new.measured_wh == pytest.approx(1.3 * old["measured_wh"], rel=0.01)
 
 
+def test_with_fit_everything_comes_from_the_other_folder(made, judged, tmp_path):
+    folder, _ = made
+    other = tmp_path / "other"  # the same flights, drawing a third more: only for judging
+    other.mkdir()
+    for path in folder.iterdir():
+        (other / path.name).write_bytes(path.read_bytes())
+    for path in other.glob("[0-9]*.csv"):
+        rows = list(csv.reader(path.read_text().splitlines()))
+        for row in rows[1:]:
+            row[4] = str(1.3 * float(row[4]))
+        path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    table = (other / "parameters.csv").read_text().splitlines()
+    kept = [line for line in table if line.split(",")[0] in ("flight", "0", "1", "6")]
+    (other / "parameters.csv").write_text("\n".join(kept) + "\n")
+    out = tmp_path / "o.json"
+    words = ["real-flights", str(other), "--fit", str(folder), "--json", str(out)]
+    words += ["--out", str(tmp_path / "out"), "--jobs", "1", "--no-climate"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    found = json.loads(out.read_text())
+    assert [row["flight"] for row in found["flights"]] == ["0", "1", "6"]
+    assert [one["without"] for one in found["fitted"]] == [""]
+    before = {row["flight"]: row for row in judged[0]["flights"]}
+    for row in found["flights"]:
+        old, new = (
+            next(e for e in one["energies"] if e["at"] == "flown")
+            for one in (before[row["flight"]], row)
+        )
+        # The day itself may be fitted to here, which moves its prediction by its own 1 or 2 %.
+        assert new["predicted_wh"] == pytest.approx(old["predicted_wh"], rel=0.03)
+        assert new["measured_wh"] == pytest.approx(1.3 * old["measured_wh"], rel=0.01)
+
+
+def test_a_folder_to_fit_to_that_is_not_there_is_said(made, tmp_path):
+    words = ["real-flights", str(made[0]), "--fit", str(tmp_path / "none")]
+    with pytest.raises(LeewayError, match="none: no such folder"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+
+
 def test_a_flight_that_cannot_be_used_is_left_out_by_name(made, tmp_path):
     folder, _ = made
     for path in folder.iterdir():
@@ -229,7 +276,9 @@ def judged_flight(date, ratio, upper):
     energy = JudgedEnergy("flown", 100.0 * ratio, 100.0, upper)
     mean = AirspeedMean(8.0, 9.0, 0.5, 6.0)
     wind = JudgedWind((mean,), (replace(mean, believed_mps=7.0, std_mps=1.0),))
-    return JudgedFlight("f", date, (energy,), {"constant power": 90.0}, {"tilt": wind}, ())
+    worse = JudgedWind((replace(mean, believed_mps=5.0),), ())
+    winds = {"tilt": wind, **dict.fromkeys(WIND_RIVALS, worse)}
+    return JudgedFlight("f", date, (energy,), {"constant power": 90.0}, winds, ())
 
 
 def test_figures_are_those_by_hand():
@@ -241,6 +290,56 @@ def test_figures_are_those_by_hand():
     wind = wind_figures(flights, "tilt")
     assert (wind.legs, wind.rmse_leg_mps, wind.rmse_10s_mps, wind.nees) == (20, 1.0, 1.0, 1.0)
     assert wind.rmse_ground_speed_as_airspeed_mps == 2.0
+    energies = energy_comparisons(flights)
+    assert (energies[0].ours, energies[0].theirs) == pytest.approx((22.5, 20.25))
+    winds = {one.rival: one for one in wind_comparisons(flights)}
+    assert set(winds) == set(WIND_RIVALS)
+    assert (winds[STILL].ours, winds[STILL].theirs) == (1.0, 3.0)
+    assert (winds[STILL].low, winds[STILL].high) == pytest.approx((-2.0, -2.0))
+
+
+def test_leg_errors_fall_apart_into_days_flights_and_fast_air():
+    def flight(date, name, errors, read=8.0):
+        legs = tuple(AirspeedMean(read, read + e, 0.5, 6.0) for e in errors)
+        return replace(
+            judged_flight(date, 1.0, 110.0), name=name, winds={"tilt": JudgedWind(legs, ())}
+        )
+
+    flights = [
+        flight("a", "1", (1.2, 0.8)),
+        flight("a", "2", (0.2, -0.2)),
+        flight("b", "3", (-1.2, -0.8), read=14.0),
+    ]
+    found = {one.of: one for one in leg_errors(flights)}
+    rms = {of: one.rmse_mps for of, one in found.items()}
+    assert rms["all"] == pytest.approx(math.sqrt((2 * 2.08 + 0.08) / 6))
+    assert rms["read over 12 m/s"] == pytest.approx(math.sqrt(1.04))
+    assert found["read at most 12 m/s"].legs == 4
+    # By hand: about each flight's mean every leg is off by 0.2; six legs less three means.
+    assert rms["without the mean error of each flight"] == pytest.approx(math.sqrt(6 * 0.04 / 3))
+    assert rms["without the mean error of each day"] == pytest.approx(
+        math.sqrt((0.7**2 + 0.3**2 + 0.3**2 + 0.7**2 + 2 * 0.04) / 4)
+    )
+
+
+def test_a_rival_is_ahead_only_beyond_what_days_scatter():
+    rng = np.random.default_rng(2)
+    days = [f"{n}" for n in range(12) for _ in range(8)]
+    of_day = np.repeat(rng.normal(0.0, 0.5, 12), 8)
+    noise = rng.normal(0.0, 0.1, 96)
+
+    def rows(ahead):  # theirs is less by `ahead`, and by what is the day's own
+        return list(zip(days, 2.0 + noise, 2.0 + noise - ahead - of_day, strict=True))
+
+    small, large = compared("r", rows(0.1)), compared("r", rows(1.5))
+    assert not small.is_behind
+    assert large.is_behind
+    # By hand: a mean over 12 days of a scatter of 0.5 has a standard error of 0.14.
+    assert large.high - large.low == pytest.approx(2 * 1.96 * of_day.std() / 12**0.5, rel=0.25)
+    # Canary: as if flights were days the interval would be a third as wide, and wrong.
+    alone = compared("r", [(f"{i}", *row[1:]) for i, row in enumerate(rows(0.1))])
+    assert alone.high - alone.low < 0.5 * (small.high - small.low)
+    assert compared("r", []) is None
 
 
 def test_the_usual_temperature_meets_the_normals_within_a_degree_and_a_half():

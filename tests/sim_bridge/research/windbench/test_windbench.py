@@ -10,10 +10,18 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
+from companion.core.wind.estimator import WindEstimator
 from sim_bridge.research.cli.main import app
-from sim_bridge.research.windbench.estimators import estimators, tuned
-from sim_bridge.research.windbench.flights import read_bench_folder
-from sim_bridge.research.windbench.score import Scored, standing
+from sim_bridge.research.wind.rival_filters import tuned
+from sim_bridge.research.windbench.ablation import ABLATIONS, without
+from sim_bridge.research.windbench.estimators import estimators, in_study
+from sim_bridge.research.windbench.flights import cold_starts, read_bench_folder
+from sim_bridge.research.windbench.score import (
+    Scored,
+    difference,
+    flight_errors_mps,
+    standing,
+)
 
 WIND_NE = (3.0, -2.0)
 G = 9.80665
@@ -130,6 +138,77 @@ def test_the_command_ranks_an_estimator_of_ones_own_by_what_it_knows(folder, tmp
         assert found[name]["vector_mps"] < 0.6 * still["vector_mps"], name
     rows = list(csv.reader((tmp_path / "out" / "windbench.csv").read_text().splitlines()))
     assert rows[1][1] in ("my_wind:Knows", "best constant wind of each flight (hindsight)")
+
+
+def studied(study, folder, tmp_path):
+    words = ["windbench", f"{folder}=generic", "--study", study, "--jobs", "1"]
+    done = CliRunner().invoke(
+        app, [*words, "--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out")]
+    )
+    assert done.exit_code == 0, done.output
+    return json.loads((tmp_path / "o.json").read_text())["windows"], done.output
+
+
+def test_each_state_is_left_out_in_turn_and_the_estimator_then_lacks_it(folder, tmp_path):
+    windows, said = studied("states", folder, tmp_path)
+    assert list(windows) == ["Leeway", *ABLATIONS]
+    assert "1 day tells nothing" in said
+    assert all(len(rows) == len(windows["Leeway"]) > 3 for rows in windows.values())
+    airframe = read_airframe("generic")
+    (flight,) = read_bench_folder(folder, "generic").flights
+    for name, state in (
+        ("without drag gains", lambda e: e.drag_gains[0] - 1.0),
+        ("without heading error", lambda e: e.heading_error_rad),
+        ("without trims", lambda e: e.trim_rad[0]),
+    ):
+        whole, lacking = WindEstimator(airframe), without(name)(airframe)
+        for seen in flight.heard[:1500]:
+            whole.update(seen)
+            lacking.update(seen)
+        assert abs(state(lacking)) < 0.05 * abs(state(whole)), name
+
+
+def test_cold_starts_hear_nothing_of_before_and_are_judged_half_a_minute_later(folder, tmp_path):
+    (flight,) = read_bench_folder(folder, "generic").flights
+    took_off = next(seen.t_s for seen in flight.heard if seen.airborne)
+    starts = cold_starts(flight)
+    assert len(starts) == 2
+    for minute, start in enumerate(starts):
+        assert start.t_s[0] == pytest.approx(took_off + 60.0 * minute, abs=0.21)
+        assert len(start.windows) <= 6
+        for window in start.windows:
+            assert start.t_s[window.rows.start] >= start.t_s[0] + 30.0 - 1e-6
+            assert start.t_s[window.rows.stop - 1] <= start.t_s[0] + 90.1
+            begins_s = start.t_s[window.rows.start]
+            (whole,) = (w for w in flight.windows if flight.t_s[w.rows.start] == begins_s)
+            assert whole.read_mps == window.read_mps
+            assert start.heard[window.rows] == flight.heard[whole.rows]
+    windows, said = studied("cold-starts", folder, tmp_path)
+    names = {row["flight"] for row in windows["Leeway"]}
+    assert names == {start.name for start in starts}
+    assert "worst start" in said
+
+
+def test_a_study_that_is_none_is_refused():
+    with pytest.raises(LeewayError, match="--study none: expected one of board, states"):
+        in_study("none")
+
+
+def test_the_difference_of_two_scores_has_the_interval_of_days():
+    rng = np.random.default_rng(3)
+    of_day = rng.normal(0.0, 0.4, 20)
+    rows = [scored(f"{d:02}", 5.0, 6.0 + x) for d, x in enumerate(of_day)]
+    same = difference(rows, rows)
+    assert (same.mean_mps, same.low_mps, same.high_mps) == (0.0, 0.0, 0.0)
+    worse = [scored(r.day, r.read_mps, r.believed_mps + 0.5) for r in rows]
+    fixed = difference([replaced(r) for r in worse], [replaced(r) for r in rows])
+    assert 0.0 < fixed.low_mps < fixed.mean_mps < fixed.high_mps
+    assert flight_errors_mps([scored("a", 5.0, 8.0, vector=1.0)]) == {("d", "a", "a 5.0"): 3.0}
+
+
+def replaced(row):
+    """With a reference that tells the vector: no scale is fitted."""
+    return scored(row.day, row.read_mps, row.believed_mps, None, 0.0)
 
 
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path, folder):
