@@ -83,13 +83,13 @@ class DepotDispatcher:
         if params.confirms and assignment.confirmed_by is None:
             self._ask_for_a_person(assignment)
             return
+        self._asked.discard(id_)  # a hold makes that word void: it is asked for again
         if self._in_launch_gap():
             return
         after = self._newest_launch
         if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
             word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
             self.say(f"{vehicle}: launch of {id_} ordered{word}")
-            self._asked.discard(id_)
 
     def _ask_for_a_person(self, assignment: AssignmentRow) -> None:
         """Say, once for each launch, what lets it go."""

@@ -27,8 +27,8 @@ as our estimator's in its first minute.
 AIR_HEIGHT_M = 2.0
 """Lower, a wind estimate is of the ground's own turbulence."""
 
-SETTLE_S = 5.0
-"""The belief is worked out anew at most so often: it takes some milliseconds."""
+SETTLE_S = TELLING_S
+"""The belief is worked out anew at most so often: a telling is a mean over as long."""
 
 KNOWN_S, LEAST_SPAN_S = 120.0, 60.0
 """A field is known where somebody has told in the last two minutes, for a minute or longer: gusts

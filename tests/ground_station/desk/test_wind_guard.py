@@ -78,10 +78,10 @@ class Site:
         self.silent: set[str] = set()
         self.start()
 
-    def start(self) -> None:
+    def start(self, *, confirms: bool = False) -> None:
         """A desk over the same store; drones are heard anew."""
         self.wire = Wire()
-        params = DepotParams(assigns=False, launch_gap_s=0.0)
+        params = DepotParams(assigns=False, launch_gap_s=0.0, confirms=confirms)
         say = lambda words: self.said.append((self.clock.t_s, words))  # noqa: E731
         self.desk: Desk = open_depot_desk(DAY, self.store, self.wire, say, params, clock=self.clock)
         self.wire.heard += [LivelinessChanged(name, name, up=True) for name in AT]
@@ -244,6 +244,26 @@ def test_a_person_may_release_it_and_what_a_person_holds_is_not_lifted(site: Sit
         mean[:] = (0.0, 2.0)
     site.run(CALM_S + 60.0)
     assert [hold.by for hold in site.store.holds()] == ["anna"]
+
+
+def test_a_persons_word_of_before_is_void_and_asked_for_again(site: Site):
+    """Who saw the pad minutes ago has not seen it now."""
+    site.start(confirms=True)
+    asks = "d1: ready: `ground-station order launch H-101` lets it go"
+    site.run(60.0)
+    assert site.store.confirm_launch("H-101", "anna") == "H-101.1"
+    site.mean["t3"][:] = (0.0, limit_of(DAY) + 2.0)
+    assert site.run(5.0, lambda: ALL in site.holds())
+    site.phase = "ready"
+    assert site.store.confirm_launch("H-101", "anna") is None
+    site.mean["t3"][:] = (0.0, 5.0)
+    assert site.run(CALM_S + 60.0, lambda: ALL not in site.holds())
+    site.run(3.0)
+    assert site.launches() == []
+    assert asks in site.words()
+    site.store.confirm_launch("H-101", "anna")
+    site.run(3.0)
+    assert site.launches() == ["H-101.1:launch1"]
 
 
 def test_a_hold_of_before_a_restart_ends_by_itself(site: Site):
