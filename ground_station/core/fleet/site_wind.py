@@ -24,8 +24,13 @@ UNTOLD_STD_MPS = 1.5
 as our estimator's in its first minute.
 """
 
-AIR_HEIGHT_M = 2.0
-"""Lower, a wind estimate is of the ground's own turbulence."""
+AIR_HEIGHT_M = 10.0
+"""Lower it is the wind between houses and over the pad."""
+
+FRONT_HEIGHT_SHARE = 0.5
+"""Of cruise height: who comes down into weaker wind feels no front. A landing in 15 m/s looks like
+a change of 16 m/s.
+"""
 
 SETTLE_S = TELLING_S
 """The belief is worked out anew at most so often: a telling is a mean over as long."""
@@ -163,7 +168,8 @@ class SiteWind:
             self._refused[name] = t_s, why
             return None
         self.settled(t_s)
-        if teller.out and t_s - teller.out_s > OUT_S:
+        low = telling.height_m < FRONT_HEIGHT_SHARE * self.height_m
+        if low or (teller.out and t_s - teller.out_s > OUT_S):
             return None
         return self._front(telling)
 

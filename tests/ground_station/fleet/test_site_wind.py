@@ -118,7 +118,7 @@ def test_a_covariance_that_is_not_told_counts_as_a_large_one():
 
 
 @pytest.mark.parametrize("more", [
-    {"armed": False}, {"armed": None}, {"height_rel_m": 1.0}, {"height_rel_m": None},
+    {"armed": False}, {"armed": None}, {"height_rel_m": 9.0}, {"height_rel_m": None},
     {"lat_deg": None}, {"wind_to_n_mps": None},
 ])  # fmt: skip
 def test_who_is_not_in_the_air_or_does_not_say_where_tells_no_wind(more: dict[str, object]):
@@ -217,6 +217,21 @@ def test_the_canary_gusts_alone_make_no_front():
     air = Air(seed=4)
     air.blow(600.0)
     assert air.wind.fronts == []
+
+
+def test_who_comes_down_to_land_in_weaker_wind_feels_no_front():
+    """From 40 m into a fifth of the wind; the same at its height is a front."""
+    lands, stays = Air(seed=2), Air(seed=2)
+    for air in (lands, stays):
+        for mean in air.mean.values():
+            mean[:] = (0.0, 13.0)
+        air.blow(180.0)
+        air.mean["d1"][:] = (0.0, 3.0)
+        for _ in range(25):
+            air.blow(1.0, silent=frozenset({"d1"}))
+            air.tell("d1", height_rel_m=12.0 if air is lands else 40.0)
+    assert lands.wind.fronts == []
+    assert [one.felt[0].member for one in stays.wind.fronts] == ["d1"]
 
 
 def test_who_has_been_left_out_for_a_minute_raises_no_front():
