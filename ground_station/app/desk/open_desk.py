@@ -43,7 +43,7 @@ def open_depot_desk(
     if DayStore(store.database, clock.epoch_us).plan() is not None:
         raise LeewayError("this store holds a day with a truck: expected --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
-    wind = site_wind_of(data)
+    wind = site_wind_of(data, say)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind)
     guard = WindGuard(store, data, WindHolds(wind, limit_of(data)), clock, say)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
@@ -77,7 +77,7 @@ def open_truck_desk(
     in_force = day.plan()
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
-    wind = site_wind_of(data)
+    wind = site_wind_of(data, say)
     dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind)
     limits = WindHolds(wind, limit_of(data))
     guard = WindGuard(store, data, limits, day_clock, say, sorties=day.sorties)

@@ -1,12 +1,16 @@
 """The field that a desk believes, from states as drones send them."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
 from companion.fleet.messages import State, decode_state, encode
+from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.files.day_wind import site_wind_of
 from ground_station.adapters.files.params import read_wind_process
 from ground_station.core.dispatch.measured_wind import forecast_now, next_flights, off_sigmas
 from ground_station.core.fleet.site_wind import (
@@ -245,3 +249,14 @@ def test_who_has_been_left_out_for_a_minute_raises_no_front():
     air.mean["d4"] -= (0.0, 14.0)
     air.blow(60.0)
     assert len(air.wind.fronts) == noticed
+
+
+def test_a_wind_process_that_only_the_vehicles_have_is_said_and_keeps_no_desk_from_its_day():
+    day = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
+    mission = msgspec.structs.replace(day.day.mission, wind_process="/etc/leeway/moon.toml")
+    said: list[str] = []
+    moon = replace(day, day=msgspec.structs.replace(day.day, mission=mission))
+    assert site_wind_of(moon, said.append).words(0.0) == ""
+    assert said == [
+        "the field of the wind goes by coast: /etc/leeway/moon.toml: No such file or directory"
+    ]
